@@ -1,0 +1,48 @@
+"""The harness: problems, bounds, scores, tables. This face is the contract that a method imports; it loads no method."""
+
+from bench.errors import InputError
+from bench.estimate import Belief, Cost, Draws, Estimate, Marginal, Normal, Reconstruction, Status
+from bench.identifier import Card, Identifier, Serves
+from bench.mechanics import acceleration, mass_matrix, numpy_ops, regression_columns, rk4_step, state_rate
+from bench.prior import Prior
+from bench.problem import Channel, Force, InitialState, Problem, Record, Units
+from bench.simulate import SimulatedResponse, fitted_start, measurements, simulate
+from bench.systems import Components, Ops, Parameter, Quantity, System
+
+__all__ = [
+    "Belief",
+    "Card",
+    "Channel",
+    "Components",
+    "Cost",
+    "Draws",
+    "Estimate",
+    "Force",
+    "Identifier",
+    "InitialState",
+    "InputError",
+    "Marginal",
+    "Normal",
+    "Ops",
+    "Parameter",
+    "Prior",
+    "Problem",
+    "Quantity",
+    "Reconstruction",
+    "Record",
+    "Serves",
+    "SimulatedResponse",
+    "Status",
+    "System",
+    "Units",
+    "acceleration",
+    "fitted_start",
+    "mass_matrix",
+    "measurements",
+    "numpy_ops",
+    "regression_columns",
+    "rk4_step",
+    "simulate",
+    "state_rate",
+]
+__version__ = "0.1.0"

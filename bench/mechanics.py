@@ -1,0 +1,128 @@
+"""What follows from a residual alone: regression columns, mass matrix, acceleration, state rate, matrices.
+
+Every function runs in whichever library its arguments come from; ``ops`` names that library's functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+
+from bench.systems import Array, Components, Ops, System
+
+
+def _solve_stacked(matrix: Sequence[Sequence[Array]], rhs: Components) -> Components:
+    """Solve with numpy's broadcasting: entries may be arrays of one shape."""
+    entries = np.broadcast_arrays(*[e for row in matrix for e in row], *rhs)
+    n = len(rhs)
+    stacked = np.stack([np.stack(entries[i * n : (i + 1) * n], -1) for i in range(n)], -2)
+    solution = np.linalg.solve(stacked, np.stack(entries[n * n :], -1)[..., None])[..., 0]
+    return [solution[..., i] for i in range(n)]
+
+
+numpy_ops = cast(
+    Ops,
+    SimpleNamespace(
+        sin=np.sin, cos=np.cos, tanh=np.tanh, exp=np.exp, abs=np.abs, where=np.where, solve=_solve_stacked
+    ),
+)
+"""The numpy functions a residual may call."""
+
+
+def mass_matrix(
+    system: System, p: Mapping[str, Array], x: Components, v: Components, f: Components, z: Components, ops: Ops
+) -> tuple[list[list[Array]], list[Array]]:
+    """Mass matrix rows M and the residual at rest of acceleration r0, so that ``r = M a + r0``.
+
+    By unit accelerations, since a residual is affine in them (architecture rule: the physics is written once).
+    """
+    n = system.n_dof
+    rest = system.residual(p, x, v, [0.0] * n, f, z, ops)
+    columns = []
+    for j in range(n):
+        unit = [1.0 if i == j else 0.0 for i in range(n)]
+        columns.append([r - r0 for r, r0 in zip(system.residual(p, x, v, unit, f, z, ops), rest, strict=True)])
+    return [[columns[j][i] for j in range(n)] for i in range(n)], rest
+
+
+def acceleration(
+    system: System, p: Mapping[str, Array], x: Components, v: Components, f: Components, z: Components, ops: Ops
+) -> Components:
+    """The acceleration at a state: the solution of ``M a = -r0``, one component a DOF."""
+    matrix, rest = mass_matrix(system, p, x, v, f, z, ops)
+    if system.n_dof == 1:
+        return [-rest[0] / matrix[0][0]]
+    return ops.solve(matrix, [-r for r in rest])
+
+
+def state_rate(system: System, p: Mapping[str, Array], state: Components, f: Components, ops: Ops) -> list[Array]:
+    """Time derivative of the state ``[x..., v..., z...]``, component by component."""
+    n = system.n_dof
+    x, v, z = state[:n], state[n : 2 * n], state[2 * n :]
+    return [*v, *acceleration(system, p, x, v, f, z, ops), *system.hidden_rates(p, x, v, f, z, ops)]
+
+
+def rk4_step(
+    system: System,
+    p: Mapping[str, Array],
+    state: Components,
+    step: Array,
+    forces: tuple[Components, Components, Components],
+    ops: Ops,
+) -> list[Array]:
+    """One classical Runge-Kutta step of order four; ``forces`` at its start, middle and end."""
+    start, middle, end = forces
+    k1 = state_rate(system, p, state, start, ops)
+    k2 = state_rate(system, p, [s + 0.5 * step * k for s, k in zip(state, k1, strict=True)], middle, ops)
+    k3 = state_rate(system, p, [s + 0.5 * step * k for s, k in zip(state, k2, strict=True)], middle, ops)
+    k4 = state_rate(system, p, [s + step * k for s, k in zip(state, k3, strict=True)], end, ops)
+    return [
+        s + step / 6.0 * (a + 2.0 * b + 2.0 * c + d) for s, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)
+    ]
+
+
+def regression_columns(
+    system: System, x: Components, v: Components, a: Components, f: Components
+) -> tuple[np.ndarray, np.ndarray]:
+    """Columns A and offset b with ``residual = A @ p + b``, by unit parameter vectors.
+
+    ``x``, ``v``, ``a``, ``f`` hold one array of shape (n,) a DOF. Returns A of shape (n_dof * n, n_parameters) and
+    b of shape (n_dof * n,), rows DOF by DOF. Raises ValueError where the residual is not affine in the parameters.
+    """
+    if not system.affine_in_parameters or system.n_hidden:
+        raise ValueError(f"the residual of {system.name} has no regression columns: it is not affine in its parameters")
+    shape = np.shape(x[0])
+
+    def stacked(p: Mapping[str, float]) -> np.ndarray:
+        rows = system.residual(p, x, v, a, f, [], numpy_ops)
+        return np.concatenate([np.broadcast_to(np.asarray(r, float), shape) for r in rows])
+
+    zero = dict.fromkeys(system.names, 0.0)
+    offset = stacked(zero)
+    return np.stack([stacked({**zero, name: 1.0}) - offset for name in system.names], axis=1), offset
+
+
+def linear_matrices(system: System, p: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mass, damping and stiffness matrices of a linear system, each of shape (..., n_dof, n_dof).
+
+    Parameters may be arrays of one shape, which leads the result. Raises ValueError where the system is not linear.
+    """
+    if not system.linear:
+        raise ValueError(f"{system.name} is not linear: it has no constant matrices")
+    n = system.n_dof
+    shape = np.broadcast_shapes(*(np.shape(value) for value in p.values()))
+    zero = [0.0] * n
+
+    def matrix(which: int) -> np.ndarray:
+        result = np.empty((*shape, n, n))
+        for j in range(n):
+            state = [list(zero), list(zero), list(zero)]
+            state[which][j] = 1.0
+            for i, r in enumerate(system.residual(p, *state, zero, [], numpy_ops)):
+                result[..., i, j] = r
+        return result
+
+    return matrix(2), matrix(1), matrix(0)

@@ -1,0 +1,200 @@
+"""A scenario: which system, at which true parameters, sampled how, told what. It makes the replicates."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from bench.errors import InputError
+from bench.prior import Prior, draw_prior, wrong_prior
+from bench.problem import MIN_SAMPLES, Channel, Force, Hold, InitialState, Problem, Record
+from bench.systems import System, make_system
+from bench.truth import Truth, reference_response
+
+NOISE, NOMINAL, FORCE_AXIS, METHOD = range(4)
+"""Axes of the seed tree: what a random stream is for. Streams of different axes never meet."""
+
+
+@dataclass(frozen=True)
+class PriorSpec:
+    """How wide the nominal prior is, by kind of parameter, and whether its nominal values are calibrated."""
+
+    name: str
+    sd_by_kind: Mapping[str, float]
+    wrong: bool = False
+
+
+@dataclass(frozen=True)
+class ForceSpec:
+    """A known multisine force on one DOF: sine waves of equal amplitude, uniform random phases drawn per scenario.
+
+    ``amplitude`` (N) is the root mean square; frequencies (Hz) run from ``low_hz`` to ``high_hz`` in ``tones`` steps.
+    The force is sampled at ``samples`` uniform times and runs between them as ``hold`` says.
+    """
+
+    amplitude: float
+    low_hz: float
+    high_hz: float
+    tones: int = 10
+    samples: int = 201
+    hold: Hold = "linear"
+    dof: int = 0
+
+    def draw(self, duration: float, rng: np.random.Generator) -> Force:
+        times = np.linspace(0.0, duration, self.samples)
+        frequencies = np.linspace(self.low_hz, self.high_hz, self.tones)
+        phases = rng.uniform(0.0, 2 * np.pi, self.tones)
+        waves = np.sin(2 * np.pi * frequencies[:, None] * times + phases[:, None])
+        return Force(times, self.amplitude * np.sqrt(2.0 / self.tones) * waves.sum(0), self.hold, self.dof)
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Everything that decides the data, and what is told of them; SI units.
+
+    ``initial`` is the true displacement and velocity of each DOF at time 0, ``told`` whether a method knows it.
+    ``samples`` uniform displacement samples of every DOF over ``duration``, both ends included; noise at ``snr_db``.
+    """
+
+    system: str
+    parameters: Mapping[str, float]
+    initial: tuple[tuple[float, ...], tuple[float, ...]]
+    snr_db: float
+    duration: float = 10.0
+    samples: int = 25
+    told: Literal["known", "unknown"] = "known"
+    prior: PriorSpec | None = None
+    force: ForceSpec | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    dense: int = 1000
+    forecast: float = 10.0
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        system = self.make_system()
+        if set(self.parameters) != set(system.names):
+            raise InputError("system.parameters", sorted(self.parameters), f"needed: {', '.join(system.names)}")
+        for name, value in self.parameters.items():
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"system.parameters.{name}", value, "a positive number")
+        for part in self.initial:
+            if len(part) != system.n_dof or not np.all(np.isfinite(part)):
+                raise InputError("system.initial", list(part), f"{system.n_dof} finite number(s), one a DOF")
+        if not np.isfinite(self.snr_db):
+            raise InputError("snr", self.snr_db, "a finite number of decibels")
+        if not (np.isfinite(self.duration) and self.duration > 0):
+            raise InputError("duration", self.duration, "a positive number of seconds")
+        if self.samples < MIN_SAMPLES:
+            raise InputError("samples", self.samples, f"at least {MIN_SAMPLES}")
+        if not np.any(np.asarray(self.initial)) and self.force is None:
+            raise InputError("system.initial", list(map(list, self.initial)), "a start away from rest, or a force")
+
+    def make_system(self) -> System:
+        return make_system(self.system, self.options)
+
+    def data_identity(self) -> dict[str, Any]:
+        """What decides the data, and nothing else: neither the label nor what is told of them."""
+        return {
+            "system": self.system,
+            "options": dict(self.options),
+            "parameters": {name: float(self.parameters[name]) for name in sorted(self.parameters)},
+            "initial": [list(map(float, part)) for part in self.initial],
+            "snr_db": float(self.snr_db),
+            "duration": float(self.duration),
+            "samples": self.samples,
+            "force": vars(self.force) if self.force else None,
+        }
+
+    def told_identity(self) -> dict[str, Any]:
+        """What a method is told beyond the data."""
+        return {
+            "initial_state": self.told,
+            "prior": None
+            if self.prior is None
+            else {**{k: float(v) for k, v in self.prior.sd_by_kind.items()}, "wrong": self.prior.wrong},
+        }
+
+    def stream(self, axis: int, seed: int, replicate: int, *key: int) -> np.random.Generator:
+        """The random stream of one axis, replicate and scenario; independent of every other."""
+        sequence = np.random.SeedSequence(seed, spawn_key=(axis, *self._key, replicate, *key))
+        return np.random.default_rng(sequence)
+
+    @cached_property
+    def _key(self) -> tuple[int, ...]:
+        digest = hashlib.sha256(json.dumps(self.data_identity(), sort_keys=True).encode()).digest()
+        return tuple(int.from_bytes(digest[i : i + 4], "big") for i in (0, 4))
+
+    @cached_property
+    def times(self) -> np.ndarray:
+        """Sample times (s), shape (samples,)."""
+        return np.linspace(0.0, self.duration, self.samples)
+
+    @cached_property
+    def dense_times(self) -> np.ndarray:
+        """Times (s) on which the displacement is scored, shape (dense,)."""
+        return np.linspace(0.0, self.duration, self.dense)
+
+    @cached_property
+    def forecast_times(self) -> np.ndarray:
+        """Times (s) after the record on which the forecast is scored, shape (dense,)."""
+        return self.duration + np.linspace(0.0, self.forecast, self.dense + 1)[1:]
+
+    @cached_property
+    def start(self) -> InitialState:
+        """The true initial state."""
+        return InitialState(np.array(self.initial[0]), np.array(self.initial[1]))
+
+    def forces(self, seed: int) -> tuple[Force, ...]:
+        """The known forces: one draw a scenario and seed, the same for every replicate."""
+        if self.force is None:
+            return ()
+        return (self.force.draw(self.duration, self.stream(FORCE_AXIS, seed, 0)),)
+
+    def _response(self, times: np.ndarray, seed: int) -> np.ndarray:
+        return reference_response(self.make_system(), self.parameters, self.start, times, self.forces(seed))
+
+    def replicates(self, seed: int, n: int) -> list[tuple[Problem, Truth]]:
+        """The first ``n`` replicates of a seed: the same noise and nominal values for every method."""
+        clean, dense = self._response(self.times, seed), self._response(self.dense_times, seed)
+        forecast = self._response(self.forecast_times, seed)
+        return [self._replicate(seed, i, clean, dense, forecast) for i in range(n)]
+
+    def sigmas(self, seed: int) -> np.ndarray:
+        """Noise standard deviation of each channel (m): mean square of the clean samples over 10^(SNR/10)."""
+        clean = self._response(self.times, seed)
+        return np.asarray(np.sqrt(np.mean(clean**2, axis=1) / 10.0 ** (self.snr_db / 10.0)))
+
+    def _replicate(
+        self, seed: int, index: int, clean: np.ndarray, dense: np.ndarray, forecast: np.ndarray
+    ) -> tuple[Problem, Truth]:
+        system = self.make_system()
+        sigma = np.sqrt(np.mean(clean**2, axis=1) / 10.0 ** (self.snr_db / 10.0))
+        noise = sigma[:, None] * self.stream(NOISE, seed, index).standard_normal(clean.shape)
+        channels = tuple(Channel(self.times, values, dof=i) for i, values in enumerate(clean + noise))
+        record = Record(channels, self.forces(seed), self.start if self.told == "known" else None)
+        problem = Problem(system, (record,), self.draw_prior(system, seed, index), name=self.label)
+        truth = Truth(
+            parameters=dict(self.parameters),
+            initial_state=self.start,
+            dense_times=self.dense_times,
+            dense_displacement=dense,
+            forecast_times=self.forecast_times,
+            forecast_displacement=forecast,
+            sigma=tuple(map(float, sigma)),
+            realised_snr_db=float(10 * np.log10(np.sum(clean**2) / np.sum(noise**2))),
+            sigma_over_peak=float(np.max(sigma / np.max(np.abs(dense), axis=1))),
+        )
+        return problem, truth
+
+    def draw_prior(self, system: System, seed: int, index: int) -> Prior | None:
+        """The nominal prior of one replicate, drawn around the truth."""
+        if self.prior is None:
+            return None
+        draw = wrong_prior if self.prior.wrong else draw_prior
+        return draw(system, self.parameters, self.prior.sd_by_kind, self.stream(NOMINAL, seed, index))

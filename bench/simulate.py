@@ -1,0 +1,287 @@
+"""The response of a system, vectorised over parameter sets, for methods and for scoring.
+
+Linear systems by superposition of their modes, exact in time; others by Runge-Kutta steps of order four. The truth
+is never made here (see :mod:`bench.truth`), nor the sensitivities of a bound (see :mod:`bench.bound`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg import expm
+
+from bench.mechanics import acceleration, linear_matrices, numpy_ops, rk4_step
+from bench.problem import Channel, Force, InitialState, Record
+from bench.systems import System
+
+DEFECTIVE = 1e7
+"""Condition number of the modes beyond which the matrix exponential is used instead."""
+STEPS_PER_RADIAN = 20
+MAX_STEPS = 200_000
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Displacement and velocity of every DOF, each of shape (n_dof, *sets, n_times)."""
+
+    displacement: np.ndarray
+    velocity: np.ndarray
+
+    def measured(self, system: System, p: Mapping[str, Any], channel: Channel, record: Record) -> np.ndarray:
+        """What an ideal sensor would give (without its offset), shape (*sets, n_times)."""
+        if channel.measures == "displacement":
+            return self.displacement[channel.dof]
+        if channel.measures == "velocity":
+            return self.velocity[channel.dof]
+        force = record.force(channel.times, system.n_dof)
+        expanded = {name: np.asarray(value)[..., None] for name, value in p.items()}
+        return np.asarray(
+            acceleration(system, expanded, self.displacement, self.velocity, force, [], numpy_ops)[channel.dof]
+        )
+
+
+def simulate(
+    system: System,
+    p: Mapping[str, Any],
+    start: InitialState | tuple[np.ndarray, np.ndarray],
+    times: np.ndarray,
+    forces: Sequence[Force] = (),
+) -> Motion:
+    """The response from a state at time 0, at increasing times >= 0 (s), shape (n_times,).
+
+    Parameters are floats or arrays of one shape ``sets``; ``start`` is an InitialState, or displacement and velocity
+    of shape (n_dof, *sets). A diverging response gives infinities or NaNs, never an error.
+    """
+    x0, v0 = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
+    sets = np.broadcast_shapes(*(np.shape(v) for v in p.values()), np.shape(x0)[1:], np.shape(v0)[1:])
+    ones = (1,) * len(sets)
+    state = [
+        np.broadcast_to(np.asarray(part[i], float).reshape(np.shape(part[i]) or ones), sets)
+        for part in (x0, v0)
+        for i in range(system.n_dof)
+    ]
+    p = {name: np.broadcast_to(np.asarray(value, float), sets) for name, value in p.items()}
+    times = np.asarray(times, float)
+    with np.errstate(all="ignore"):
+        if system.linear:
+            path = _by_modes(system, p, np.stack(state, -1), times, forces)
+        else:
+            path = _by_steps(system, p, state, times, forces)
+    return Motion(path[: system.n_dof], path[system.n_dof : 2 * system.n_dof])
+
+
+def state_matrix(system: System, p: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """``A`` and ``B`` of ``s' = A s + B f`` for the state ``s = [x, v]``, shapes (..., 2n, 2n) and (..., 2n, n)."""
+    mass, damping, stiffness = linear_matrices(system, p)
+    n = system.n_dof
+    inverse = np.linalg.inv(mass)
+    a = np.zeros((*mass.shape[:-2], 2 * n, 2 * n))
+    a[..., :n, n:] = np.eye(n)
+    a[..., n:, :n] = -inverse @ stiffness
+    a[..., n:, n:] = -inverse @ damping
+    b = np.zeros((*mass.shape[:-2], 2 * n, n))
+    b[..., n:, :] = inverse
+    return a, b
+
+
+def _by_modes(
+    system: System, p: Mapping[str, Any], s0: np.ndarray, times: np.ndarray, forces: Sequence[Force]
+) -> np.ndarray:
+    a, b = state_matrix(system, p)
+    if not np.all(np.isfinite(a)):
+        return np.full((2 * system.n_dof, *s0.shape[:-1], times.size), np.nan)
+    rates, modes = np.linalg.eig(a)
+    if np.max(np.linalg.cond(modes), initial=0.0) > DEFECTIVE:
+        # a repeated root (critical damping): move it apart by less than any data could show
+        a = a.copy()
+        diagonal = np.arange(a.shape[-1])
+        a[..., diagonal, diagonal] += 1e-7 * np.linalg.norm(a, axis=(-2, -1))[..., None] * (diagonal - diagonal.mean())
+        rates, modes = np.linalg.eig(a)
+    q0 = np.linalg.solve(modes.astype(complex), s0[..., None].astype(complex))[..., 0]
+    if forces:
+        q = _forced_modes(rates, np.linalg.solve(modes.astype(complex), b.astype(complex)), q0, times, forces)
+    else:
+        q = q0[..., None] * np.exp(rates[..., None] * times)
+    return np.moveaxis((modes @ q).real, -2, 0)
+
+
+def _forced_modes(
+    rates: np.ndarray, gains: np.ndarray, q0: np.ndarray, times: np.ndarray, forces: Sequence[Force]
+) -> np.ndarray:
+    """Modal coordinates (..., n_modes, n_times) under forces that are linear between the times of a merged grid.
+
+    Over one interval of length h: ``q <- e^z q + h (phi1(z) g0 + phi2(z) (g1 - g0))`` with ``z = rate h`` and g the
+    modal force at both ends, exact for a force linear in time.
+    """
+    grid = np.unique(np.concatenate([[0.0], times, *[f.times for f in forces]]))
+    grid = grid[grid <= times[-1]]
+    wanted = np.searchsorted(grid, times)
+    q = q0.astype(complex)
+    path = np.empty((*q.shape, times.size), complex)
+    path[..., wanted == 0] = q[..., None]
+    for i, (t0, t1) in enumerate(zip(grid[:-1], grid[1:], strict=True)):
+        h = t1 - t0
+        z = rates * h
+        small = np.abs(z) < 1e-4
+        safe = np.where(small, 1.0, z)
+        phi1 = np.where(small, 1 + z / 2 + z * z / 6, np.expm1(safe) / safe)
+        phi2 = np.where(small, 0.5 + z / 6 + z * z / 24, (np.expm1(safe) - safe) / safe**2)
+        start, end = np.zeros_like(q), np.zeros_like(q)
+        for force in forces:
+            f0, f1 = interval_ends(force, t0, t1)
+            start = start + gains[..., force.dof] * f0
+            end = end + gains[..., force.dof] * f1
+        q = np.exp(z) * q + h * (phi1 * start + phi2 * (end - start))
+        path[..., wanted == i + 1] = q[..., None]
+    return path
+
+
+def interval_ends(force: Force, t0: float, t1: float) -> tuple[float, float]:
+    """The force just after t0 and just before t1, for an interval that holds no sample of it inside."""
+    middle = np.array([t0 + 0.25 * (t1 - t0), t0 + 0.75 * (t1 - t0)])
+    near, far = force(middle)
+    return float(1.5 * near - 0.5 * far), float(1.5 * far - 0.5 * near)
+
+
+def _by_steps(
+    system: System, p: Mapping[str, Any], state: list[np.ndarray], times: np.ndarray, forces: Sequence[Force]
+) -> np.ndarray:
+    state = [*state, *[np.zeros_like(state[0]) for _ in range(system.n_hidden)]]
+    grid = np.unique(np.concatenate([[0.0], times, *[f.times[f.times <= times[-1]] for f in forces]]))
+    longest = _longest_step(system, p, state)
+    wanted = np.searchsorted(grid, times)
+    path = np.empty((len(state), *state[0].shape, times.size))
+    path[..., wanted == 0] = np.stack(state)[..., None]
+    steps = np.maximum(1, np.ceil(np.diff(grid) / longest)).astype(int)
+    if steps.sum() > MAX_STEPS:
+        return np.full(path.shape, np.nan)
+    for i, n in enumerate(steps):
+        h = (grid[i + 1] - grid[i]) / n
+        ends = [interval_ends(force, grid[i], grid[i + 1]) for force in forces]
+        for j in range(n):
+            at = [_forces_at(system, forces, ends, (j + part) / n) for part in (0.0, 0.5, 1.0)]
+            state = rk4_step(system, p, state, h, (at[0], at[1], at[2]), numpy_ops)
+        path[..., wanted == i + 1] = np.stack(state)[..., None]
+    return path
+
+
+def _forces_at(
+    system: System, forces: Sequence[Force], ends: Sequence[tuple[float, float]], part: float
+) -> list[float]:
+    total = [0.0] * system.n_dof
+    for force, (start, end) in zip(forces, ends, strict=True):
+        total[force.dof] += start + part * (end - start)
+    return total
+
+
+def _longest_step(system: System, p: Mapping[str, Any], state: list[np.ndarray]) -> float:
+    """A step that resolves the fastest rate of the system linearised at rest and at its start."""
+    n = len(state)
+    fastest = 0.0
+    for level in (0.0, 1.0):
+        at = [level * s for s in state]
+        jacobian = np.empty((*state[0].shape, n, n))
+        for j in range(n):
+            size = 1e-6 * max(float(np.max(np.abs(state[j]), initial=0.0)), 1e-3)
+            plus = _rate(system, p, [s + size * (i == j) for i, s in enumerate(at)])
+            minus = _rate(system, p, [s - size * (i == j) for i, s in enumerate(at)])
+            for i in range(n):
+                jacobian[..., i, j] = (plus[i] - minus[i]) / (2 * size)
+        if np.all(np.isfinite(jacobian)):
+            fastest = max(fastest, float(np.max(np.abs(np.linalg.eigvals(jacobian)), initial=0.0)))
+    return 1.0 / (STEPS_PER_RADIAN * fastest) if fastest > 0 else np.inf
+
+
+def _rate(system: System, p: Mapping[str, Any], state: list[np.ndarray]) -> list[np.ndarray]:
+    n = system.n_dof
+    zero = [0.0] * n
+    x, v, z = state[:n], state[n : 2 * n], state[2 * n :]
+    hidden = system.hidden_rates(p, x, v, zero, z, numpy_ops)
+    return [*v, *acceleration(system, p, x, v, zero, z, numpy_ops), *hidden]
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedResponse:
+    """The simulated displacement as a function of time: a reconstruction that can be pickled."""
+
+    system: System
+    parameters: Mapping[str, float]
+    start: InitialState
+    forces: tuple[Force, ...] = ()
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        """Displacement (m), shape (n_dof, n_times), at increasing times (s)."""
+        return simulate(self.system, self.parameters, self.start, times, self.forces).displacement
+
+
+def fitted_start(system: System, p: Mapping[str, float], record: Record) -> InitialState:
+    """The initial state that fits a record best at given parameters: the told one, or least squares on the data.
+
+    Gauss-Newton on the simulated measurements by finite differences of the start; one step solves a linear system,
+    where the response is affine in the start. Offsets of channels are fitted along.
+    """
+    if record.initial_state is not None:
+        return record.initial_state
+    n = system.n_dof
+    size = max(float(np.max(np.abs(c.values), initial=0.0)) for c in record.channels) or 1.0
+    theta = np.zeros(2 * n)
+    offsets = [c for c in record.channels if c.offset]
+    time = record.duration
+    scale = np.concatenate([np.full(n, size), np.full(n, size / time)])
+    y = np.concatenate([c.values for c in record.channels])
+    constants = np.array([[float(c is o) for o in offsets] for c in record.channels for _ in range(c.n)]).reshape(y.size, -1)
+    for _ in range(1 if system.linear else 5):
+        trial = theta[:, None] + np.concatenate([np.zeros((2 * n, 1)), 1e-3 * np.diag(scale)], axis=1)
+        p_sets = {name: np.full(2 * n + 1, value) for name, value in p.items()}
+        predicted = measurements(system, p_sets, (trial[:n], trial[n:]), record)
+        if not np.all(np.isfinite(predicted)):
+            break
+        jacobian = (predicted[1:] - predicted[0]).T / (1e-3 * scale)
+        solution, *_ = np.linalg.lstsq(np.hstack([jacobian * scale, size * constants]), y - predicted[0], rcond=1e-12)
+        theta = theta + scale * solution[: 2 * n]
+    return InitialState(theta[:n], theta[n:])
+
+
+def measurements(
+    system: System, p: Mapping[str, Any], start: InitialState | tuple[np.ndarray, np.ndarray], record: Record
+) -> np.ndarray:
+    """Ideal measurements of all channels of a record, channel after channel, shape (*sets, n_samples)."""
+    parts = [
+        simulate(system, p, start, c.times, record.forces).measured(system, p, c, record) for c in record.channels
+    ]
+    return np.concatenate(parts, axis=-1)
+
+
+def matrix_exponential_response(
+    system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force] = ()
+) -> np.ndarray:
+    """Displacement of a linear system, shape (n_dof, n_times), by matrix exponentials with the exact hold of the force.
+
+    The augmented-matrix form of the hold (C. F. Van Loan, IEEE Trans. Automatic Control 23:395, 1978): with
+    ``f`` linear over an interval, the state, the force and its slope obey one constant-coefficient system.
+    """
+    a, b = state_matrix(system, p)
+    n, m = b.shape
+    grid = np.unique(np.concatenate([[0.0], times, *[f.times[f.times <= times[-1]] for f in forces]]))
+    augmented = np.zeros((n + 2 * m, n + 2 * m))
+    augmented[:n, :n], augmented[:n, n : n + m] = a, b
+    augmented[n : n + m, n + m :] = np.eye(m)
+    state = np.concatenate([start.displacement, start.velocity])
+    path = np.empty((grid.size, n))
+    path[0] = state
+    cache: dict[float, np.ndarray] = {}
+    for i, h in enumerate(np.diff(grid)):
+        key = float(np.round(h, 14))
+        if key not in cache:
+            cache[key] = expm(augmented * h)
+        f0, slope = np.zeros(m), np.zeros(m)
+        for force in forces:
+            near, far = interval_ends(force, grid[i], grid[i + 1])
+            f0[force.dof] += near
+            slope[force.dof] += (far - near) / h
+        state = (cache[key] @ np.concatenate([state, f0, slope]))[:n]
+        path[i + 1] = state
+    return path[np.searchsorted(grid, times), : system.n_dof].T

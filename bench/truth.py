@@ -1,0 +1,94 @@
+"""The truth of a replicate, and the reference solutions it is made by.
+
+The truth never comes from an integrator that a method fits with: closed form for the linear SDOF, matrix
+exponential with the exact hold of the force for other linear systems, an explicit Runge-Kutta method of order
+eight at tight tolerance for the nonlinear ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from bench.mechanics import numpy_ops, state_rate
+from bench.problem import Force, InitialState
+from bench.simulate import matrix_exponential_response
+from bench.systems import SDOF, System
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What scores an estimate. No method ever receives one.
+
+    ``dense_displacement`` has shape (n_dof, n_dense) on ``dense_times`` (s, over the record), ``forecast_displacement``
+    likewise over what follows the record. ``sigma`` is the noise standard deviation of each channel (in its unit),
+    ``realised_snr_db`` the SNR of the drawn noise, ``sigma_over_peak`` the noise over the largest displacement.
+    """
+
+    parameters: Mapping[str, float]
+    initial_state: InitialState
+    dense_times: np.ndarray
+    dense_displacement: np.ndarray
+    forecast_times: np.ndarray
+    forecast_displacement: np.ndarray
+    sigma: tuple[float, ...]
+    realised_snr_db: float
+    sigma_over_peak: float
+
+
+def reference_response(
+    system: System,
+    p: Mapping[str, float],
+    start: InitialState,
+    times: np.ndarray,
+    forces: Sequence[Force] = (),
+) -> np.ndarray:
+    """Displacement (m), shape (n_dof, n_times), at increasing times >= 0 (s)."""
+    if isinstance(system, SDOF) and not forces:
+        return closed_form(p, float(start.displacement[0]), float(start.velocity[0]), times)[None]
+    if system.linear:
+        return matrix_exponential_response(system, p, start, times, forces)
+    return _integrated(system, p, start, times, forces)
+
+
+def closed_form(p: Mapping[str, float], x0: float, v0: float, times: np.ndarray) -> np.ndarray:
+    """Free response of ``m x'' + c x' + k x = 0``, shape of ``times``, for any damping.
+
+    ``x = e^(-a t) (x0 C + (v0 + a x0) S)`` with ``a = c/2m``, ``d = a² - k/m``, and C, S = cos, sin/w at
+    ``w = sqrt(-d)`` below critical damping, cosh, sinh/w at ``w = sqrt(d)`` above, 1 and t at it
+    (Inman, Engineering Vibration, chapter 1).
+    """
+    t = np.asarray(times, float)
+    a = p["c"] / (2 * p["m"])
+    root = np.emath.sqrt(a * a - p["k"] / p["m"])
+    cosh = (np.exp((root - a) * t) + np.exp(-(root + a) * t)) / 2
+    sinh = (np.exp((root - a) * t) - np.exp(-(root + a) * t)) / (2 * root) if root != 0 else t * np.exp(-a * t)
+    return np.real(x0 * cosh + (v0 + a * x0) * sinh)
+
+
+def _integrated(
+    system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force]
+) -> np.ndarray:
+    n = system.n_dof
+
+    def rate(t: float, state: np.ndarray) -> list[float]:
+        f = [0.0] * n
+        for force in forces:
+            f[force.dof] += float(force(np.array(t)))
+        return state_rate(system, p, list(state), f, numpy_ops)
+
+    # the force has kinks at its samples: integrate from one to the next
+    ends = np.unique(np.concatenate([[0.0, times[-1]], *[f.times[f.times < times[-1]] for f in forces]]))
+    state = np.concatenate([start.displacement, start.velocity, np.zeros(system.n_hidden)])
+    path = np.empty((n, times.size))
+    path[:, times == 0.0] = start.displacement[:, None]
+    for t0, t1 in zip(ends[:-1], ends[1:], strict=True):
+        inside = (times > t0) & (times <= t1)
+        solution = solve_ivp(rate, (t0, t1), state, method="DOP853", rtol=1e-11, atol=1e-13, dense_output=True)
+        if np.any(inside):
+            path[:, inside] = solution.sol(times[inside])[:n]
+        state = solution.y[:, -1]
+    return path
