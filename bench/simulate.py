@@ -75,9 +75,9 @@ def simulate(
 
 def state_matrix(system: System, p: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     """``A`` and ``B`` of ``s' = A s + B f`` for the state ``s = [x, v]``, shapes (..., 2n, 2n) and (..., 2n, n)."""
-    mass, damping, stiffness = linear_matrices(system, p)
     n = system.n_dof
-    inverse = np.linalg.inv(mass)
+    mass, damping, stiffness = linear_matrices(system, p)
+    inverse = 1.0 / mass if n == 1 else np.linalg.inv(mass)
     a = np.zeros((*mass.shape[:-2], 2 * n, 2 * n))
     a[..., :n, n:] = np.eye(n)
     a[..., n:, :n] = -inverse @ stiffness
@@ -93,6 +93,8 @@ def _by_modes(
     a, b = state_matrix(system, p)
     if not np.all(np.isfinite(a)):
         return np.full((2 * system.n_dof, *s0.shape[:-1], times.size), np.nan)
+    if a.shape[-1] == 2 and not forces:
+        return _free_two_states(a, s0, times)
     rates, modes = np.linalg.eig(a)
     if np.max(np.linalg.cond(modes), initial=0.0) > DEFECTIVE:
         # a repeated root (critical damping): move it apart by less than any data could show
@@ -100,12 +102,37 @@ def _by_modes(
         diagonal = np.arange(a.shape[-1])
         a[..., diagonal, diagonal] += 1e-7 * np.linalg.norm(a, axis=(-2, -1))[..., None] * (diagonal - diagonal.mean())
         rates, modes = np.linalg.eig(a)
-    q0 = np.linalg.solve(modes.astype(complex), s0[..., None].astype(complex))[..., 0]
+    inverse = np.linalg.inv(modes.astype(complex))
+    q0 = (inverse @ s0[..., None])[..., 0]
     if forces:
-        q = _forced_modes(rates, np.linalg.solve(modes.astype(complex), b.astype(complex)), q0, times, forces)
+        q = _forced_modes(rates, inverse @ b, q0, times, forces)
     else:
         q = q0[..., None] * np.exp(rates[..., None] * times)
     return np.moveaxis((modes @ q).real, -2, 0)
+
+
+def _free_two_states(a: np.ndarray, s0: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """``exp(A t) s0`` for matrices A of two by two and any damping, shape (2, ..., n_times).
+
+    By Cayley and Hamilton ``exp(A t) = e^(mu t) (C I + S (A - mu I))`` with ``mu`` half the trace and
+    ``d = mu² - det A``: ``C, S = cos(w t), sin(w t)/w`` where ``d = -w² < 0``, and ``cosh(w t), sinh(w t)/w`` where
+    ``d = w² > 0`` (Bernstein and So, IEEE Trans. Automatic Control 38:1228, 1993). No modes, so nothing is defective.
+    """
+    mu = 0.5 * (a[..., 0, 0] + a[..., 1, 1])[..., None]
+    half = 0.5 * (a[..., 0, 0] - a[..., 1, 1])[..., None]
+    x, v = s0[..., :1], s0[..., 1:]
+    slopes = np.stack([half * x + a[..., :1, 1] * v, a[..., 1:, 0] * x - half * v])
+    d = half**2 + (a[..., 0, 1] * a[..., 1, 0])[..., None]
+    w = np.sqrt(np.abs(d))
+    envelope = np.exp(mu * times)
+    cosine, sine = envelope * np.cos(w * times), envelope * np.sinc(w * times / np.pi) * times
+    if np.any(d > 0):
+        # two decays: cosh by itself would overflow where the envelope makes up for it
+        slow, fast = np.exp((mu + w) * times), np.exp((mu - w) * times)
+        apart = (d > 0) & (w * times > 1e-5)
+        cosine = np.where(d > 0, 0.5 * (slow + fast), cosine)
+        sine = np.where(apart, 0.5 * (slow - fast) / np.where(d > 0, w, 1.0), sine)
+    return np.asarray(np.stack([x, v]) * cosine + slopes * sine)
 
 
 def _forced_modes(
@@ -119,23 +146,29 @@ def _forced_modes(
     grid = np.unique(np.concatenate([[0.0], times, *[f.times for f in forces]]))
     grid = grid[grid <= times[-1]]
     wanted = np.searchsorted(grid, times)
+    # lengths that differ by rounding alone share their coefficients
+    tick = 1e-12 * max(grid[-1], 1e-300)
+    _, first, which = np.unique(np.round(np.diff(grid) / tick), return_index=True, return_inverse=True)
+    h = np.diff(grid)[first].reshape(-1, *(1,) * rates.ndim)
+    z = rates * h
+    small = np.abs(z) < 1e-4
+    safe = np.where(small, 1.0, z)
+    phi1 = np.where(small, 1 + z / 2 + z * z / 6, np.expm1(safe) / safe)
+    phi2 = np.where(small, 0.5 + z / 6 + z * z / 24, (np.expm1(safe) - safe) / safe**2)
+    growth, near, far = np.exp(z), h * (phi1 - phi2), h * phi2
     q = q0.astype(complex)
     path = np.empty((*q.shape, times.size), complex)
     path[..., wanted == 0] = q[..., None]
     for i, (t0, t1) in enumerate(zip(grid[:-1], grid[1:], strict=True)):
-        h = t1 - t0
-        z = rates * h
-        small = np.abs(z) < 1e-4
-        safe = np.where(small, 1.0, z)
-        phi1 = np.where(small, 1 + z / 2 + z * z / 6, np.expm1(safe) / safe)
-        phi2 = np.where(small, 0.5 + z / 6 + z * z / 24, (np.expm1(safe) - safe) / safe**2)
-        start, end = np.zeros_like(q), np.zeros_like(q)
+        start, end = np.zeros(gains.shape[-1]), np.zeros(gains.shape[-1])
         for force in forces:
-            f0, f1 = interval_ends(force, t0, t1)
-            start = start + gains[..., force.dof] * f0
-            end = end + gains[..., force.dof] * f1
-        q = np.exp(z) * q + h * (phi1 * start + phi2 * (end - start))
-        path[..., wanted == i + 1] = q[..., None]
+            ends = interval_ends(force, t0, t1)
+            start[force.dof] += ends[0]
+            end[force.dof] += ends[1]
+        j = which[i]
+        q = growth[j] * q + near[j] * (gains @ start) + far[j] * (gains @ end)
+        if i + 1 in wanted:
+            path[..., wanted == i + 1] = q[..., None]
     return path
 
 
@@ -151,7 +184,7 @@ def _by_steps(
 ) -> np.ndarray:
     state = [*state, *[np.zeros_like(state[0]) for _ in range(system.n_hidden)]]
     grid = np.unique(np.concatenate([[0.0], times, *[f.times[f.times <= times[-1]] for f in forces]]))
-    longest = _longest_step(system, p, state)
+    longest = longest_step(system, p, state)
     wanted = np.searchsorted(grid, times)
     path = np.empty((len(state), *state[0].shape, times.size))
     path[..., wanted == 0] = np.stack(state)[..., None]
@@ -177,7 +210,7 @@ def _forces_at(
     return total
 
 
-def _longest_step(system: System, p: Mapping[str, Any], state: list[np.ndarray]) -> float:
+def longest_step(system: System, p: Mapping[str, Any], state: list[np.ndarray]) -> float:
     """A step that resolves the fastest rate of the system linearised at rest and at its start."""
     n = len(state)
     fastest = 0.0

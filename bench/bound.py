@@ -1,0 +1,236 @@
+"""The Cramér-Rao bound of a scenario: the best that the data and the prior allow, per quantity and for the displacement.
+
+The bound is the inverse of (Fisher information of the data at the truth + precision of the prior), in the
+log-parameters (and the initial state, where it is not told). With Gaussian noise of unknown level the cross terms
+between level and parameters vanish (the expectation of the residual is zero), so estimating the level costs nothing.
+
+Sensitivities come from jax, through Runge-Kutta steps fine enough not to matter. It is computed once per scenario,
+in a process of its own, and cached.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+
+from bench.mechanics import rk4_step
+from bench.problem import Force
+from bench.scenario import Scenario
+from bench.simulate import longest_step, interval_ends
+from bench.systems import Ops, System
+
+REFINE = 12
+"""Integration steps per step that plain simulation would take."""
+RANK_TOLERANCE = 1e-9
+"""Eigenvalues of the Fisher information below this part of the largest count as zero."""
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What no unbiased estimate can beat, as root mean squares.
+
+    ``relative_sd`` by quantity: the standard deviation of its logarithm, hence of its relative error to first order
+    (inf where neither data nor prior tell it). ``identifiable`` by quantity: whether the data alone tell it.
+    ``prior_share`` by quantity: the part of its variance that comes from the prior's error rather than the noise's.
+    ``rmse`` and ``rmse_forecast``: root mean square displacement error (m) over the record and over what follows it.
+    ``null_space``: directions of the log-parameters, rows over ``names``, that the data cannot tell.
+    """
+
+    names: tuple[str, ...]
+    relative_sd: dict[str, float]
+    identifiable: dict[str, bool]
+    prior_share: dict[str, float]
+    rmse: float
+    rmse_forecast: float
+    null_space: tuple[tuple[float, ...], ...]
+
+
+def _jax_ops() -> Ops:
+    import jax.numpy as jnp
+
+    def solve(matrix: Sequence[Sequence[Any]], rhs: Sequence[Any]) -> list[Any]:
+        solution = jnp.linalg.solve(jnp.stack([jnp.stack(row) for row in matrix]), jnp.stack(rhs))
+        return [solution[i] for i in range(len(rhs))]
+
+    return cast(
+        Ops,
+        SimpleNamespace(
+            sin=jnp.sin, cos=jnp.cos, tanh=jnp.tanh, exp=jnp.exp, abs=jnp.abs, where=jnp.where, solve=solve
+        ),
+    )
+
+
+def _steps(
+    system: System, scenario: Scenario, forces: Sequence[Force], times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Step lengths (n,), forces at start, middle and end of each step (n, 3, n_dof), and where each time is reached."""
+    grid = np.unique(np.concatenate([[0.0], times, *[f.times[f.times <= times[-1]] for f in forces]]))
+    state = [np.array(part[i]) for part in scenario.initial for i in range(system.n_dof)]
+    state += [np.array(0.0)] * system.n_hidden
+    longest = longest_step(system, scenario.parameters, state) / REFINE
+    lengths, pushes, reached = [], [], [0]
+    for t0, t1 in zip(grid[:-1], grid[1:], strict=True):
+        n = max(1, int(np.ceil((t1 - t0) / longest)))
+        ends = [(force.dof, *interval_ends(force, t0, t1)) for force in forces]
+        for j in range(n):
+            push = np.zeros((3, system.n_dof))
+            for dof, start, end in ends:
+                push[:, dof] += start + (end - start) * (j + np.array([0.0, 0.5, 1.0])) / n
+            lengths.append((t1 - t0) / n)
+            pushes.append(push)
+        reached.append(reached[-1] + n)
+    return np.array(lengths), np.array(pushes), np.array(reached)[np.searchsorted(grid, times)]
+
+
+def sensitivities(scenario: Scenario, seed: int, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement, shape (n_dof, n_times), and its derivatives (n_dof, n_times, n_parameters + 2 n_dof).
+
+    Derivatives by the log-parameters, then by initial displacement and velocity of each DOF, at the truth.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    jax.config.update("jax_enable_x64", True)
+    system, ops = scenario.make_system(), _jax_ops()
+    n, names = system.n_dof, system.names
+    lengths, pushes, reached = _steps(system, scenario, scenario.forces(seed), times)
+
+    def response(theta: Any) -> Any:
+        p = {name: jnp.exp(theta[i]) for i, name in enumerate(names)}
+        start = jnp.concatenate([theta[len(names) :], jnp.zeros(system.n_hidden)])
+
+        def step(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
+            h, push = inputs
+            f = [[push[i, j] for j in range(n)] for i in range(3)]
+            new = jnp.stack(rk4_step(system, p, [state[i] for i in range(state.shape[0])], h, (f[0], f[1], f[2]), ops))
+            return new, new[:n]
+
+        _, path = jax.lax.scan(step, start, (jnp.asarray(lengths), jnp.asarray(pushes)))
+        return jnp.concatenate([start[None, :n], path])[reached].T
+
+    logs = np.log([scenario.parameters[name] for name in names])
+    theta = jnp.asarray(np.concatenate([logs, scenario.start.displacement, scenario.start.velocity]))
+    return np.asarray(response(theta)), np.asarray(jax.jacfwd(response)(theta))
+
+
+def compute_bound(scenario: Scenario, seed: int = 0) -> Bound:
+    """The bound of a scenario; ``seed`` matters only where it draws a force."""
+    system = scenario.make_system()
+    names, n_parameters = system.names, len(system.names)
+    times = np.unique(np.concatenate([scenario.times, scenario.dense_times, scenario.forecast_times]))
+    _, gradient = sensitivities(scenario, seed, times)
+    free = n_parameters if scenario.told == "known" else gradient.shape[2]
+    gradient = gradient[..., :free]
+    at_samples = gradient[:, np.searchsorted(times, scenario.times)] / scenario.sigmas(seed)[:, None, None]
+    data = np.einsum("dti,dtj->ij", at_samples, at_samples)
+    precision = np.zeros(free)
+    if scenario.prior is not None:
+        kinds = [scenario.prior.sd_by_kind[p.kind] for p in system.parameters]
+        precision[:n_parameters] = 1.0 / np.array(kinds) ** 2
+    covariance = _pseudo_inverse(data + np.diag(precision))
+    null = _null_space(data, n_parameters)
+    told = _null_space(data + np.diag(precision), n_parameters)
+    from_prior = covariance @ np.diag(precision) @ covariance
+
+    relative_sd, identifiable, share = {}, {}, {}
+    for q in system.quantities:
+        w = np.zeros(free)
+        w[:n_parameters] = q.vector(names)
+        variance = float(w @ covariance @ w)
+        identifiable[q.name] = not null.size or float(np.max(np.abs(null @ w[:n_parameters]))) < 1e-5
+        reachable = not told.size or float(np.max(np.abs(told @ w[:n_parameters]))) < 1e-5
+        relative_sd[q.name] = float(np.sqrt(variance)) if reachable else float("inf")
+        share[q.name] = float(w @ from_prior @ w / variance) if reachable and variance > 0 else 0.0
+
+    def rms(at: np.ndarray) -> float:
+        g = gradient[:, np.searchsorted(times, at)]
+        return float(np.sqrt(np.mean(np.einsum("dti,ij,dtj->dt", g, covariance, g))))
+
+    return Bound(
+        names=names,
+        relative_sd=relative_sd,
+        identifiable=identifiable,
+        prior_share=share,
+        rmse=rms(scenario.dense_times),
+        rmse_forecast=rms(scenario.forecast_times),
+        null_space=tuple(tuple(map(float, row)) for row in null),
+    )
+
+
+def _scaled(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The information with a unit diagonal, and the scale it was divided by on both sides."""
+    scale = np.sqrt(np.diag(information))
+    scale = np.where(scale > 0, scale, 1.0)
+    return information / np.outer(scale, scale), scale
+
+
+def _pseudo_inverse(information: np.ndarray) -> np.ndarray:
+    """Inverse on the directions that are informed; a quantity outside them is reported as inf by the caller."""
+    scaled, scale = _scaled(information)
+    return np.asarray(np.linalg.pinv(scaled, rcond=RANK_TOLERANCE, hermitian=True) / np.outer(scale, scale))
+
+
+def _null_space(information: np.ndarray, n_parameters: int) -> np.ndarray:
+    """Uninformed directions of the log-parameters, initial states profiled out; orthonormal rows, maybe none."""
+    own, nuisance = information[:n_parameters, :n_parameters], information[n_parameters:, n_parameters:]
+    if nuisance.size:
+        cross = information[:n_parameters, n_parameters:]
+        own = own - cross @ _pseudo_inverse(nuisance) @ cross.T
+    scaled, scale = _scaled(own)
+    values, vectors = np.linalg.eigh(scaled)
+    null = (vectors[:, values < RANK_TOLERANCE * max(values[-1], 1e-300)] / scale[:, None]).T
+    return np.linalg.qr(null.T)[0].T if null.size else null
+
+
+def bound_identity(scenario: Scenario, seed: int) -> str:
+    """Hash of everything the bound depends on (the seed only where it draws a force)."""
+    identity = {
+        "format": FORMAT,
+        **scenario.data_identity(),
+        **scenario.told_identity(),
+        "dense": scenario.dense,
+        "forecast": scenario.forecast,
+        "seed": seed if scenario.force else None,
+    }
+    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _compute_to_files(jobs: Sequence[tuple[Scenario, int, Path]]) -> None:
+    for scenario, seed, path in jobs:
+        text = json.dumps(asdict(compute_bound(scenario, seed)))
+        temporary = path.with_suffix(f".{os.getpid()}.tmp")
+        temporary.write_text(text)
+        os.replace(temporary, path)
+
+
+def load_bounds(wanted: Sequence[tuple[Scenario, int]], folder: Path) -> list[Bound]:
+    """The bounds of (scenario, seed) pairs from the cache under ``folder``.
+
+    What is missing is computed first, in one process of its own, so that jax never shares a process with a fit.
+    """
+    paths = [folder / f"{bound_identity(scenario, seed)}.bound" for scenario, seed in wanted]
+    missing = {path: job for path, job in zip(paths, wanted, strict=True) if not path.exists()}
+    if missing:
+        folder.mkdir(parents=True, exist_ok=True)
+        jobs = [(scenario, seed, path) for path, (scenario, seed) in missing.items()]
+        process = multiprocessing.get_context("spawn").Process(target=_compute_to_files, args=(jobs,))
+        process.start()
+        process.join()
+        if process.exitcode != 0:
+            raise RuntimeError(f"the computation of {len(jobs)} bound(s) failed (exit {process.exitcode})")
+    return [_from_file(path) for path in paths]
+
+
+def _from_file(path: Path) -> Bound:
+    values = json.loads(path.read_text())
+    return Bound(**{**values, "names": tuple(values["names"]), "null_space": tuple(map(tuple, values["null_space"]))})
