@@ -57,13 +57,8 @@ def simulate(
     """
     x0, v0 = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
     sets = np.broadcast_shapes(*(np.shape(v) for v in p.values()), np.shape(x0)[1:], np.shape(v0)[1:])
-    ones = (1,) * len(sets)
-    state = [
-        np.broadcast_to(np.asarray(part[i], float).reshape(np.shape(part[i]) or ones), sets)
-        for part in (x0, v0)
-        for i in range(system.n_dof)
-    ]
-    p = {name: np.broadcast_to(np.asarray(value, float), sets) for name, value in p.items()}
+    state = [_spread(part[i], sets) for part in (x0, v0) for i in range(system.n_dof)]
+    p = {name: _spread(value, sets) for name, value in p.items()}
     times = np.asarray(times, float)
     with np.errstate(all="ignore"):
         if system.linear:
@@ -71,6 +66,11 @@ def simulate(
         else:
             path = _by_steps(system, p, state, times, forces)
     return Motion(path[: system.n_dof], path[system.n_dof : 2 * system.n_dof])
+
+
+def _spread(value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    array = np.asarray(value, float)
+    return array if array.shape == shape else np.broadcast_to(array, shape)
 
 
 def state_matrix(system: System, p: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
@@ -120,19 +120,26 @@ def _free_two_states(a: np.ndarray, s0: np.ndarray, times: np.ndarray) -> np.nda
     """
     mu = 0.5 * (a[..., 0, 0] + a[..., 1, 1])[..., None]
     half = 0.5 * (a[..., 0, 0] - a[..., 1, 1])[..., None]
-    x, v = s0[..., :1], s0[..., 1:]
-    slopes = np.stack([half * x + a[..., :1, 1] * v, a[..., 1:, 0] * x - half * v])
-    d = half**2 + (a[..., 0, 1] * a[..., 1, 0])[..., None]
-    w = np.sqrt(np.abs(d))
+    d = half * half + (a[..., 0, 1] * a[..., 1, 0])[..., None]
+    # the floor moves d by less than rounding does, and spares the division by zero at critical damping
+    w = np.maximum(np.sqrt(np.abs(d)), 1e-8 / max(float(times[-1]), 1e-300)) if times.size else np.ones_like(d)
+    angle = w * times
+    cosine, sine = np.cos(angle), np.sin(angle) / w
     envelope = np.exp(mu * times)
-    cosine, sine = envelope * np.cos(w * times), envelope * np.sinc(w * times / np.pi) * times
+    cosine *= envelope
+    sine *= envelope
     if np.any(d > 0):
         # two decays: cosh by itself would overflow where the envelope makes up for it
         slow, fast = np.exp((mu + w) * times), np.exp((mu - w) * times)
-        apart = (d > 0) & (w * times > 1e-5)
         cosine = np.where(d > 0, 0.5 * (slow + fast), cosine)
-        sine = np.where(apart, 0.5 * (slow - fast) / np.where(d > 0, w, 1.0), sine)
-    return np.asarray(np.stack([x, v]) * cosine + slopes * sine)
+        sine = np.where((d > 0) & (angle > 1e-5), 0.5 * (slow - fast) / w, sine)
+    x, v = s0[..., :1], s0[..., 1:]
+    path = np.empty((2, *sine.shape))
+    np.multiply(half * x + a[..., :1, 1] * v, sine, out=path[0])
+    np.multiply(a[..., 1:, 0] * x - half * v, sine, out=path[1])
+    path[0] += x * cosine
+    path[1] += v * cosine
+    return path
 
 
 def _forced_modes(
@@ -156,27 +163,24 @@ def _forced_modes(
     phi1 = np.where(small, 1 + z / 2 + z * z / 6, np.expm1(safe) / safe)
     phi2 = np.where(small, 0.5 + z / 6 + z * z / 24, (np.expm1(safe) - safe) / safe**2)
     growth, near, far = np.exp(z), h * (phi1 - phi2), h * phi2
-    q = q0.astype(complex)
-    path = np.empty((*q.shape, times.size), complex)
-    path[..., wanted == 0] = q[..., None]
-    for i, (t0, t1) in enumerate(zip(grid[:-1], grid[1:], strict=True)):
-        start, end = np.zeros(gains.shape[-1]), np.zeros(gains.shape[-1])
-        for force in forces:
-            ends = interval_ends(force, t0, t1)
-            start[force.dof] += ends[0]
-            end[force.dof] += ends[1]
-        j = which[i]
-        q = growth[j] * q + near[j] * (gains @ start) + far[j] * (gains @ end)
-        if i + 1 in wanted:
-            path[..., wanted == i + 1] = q[..., None]
-    return path
+    start, end = np.zeros((2, grid.size - 1, gains.shape[-1]))
+    for force in forces:
+        ends = interval_ends(force, grid[:-1], grid[1:])
+        start[:, force.dof] += ends[0]
+        end[:, force.dof] += ends[1]
+    pushes = near[which] * np.einsum("...ij,kj->k...i", gains, start) + far[which] * np.einsum("...ij,kj->k...i", gains, end)
+    path = np.empty((grid.size, *q0.shape), complex)
+    path[0] = q0
+    for i, j in enumerate(which):
+        np.multiply(growth[j], path[i], out=path[i + 1])
+        path[i + 1] += pushes[i]
+    return np.moveaxis(path[wanted], 0, -1)
 
 
-def interval_ends(force: Force, t0: float, t1: float) -> tuple[float, float]:
-    """The force just after t0 and just before t1, for an interval that holds no sample of it inside."""
-    middle = np.array([t0 + 0.25 * (t1 - t0), t0 + 0.75 * (t1 - t0)])
-    near, far = force(middle)
-    return float(1.5 * near - 0.5 * far), float(1.5 * far - 0.5 * near)
+def interval_ends(force: Force, t0: Any, t1: Any) -> tuple[Any, Any]:
+    """The force just after t0 and just before t1, for intervals that hold no sample of it inside; floats or arrays."""
+    near, far = force(t0 + 0.25 * (t1 - t0)), force(t0 + 0.75 * (t1 - t0))
+    return 1.5 * near - 0.5 * far, 1.5 * far - 0.5 * near
 
 
 def _by_steps(
@@ -193,7 +197,7 @@ def _by_steps(
         return np.full(path.shape, np.nan)
     for i, n in enumerate(steps):
         h = (grid[i + 1] - grid[i]) / n
-        ends = [interval_ends(force, grid[i], grid[i + 1]) for force in forces]
+        ends = [(float(a), float(b)) for a, b in (interval_ends(force, grid[i], grid[i + 1]) for force in forces)]
         for j in range(n):
             at = [_forces_at(system, forces, ends, (j + part) / n) for part in (0.0, 0.5, 1.0)]
             state = rk4_step(system, p, state, h, (at[0], at[1], at[2]), numpy_ops)

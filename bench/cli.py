@@ -1,0 +1,250 @@
+"""The command line: one cell, a sweep, or a measured record."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from bench.errors import InputError
+
+USAGE = """usage: python -m bench method=<name> [field=value ...]        one cell
+       python -m bench -m method=a,b snr=40,20 [...]        a sweep over any fields
+       python -m bench -m experiment=table3                 the cells of a table
+       python -m bench method=<name> data=record.csv        a measured record
+
+fields (defaults in brackets):
+  method         {methods}
+  system         [sdof] {systems}
+  snr            [20] signal-to-noise ratio in dB
+  initial_state  [known] known, unknown: whether the method is told the start
+  prior          [nominal] {priors}
+  replicates     [20] data sets      seed [0]      timeout_s [600] per replicate
+  store          [results/rows] where finished cells are kept and found again
+  format         [table] table, json      workers [one a core]
+  data           a CSV with columns t, x and optionally a force
+  nominal.<p>, start   what is stated of a measured system (with prior=, initial_state=known)
+  experiment     {experiments}
+  method.<setting>, system.<field>    any setting of a method, any field of a system
+
+options: -m, --multirun   --cfg (print the configuration, run nothing)   --version   -h, --help
+tables from the stored cells: python -m bench.tables"""
+
+SHOWN = ("rmse", "rmse_simulated", "rmse_forecast")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status: 0, 2 for bad input, 130 when interrupted."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _main(arguments)
+    except InputError as error:
+        print(f"bench: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\nbench: interrupted; finished cells are kept, the same command goes on from here", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+
+
+def _main(arguments: list[str]) -> int:
+    flags = {argument for argument in arguments if argument.startswith("-")}
+    overrides = [argument for argument in arguments if argument not in flags]
+    unknown = flags - {"-m", "--multirun", "-h", "--help", "--cfg", "--version"}
+    if unknown:
+        raise InputError("option", sorted(unknown)[0], "options are -m, --cfg, --version, --help")
+    if flags & {"-h", "--help"} or not arguments:
+        print(_usage())
+        return 0 if arguments else 2
+    if "--version" in flags:
+        from bench import __version__
+
+        print(__version__)
+        return 0
+    from bench.config import expand
+
+    jobs = expand(overrides, bool(flags & {"-m", "--multirun"}))
+    if "--cfg" in flags:
+        for job in jobs:
+            print(job.config.model_dump_json(indent=2))
+        return 0
+    if jobs[0].config.data is not None:
+        if len(jobs) > 1:
+            raise InputError("data", jobs[0].config.data, "one record and one method at a time")
+        return _identify(jobs[0])
+    return _run(jobs)
+
+
+def _usage() -> str:
+    from bench.config import choices
+
+    names = {f"{group}s": ", ".join(choices(group)) for group in ("method", "system", "prior", "experiment")}
+    return USAGE.format(**names)
+
+
+def _run(jobs: Sequence[Any]) -> int:
+    from tqdm import tqdm
+
+    from bench.config import jobs_to_cells
+    from bench.runner import run_cells
+    from bench.store import Store
+
+    cells = jobs_to_cells(jobs)
+    config = jobs[0].config
+    store = Store(config.store)
+    store.prepare()
+    workers = config.workers or os.cpu_count() or 1
+    total = sum(cell.replicates for cell in {cell.identity: cell for cell in cells}.values())
+    with tqdm(total=total, unit="fit", file=sys.stderr, dynamic_ncols=True, mininterval=0.2) as bar:
+
+        def progress(cell: Any, n: int) -> None:
+            bar.set_description(f"{cell.label} {cell.scenario.snr_db:g} dB")
+            bar.update(n)
+
+        bar.set_description("bounds")
+        results = run_cells(cells, store, workers, progress)
+    for job, cell, result in zip(jobs, cells, results, strict=True):
+        if config.format == "json":
+            print(json.dumps(_as_json(job, cell, result), allow_nan=False))
+        elif len(jobs) == 1:
+            print(_cell_table(cell, result))
+    if config.format == "table":
+        if len(jobs) > 1:
+            print(_sweep_table(cells, results))
+        print(f"rows: {store.folder}" + (f"/{results[0].identity}.json" if len(results) == 1 else ""))
+    return 0
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _as_json(job: Any, cell: Any, result: Any) -> dict[str, Any]:
+    keys = ("mean", "median", "ci_low", "ci_high", "bound", "excess")
+    return {
+        "method": cell.label,
+        "system": cell.scenario.label,
+        "snr": cell.scenario.snr_db,
+        "replicates": cell.replicates,
+        "seed": cell.seed,
+        "initial_state": cell.scenario.told,
+        "prior": job.config.prior.name,
+        "n_ok": result.n_ok,
+        "status": result.status.value,
+        "message": "" if result.n_ok else result.rows[0].message,
+        "wall_s": result.wall_s,
+        "metrics": {name: {key: _finite(values[key]) for key in keys} for name, values in result.summary.items()},
+    }
+
+
+def number(value: float) -> str:
+    """Three significant digits, or what stands for a number that is not there."""
+    if math.isnan(value):
+        return "-"
+    if math.isinf(value):
+        return "failed"
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.3e}"
+
+
+def _cell_table(cell: Any, result: Any) -> str:
+    from tabulate import tabulate
+
+    scenario = cell.scenario
+    quantities = scenario.make_system().quantities
+    labels = {f"{q.name}_error_pct": f"{q.name.replace('_over_', '/')} error %" for q in quantities}
+    labels |= {"rmse": "displacement RMSE m", "rmse_simulated": "simulated RMSE m", "rmse_forecast": "forecast RMSE m"}
+    rows = []
+    gauge_note: list[str] = []
+    for name, label in labels.items():
+        if name not in result.summary:
+            continue
+        s = result.summary[name]
+        coverage = result.summary.get(name.replace("_error_pct", "_coverage_95"), {}).get("mean", math.nan)
+        if not result.identifiable.get(name.removesuffix("_error_pct"), True):
+            label += " *"
+            gauge_note = ["* not identifiable from these data: the prior sets the scale"]
+        interval = f"{number(s['ci_low'])} to {number(s['ci_high'])}"
+        cells = [number(s["median"]), interval, number(s["bound"]), number(s["excess"])]
+        rows.append([label, *cells, "-" if math.isnan(coverage) or name in SHOWN else f"{100 * coverage:.0f}"])
+    seconds = [row.wall_s for row in result.rows if math.isfinite(row.wall_s)]
+    head = (
+        f"{cell.label} on {scenario.label}, {scenario.snr_db:g} dB, initial state {scenario.told}, "
+        f"{result.n_ok}/{len(result.rows)} ok"
+    )
+    headers = ["", "median", "95 % interval", "bound", "excess", "cover %"]
+    table = tabulate(rows, headers=headers, disable_numparse=True)
+    lines = [head, "", table, ""]
+    lines += [f"  {n} x {status}: {message}" for (status, message), n in _failures(result).items()]
+    if seconds:
+        lines.append(f"median {number(sorted(seconds)[len(seconds) // 2])} s a fit")
+    lines.append("median over replicates; bound on the root mean square; excess = root mean square / bound")
+    lines += gauge_note
+    return "\n".join(lines)
+
+
+def _failures(result: Any) -> dict[tuple[str, str], int]:
+    counts: dict[tuple[str, str], int] = {}
+    for row in result.rows:
+        if row.status.value != "ok":
+            key = (row.status.value, row.message[:120])
+            counts[key] = counts.get(key, 0) + 1
+    return counts
+
+
+def _sweep_table(cells: Sequence[Any], results: Sequence[Any]) -> str:
+    from tabulate import tabulate
+
+    rows = []
+    for cell, result in zip(cells, results, strict=True):
+        group = cell.scenario.make_system().groups[0].name
+        error, rmse = (result.summary.get(name, {}) for name in (f"{group}_error_pct", "rmse"))
+        values = [number(part.get(key, math.nan)) for part in (error, rmse) for key in ("median", "excess")]
+        ok = f"{result.n_ok}/{len(result.rows)}"
+        rows.append([cell.label, cell.scenario.label, f"{cell.scenario.snr_db:g}", cell.scenario.told, ok, *values])
+    name = results[0].cell["system"] and cells[0].scenario.make_system().groups[0].name.replace("_over_", "/")
+    headers = ["method", "system", "dB", "start", "ok", f"{name} %", "excess", "RMSE m", "excess"]
+    return tabulate(rows, headers=headers, disable_numparse=True)
+
+
+def _identify(job: Any) -> int:
+    from tabulate import tabulate
+
+    from bench.measured import identify_record, report
+
+    problem, outcome = identify_record(job, job.config.timeout_s)
+    result = {"method": job.label, "data": str(job.config.data), **report(problem, outcome)}
+    if job.config.format == "json":
+        print(json.dumps(_nulls(result), allow_nan=False))
+        return 0
+    print(f"{job.label} on {job.config.data}: {problem.n} samples, {result['status']}")
+    if result["message"]:
+        print(f"  {result['message']}")
+    if result["estimates"]:
+        rows = [
+            [name.replace("_over_", "/"), f"{e['value']:.6g}", f"{e['low']:.6g}", f"{e['high']:.6g}", e["unit"]]
+            for name, e in result["estimates"].items()
+        ]
+        print(tabulate(rows, headers=["", "value", "95 % low", "95 % high", "unit"], disable_numparse=True))
+        if problem.prior is None and not problem.forced:
+            print("free vibration without a prior: m, c and k themselves cannot be told, only their ratios")
+    r = result["residuals"]
+    if r:
+        print(
+            f"residuals: rms {number(r['rms'])} {r['unit']} ({100 * r['part_of_signal']:.2g} % of the signal), "
+            f"lag-1 autocorrelation {r['lag1_autocorrelation']:.2f}, offset {number(r['offset'])} {r['unit']}"
+        )
+    return 0
+
+
+def _nulls(value: Any) -> Any:
+    """The same with null for numbers that JSON cannot hold."""
+    if isinstance(value, float):
+        return _finite(value)
+    if isinstance(value, dict):
+        return {key: _nulls(item) for key, item in value.items()}
+    return [_nulls(item) for item in value] if isinstance(value, list) else value

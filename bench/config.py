@@ -1,0 +1,307 @@
+"""From command-line overrides to validated cells: Hydra composes, pydantic validates, before anything runs."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from bench.cell import Cell
+from bench.errors import InputError
+from bench.reference import REFERENCES
+from bench.registry import default_settings, load_method, make_method, method_names, registered
+from bench.scenario import ForceSpec, PriorSpec, Scenario
+
+GROUPS = ("method", "system", "prior", "experiment")
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(allow_inf_nan=False, gt=0)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class InitialConfig(_Strict):
+    displacement: list[Finite]
+    velocity: list[Finite]
+
+
+class ForceConfig(_Strict):
+    amplitude: Positive
+    low_hz: Positive
+    high_hz: Positive
+    tones: Annotated[int, Field(ge=1)] = 10
+    samples: Annotated[int, Field(ge=2)] = 201
+    hold: Literal["zero_order", "linear"] = "linear"
+    dof: Annotated[int, Field(ge=0)] = 0
+
+
+class SystemConfig(_Strict):
+    label: str
+    kind: str
+    options: dict[str, Any]
+    parameters: dict[str, Positive]
+    initial: InitialConfig
+    duration: Positive
+    samples: Annotated[int, Field(ge=3, le=100_000)]
+    force: ForceConfig | None
+    default_prior: Literal["nominal", "none"] = "nominal"
+    """The prior of this scenario unless one is chosen: none where a force makes every parameter identifiable."""
+
+
+class PriorConfig(_Strict):
+    name: str
+    sd_by_kind: dict[Literal["mass", "damping", "stiffness", "other"], Positive] | None
+    wrong: bool
+
+
+class Config(_Strict):
+    """One cell's configuration, and the fields that an experiment adds. Unknown fields are refused."""
+
+    method: dict[str, Any]
+    system: SystemConfig
+    prior: PriorConfig
+    snr: Annotated[float, Field(allow_inf_nan=False, ge=-40, le=300)]
+    replicates: Annotated[int, Field(ge=1, le=1_000_000)]
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    initial_state: Literal["known", "unknown"]
+    store: Path
+    format: Literal["table", "json"]
+    workers: Annotated[int, Field(ge=1, le=1024)] | None
+    timeout_s: Positive
+    data: Path | None
+    nominal: dict[str, Positive]
+    start: list[Finite] | None
+    sweep: dict[str, list[Any]]
+    replicates_by_method: dict[str, Annotated[int, Field(ge=1)]]
+    table: dict[str, Any] | None
+
+
+@dataclass(frozen=True)
+class Job:
+    """A validated configuration, with the variant of the method as the command line named it."""
+
+    config: Config
+    label: str
+    explicit: frozenset[str]
+    """Fields that the user set, as opposed to defaults."""
+
+    def prior_spec(self) -> PriorSpec | None:
+        prior = self.config.prior
+        if prior.sd_by_kind is None:
+            return None
+        return PriorSpec(prior.name, {str(kind): sd for kind, sd in prior.sd_by_kind.items()}, prior.wrong)
+
+    def settings(self) -> dict[str, Any]:
+        """All settings of the method, defaults included, as validated plain values."""
+        name, given = self.config.method["name"], {k: v for k, v in self.config.method.items() if k != "name"}
+        if name in REFERENCES:
+            return {}
+        method = make_method(name, given)
+        return {key: getattr(method, key) for key in default_settings(name)}
+
+    def cell(self) -> Cell:
+        """The cell; raises InputError where the scenario does not make sense."""
+        config, system = self.config, self.config.system
+        scenario = Scenario(
+            system=system.kind,
+            parameters=dict(system.parameters),
+            initial=(tuple(system.initial.displacement), tuple(system.initial.velocity)),
+            snr_db=config.snr,
+            duration=system.duration,
+            samples=system.samples,
+            told=config.initial_state,
+            prior=self.prior_spec(),
+            force=ForceSpec(**system.force.model_dump()) if system.force else None,
+            options=dict(system.options),
+            label=system.label,
+        )
+        settings = {key: list(v) if isinstance(v, tuple) else v for key, v in self.settings().items()}
+        return Cell(
+            scenario=scenario,
+            method=config.method["name"],
+            settings=settings,
+            replicates=config.replicates,
+            seed=config.seed,
+            label=self.label,
+            timeout_s=config.timeout_s,
+        )
+
+
+@cache
+def choices(group: str) -> list[str]:
+    """What may be chosen for a group: the files of ``conf``, and for methods the registered ones too."""
+    folder = files("conf").joinpath(group)
+    found = [entry.name[: -len(".yaml")] for entry in folder.iterdir() if entry.name.endswith(".yaml")]
+    return sorted({*found, *(method_names() if group == "method" else ())})
+
+
+def read_overrides(texts: Sequence[str]) -> dict[str, list[Any]]:
+    """Overrides by field, each with the values to sweep over (one, unless swept), in Hydra's override grammar."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import HydraException
+
+    parser = OverridesParser.create()
+    values: dict[str, list[Any]] = {}
+    for text in texts:
+        try:
+            override = parser.parse_overrides([text])[0]
+        except HydraException:
+            raise InputError("argument", repr(text), "write field=value, see --help") from None
+        key = override.get_key_element()
+        if key.startswith(("+", "~")) or key.split(".")[0] not in Config.model_fields and key not in GROUPS:
+            raise InputError(key, _after_equals(text), f"not a field; fields: {', '.join([*Config.model_fields, 'experiment'])}")
+        values[key] = _swept(override, key, text)
+        if key in GROUPS:
+            for value in values[key]:
+                _known_choice(key, value)
+    return values
+
+
+def _after_equals(text: str) -> str:
+    return text.partition("=")[2]
+
+
+def _swept(override: Any, key: str, text: str) -> list[Any]:
+    from hydra.core.override_parser.types import Glob, QuotedString
+
+    if not override.is_sweep_override():
+        value = override.value()
+        return [value.text if isinstance(value, QuotedString) else value]
+    if isinstance(override.value(), Glob):
+        found = override.value().filter(choices(key)) if key in GROUPS else []
+        if not found:
+            raise InputError(key, _after_equals(text), "matches nothing")
+        return list(found)
+    found = [v.text if isinstance(v, QuotedString) else v for v in override.sweep_iterator()]
+    if not found:
+        raise InputError(key, _after_equals(text), "sweeps over nothing")
+    return found
+
+
+def _known_choice(group: str, value: Any) -> None:
+    if value not in choices(group) and not (group == "experiment" and value is None):
+        raise InputError(group, value, f"known: {', '.join(choices(group))}")
+    if group == "method" and value in registered():
+        load_method(value)  # a broken entry point is said here
+
+
+def expand(texts: Sequence[str], multirun: bool) -> list[Job]:
+    """All jobs of a command line: the product of its sweeps and, with ``multirun``, of its experiment's."""
+    overrides = read_overrides(texts)
+    experiment = overrides.pop("experiment", [None])
+    if len(experiment) > 1:
+        return [job for name in experiment for job in expand([*_without(texts, "experiment"), f"experiment={name}"], True)]
+    set_by_experiment = _experiment(experiment[0])
+    sweep = {**set_by_experiment.get("sweep", {}), **overrides}
+    swept = [key for key, values in sweep.items() if len(values) > 1]
+    if swept and not multirun:
+        raise InputError(swept[0], ",".join(map(str, sweep[swept[0]])), "several values need -m")
+    if "method" not in sweep:
+        raise InputError("method", "", f"choose one: {', '.join(choices('method'))}")
+    jobs = []
+    for values in itertools.product(*sweep.values()):
+        chosen = dict(zip(sweep, values, strict=True))
+        jobs.append(_job(chosen, set_by_experiment, frozenset(overrides)))
+    return jobs
+
+
+def _without(texts: Sequence[str], key: str) -> list[str]:
+    return [text for text in texts if not text.startswith(f"{key}=")]
+
+
+def _job(chosen: Mapping[str, Any], experiment: Mapping[str, Any], explicit: frozenset[str]) -> Job:
+    plain = {k: v for k, v in chosen.items() if k not in GROUPS and "." not in k}
+    composed_by = {k: v for k, v in chosen.items() if k not in plain}
+    content = _compose(composed_by)
+    default_prior = content["system"].get("default_prior", "nominal")
+    if "prior" not in chosen and default_prior != content["prior"]["name"]:
+        content = _compose({**composed_by, "prior": default_prior})
+    fields = {k: v for k, v in experiment.items() if k not in ("sweep", "replicates_by_method", "table")}
+    by_method = experiment.get("replicates_by_method", {})
+    if chosen["method"] in by_method and "replicates" not in explicit:
+        fields["replicates"] = by_method[chosen["method"]]
+    content |= {**fields, **plain}
+    label = str(chosen["method"])
+    settings = [f"{k.partition('.')[2]}={v}" for k, v in chosen.items() if k.startswith("method.")]
+    try:
+        config = Config.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"] if part not in ("constrained-float", "constrained-int"))
+        raise InputError(where, first["input"], first["msg"].lower()) from None
+    return Job(config, " ".join([label, *settings]), explicit)
+
+
+def _compose(chosen: Mapping[str, Any]) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(_composed(tuple((k, _literal(v)) for k, v in chosen.items())))
+    return content
+
+
+def _literal(value: Any) -> str:
+    return json.dumps(value) if isinstance(value, list | dict) or value is None else str(value)
+
+
+def _experiment(name: str | None) -> dict[str, Any]:
+    """The fields that an experiment sets."""
+    from omegaconf import OmegaConf
+
+    if name is None:
+        return {}
+    text = files("conf").joinpath("experiment", f"{name}.yaml").read_text(encoding="utf-8")
+    content = OmegaConf.to_container(OmegaConf.create(text))
+    assert isinstance(content, dict)
+    for key, values in content.get("sweep", {}).items():
+        for value in values if key in GROUPS else []:
+            _known_choice(key, value)
+    return {str(key): value for key, value in content.items()}
+
+
+@cache
+def _composed(overrides: tuple[tuple[str, str], ...]) -> str:
+    """The composed configuration as JSON; once for each choice of groups and nested fields."""
+    from hydra import compose, initialize_config_module
+    from hydra.errors import HydraException
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+
+    _register_methods()
+    texts = [f"{key}={value}" for key, value in overrides]
+    try:
+        with initialize_config_module("conf", version_base="1.3"):
+            config = OmegaConf.to_container(compose("config", overrides=texts), resolve=True)
+    except (HydraException, OmegaConfBaseException) as error:
+        match = re.search(r"'([\w.]+)'", str(error))
+        key = match.group(1) if match and match.group(1) in dict(overrides) else texts[-1].partition("=")[0]
+        reason = "no such field" if "Could not override" in str(error) else str(error).splitlines()[0]
+        raise InputError(key, dict(overrides).get(key, ""), reason) from None
+    return json.dumps(config)
+
+
+@cache
+def _register_methods() -> None:
+    """Give Hydra a configuration for every registered method: its settings with their defaults."""
+    from hydra.core.config_store import ConfigStore
+
+    for name in [*registered(), *REFERENCES]:
+        try:
+            settings = default_settings(name)
+        except InputError:
+            continue  # said when, and only if, that method is chosen
+        ConfigStore.instance().store(group="method", name=name, node={"name": name, **settings})
+
+
+def jobs_to_cells(jobs: Sequence[Job]) -> list[Cell]:
+    """The cells of all jobs; raises InputError for the first that does not make sense, before any runs."""
+    for job in jobs:
+        if job.config.method["name"] not in REFERENCES:
+            make_method(job.config.method["name"], {k: v for k, v in job.config.method.items() if k != "name"})
+    return [job.cell() for job in jobs]

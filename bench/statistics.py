@@ -1,0 +1,80 @@
+"""From the replicates of a cell to one line a metric: mean, median with its interval, bound and excess."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from bench.bound import Bound
+from bench.estimate import Status
+from bench.store import Row
+
+RESAMPLES = 2000
+ALWAYS = ("rmse", "rmse_simulated", "rmse_forecast")
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One metric of one cell. Failed replicates count as infinite errors in mean, median and interval.
+
+    ``excess`` is the root mean square over the successful replicates divided by ``bound`` (1 is the best an unbiased
+    method can do); for a coverage, mean and interval are of the fraction (Wilson's interval), over the successful.
+    """
+
+    mean: float
+    median: float
+    ci_low: float
+    ci_high: float
+    bound: float
+    excess: float
+    n_ok: int
+
+
+def metric_bounds(bound: Bound) -> dict[str, float]:
+    """The bound on the root mean square of each metric that has one."""
+    errors = {f"{name}_error_pct": 100.0 * sd for name, sd in bound.relative_sd.items()}
+    return errors | {"rmse": bound.rmse, "rmse_simulated": bound.rmse, "rmse_forecast": bound.rmse_forecast}
+
+
+def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Summary]:
+    """A summary of every metric that any replicate has, plus the metrics every cell has (NaN where none succeeded)."""
+    bounds = metric_bounds(bound)
+    ok = [row for row in rows if row.status is Status.OK]
+    names = list(dict.fromkeys([*(n for row in ok for n in row.scores), *(n for n in bounds if not ok), *ALWAYS]))
+    index = np.random.default_rng(0).integers(0, len(rows), (RESAMPLES, len(rows)))
+    result = {}
+    for name in names:
+        if "_coverage_" in name:
+            result[name] = _coverage(np.array([row.scores[name] for row in ok if name in row.scores]))
+        else:
+            values = np.array([row.scores.get(name, np.inf) if row.status is Status.OK else np.inf for row in rows])
+            result[name] = _error(values, index, bounds.get(name, float("nan")))
+    return result
+
+
+def _error(values: np.ndarray, index: np.ndarray, bound: float) -> Summary:
+    good = values[np.isfinite(values)]
+    medians = np.median(values[index], axis=1) if np.isfinite(values).all() else _medians_with_failures(values[index])
+    low, high = np.quantile(medians, [0.025, 0.975], method="inverted_cdf")
+    excess = float(np.sqrt(np.mean(good**2)) / bound) if good.size and np.isfinite(bound) and bound > 0 else np.nan
+    mean = float(np.mean(values)) if good.size == values.size else float("inf")
+    median = float(_medians_with_failures(values[None])[0])
+    return Summary(mean, median, float(low), float(high), bound, excess, int(good.size))
+
+
+def _medians_with_failures(values: np.ndarray) -> np.ndarray:
+    """Row medians where some values are infinite: a mean of a number and infinity is infinity, never NaN."""
+    ordered = np.sort(values, axis=1)
+    n = ordered.shape[1]
+    return np.asarray(0.5 * (ordered[:, (n - 1) // 2] + ordered[:, n // 2]))
+
+
+def _coverage(hits: np.ndarray) -> Summary:
+    nan = float("nan")
+    if not hits.size:
+        return Summary(nan, nan, nan, nan, nan, nan, 0)
+    interval = stats.binomtest(int(hits.sum()), hits.size).proportion_ci(method="wilson")
+    return Summary(float(hits.mean()), float(np.median(hits)), interval.low, interval.high, nan, nan, int(hits.size))

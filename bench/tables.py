@@ -1,0 +1,297 @@
+"""``python -m bench.tables``: results/table2 … table5 as Markdown, CSV and LaTeX, from stored rows alone.
+
+A table is what its experiment in ``conf`` describes; a cell that the store lacks is a row that says so.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from tabulate import tabulate
+
+from bench.cell import Cell
+from bench.cli import number
+from bench.config import choices, expand, jobs_to_cells
+from bench.errors import InputError
+from bench.statistics import RESAMPLES
+from bench.store import Store, StoredCell
+from bench.verdict import judge
+
+COLUMNS = (
+    "table", "row", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high",
+    "bound", "excess", "n_ok", "n", "paper", "verdict",
+)  # fmt: skip
+METRICS = ("k_over_m_error_pct", "c_over_m_error_pct", "rmse", "m_error_pct", "c_error_pct", "k_error_pct")
+HEADINGS = ("k/m error %", "c/m error %", "RMSE (m)", "m error %", "c error %", "k error %")
+TITLES = {
+    "prior": "prior (no data)", "oracle": "oracle", "bound": "bound", "shooting": "Multiple shooting",
+    "mcmc": "Bayesian MCMC", "pinn": "PINN", "pinn_adam": "PINN (paper's training)", "ls": "LS, finite differences",
+    "ls_spline": "LS, smoothing spline", "rls": "RLS", "sindy": "SINDy", "ddnn": "DDNN",
+}  # fmt: skip
+PAPER_METHODS = {"ls": "ls", "rls": "rls", "ddnn": "ddnn", "pinn_adam": "pinn", "pinn": "pinn"}
+"""Which of the paper's methods a method of ours is compared with."""
+LEGEND = """Each entry: median over the replicates, and after × the excess: root mean square error over the bound, 1 being the
+best that an unbiased method can do. The row *bound* gives the Cramér-Rao bound on the root mean square (a median lies
+below a root mean square: about 0.67 of it for a normal error). *oracle* is maximum a posteriori started at the truth,
+*prior* the nominal values without any data. Free vibration tells k/m and c/m only; m, and what follows from it, is decided by the
+prior. All 95 % intervals are in the CSV. A failed replicate counts as an infinite error in medians."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One cell of a table: where it stands, and what the store holds of it."""
+
+    row: str
+    cell: Cell
+    stored: StoredCell | None
+
+
+@cache
+def paper_numbers() -> pd.DataFrame:
+    """The paper's Tables 2 to 5, with the source in the file's first lines."""
+    with as_file(files("bench").joinpath("data", "paper_tables.csv")) as path:
+        return pd.read_csv(path, comment="#")
+
+
+def paper_value(table: int, row: str, method: str, metric: str) -> float:
+    """The paper's number for a table's row, method and metric; NaN where it has none."""
+    numbers = paper_numbers()
+    column = "displacement_rmse" if metric == "rmse" else metric
+    if column not in numbers or method not in PAPER_METHODS:
+        return math.nan
+    theirs = numbers[(numbers.table == table) & (numbers.method == PAPER_METHODS[method])]
+    if table in (4, 5):
+        theirs = theirs[theirs.row == row]
+    return float(theirs[column].iloc[0]) if len(theirs) else math.nan
+
+
+def _row_name(table: int, cell: Cell) -> str:
+    if table == 4:
+        return cell.scenario.label.rpartition("_")[2]
+    return {2: "identified", 3: "comparison"}.get(table, f"{cell.scenario.snr_db:g}")
+
+
+def entries(experiment: str, store: Store) -> tuple[int, str, list[Entry]]:
+    """Number and title of an experiment's table, and its cells in order with what the store holds of each."""
+    jobs = expand([f"experiment={experiment}"], multirun=True)
+    from bench.config import _experiment
+
+    described = _experiment(experiment)["table"]
+    cells = jobs_to_cells(jobs)
+    found = [Entry(_row_name(described["number"], cell), cell, store.load(cell.identity)) for cell in cells]
+    return described["number"], described["title"], found
+
+
+def tidy(table: int, found: Sequence[Entry]) -> pd.DataFrame:
+    """The table as one line a metric: every method, the bound, and the paper's number with its verdict."""
+    oracles = {_place(e): e.stored for e in found if e.cell.method == "oracle" and e.stored}
+    lines: list[dict[str, Any]] = []
+    bounded: set[tuple[str, str]] = set()
+    for entry in found:
+        if entry.stored is not None and _place(entry) not in bounded:
+            bounded.add(_place(entry))
+            lines += _bound_lines(table, entry, entry.stored)
+        lines += _lines(table, entry, oracles.get(_place(entry)))
+    return pd.DataFrame(lines, columns=list(COLUMNS))
+
+
+def _place(entry: Entry) -> tuple[str, str]:
+    return entry.row, entry.cell.scenario.told
+
+
+def _head(table: int, entry: Entry) -> dict[str, Any]:
+    scenario = entry.cell.scenario
+    return {
+        "table": table, "row": entry.row, "system": scenario.label, "initial_state": scenario.told,
+        "snr_db": scenario.snr_db, "method": entry.cell.label,
+    }  # fmt: skip
+
+
+def _bound_lines(table: int, entry: Entry, stored: StoredCell) -> Iterable[dict[str, Any]]:
+    for metric, summary in stored.summary.items():
+        if math.isfinite(summary["bound"]):
+            yield {**_head(table, entry), "method": "bound", "metric": metric, "bound": summary["bound"]}
+
+
+def _lines(table: int, entry: Entry, oracle: StoredCell | None) -> Iterable[dict[str, Any]]:
+    if entry.stored is None:
+        for metric in METRICS:
+            yield {**_head(table, entry), "metric": metric, "n_ok": 0, "n": 0, "verdict": "not run"}
+        return
+    for metric, summary in entry.stored.summary.items():
+        if metric == "realised_snr_db":
+            continue
+        paper = paper_value(table, entry.row, entry.cell.label, metric)
+        yield {
+            **_head(table, entry),
+            "metric": metric,
+            **{key: summary[key] for key in ("mean", "median", "ci_low", "ci_high", "bound", "excess")},
+            "n_ok": entry.stored.n_ok,
+            "n": len(entry.stored.rows),
+            "paper": paper,
+            "verdict": _verdict(paper, entry.stored, oracle, metric),
+        }
+
+
+def _errors(stored: StoredCell, metric: str) -> np.ndarray:
+    return np.array([row.scores.get(metric, math.inf) for row in stored.rows])
+
+
+def _verdict(paper: float, stored: StoredCell, oracle: StoredCell | None, metric: str) -> str:
+    if math.isnan(paper):
+        return ""
+    if oracle is None:
+        return "no oracle stored"
+    share = stored.prior_share.get(metric.removesuffix("_error_pct"), 0.0)
+    return judge(paper, _errors(stored, metric), _errors(oracle, metric), share).text
+
+
+def markdown(table: int, title: str, data: pd.DataFrame, found: Sequence[Entry]) -> str:
+    """The table for reading: a panel for each reading of the initial state, then the paper's numbers with verdicts."""
+    parts = [f"# Table {table}. {title}", LEGEND]
+    for told in dict.fromkeys(data.initial_state):
+        parts.append(f"## Initial state {told}")
+        parts.append(tabulate(*_panel(table, data[data.initial_state == told]), tablefmt="github", disable_numparse=True))
+    parts.append("## The paper's numbers")
+    parts.append(
+        "A verdict says where the paper's number falls among our replicates (known start): between their 5 % and 95 % "
+        f"quantiles as a single run, and likewise among means of as many ({RESAMPLES} resamples)."
+    )
+    parts.append(_paper_panel(data))
+    parts += _failure_notes(found)
+    command = f"python -m bench -m experiment=table{table} && python -m bench.tables"
+    parts.append(f"Regenerate: `{command}`")
+    return "\n\n".join(parts) + "\n"
+
+
+def _panel(table: int, data: pd.DataFrame) -> tuple[list[list[str]], list[str]]:
+    first = {4: "set", 5: "SNR (dB)"}.get(table)
+    rows: list[list[str]] = []
+    for (row, method), lines in data.groupby(["row", "method"], sort=False):
+        by_metric = lines.set_index("metric")
+        cells = [_entry(by_metric, metric, method == "bound") for metric in METRICS]
+        n = by_metric.n.iloc[0]
+        ok = "" if method == "bound" else f"{by_metric.n_ok.iloc[0]:.0f}/{n:.0f}" if n else "not run"
+        rows.append([*([str(row)] if first else []), TITLES.get(str(method), str(method)), *cells, ok])
+    return rows, [*([first] if first else []), "method", *HEADINGS, "ok"]
+
+
+def _entry(by_metric: pd.DataFrame, metric: str, is_bound: bool) -> str:
+    if metric not in by_metric.index:
+        return "-"
+    line = by_metric.loc[metric]
+    if is_bound:
+        return number(line.bound)
+    text = number(line["median"])
+    return text if not math.isfinite(line.excess) else f"{text} ×{_excess(line.excess)}"
+
+
+def _excess(value: float) -> str:
+    return f"{value:.2f}" if value < 10 else f"{value:.3g}"
+
+
+def _paper_panel(data: pd.DataFrame) -> str:
+    lines = data[data.paper.notna() & (data.initial_state == "known")]
+    rows = [
+        [
+            line["row"],
+            TITLES.get(line.method, line.method),
+            HEADINGS[METRICS.index(line.metric)],
+            number(line.paper),
+            f"{number(line['median'])} ({number(line.ci_low)} to {number(line.ci_high)})",
+            number(line.bound),
+            line.verdict,
+        ]
+        for _, line in lines.iterrows()
+    ]
+    headers = ["row", "method", "metric", "paper", "ours, median (95 %)", "bound", "verdict"]
+    return tabulate(rows, headers=headers, tablefmt="github", disable_numparse=True)
+
+
+def _failure_notes(found: Sequence[Entry]) -> list[str]:
+    notes: dict[str, int] = {}
+    for entry in found:
+        for row in entry.stored.rows if entry.stored else ():
+            if row.status.value != "ok":
+                text = f"{TITLES.get(entry.cell.label, entry.cell.label)}: {row.status.value}, {row.message}"
+                notes[text] = notes.get(text, 0) + 1
+    missing = sum(entry.stored is None for entry in found)
+    lines = [f"- {n} × {text}" for text, n in notes.items()]
+    lines += [f"- {missing} cells were not run"] if missing else []
+    return ["## What failed\n\n" + "\n".join(lines)] if lines else []
+
+
+def latex(table: int, title: str, data: pd.DataFrame) -> str:
+    """Both panels as LaTeX (booktabs), for an article."""
+    parts = []
+    for told in dict.fromkeys(data.initial_state):
+        rows, headers = _panel(table, data[data.initial_state == told])
+        body = tabulate(rows, headers, tablefmt="latex_booktabs", disable_numparse=True)
+        for plain, escaped in (("×", r"$\times$"), ("é", r"\'e")):
+            body = body.replace(plain, escaped)
+        caption = f"{title} (initial state {told}). Median, and root mean square error over the Cram\\'er-Rao bound."
+        parts.append(
+            "\\begin{table}\n\\centering\n\\small\n"
+            f"\\caption{{{caption.replace('%', chr(92) + '%')}}}\n{body}\n\\end{{table}}\n"
+        )
+    return f"% needs the package booktabs\n% regenerate: python -m bench.tables\n{''.join(parts)}"
+
+
+def write_tables(store: Store, out: Path, experiments: Sequence[str]) -> list[Path]:
+    """Write the tables that have any stored cell; returns the paths written."""
+    written = []
+    for experiment in experiments:
+        number_, title, found = entries(experiment, store)
+        if all(entry.stored is None for entry in found):
+            print(f"{experiment}: no cells stored; run python -m bench -m experiment={experiment}", file=sys.stderr)
+            continue
+        data = tidy(number_, found)
+        contents = {
+            "md": markdown(number_, title, data, found),
+            "csv": data.to_csv(index=False, float_format="%.6g"),
+            "tex": latex(number_, title, data),
+        }
+        for ending, content in contents.items():
+            path = out / f"table{number_}.{ending}"
+            path.write_text(content, encoding="utf-8")
+            written.append(path)
+    return written
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """``python -m bench.tables [store=results/rows] [out=results]``; exit status 2 for bad input."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if {"-h", "--help"} & set(arguments):
+        print("usage: python -m bench.tables [store=results/rows] [out=results]\n\n" + str(__doc__))
+        return 0
+    try:
+        options = {"store": "results/rows", "out": "results"}
+        for argument in arguments:
+            key, _, value = argument.partition("=")
+            if key not in options or not value:
+                raise InputError("argument", argument, "write store=<folder> or out=<folder>")
+            options[key] = value
+        store, out = Store(Path(options["store"])), Path(options["out"])
+        if not store.folder.is_dir():
+            raise InputError("store", store.folder, "there is no such folder; run some cells first")
+        Store(out).prepare()
+        experiments = [name for name in choices("experiment") if name.startswith("table")]
+        for path in write_tables(store, out, experiments):
+            print(path)
+    except InputError as error:
+        print(f"bench.tables: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

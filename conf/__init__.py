@@ -1,0 +1,1 @@
+"""The configuration: Hydra groups method, system, prior and experiment. It travels with the package."""

@@ -1,0 +1,501 @@
+"""Start values from the data alone, and the plain output-error fit that screens them: shared by shooting and MCMC.
+
+The misfit of a response has one minimum per half-period that the phase can slip over the record, so a local search
+from a wrong frequency stays there. The cure is a scan: at given parameters the response of a *linear* system is
+affine in its initial state, in the sensors' offsets and in 1 over the scale of its parameters against a known force,
+so these are projected out (variable projection: G. Golub, V. Pereyra, SIAM J. Numer. Anal. 10:413, 1973) and what is
+left is a function of stiffness and damping only, evaluated on a grid of frequency and decay. Its best separate minima
+are the starts. Systems that are not linear, or have several degrees of freedom, are started from damped sinusoids
+fitted to each displacement: a regression of the equation of motion on them gives the parameters.
+
+Everything here expects a problem in its natural units (:meth:`bench.Problem.natural_units`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy.interpolate import make_smoothing_spline
+from scipy.optimize import nnls
+
+from bench import Channel, Force, InitialState, Prior, Problem, Record, System, fitted_start, measurements
+from bench import regression_columns
+
+DECAYS = (0.15, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+"""Decay rates of the grid, in 1 / record."""
+CYCLE_STEP = 0.25
+"""Step of the grid in cycles per record: half of the half-cycle at which the misfit has its next minimum."""
+MAX_CYCLES = 100.0
+SIGMA_FLOOR = 1e-4
+"""The noise assumed while fitting is at least this part of a channel's root mean square; see ``noise``."""
+LOG_LIMIT = 40.0
+SMALLEST = 0.02
+"""A parameter that a regression finds negative or nil starts at this part of what would balance the other terms."""
+
+
+@dataclass(frozen=True, eq=False)
+class OutputError:
+    """Measured minus simulated, as a function of one vector ``theta``, vectorised over many of them.
+
+    ``theta`` holds the log-parameters (without the gauge mass, fixed at 1, in free vibration without a prior), then
+    displacement and velocity at time 0 of each record whose start is unknown, then the unknown offsets.
+    """
+
+    problem: Problem
+
+    @property
+    def system(self) -> System:
+        return self.problem.system
+
+    @property
+    def prior(self) -> Prior | None:
+        return self.problem.prior
+
+    @cached_property
+    def free(self) -> tuple[str, ...]:
+        """Names of the estimated parameters."""
+        fixed = {self.system.gauge} if self.prior is None and not self.problem.forced else set()
+        return tuple(name for name in self.system.names if name not in fixed)
+
+    @cached_property
+    def unknown_starts(self) -> tuple[int, ...]:
+        return tuple(i for i, record in enumerate(self.problem.records) if record.initial_state is None)
+
+    @cached_property
+    def channels(self) -> tuple[tuple[int, Channel], ...]:
+        """Record number and channel, in the order of the data."""
+        return tuple((i, c) for i, record in enumerate(self.problem.records) for c in record.channels)
+
+    @cached_property
+    def offset_channels(self) -> tuple[int, ...]:
+        return tuple(i for i, (_, channel) in enumerate(self.channels) if channel.offset)
+
+    @property
+    def size(self) -> int:
+        return len(self.free) + 2 * self.system.n_dof * len(self.unknown_starts) + len(self.offset_channels)
+
+    @cached_property
+    def data(self) -> np.ndarray:
+        return np.concatenate([channel.values for _, channel in self.channels])
+
+    @cached_property
+    def channel_of(self) -> np.ndarray:
+        """The channel number of each sample, shape (N,)."""
+        return np.repeat(np.arange(len(self.channels)), [channel.n for _, channel in self.channels])
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        return np.array([channel.n for _, channel in self.channels])
+
+    @cached_property
+    def rms(self) -> np.ndarray:
+        """Root mean square of each channel; 1 where it is all zeros."""
+        sizes = [float(np.sqrt(np.mean(c.values**2))) if c.n else 0.0 for _, c in self.channels]
+        return np.array([size if size > 0 else 1.0 for size in sizes])
+
+    def parameters(self, theta: np.ndarray) -> dict[str, np.ndarray]:
+        """The parameters, each of the leading shape of ``theta``."""
+        values = dict(zip(self.free, np.moveaxis(np.exp(theta[..., : len(self.free)]), -1, 0), strict=True))
+        return {name: values.get(name, np.ones(theta.shape[:-1])) for name in self.system.names}
+
+    def starts(self, theta: np.ndarray) -> list[InitialState | tuple[np.ndarray, np.ndarray]]:
+        """Initial state by record: the told one, or displacement and velocity of shape (n_dof, ...)."""
+        n, at = self.system.n_dof, len(self.free)
+        found: list[InitialState | tuple[np.ndarray, np.ndarray]] = []
+        for record in self.problem.records:
+            if record.initial_state is not None:
+                found.append(record.initial_state)
+                continue
+            part = np.moveaxis(theta[..., at : at + 2 * n], -1, 0)
+            found.append((part[:n], part[n:]))
+            at += 2 * n
+        return found
+
+    def offsets(self, theta: np.ndarray) -> np.ndarray:
+        """One offset a channel (zero where there is none), shape (..., n_channels)."""
+        all_offsets = np.zeros((*theta.shape[:-1], len(self.channels)))
+        if self.offset_channels:
+            all_offsets[..., list(self.offset_channels)] = theta[..., -len(self.offset_channels) :]
+        return all_offsets
+
+    def predict(self, theta: np.ndarray) -> np.ndarray:
+        """Simulated measurements, shape (..., N); not finite where the response diverges."""
+        p = self.parameters(theta)
+        parts = [
+            measurements(self.system, p, start, record)
+            for start, record in zip(self.starts(theta), self.problem.records, strict=True)
+        ]
+        return np.concatenate(parts, -1) + self.offsets(theta)[..., self.channel_of]
+
+    def penalty(self, theta: np.ndarray) -> np.ndarray:
+        """Standardised distances from the prior, shape (..., n_parameters); of no length without a prior."""
+        if self.prior is None:
+            return np.zeros((*theta.shape[:-1], 0))
+        return self.prior.residuals(theta[..., : len(self.free)])
+
+    def noise(self, residuals: np.ndarray, used: float, floor: float = SIGMA_FLOOR) -> np.ndarray:
+        """Noise by channel, ``RSS / (N - used)`` with the degrees of freedom shared in proportion to the samples.
+
+        Bounded below by ``floor`` of the channel's size: data that fit better than that (80 dB) would leave the prior
+        no weight that double precision can resolve.
+        """
+        share = max(1.0 - used / self.data.size, 1.0 / self.data.size)
+        rss = np.bincount(self.channel_of, residuals**2, len(self.channels))
+        return np.maximum(np.sqrt(rss / (np.maximum(self.counts, 1) * share)), floor * self.rms)
+
+    def profile(self, theta: np.ndarray) -> float:
+        """Minus twice the log-posterior with the noise of each channel at its best value, up to a constant."""
+        with np.errstate(all="ignore"):
+            residuals = self.data - self.predict(theta)
+            if not np.all(np.isfinite(residuals)):
+                return np.inf
+            sigma = self.noise(residuals, 0.0)
+            return float(2 * self.counts @ np.log(sigma) + np.sum(self.penalty(theta) ** 2))
+
+    def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Prediction (N,) and its derivatives (N, size), by central differences."""
+        step = 1e-5 * np.maximum(1.0, np.abs(theta))
+        sets = np.concatenate([theta[None], theta + np.diag(step), theta - np.diag(step)])
+        with np.errstate(all="ignore"):
+            predicted = self.predict(sets)
+        d = theta.size
+        return predicted[0], ((predicted[1 : d + 1] - predicted[d + 1 :]) / (2 * step[:, None])).T
+
+    def fit(self, theta: np.ndarray, sigma: np.ndarray, iterations: int = 15, tolerance: float = 1e-6) -> np.ndarray:
+        """Levenberg-Marquardt on ``((y - h) / sigma)² + prior``, from ``theta``; returns the best vector found."""
+        weights, k = 1.0 / sigma[self.channel_of], len(self.free)
+        slope = np.zeros((0, theta.size)) if self.prior is None else np.eye(k, theta.size) / self.prior.log_sds[:, None]
+        damping, best = 1e-3, np.inf
+        trial, kept, hessian, gradient = theta, theta, np.eye(theta.size), np.zeros(theta.size)
+        for _ in range(iterations):
+            predicted, jacobian = self.jacobian(trial)
+            r = np.concatenate([weights * (self.data - predicted), -self.penalty(trial)])
+            cost = float(r @ r)
+            if np.isfinite(cost) and np.all(np.isfinite(jacobian)) and cost < best:
+                settled = best - cost < tolerance * max(cost, 1.0)
+                j = np.concatenate([weights[:, None] * jacobian, slope])
+                hessian, gradient, best, kept, damping = j.T @ j, j.T @ r, cost, trial, 0.3 * damping
+                if settled:
+                    break
+            else:
+                damping *= 8.0
+            scaled = hessian + damping * np.diag(np.diag(hessian) + 1e-12)
+            move = np.linalg.lstsq(scaled, gradient, rcond=None)[0]
+            move[:k] = np.clip(move[:k], -1.5, 1.5)
+            if np.max(np.abs(move) / np.maximum(1.0, np.abs(kept))) < 1e-10:
+                break
+            trial = kept + move
+            trial[:k] = np.clip(trial[:k], -LOG_LIMIT, LOG_LIMIT)
+        return kept
+
+    def settle(self, theta: np.ndarray, rounds: int = 2, iterations: int = 10) -> np.ndarray:
+        """Fit and noise in turn."""
+        for _ in range(rounds):
+            with np.errstate(all="ignore"):
+                residuals = self.data - self.predict(theta)
+            if not np.all(np.isfinite(residuals)):
+                return theta
+            theta = self.fit(theta, self.noise(residuals, 0.0), iterations)
+        return theta
+
+    def vector(self, p: dict[str, float]) -> np.ndarray:
+        """``theta`` at parameters, with the initial states and offsets that fit the data best there."""
+        theta = np.zeros(self.size)
+        theta[: len(self.free)] = np.log([p[name] for name in self.free])
+        at = len(self.free)
+        for i in self.unknown_starts:
+            start = fitted_start(self.system, p, self.problem.records[i])
+            both = np.concatenate([start.displacement, start.velocity])
+            theta[at : at + both.size] = np.where(np.isfinite(both), both, 0.0)
+            at += both.size
+        if self.offset_channels:
+            with np.errstate(all="ignore"):
+                residuals = self.data - self.predict(theta)
+            means = [np.mean(residuals[self.channel_of == i]) for i in self.offset_channels]
+            theta[at:] = np.where(np.isfinite(means), means, 0.0)
+        return theta
+
+
+def silent(problem: Problem) -> bool:
+    """Whether no sensor shows any motion: every value zero, or constant where a constant offset is unknown."""
+    return all(
+        not np.any(c.values - (c.values[:1] if c.offset else 0.0)) for record in problem.records for c in record.channels
+    )
+
+
+def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 8) -> list[tuple[float, np.ndarray]]:
+    """The best ``n`` separate starts after a few output-error steps each: (profile, theta), best first."""
+    found: list[tuple[float, np.ndarray]] = []
+    for p in candidates(model, n + 1):
+        theta = model.settle(model.vector(p), rounds, iterations)
+        value = model.profile(theta)
+        near = [other for _, other in found if np.max(np.abs(other - theta)[: len(model.free)]) < 1e-2]
+        if np.isfinite(value) and not near:
+            found.append((value, theta))
+    return sorted(found, key=lambda pair: pair[0])[:n]
+
+
+def candidates(model: OutputError, n: int) -> list[dict[str, float]]:
+    """Parameter sets to start from, in natural units: from the scan, the regression, and the prior's nominal values."""
+    problem = model.problem
+    with np.errstate(all="ignore"):
+        found = scan(problem, n) if problem.system.linear else []
+        if problem.system.n_dof > 1 or not problem.system.linear:
+            found = regression_starts(problem) + found
+    if problem.prior is not None and (problem.system.n_dof > 1 or not problem.system.linear):
+        found.append(dict(problem.prior.nominal))
+    good = [p for p in found if all(np.isfinite(v) and v > 0 for v in p.values())]
+    return good or [dict(problem.prior.nominal) if problem.prior else dict.fromkeys(problem.system.names, 1.0)]
+
+
+# ---------------------------------------------------------------------------------------------- linear systems
+
+
+def scan(problem: Problem, n: int) -> list[dict[str, float]]:
+    """The ``n`` best separate minima of the projected misfit over a grid of frequency and decay.
+
+    All stiffnesses are raised together, and all dampings, from the prior's nominal proportions or from equal ones;
+    for one degree of freedom that is the whole space.
+    """
+    prior, names = problem.prior, problem.system.names
+    base = tuple(1.0 for _ in names)
+    if prior is not None and problem.system.n_dof > 1:
+        sizes = {"mass": prior.nominal[problem.system.gauge]}
+        for p in problem.system.parameters:
+            sizes.setdefault(p.kind, prior.nominal[p.name])
+        base = tuple(prior.nominal[p.name] / sizes[p.kind] for p in problem.system.parameters)
+    misfit: np.ndarray | float = 0.0
+    strength: np.ndarray | float = 0.0
+    grid = np.zeros((0, 2))
+    cycles = max(_most_cycles(record) for record in problem.records)
+    for record in problem.records:
+        grid, responses = _grid_responses(problem.system, base, _signature(record), cycles)
+        rss, scale = _projected(record, responses, fixed_scale=prior is not None)
+        misfit, strength = misfit + rss, strength + scale / len(problem.records)
+    table, scales = np.reshape(misfit, (-1, len(DECAYS))), np.reshape(strength, (-1, len(DECAYS)))
+    found = []
+    for i, j in _separate_minima(table)[:n]:
+        frequency, decay = grid[i * len(DECAYS) + j]
+        p = _by_kind(problem.system, base, np.array(frequency), np.array(decay))
+        found.append({name: float(p[name] * max(scales[i, j], 1e-12)) for name in names})
+    return found
+
+
+def _separate_minima(table: np.ndarray) -> list[tuple[int, int]]:
+    """Row and column of the local minima along the rows' axis, best first."""
+    table = np.where(np.isfinite(table), table, np.inf)
+    best = table.min(axis=1)
+    padded = np.concatenate([[np.inf], best, [np.inf]])
+    rows = np.flatnonzero((best <= padded[:-2]) & (best <= padded[2:]) & np.isfinite(best))
+    return [(int(i), int(table[i].argmin())) for i in sorted(rows, key=lambda i: best[i])]
+
+
+def _most_cycles(record: Record) -> float:
+    """Highest frequency of the scan in cycles per unit of time: half the sampling rate of the densest channel."""
+    gaps = [float(np.median(np.diff(c.times))) for c in record.channels if c.n > 1]
+    return float(min(0.5 / min(gaps, default=0.1), MAX_CYCLES))
+
+
+def _by_kind(system: System, base: Sequence[float], frequency: np.ndarray, decay: np.ndarray) -> dict[str, np.ndarray]:
+    """Parameters with stiffness ``w² + d²`` and damping ``2 d`` over mass, times the base proportions."""
+    w = 2 * np.pi * frequency
+    sizes = {"mass": np.ones_like(w), "stiffness": w**2 + decay**2, "damping": 2 * decay, "other": np.ones_like(w)}
+    return {p.name: b * sizes[p.kind] for p, b in zip(system.parameters, base, strict=True)}
+
+
+Signature = tuple[tuple[tuple[bytes, str, int], ...], tuple[tuple[bytes, bytes, str, int], ...]]
+
+
+def _signature(record: Record) -> Signature:
+    """What decides the unit responses of a record; forces are taken relative to their common size."""
+    size = _force_size(record)
+    channels = tuple((np.round(c.times, 12).tobytes(), c.measures, c.dof) for c in record.channels)
+    forces = tuple(
+        (np.round(f.times, 12).tobytes(), np.round(f.values / size, 9).tobytes(), f.hold, f.dof) for f in record.forces
+    )
+    return channels, forces
+
+
+def _force_size(record: Record) -> float:
+    return max((float(np.max(np.abs(f.values))) for f in record.forces), default=0.0) or 1.0
+
+
+@lru_cache(maxsize=8)
+def _grid_responses(
+    system: System, base: tuple[float, ...], signature: Signature, cycles: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Grid points (G, 2) as (cycles, decay), and unit responses (G, N, 2 n_dof + 1): one by start, then the force's."""
+    channels = tuple(
+        Channel(np.frombuffer(t), np.zeros(len(t) // 8), measures, dof)  # type: ignore[arg-type]
+        for t, measures, dof in signature[0]
+    )
+    forces = tuple(
+        Force(np.frombuffer(t), np.frombuffer(v), hold, dof)  # type: ignore[arg-type]
+        for t, v, hold, dof in signature[1]
+    )
+    frequencies = np.arange(CYCLE_STEP, max(cycles, 2 * CYCLE_STEP) + 1e-9, CYCLE_STEP)
+    grid = np.stack([a.ravel() for a in np.meshgrid(frequencies, DECAYS, indexing="ij")], axis=1)
+    p = _by_kind(system, base, grid[:, 0], grid[:, 1])
+    n = system.n_dof
+    responses = np.zeros((len(grid), sum(c.n for c in channels), 2 * n + 1))
+    free, forced = Record(channels), Record(channels, forces)
+    for i in range(2 * n):
+        unit = np.zeros((2 * n, len(grid)))
+        unit[i] = 1.0
+        responses[..., i] = measurements(system, p, (unit[:n], unit[n:]), free)
+    if forces:
+        rest = np.zeros((n, len(grid)))
+        responses[..., 2 * n] = measurements(system, p, (rest, rest), forced)
+    return grid, responses
+
+
+def _projected(record: Record, responses: np.ndarray, fixed_scale: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Misfit left at each grid point after start, offsets and scale are fitted; and the scale of the parameters there."""
+    sizes = [float(np.sqrt(np.mean(c.values**2))) or 1.0 if c.n else 1.0 for c in record.channels]
+    weights = np.concatenate([np.full(c.n, 1.0 / s) for c, s in zip(record.channels, sizes, strict=True)])
+    y = np.concatenate([c.values for c in record.channels])
+    columns, known = [], np.zeros(responses.shape[:2])
+    if record.initial_state is not None:
+        start = np.concatenate([record.initial_state.displacement, record.initial_state.velocity])
+        known = known + responses[..., :-1] @ start
+    else:
+        columns += [responses[..., i] for i in range(responses.shape[-1] - 1)]
+    pushed = bool(record.forces) and bool(np.any(responses[..., -1]))
+    if pushed and fixed_scale:
+        known = known + responses[..., -1] * _force_size(record)
+    elif pushed:
+        columns.append(responses[..., -1] * _force_size(record))
+    for i, c in enumerate(record.channels):
+        if c.offset:
+            mine = np.concatenate([np.full(other.n, float(other is c)) for other in record.channels])
+            columns.append(np.broadcast_to(mine, responses.shape[:2]))
+    residual = weights * (y - known)
+    scale = np.ones(len(responses))
+    if not columns:
+        return np.sum(residual**2, axis=1), scale
+    a = weights[:, None] * np.stack(columns, -1)
+    norms = np.sqrt(np.sum(a**2, axis=1)) + 1e-300
+    a = a / norms[:, None, :]
+    gram = np.swapaxes(a, 1, 2) @ a + 1e-10 * np.eye(a.shape[-1])
+    right = np.einsum("gnq,gn->gq", a, residual)
+    solution = np.linalg.solve(gram, right[..., None])[..., 0]
+    if pushed and not fixed_scale:
+        at = 0 if record.initial_state is not None else responses.shape[-1] - 1
+        gain = solution[:, at] / norms[:, at]
+        scale = np.where(gain > 0, 1.0 / np.maximum(gain, 1e-12), np.nan)
+    rss = np.sum(residual**2, axis=1) - np.sum(solution * right, axis=1)
+    return np.where(np.isfinite(scale), rss, np.inf), np.where(np.isfinite(scale), scale, 1.0)
+
+
+# ----------------------------------------------------------------------------- several DOF, nonlinear systems
+
+
+def regression_starts(problem: Problem) -> list[dict[str, float]]:
+    """Parameters by non-negative regression of the equation of motion on smooth curves through the displacements.
+
+    Free vibration: sums of damped sinusoids; under a force: smoothing splines. Needs every DOF's displacement measured.
+    """
+    system = problem.system
+    if not system.affine_in_parameters or system.n_hidden:
+        return []
+    found = []
+    for level in range(4):
+        blocks = [_smoothed(system, record, level) for record in problem.records]
+        usable = [block for block in blocks if block is not None]
+        if usable:
+            found.append(_regressed(problem, usable))
+    return found
+
+
+Curves = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray], list[np.ndarray]]
+
+
+def _smoothed(system: System, record: Record, level: int) -> Curves | None:
+    """Displacement, velocity, acceleration and force of each DOF at many times, one array a DOF."""
+    by_dof = {c.dof: c for c in record.channels if c.measures == "displacement" and c.n >= 5}
+    if set(by_dof) != set(range(system.n_dof)):
+        return None
+    times = np.linspace(0.0, record.duration, 400)
+    measured = [by_dof[i] for i in range(system.n_dof)]
+    force = record.force(times, system.n_dof)
+    if any(np.any(f.values) for f in record.forces):
+        curves = [_spline(c, 10.0 ** (level - 3)) for c in measured]
+        x, v, a = ([curve(times, order) for curve in curves] for order in range(3))
+        return list(x), list(v), list(a), force
+    rates = _rates(measured, (1, 2, 3, 4)[level])
+    basis = np.exp(rates[:, None] * times)
+    paths: list[list[np.ndarray]] = [[], [], []]
+    for c in measured:
+        amplitudes = _amplitudes(c, rates)
+        for order in range(3):
+            paths[order].append(((amplitudes * rates**order) @ basis).real)
+    return paths[0], paths[1], paths[2], force
+
+
+class _spline:
+    """A smoothing spline fitted in units of the sampling step, where its weight means the same at any rate."""
+
+    def __init__(self, channel: Channel, weight: float) -> None:
+        self.step = float(np.median(np.diff(channel.times)))
+        self.curve = make_smoothing_spline(channel.times / self.step, channel.values, lam=weight)
+
+    def __call__(self, times: np.ndarray, order: int) -> np.ndarray:
+        return np.asarray(self.curve(times / self.step, nu=order)) / self.step**order
+
+
+def _columns(times: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    waves = np.exp(rates * times[:, None])
+    return np.concatenate([waves.real, -waves.imag], axis=1)
+
+
+def _amplitudes(channel: Channel, rates: np.ndarray) -> np.ndarray:
+    columns = np.concatenate([_columns(channel.times, rates), np.ones((channel.n, int(channel.offset)))], axis=1)
+    found = np.linalg.lstsq(columns, channel.values, rcond=1e-9)[0]
+    return np.asarray(found[: rates.size] + 1j * found[rates.size : 2 * rates.size])
+
+
+def _rates(channels: Sequence[Channel], n: int) -> np.ndarray:
+    """Complex rates of ``n`` damped sinusoids common to all channels: one at a time, each the best on the grid."""
+    gaps = [float(np.median(np.diff(c.times))) for c in channels]
+    frequencies = np.arange(CYCLE_STEP, min(0.5 / min(gaps), MAX_CYCLES) + 1e-9, CYCLE_STEP)
+    rates = np.zeros(0, complex)
+    for _ in range(n):
+        pool = (-np.array(DECAYS)[:, None] + 2j * np.pi * frequencies).ravel()
+        for span in (1.0, 0.3, 0.1):
+            misfit = [_left(channels, np.append(rates, rate)) for rate in pool]
+            best = pool[int(np.argmin(misfit))]
+            shifts = np.linspace(-1, 1, 5) * span
+            pool = (best.real * np.exp(shifts)[:, None] + 1j * (best.imag + 2 * np.pi * CYCLE_STEP * shifts)).ravel()
+        rates = np.append(rates, best)
+    return rates
+
+
+def _left(channels: Sequence[Channel], rates: np.ndarray) -> float:
+    """Misfit of the channels, relative to their size, by damped sinusoids of the given rates."""
+    total = 0.0
+    for c in channels:
+        columns = np.concatenate([_columns(c.times, rates), np.ones((c.n, int(c.offset)))], axis=1)
+        q = np.linalg.qr(columns)[0]
+        total += 1.0 - float(np.sum((q.T @ c.values) ** 2)) / (float(c.values @ c.values) or 1.0)
+    return total
+
+
+def _regressed(problem: Problem, blocks: Sequence[Curves]) -> dict[str, float]:
+    """Non-negative least squares of the residual on the curves; the gauge mass is fixed where no force sets the scale."""
+    system = problem.system
+    parts = [regression_columns(system, *block) for block in blocks]
+    columns, rest = np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])
+    names = list(system.names)
+    fixed = {} if problem.forced and problem.prior is None else {system.gauge: 1.0}
+    right = -rest - sum((columns[:, names.index(name)] * value for name, value in fixed.items()), np.zeros(len(rest)))
+    free = [name for name in names if name not in fixed]
+    sizes = {name: float(np.sqrt(np.mean(columns[:, names.index(name)] ** 2))) or 1.0 for name in names}
+    scaled = np.stack([columns[:, names.index(name)] / sizes[name] for name in free], axis=1)
+    found = nnls(scaled, right)[0]
+    least = SMALLEST * float(np.sqrt(np.mean(right**2)))
+    return {**fixed, **{name: float(max(value, least) / sizes[name]) for name, value in zip(free, found, strict=True)}}
+
+
