@@ -1,4 +1,4 @@
-"""The harness: problems, bounds, scores, tables. This face is the contract that a method imports; it loads no method."""
+"""The harness: problems, bounds, scores, tables. This face is the contract that methods import; it loads none."""
 
 from bench.errors import InputError
 from bench.estimate import Belief, Cost, Draws, Estimate, Marginal, Normal, Reconstruction, Status

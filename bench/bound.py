@@ -1,4 +1,4 @@
-"""The Cramér-Rao bound of a scenario: the best that the data and the prior allow, per quantity and for the displacement.
+"""The Cramér-Rao bound of a scenario: the best that data and prior allow, by quantity and for the displacement.
 
 The bound is the inverse of (Fisher information of the data at the truth + precision of the prior), in the
 log-parameters (and the initial state, where it is not told). With Gaussian noise of unknown level the cross terms
@@ -11,6 +11,7 @@ in a process of its own, and cached.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import multiprocessing
 import os
@@ -25,7 +26,7 @@ import numpy as np
 from bench.mechanics import rk4_step
 from bench.problem import Force
 from bench.scenario import Scenario
-from bench.simulate import longest_step, interval_ends
+from bench.simulate import interval_ends, longest_step
 from bench.systems import Ops, System
 
 REFINE = 12
@@ -79,7 +80,7 @@ def _steps(
     state += [np.array(0.0)] * system.n_hidden
     longest = longest_step(system, scenario.parameters, state) / REFINE
     lengths, pushes, reached = [], [], [0]
-    for t0, t1 in zip(grid[:-1], grid[1:], strict=True):
+    for t0, t1 in itertools.pairwise(grid):
         n = max(1, int(np.ceil((t1 - t0) / longest)))
         ends = [(force.dof, *interval_ends(force, t0, t1)) for force in forces]
         for j in range(n):

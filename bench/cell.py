@@ -1,4 +1,4 @@
-"""A cell: one scenario, one method with its settings, so many replicates of a seed. Its identity is what it computes."""
+"""A cell: one scenario, one method with its settings, so many replicates of a seed; known by what it computes."""
 
 from __future__ import annotations
 

@@ -32,9 +32,7 @@ def combine_with_prior(estimate: Estimate, prior: Prior | None) -> Estimate:
     coefficients = np.array([estimate.system.quantity(name).coefficient for name in groups.names])
 
     def residuals(logs: np.ndarray) -> np.ndarray:
-        return np.concatenate(
-            [whiten @ (coefficients * np.exp(exponents @ logs) - groups.mean), prior.residuals(logs)]
-        )
+        return np.concatenate([whiten @ (coefficients * np.exp(exponents @ logs) - groups.mean), prior.residuals(logs)])
 
     def jacobian(logs: np.ndarray) -> np.ndarray:
         values = coefficients * np.exp(exponents @ logs)

@@ -85,6 +85,13 @@ class Config(_Strict):
     table: dict[str, Any] | None
 
 
+FIELDS = (
+    *(name for name in Config.model_fields if name not in ("sweep", "replicates_by_method", "table")),
+    "experiment",
+)
+"""What a command line can set; the rest is for experiments."""
+
+
 @dataclass(frozen=True)
 class Job:
     """A validated configuration, with the variant of the method as the command line named it."""
@@ -157,8 +164,8 @@ def read_overrides(texts: Sequence[str]) -> dict[str, list[Any]]:
         except HydraException:
             raise InputError("argument", repr(text), "write field=value, see --help") from None
         key = override.get_key_element()
-        if key.startswith(("+", "~")) or key.split(".")[0] not in Config.model_fields and key not in GROUPS:
-            raise InputError(key, _after_equals(text), f"not a field; fields: {', '.join([*Config.model_fields, 'experiment'])}")
+        if key.split(".")[0] not in FIELDS:
+            raise InputError(key, _after_equals(text), f"not a field; fields: {', '.join(FIELDS)}")
         values[key] = _swept(override, key, text)
         if key in GROUPS:
             for value in values[key]:
@@ -199,7 +206,8 @@ def expand(texts: Sequence[str], multirun: bool) -> list[Job]:
     overrides = read_overrides(texts)
     experiment = overrides.pop("experiment", [None])
     if len(experiment) > 1:
-        return [job for name in experiment for job in expand([*_without(texts, "experiment"), f"experiment={name}"], True)]
+        others = [text for text in texts if not text.startswith("experiment=")]
+        return [job for name in experiment for job in expand([*others, f"experiment={name}"], multirun)]
     set_by_experiment = _experiment(experiment[0])
     sweep = {**set_by_experiment.get("sweep", {}), **overrides}
     swept = [key for key, values in sweep.items() if len(values) > 1]
@@ -212,10 +220,6 @@ def expand(texts: Sequence[str], multirun: bool) -> list[Job]:
         chosen = dict(zip(sweep, values, strict=True))
         jobs.append(_job(chosen, set_by_experiment, frozenset(overrides)))
     return jobs
-
-
-def _without(texts: Sequence[str], key: str) -> list[str]:
-    return [text for text in texts if not text.startswith(f"{key}=")]
 
 
 def _job(chosen: Mapping[str, Any], experiment: Mapping[str, Any], explicit: frozenset[str]) -> Job:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
-
+from enum import StrEnum
 
 import numpy as np
 from scipy import stats
@@ -17,7 +16,7 @@ Reconstruction = Callable[[np.ndarray], np.ndarray]
 """Displacement (m) by times (s): shape (n,) to shape (n_dof, n). Must be picklable."""
 
 
-class Status(str, Enum):
+class Status(StrEnum):
     """What became of one replicate, or of a cell. One list, everywhere."""
 
     OK = "ok"
@@ -79,7 +78,8 @@ class Normal:
         return dict(zip(self.names, map(float, centre), strict=True))
 
     def finite(self) -> bool:
-        return bool(np.all(np.isfinite(self.mean)) and (self.covariance is None or np.all(np.isfinite(self.covariance))))
+        arrays = [self.mean] if self.covariance is None else [self.mean, self.covariance]
+        return all(bool(np.all(np.isfinite(array))) for array in arrays)
 
     def marginal(self, quantity: Quantity) -> Marginal | None:
         """The belief about a product of powers; None where these names do not determine it."""
@@ -249,5 +249,3 @@ class Estimate:
 def group_names(system: System) -> Sequence[str]:
     """Names of the identifiable groups, in the order that every vector over them uses."""
     return [group.name for group in system.groups]
-
-

@@ -79,7 +79,8 @@ class Identifier(ABC):
         checks = {
             f"it cannot use measured {', '.join(sorted(unmeasured))}": bool(unmeasured),
             "it takes one record": len(problem.records) > 1 and not s.several_records,
-            "it takes one channel a record": any(len(r.channels) > 1 for r in problem.records) and not s.several_channels,
+            "it takes one channel a record": any(len(r.channels) > 1 for r in problem.records)
+            and not s.several_channels,
             "it cannot estimate a sensor's offset": any(c.offset for c in channels) and not s.offsets,
             "it cannot use a known force": problem.forced and not s.forced,
             f"it takes at most {s.max_dof} DOF": s.max_dof is not None and system.n_dof > s.max_dof,

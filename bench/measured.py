@@ -20,7 +20,7 @@ from bench.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Re
 from bench.registry import make_method, missing_package
 from bench.runner import MethodFit
 from bench.score import point_parameters
-from bench.simulate import measurements
+from bench.simulate import fitted_start, measurements
 from bench.systems import SDOF, System, make_system
 from bench.workers import Outcome, Task, perform, single_threaded
 
@@ -34,7 +34,7 @@ MAX_SAMPLES = 100_000
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns of a file: times (s, from the first sample), displacement and maybe force, with the displacement's unit."""
+    """Columns of a file: times (s, from the first sample), displacement with its unit, and maybe a force (N)."""
 
     times: np.ndarray
     displacement: np.ndarray
@@ -119,7 +119,7 @@ def _start(job: Job) -> InitialState | None:
     if "initial_state" not in job.explicit or config.initial_state == "unknown":
         return None
     if config.start is None or len(config.start) != 2:
-        raise InputError("start", config.start, "initial_state=known needs start=[displacement,velocity] at the first sample")
+        raise InputError("start", config.start, "initial_state=known needs start=[displacement,velocity] at time 0")
     return InitialState(np.array(config.start[:1]), np.array(config.start[1:]))
 
 
@@ -183,8 +183,6 @@ def _residuals(problem: Problem, estimate: Estimate) -> dict[str, Any] | None:
     if estimate.reconstructions:
         fitted = estimate.reconstructions[0](channel.times)[channel.dof]
     else:
-        from bench.simulate import fitted_start
-
         p = point_parameters(estimate)
         if p is None:
             return None

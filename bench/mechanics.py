@@ -25,9 +25,7 @@ def _solve_stacked(matrix: Sequence[Sequence[Array]], rhs: Components) -> Compon
 
 numpy_ops = cast(
     Ops,
-    SimpleNamespace(
-        sin=np.sin, cos=np.cos, tanh=np.tanh, exp=np.exp, abs=np.abs, where=np.where, solve=_solve_stacked
-    ),
+    SimpleNamespace(sin=np.sin, cos=np.cos, tanh=np.tanh, exp=np.exp, abs=np.abs, where=np.where, solve=_solve_stacked),
 )
 """The numpy functions a residual may call."""
 
@@ -79,9 +77,7 @@ def rk4_step(
     k2 = state_rate(system, p, [s + 0.5 * step * k for s, k in zip(state, k1, strict=True)], middle, ops)
     k3 = state_rate(system, p, [s + 0.5 * step * k for s, k in zip(state, k2, strict=True)], middle, ops)
     k4 = state_rate(system, p, [s + step * k for s, k in zip(state, k3, strict=True)], end, ops)
-    return [
-        s + step / 6.0 * (a + 2.0 * b + 2.0 * c + d) for s, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)
-    ]
+    return [s + step / 6.0 * (a + 2.0 * b + 2.0 * c + d) for s, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)]
 
 
 def regression_columns(
@@ -121,7 +117,8 @@ def linear_matrices(system: System, p: Mapping[str, Any]) -> tuple[np.ndarray, n
         for j in range(n):
             state = [list(zero), list(zero), list(zero)]
             state[which][j] = 1.0
-            for i, r in enumerate(system.residual(p, *state, zero, [], numpy_ops)):
+            x, v, a = state
+            for i, r in enumerate(system.residual(p, x, v, a, zero, [], numpy_ops)):
                 result[..., i, j] = r
         return result
 

@@ -39,7 +39,8 @@ def _increasing(times: np.ndarray, field_name: str) -> None:
     bad = np.flatnonzero(np.diff(times) <= 0)
     if bad.size:
         i = int(bad[0])
-        raise InputError(field_name, f"{times[i]:g}, {times[i + 1]:g}", f"times must increase (at sample {i + 2}); sort them")
+        pair = f"{times[i]:g}, {times[i + 1]:g}"
+        raise InputError(field_name, pair, f"times must increase (at sample {i + 2}); sort them")
 
 
 @dataclass(frozen=True)
@@ -176,7 +177,8 @@ class Record:
 
     def expressed_in(self, units: Units) -> Record:
         channels = tuple(
-            replace(c, times=c.times / units.time, values=c.values / units.of(MEASURED[c.measures])) for c in self.channels
+            replace(c, times=c.times / units.time, values=c.values / units.of(MEASURED[c.measures]))
+            for c in self.channels
         )
         forces = tuple(replace(f, times=f.times / units.time, values=f.values / units.of(FORCE)) for f in self.forces)
         start = self.initial_state.expressed_in(units) if self.initial_state else None
@@ -201,14 +203,14 @@ class Problem:
             raise InputError("records", 0, "a problem needs at least one record")
         n = self.system.n_dof
         for record in self.records:
-            for part in (*record.channels, *record.forces):
-                if not 0 <= part.dof < n:
-                    raise InputError("dof", part.dof, f"{self.system.name} has DOFs 0 to {n - 1}")
+            for dof in (*(c.dof for c in record.channels), *(f.dof for f in record.forces)):
+                if not 0 <= dof < n:
+                    raise InputError("dof", dof, f"{self.system.name} has DOFs 0 to {n - 1}")
             start = record.initial_state
             if start is not None and (start.displacement.size != n or start.velocity.size != n):
                 raise InputError("initial_state", start.displacement.size, f"{self.system.name} has {n} DOF")
         if self.prior is not None and self.prior.names != self.system.names:
-            raise InputError("prior", self.prior.names, f"name the parameters {', '.join(self.system.names)}, in that order")
+            raise InputError("prior", self.prior.names, f"name the parameters {', '.join(self.system.names)}, in order")
 
     @property
     def n(self) -> int:

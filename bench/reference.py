@@ -1,4 +1,4 @@
-"""The rows that every table carries beside the methods: ``prior`` and ``oracle``. They may see the truth; methods may not.
+"""The rows that every table carries beside the methods: ``prior`` and ``oracle``; they may see the truth.
 
 ``prior``: the nominal values as the estimate, the naive baseline. ``oracle``: maximum a posteriori started at the
 truth, what a perfect optimiser gets from the same data and the same prior.

@@ -73,7 +73,7 @@ def make_method(name: str, settings: dict[str, Any]) -> Identifier:
 
 
 def missing_package(name: str) -> str | None:
-    """The install line for the first package that a method needs and this environment lacks; None where all are there."""
+    """The install line for the first package that a method needs and this environment lacks, or None."""
     if name in REFERENCES:
         return None
     method = load_method(name)

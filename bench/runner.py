@@ -41,7 +41,9 @@ class ReferenceFit:
 
     name: str
 
-    def __call__(self, payloads: Sequence[tuple[Problem, Truth]], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+    def __call__(
+        self, payloads: Sequence[tuple[Problem, Truth]], rngs: Sequence[np.random.Generator]
+    ) -> list[Estimate]:
         return [REFERENCES[self.name](problem, truth) for problem, truth in payloads]
 
 

@@ -39,7 +39,9 @@ class Motion:
         force = record.force(channel.times, system.n_dof)
         expanded = {name: np.asarray(value)[..., None] for name, value in p.items()}
         return np.asarray(
-            acceleration(system, expanded, self.displacement, self.velocity, force, [], numpy_ops)[channel.dof]
+            acceleration(system, expanded, list(self.displacement), list(self.velocity), force, [], numpy_ops)[
+                channel.dof
+            ]
         )
 
 
@@ -168,7 +170,9 @@ def _forced_modes(
         ends = interval_ends(force, grid[:-1], grid[1:])
         start[:, force.dof] += ends[0]
         end[:, force.dof] += ends[1]
-    pushes = near[which] * np.einsum("...ij,kj->k...i", gains, start) + far[which] * np.einsum("...ij,kj->k...i", gains, end)
+    pushes = near[which] * np.einsum("...ij,kj->k...i", gains, start) + far[which] * np.einsum(
+        "...ij,kj->k...i", gains, end
+    )
     path = np.empty((grid.size, *q0.shape), complex)
     path[0] = q0
     for i, j in enumerate(which):
@@ -269,7 +273,9 @@ def fitted_start(system: System, p: Mapping[str, float], record: Record) -> Init
     time = record.duration
     scale = np.concatenate([np.full(n, size), np.full(n, size / time)])
     y = np.concatenate([c.values for c in record.channels])
-    constants = np.array([[float(c is o) for o in offsets] for c in record.channels for _ in range(c.n)]).reshape(y.size, -1)
+    constants = np.array([[float(c is o) for o in offsets] for c in record.channels for _ in range(c.n)]).reshape(
+        y.size, -1
+    )
     for _ in range(1 if system.linear else 5):
         trial = theta[:, None] + np.concatenate([np.zeros((2 * n, 1)), 1e-3 * np.diag(scale)], axis=1)
         p_sets = {name: np.full(2 * n + 1, value) for name, value in p.items()}
@@ -286,9 +292,7 @@ def measurements(
     system: System, p: Mapping[str, Any], start: InitialState | tuple[np.ndarray, np.ndarray], record: Record
 ) -> np.ndarray:
     """Ideal measurements of all channels of a record, channel after channel, shape (*sets, n_samples)."""
-    parts = [
-        simulate(system, p, start, c.times, record.forces).measured(system, p, c, record) for c in record.channels
-    ]
+    parts = [simulate(system, p, start, c.times, record.forces).measured(system, p, c, record) for c in record.channels]
     return np.concatenate(parts, axis=-1)
 
 

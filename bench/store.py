@@ -119,7 +119,8 @@ class Store:
             probe.write_bytes(b"")
             probe.unlink()
         except OSError as error:
-            raise InputError("store", self.folder, f"cannot be written ({error.strerror}); name another folder") from None
+            reason = f"cannot be written ({error.strerror}); name another folder"
+            raise InputError("store", self.folder, reason) from None
 
     def path(self, identity: str) -> Path:
         return self.folder / f"{identity}.json"
@@ -162,7 +163,8 @@ class Store:
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
             if content["format"] != FORMAT:
-                raise InputError("store", path, f"format {content['format']}, this version reads {FORMAT}; move it away")
+                remedy = f"format {content['format']}, this version reads {FORMAT}; move it away"
+                raise InputError("store", path, remedy)
             return StoredCell(
                 identity=content["identity"],
                 cell=content["cell"],

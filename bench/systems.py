@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol
 
 from bench.errors import InputError
@@ -121,7 +121,14 @@ class System(ABC):
 
     @abstractmethod
     def residual(
-        self, p: Mapping[str, Array], x: Components, v: Components, a: Components, f: Components, z: Components, ops: Ops
+        self,
+        p: Mapping[str, Array],
+        x: Components,
+        v: Components,
+        a: Components,
+        f: Components,
+        z: Components,
+        ops: Ops,
     ) -> list[Array]:
         """The equation of motion as ``r = 0``, one entry a DOF, affine in the accelerations ``a``.
 
@@ -285,7 +292,7 @@ SYSTEMS: dict[str, type[System]] = {cls.name: cls for cls in (SDOF, Chain, Duffi
 """Systems by the name that a configuration gives them."""
 
 
-def make_system(name: str, options: Mapping[str, Any] = field(default_factory=dict)) -> System:  # type: ignore[assignment]
+def make_system(name: str, options: Mapping[str, Any]) -> System:
     """The system called ``name`` with its structural options (the number of masses, say)."""
     if name not in SYSTEMS:
         raise InputError("system", name, f"known systems: {', '.join(sorted(SYSTEMS))}")

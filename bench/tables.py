@@ -160,7 +160,9 @@ def markdown(table: int, title: str, data: pd.DataFrame, found: Sequence[Entry])
     parts = [f"# Table {table}. {title}", LEGEND]
     for told in dict.fromkeys(data.initial_state):
         parts.append(f"## Initial state {told}")
-        parts.append(tabulate(*_panel(table, data[data.initial_state == told]), tablefmt="github", disable_numparse=True))
+        parts.append(
+            tabulate(*_panel(table, data[data.initial_state == told]), tablefmt="github", disable_numparse=True)
+        )
     parts.append("## The paper's numbers")
     parts.append(
         "A verdict says where the paper's number falls among our replicates (known start): between their 5 % and 95 % "

@@ -7,6 +7,7 @@ eight at tight tolerance for the nonlinear ones.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -85,7 +86,7 @@ def _integrated(
     state = np.concatenate([start.displacement, start.velocity, np.zeros(system.n_hidden)])
     path = np.empty((n, times.size))
     path[:, times == 0.0] = start.displacement[:, None]
-    for t0, t1 in zip(ends[:-1], ends[1:], strict=True):
+    for t0, t1 in itertools.pairwise(ends):
         inside = (times > t0) & (times <= t1)
         solution = solve_ivp(rate, (t0, t1), state, method="DOP853", rtol=1e-11, atol=1e-13, dense_output=True)
         if np.any(inside):

@@ -6,6 +6,7 @@ that fails again is recorded with its status.
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import resource
@@ -21,13 +22,12 @@ from typing import Any
 import numpy as np
 
 from bench.estimate import Estimate, Status
-from bench.problem import Problem
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
 def single_threaded() -> None:
-    """Fix numerical libraries loaded from now on to one thread: workers are processes, threads would fight over cores."""
+    """Fix numerical libraries loaded from now on to one thread: workers are processes, and share the cores."""
     for variable in THREAD_VARIABLES:
         os.environ[variable] = "1"
 
@@ -125,10 +125,8 @@ class _Worker:
 
     def give(self, task: Task) -> None:
         self.task, self.deadline = task, time.monotonic() + task.limit
-        try:
+        with contextlib.suppress(OSError):  # a worker that died idle is seen as a death at the next look
             self.connection.send(task)
-        except (BrokenPipeError, OSError):
-            pass  # the worker died idle: seen as a death at the next look
 
     def kill(self) -> None:
         self.process.kill()
@@ -196,8 +194,3 @@ def _death(exitcode: int | None) -> tuple[Status, str]:
     if exitcode is not None and exitcode < 0:
         return Status.KILLED, f"its process was ended by {signal.Signals(-exitcode).name}"
     return Status.CRASHED, f"its process exited with status {exitcode}"
-
-
-def problem_of(payload: Any) -> Problem:
-    """The problem in a payload: a payload is a problem, or (reference rows only) a pair with its truth."""
-    return payload[0] if isinstance(payload, tuple) else payload
