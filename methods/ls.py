@@ -14,10 +14,11 @@ acceleration of the regression alike, so it biases little. How much to smooth is
 each smoothing gives an estimate, and the one is kept whose simulated response is closest to the record
 (:func:`methods.regression.spline_fit`). A likelihood of the spline alone fails on few samples a cycle.
 
-Told: the equations, the samples, the known force. A told start is used in choosing the smoothing and in the noise level
-of the bootstrap, not in the regression (so the finite-difference estimate itself does not depend on it). The prior is not used: the harness combines groups with it. There is no own
-reconstruction: the harness simulates the response. The uncertainty is a parametric bootstrap's spread; it does not
-hold the bias, so the finite-difference variant's intervals are too narrow where its bias matters.
+Told: the equations, the samples, the known force. A told start is used in choosing the smoothing and in the noise
+level of the bootstrap, not in the regression: the finite-difference estimate itself does not depend on it. The prior is
+not used: the harness combines groups with it. There is no own reconstruction: the harness simulates the response. The
+uncertainty is a parametric bootstrap's spread; it does not hold the bias, so the intervals of the finite-difference
+variant miss the truth where its bias matters.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ from methods.regression import (
 
 @dataclass(frozen=True)
 class LS(Identifier):
-    """Equation-error least squares. ``derivative``: see the module; ``bootstrap``: data sets drawn for the covariance."""
+    """Equation-error least squares; ``derivative`` as above, ``bootstrap`` data sets are drawn for the covariance."""
 
     derivative: Literal["finite", "spline"] = "finite"
     bootstrap: int = 100
@@ -55,8 +56,8 @@ class LS(Identifier):
         reconstruction="simulated",
         uncertainty="covariance of a parametric bootstrap: spread only, not the bias of differentiation",
         settings_source="finite: the paper's baseline; spline: smoothing by the likelihood of the simulated response",
-        tuning="spline: 3 development systems (damping 5-26 %, 2.8-5.4 cycles) at 40-5 dB; penalty orders 2-4, 0-3 samples "
-        "left out, weight by restricted likelihood or by simulation; finite: none",
+        tuning="finite: none; spline: on 3 development systems (damping 3-26 %, 2.7-5.4 cycles) at 40-5 dB tried "
+        "penalty orders 2-4, 0-3 samples left out, weight by restricted likelihood or by simulation",
     )
     serves: ClassVar[Serves] = Serves(several_records=True, several_channels=True, offsets=True, max_dof=None)
 

@@ -282,12 +282,16 @@ class Regression:
 
     def splines(self, values: Values, smoother: tuple[int, int], which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The equations on smoothing splines (see SMOOTHERS) at numbers ``which`` (sets,) of the grid of weights."""
+        return self.equations(self.motions(values, smoother, which))
+
+    def motions(self, values: Values, smoother: tuple[int, int], which: np.ndarray) -> list[Motion]:
+        """The motion of those splines at the samples, less those left out at the ends."""
         order, trim = smoother
         motions = []
         for times, y in zip(self.times, values, strict=True):
             spline = smoothing_spline(times, order)
             motions.append(spline.motion(spline.fit(y, spline.weights[which]), times[trim : times.size - trim]))
-        return self.equations(motions)
+        return motions
 
 
 def solve(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -458,10 +462,7 @@ def spline_fit(regression: Regression) -> SplineFit:
     without a system takes such a vibration for noise). The system can tell: each smoother and weight gives an
     estimate, each estimate a simulated response, and the response of largest likelihood names the smoothing.
     """
-    usable = [s for s in SMOOTHERS if all(t.size > max(s[0], 2 * s[1]) for t in regression.times)]
-    if not usable:
-        needed = min(order for order, _ in SMOOTHERS) + 1
-        raise Unusable(Status.UNSUPPORTED, f"its smoothing spline needs at least {needed} samples a record")
+    usable = _usable(regression)
     trial = _try(regression, regression.values, usable, np.arange(WEIGHTS))
     best = int(np.argmin(trial.deviance[0]))
     if not np.isfinite(trial.deviance[0, best]):
@@ -472,6 +473,15 @@ def spline_fit(regression: Regression) -> SplineFit:
         for record, centre, y in zip(regression.records, centres, regression.values, strict=True)
     )
     return SplineFit(trial.unknowns[0, best], usable[best // WEIGHTS], best % WEIGHTS, centres, noise)
+
+
+def _usable(regression: Regression) -> list[tuple[int, int]]:
+    """The smoothers that the shortest record can bear; raises Unusable where there is none."""
+    usable = [s for s in SMOOTHERS if all(t.size > max(s[0], 2 * s[1]) for t in regression.times)]
+    if not usable:
+        needed = min(order for order, _ in SMOOTHERS) + 1
+        raise Unusable(Status.UNSUPPORTED, f"its smoothing spline needs at least {needed} samples a record")
+    return usable
 
 
 def _left(regression: Regression, record: Record) -> float:
@@ -496,19 +506,34 @@ def _unexplained(regression: Regression, trial: _Trial, smoother: tuple[int, int
 
 
 def spline_refit(regression: Regression, fit: SplineFit, values: Values) -> np.ndarray:
-    """Unknowns (sets, q) of other data (n_dof, sets, n) a record, smoothed much like a fit was.
+    """Unknowns (sets, q) of other data (n_dof, sets, n) a record, each smoothed as :func:`smoothings` says."""
+    found = np.full((values[0].shape[1], fit.unknowns.size), np.nan)
+    chosen = smoothings(regression, fit, values)
+    for smoother in set(s for s, _ in chosen):
+        mine = np.array([s == smoother for s, _ in chosen])
+        which = np.array([w for _, w in chosen])[mine]
+        found[mine] = solve(*regression.splines([y[:, mine] for y in values], smoother, which))
+    return found
 
-    For a linear system and few samples each set chooses its smoothing anew, among all smoothers and weights near the
-    fit's; else the fit's own is kept.
+
+def smoothings(regression: Regression, fit: SplineFit, values: Values) -> list[tuple[tuple[int, int], int]]:
+    """Smoother and number of the weight for each set of other data (n_dof, sets, n) a record.
+
+    For a linear system and few samples each set chooses anew, by its simulated response, among all smoothers and the
+    weights near the fit's; else the fit's own is kept.
     """
-    fixed = solve(*regression.splines(values, fit.smoother, np.full(values[0].shape[1], fit.which)))
+    sets = values[0].shape[1]
+    own = (fit.smoother, fit.which)
     if not regression.system.linear or not fit.explained or max(t.size for t in regression.times) > FEW_SAMPLES:
-        return fixed
-    usable = [s for s in SMOOTHERS if all(t.size > max(s[0], 2 * s[1]) for t in regression.times)]
-    trial = _try(regression, values, usable, np.unique(np.clip(fit.which + NEARBY, 0, WEIGHTS - 1)))
-    best = np.argmin(trial.deviance, axis=1)
-    chosen = np.take_along_axis(trial.unknowns, best[:, None, None], axis=1)[:, 0]
-    return np.where(np.isfinite(np.min(trial.deviance, axis=1))[:, None], chosen, fixed)
+        return [own] * sets
+    usable = _usable(regression)
+    which = np.unique(np.clip(fit.which + NEARBY, 0, WEIGHTS - 1))
+    deviance = _try(regression, values, usable, which).deviance
+    best = np.argmin(deviance, axis=1)
+    return [
+        (usable[b // which.size], int(which[b % which.size])) if np.isfinite(deviance[i, b]) else own
+        for i, b in enumerate(best)
+    ]
 
 
 def bootstrap_covariance(

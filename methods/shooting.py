@@ -19,7 +19,7 @@ prior and noise are its parameters.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any, ClassVar, cast
@@ -29,12 +29,13 @@ from scipy.sparse.linalg import splu
 
 from bench import Card, Cost, Estimate, Identifier, InitialState, Normal, Ops, Problem, Record, Serves, SimulatedResponse
 from bench import Status, System, acceleration, numpy_ops, rk4_step, simulate, state_rate
-from methods.spectral import OutputError, screened, silent
+from methods.spectral import OutputError, offsets_in, screened, silent
 
 MAX_SUBSTEPS = 256
 EXPAND = 2000
 """Runge-Kutta steps up to which the whole programme is unrolled: faster to run, slower to build."""
-SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
+POLISH = 3
+"""Gauss-Newton steps in the reduced space after IPOPT, at most: they make the answer free of its tolerance."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +83,10 @@ class Shooting(Identifier):
             return Estimate.failed(
                 problem.system, Status.DIVERGED, "no sensor shows any motion; check the wiring or choose another record"
             )
+        model = OutputError(scaled)
         with np.errstate(all="ignore"):
-            estimate = self._solve(OutputError(scaled))
-        return estimate.expressed_in(units.inverse)
+            estimate = self._solve(model)
+        return replace(estimate, offsets=offsets_in(units, model, estimate)).expressed_in(units.inverse)
 
     def _solve(self, model: OutputError) -> Estimate:
         found = screened(model, self.starts, rounds=1, iterations=self.screen_iterations)
@@ -236,7 +238,7 @@ class _Shape:
 
 @dataclass(frozen=True)
 class _Programme:
-    """The solver, and ``linear``: (w, q) -> misfit, its derivatives, the derivatives of the joins."""
+    """The solver, and ``linear``: (w, q) -> misfit, its derivatives, the derivatives of the joins, the joins."""
 
     solver: Any
     linear: Any
@@ -288,7 +290,8 @@ def _programme(shape: _Shape, max_iterations: int) -> _Programme:
     """The sparse programme over ``w = [log-parameters, offsets, states at the cuts record by record]``.
 
     Its parameters, in the order of :func:`_given`: of each record the interval lengths and forces, of each channel
-    data, weights (1/sigma) and forces at the samples; last the prior's means and weights.
+    data, weights (1/sigma) and forces at the samples; then the prior's means and weights; last a common scale of
+    the misfits, the smallest sigma relative to its channel, so that the objective is of order one at most.
     """
     import casadi as ca
 
@@ -318,6 +321,8 @@ def _programme(shape: _Shape, max_iterations: int) -> _Programme:
     if shape.prior:
         given += [ca.MX.sym("means", len(system.names)), ca.MX.sym("precisions", len(system.names))]
         misfits.append(given[-1] * (given[-2] - logs))
+    given.append(ca.MX.sym("scale"))
+    misfits = [given[-1] * misfit for misfit in misfits]
     parts = [logs, *offsets, *states]
     model = ca.Function("model", [*parts, *given], [ca.vertcat(*misfits), ca.vertcat(*joins)])
     return _solver(model, len(parts), max_iterations, small=sum(r[0] for r in shape.records) * shape.substeps < EXPAND)
@@ -356,7 +361,7 @@ def _solver(model: Any, n_unknown: int, max_iterations: int, small: bool) -> _Pr
         {"x": w, "p": q, "f": 0.5 * ca.dot(misfit, misfit), "g": joins},
         {**options, "ipopt": {**quiet, "mu_strategy": "adaptive", "linear_solver": "mumps"}},
     )
-    return _Programme(solver, ca.Function("linear", [w, q], [misfit, slopes, ca.jacobian(joins, w)]))
+    return _Programme(solver, ca.Function("linear", [w, q], [misfit, slopes, ca.jacobian(joins, w), joins]))
 
 
 def _given(model: OutputError, plans: tuple[_Plan, ...], sigma: np.ndarray) -> np.ndarray:
@@ -370,7 +375,11 @@ def _given(model: OutputError, plans: tuple[_Plan, ...], sigma: np.ndarray) -> n
             number += 1
     if model.prior is not None:
         parts += [model.prior.log_mean, 1.0 / model.prior.log_sds]
-    return np.concatenate(parts)
+    return np.concatenate([*parts, [_scale(model, sigma)]])
+
+
+def _scale(model: OutputError, sigma: np.ndarray) -> float:
+    return float(np.min(sigma / model.rms))
 
 
 def _first_guess(model: OutputError, plans: tuple[_Plan, ...], theta: np.ndarray) -> np.ndarray:
@@ -430,27 +439,49 @@ def _shoot(
     low[layout.fixed] = high[layout.fixed] = w[layout.fixed]
     given = _given(model, plans, sigma)
     solution = programme.solver(x0=w, p=given, lbx=low, ubx=high, lbg=0.0, ubg=0.0)
-    statistics = programme.solver.stats()
+    iterations = int(programme.solver.stats()["iter_count"])
     w = np.asarray(solution["x"]).ravel()
-    if statistics["return_status"] not in SOLVED or not np.all(np.isfinite(w)):
+    for _ in range(POLISH):
+        if not np.all(np.isfinite(w)):
+            return None
+        misfit, reduced, move, gap = _reduced(programme, layout, w, given)
+        q, values, axes = np.linalg.svd(reduced, full_matrices=False)
+        downhill = q.T @ misfit
+        # its length in standard errors: the gain in the objective that is left
+        left = float(np.linalg.norm(downhill)) / _scale(model, sigma)
+        w = w - move @ (axes.T @ np.where(values > 1e-10 * values[0], downhill / np.maximum(values, 1e-300), 0.0))
+        if left < 1e-4 and gap < 1e-9:
+            break
+    if not (left < 0.05 and gap < 1e-6):
         return None
-    misfit, slopes, joins = programme.linear(w, given)
-    slopes, joins = slopes.sparse().tocsc(), joins.sparse().tocsc()
-    # states by the implicit function theorem: the space that the constraints leave
-    follow = splu(joins[:, layout.dependent]).solve(-joins[:, layout.independent].toarray())
-    reduced = slopes[:, layout.independent].toarray() + slopes[:, layout.dependent] @ follow
-    n = model.data.size
-    weights = 1.0 / sigma[model.channel_of]
-    q = np.linalg.svd(reduced, full_matrices=False)[0]
+    n, weights = model.data.size, _scale(model, sigma) / sigma[model.channel_of]
     return _Fit(
         theta=w[layout.independent],
         unknowns=w,
-        residuals=np.asarray(misfit).ravel()[:n] / weights,
+        residuals=misfit[:n] / weights,
         slopes=reduced[:n] / weights[:, None],
         used=float(np.sum(q[:n] ** 2)),
-        iterations=int(statistics["iter_count"]),
+        iterations=iterations,
         substeps=shape.substeps,
     )
+
+
+def _reduced(
+    programme: _Programme, layout: _Layout, w: np.ndarray, given: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Misfit and its slopes by the independent unknowns where the states follow; how all follow; the widest gap.
+
+    The states follow by the implicit function theorem: ``d dependent = -(joins by dependent)^-1 joins by independent``.
+    """
+    parts = programme.linear(w, given)
+    misfit = np.asarray(parts[0]).ravel()
+    slopes, by_state = parts[1].sparse().tocsc(), parts[2].sparse().tocsc()
+    gap = float(np.max(np.abs(np.asarray(parts[3])), initial=0.0)) / max(float(np.max(np.abs(w))), 1e-300)
+    follow = splu(by_state[:, layout.dependent]).solve(-by_state[:, layout.independent].toarray())
+    move = np.zeros((w.size, layout.independent.size))
+    move[layout.independent, np.arange(layout.independent.size)] = 1.0
+    move[layout.dependent] = follow
+    return misfit, slopes @ move, move, gap
 
 
 # ---------------------------------------------------------------------------------------------------- the answer

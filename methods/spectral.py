@@ -21,8 +21,9 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 from scipy.optimize import nnls
 
-from bench import Channel, Force, InitialState, Prior, Problem, Record, System, fitted_start, measurements
-from bench import regression_columns
+from bench import Channel, Estimate, Force, InitialState, Prior, Problem, Record, System, Units, fitted_start
+from bench import measurements, regression_columns
+from bench.systems import Dimension
 
 DECAYS = (0.15, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Decay rates of the grid, in 1 / record."""
@@ -32,6 +33,7 @@ MAX_CYCLES = 100.0
 SIGMA_FLOOR = 1e-4
 """The noise assumed while fitting is at least this part of a channel's root mean square; see ``noise``."""
 LOG_LIMIT = 40.0
+TIME_ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 SMALLEST = 0.02
 """A parameter that a regression finds negative or nil starts at this part of what would balance the other terms."""
 
@@ -224,6 +226,14 @@ def silent(problem: Problem) -> bool:
     return all(
         not np.any(c.values - (c.values[:1] if c.offset else 0.0)) for record in problem.records for c in record.channels
     )
+
+
+def offsets_in(units: Units, model: OutputError, estimate: Estimate) -> tuple[float, ...] | None:
+    """Offsets estimated in the natural ``units``, in those of the user (an Estimate cannot tell what a channel measures)."""
+    if estimate.offsets is None:
+        return None
+    sizes = [units.of(Dimension(0, 1, -TIME_ORDER[channel.measures])) for _, channel in model.channels]
+    return tuple(offset * size for offset, size in zip(estimate.offsets, sizes, strict=True))
 
 
 def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 8) -> list[tuple[float, np.ndarray]]:

@@ -1,0 +1,70 @@
+"""``python -m bench.benchmark``: time Tables 3 to 5, method by method, on two workers, and print the table.
+
+It runs the cells in a temporary store, so nothing stored is used or touched. ``replicates=`` and ``methods=``
+shorten it; the time for the full number of replicates is then extrapolated in proportion, and marked.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from tabulate import tabulate
+from tqdm import tqdm
+
+from bench.bound import load_bounds
+from bench.cell import Cell
+from bench.config import expand, jobs_to_cells
+from bench.errors import InputError
+from bench.runner import run_cells
+from bench.store import Store
+
+EXPERIMENTS = ("table3", "table4", "table5")
+
+
+def _cells(extra: Sequence[str]) -> list[Cell]:
+    """The different cells of the three tables."""
+    cells = [c for e in EXPERIMENTS for c in jobs_to_cells(expand([f"experiment={e}", *extra], multirun=True))]
+    return list({cell.identity: cell for cell in cells}.values())
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Time the methods; exit status 2 for bad input."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if {"-h", "--help"} & set(arguments):
+        print("usage: python -m bench.benchmark [replicates=<n>] [method=a,b] [workers=2]\n\n" + str(__doc__))
+        return 0
+    workers = next((int(a.partition("=")[2]) for a in arguments if a.startswith("workers=")), 2)
+    extra = [a for a in arguments if not a.startswith("workers=")]
+    try:
+        full = {(c.label, c.scenario): c.replicates for c in _cells([a for a in extra if a.startswith("method=")])}
+        cells = _cells(extra)
+    except InputError as error:
+        print(f"bench.benchmark: {error}", file=sys.stderr)
+        return 2
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        store = Store(Path(folder))
+        load_bounds([(cell.scenario, cell.seed) for cell in cells], store.bounds)
+        for label in dict.fromkeys(cell.label for cell in cells):
+            own = [cell for cell in cells if cell.label == label]
+            fits = sum(cell.replicates for cell in own)
+            with tqdm(total=fits, unit="fit", desc=label, file=sys.stderr, leave=False) as bar:
+                started = time.perf_counter()
+                results = run_cells(own, store, workers, lambda cell, n, bar=bar: bar.update(n))  # type: ignore[misc]
+                seconds = time.perf_counter() - started
+            cpu = sorted(row.cpu_s for result in results for row in result.rows)
+            wanted = sum(full[(c.label, c.scenario)] for c in own)
+            whole = seconds * wanted / fits
+            mark = "" if wanted == fits else " (extrapolated)"
+            rows.append([label, len(own), fits, f"{cpu[len(cpu) // 2]:.3g}", f"{seconds:.1f}", f"{whole:.0f}{mark}"])
+    headers = ["method", "cells", "fits", "cpu s/fit", "wall s", f"wall s, tables 3-5, {workers} workers"]
+    print(tabulate(rows, headers=headers, disable_numparse=True))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
