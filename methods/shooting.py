@@ -31,9 +31,8 @@ from bench import Card, Cost, Estimate, Identifier, InitialState, Normal, Ops, P
 from bench import Status, System, acceleration, numpy_ops, rk4_step, simulate, state_rate
 from methods.spectral import OutputError, offsets_in, screened, silent
 
-MAX_SUBSTEPS = 256
-EXPAND = 2000
-"""Runge-Kutta steps up to which the whole programme is unrolled: faster to run, slower to build."""
+SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(7) for n in (4, 6)), 512)
+MAX_SUBSTEPS = SUBSTEPS[-1]
 POLISH = 3
 """Gauss-Newton steps in the reduced space after IPOPT, at most: they make the answer free of its tolerance."""
 
@@ -51,7 +50,7 @@ class Shooting(Identifier):
     screen_iterations: int = 5
     margin: float = 15.0
     integration_error: float = 1e-8
-    noise_share: float = 0.02
+    noise_share: float = 0.05
     sigma_rounds: int = 4
     sigma_tolerance: float = 0.01
     max_iterations: int = 60
@@ -136,7 +135,7 @@ class Shooting(Identifier):
     def _substeps(
         self, model: OutputError, theta: np.ndarray, plans: tuple[_Plan, ...], sigma: np.ndarray
     ) -> int:
-        """Runge-Kutta steps in the longest interval, a power of two (so that few programmes are built).
+        """Runge-Kutta steps in the longest interval: 1, 2, 3, 4, 6, 8, 12, ... so that few programmes are built.
 
         An order-four step of ``w h`` radians turns the phase by ``(w h)^5 / 120`` too little; over the record the
         error is ``w T (w h)^4 / 120`` of the motion, and this is kept below what is allowed.
@@ -149,8 +148,8 @@ class Shooting(Identifier):
         duration = max(record.duration for record in model.problem.records)
         step = (120.0 * allowed / max(radians * duration, 1.0)) ** 0.25 / max(radians, 1e-9)
         longest = max(float(np.max(plan.steps)) for plan in plans)
-        wanted = np.ceil(np.log2(max(longest / step, 1.0)))
-        return int(min(2.0**wanted, MAX_SUBSTEPS))
+        wanted = min(longest / step, MAX_SUBSTEPS)
+        return int(next(n for n in SUBSTEPS if n >= wanted))
 
 
 @dataclass
@@ -325,10 +324,10 @@ def _programme(shape: _Shape, max_iterations: int) -> _Programme:
     misfits = [given[-1] * misfit for misfit in misfits]
     parts = [logs, *offsets, *states]
     model = ca.Function("model", [*parts, *given], [ca.vertcat(*misfits), ca.vertcat(*joins)])
-    return _solver(model, len(parts), max_iterations, small=sum(r[0] for r in shape.records) * shape.substeps < EXPAND)
+    return _solver(model, len(parts), max_iterations)
 
 
-def _solver(model: Any, n_unknown: int, max_iterations: int, small: bool) -> _Programme:
+def _solver(model: Any, n_unknown: int, max_iterations: int) -> _Programme:
     """IPOPT on ``½ |misfit|²`` subject to ``joins = 0``, with the Gauss-Newton Hessian."""
     import casadi as ca
 
@@ -341,20 +340,16 @@ def _solver(model: Any, n_unknown: int, max_iterations: int, small: bool) -> _Pr
 
     w, q = ca.MX.sym("w", sum(sizes[:n_unknown])), ca.MX.sym("q", sum(sizes[n_unknown:]))
     misfit, joins = model.call([*cut(w, 0, n_unknown), *cut(q, n_unknown, len(sizes))], True, False)
-    if small:
-        flat = ca.Function("flat", [w, q], [misfit, joins]).expand()
-        w, q = ca.SX.sym("w", w.numel()), ca.SX.sym("q", q.numel())
-        misfit, joins = flat(w, q)
-    slopes, factor = ca.jacobian(misfit, w), type(w).sym("lam_f")
+    slopes, factor = ca.jacobian(misfit, w), ca.MX.sym("lam_f")
     hessian = ca.Function(
         "nlp_hess_l",
-        [w, q, factor, type(w).sym("lam_g", joins.numel())],
+        [w, q, factor, ca.MX.sym("lam_g", joins.numel())],
         [factor * ca.triu(slopes.T @ slopes)],
         ["x", "p", "lam_f", "lam_g"],
         ["hess"],
     )
     quiet = {"print_level": 0, "sb": "yes", "max_iter": max_iterations, "tol": 1e-8, "acceptable_tol": 1e-6}
-    options = {"hess_lag": hessian, "print_time": False, "error_on_fail": False, "show_eval_warnings": False}
+    options = {"hess_lag": hessian, "print_time": False, "error_on_fail": False, "show_eval_warnings": False, "calc_lam_p": False}
     solver = ca.nlpsol(
         "shooting",
         "ipopt",
@@ -444,7 +439,10 @@ def _shoot(
     for _ in range(POLISH):
         if not np.all(np.isfinite(w)):
             return None
-        misfit, reduced, move, gap = _reduced(programme, layout, w, given)
+        try:
+            misfit, reduced, move, gap = _reduced(programme, layout, w, given)
+        except (RuntimeError, np.linalg.LinAlgError):  # a singular system: IPOPT ran away
+            return None
         q, values, axes = np.linalg.svd(reduced, full_matrices=False)
         downhill = q.T @ misfit
         # its length in standard errors: the gain in the objective that is left
@@ -477,7 +475,7 @@ def _reduced(
     misfit = np.asarray(parts[0]).ravel()
     slopes, by_state = parts[1].sparse().tocsc(), parts[2].sparse().tocsc()
     gap = float(np.max(np.abs(np.asarray(parts[3])), initial=0.0)) / max(float(np.max(np.abs(w))), 1e-300)
-    follow = splu(by_state[:, layout.dependent]).solve(-by_state[:, layout.independent].toarray())
+    follow = splu(by_state[:, layout.dependent].tocsc()).solve(-by_state[:, layout.independent].toarray())
     move = np.zeros((w.size, layout.independent.size))
     move[layout.independent, np.arange(layout.independent.size)] = 1.0
     move[layout.dependent] = follow

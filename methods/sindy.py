@@ -53,10 +53,10 @@ SWEEPS = 20
 
 @dataclass(frozen=True)
 class SINDy(Identifier):
-    """Sparse identification; ``degree`` of the library, ``thresholds`` tried, ``bootstrap`` data sets drawn."""
+    """Sparse identification; ``degree`` of the library, ``most_terms`` in an equation, ``bootstrap`` data sets drawn."""
 
     degree: int = 3
-    thresholds: tuple[float, ...] = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
+    most_terms: int = 8
     bootstrap: int = 60
 
     card: ClassVar[Card] = Card(
@@ -73,9 +73,8 @@ class SINDy(Identifier):
     extra: ClassVar[str] = "sindy"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "thresholds", tuple(float(t) for t in self.thresholds))
-        if not self.thresholds or not all(0 <= t < 1 for t in self.thresholds):
-            raise InputError("method.thresholds", self.thresholds, "shares of the acceleration, from 0 to below 1")
+        if self.most_terms < 1:
+            raise InputError("method.most_terms", self.most_terms, "at least 1")
         if self.degree < 1:
             raise InputError("method.degree", self.degree, "at least 1")
 
@@ -90,14 +89,14 @@ class SINDy(Identifier):
             fit = spline_fit(regression)
             library = _Library.of(regression, self.degree)
             motions = regression.motions(regression.values, fit.smoother, np.array([fit.which]))
-            models = library.sparse_models(motions, self.thresholds)
+            models = library.sparse_models(motions, self.most_terms)
         except Unusable as reason:
             return Estimate.failed(problem.system, reason.status, str(reason))
         best = library.best(models, motions, fit)
         unknowns = library.projected(motions, models[best][None])[0]
 
         def fitter(values: Values) -> np.ndarray:
-            return library.refit(values, fit, self.thresholds[best])
+            return library.refit(values, fit, best + 1)
 
         covariance = bootstrap_covariance(fit, fitter, rng, self.bootstrap)
         traces = {"coefficients": models[best] * library.scales(units), "powers": library.powers.astype(float)}
@@ -158,9 +157,9 @@ class _Library:
         monomials = units.length ** self.powers[:, :n].sum(1) * velocity ** self.powers[:, n:].sum(1)
         return acceleration / np.concatenate([monomials, np.full(len(self.pushed), units.mass * acceleration)])
 
-    def sparse_models(self, motions: Sequence[Motion], thresholds: Sequence[float]) -> np.ndarray:
-        """One model (n_dof, terms) a threshold, by pysindy's STLSQ. Raises Unusable where samples are too few."""
-        from pysindy import STLSQ
+    def sparse_models(self, motions: Sequence[Motion], most_terms: int) -> np.ndarray:
+        """Models (sizes, n_dof, terms) of 1, 2, ... terms by pysindy's FROLS. Raises Unusable for too few samples."""
+        from pysindy import FROLS
 
         features = self.features(motions)[0]
         if features.shape[0] <= features.shape[1]:
@@ -168,16 +167,14 @@ class _Library:
             needed = features.shape[1] + 1 + lost * len(motions)
             sentence = f"its library of {features.shape[1]} terms needs at least {needed} samples"
             raise Unusable(Status.UNSUPPORTED, sentence)
-        target = np.concatenate([a[:, 0] for _, _, _, a in motions], axis=-1)
-        models = np.zeros((len(thresholds), target.shape[0], features.shape[1]))
+        target = np.concatenate([a[:, 0] for _, _, _, a in motions], axis=-1).T
+        norms, size = np.linalg.norm(features, axis=0), np.linalg.norm(target, axis=0)
+        most = min(most_terms, features.shape[1] - 1)
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            for i, threshold in enumerate(thresholds):
-                for dof, a in enumerate(target):
-                    size = np.linalg.norm(a)
-                    sparse = STLSQ(threshold=threshold, alpha=0.0, normalize_columns=True, max_iter=SWEEPS)
-                    models[i, dof] = sparse.fit(features, a[:, None] / size).coef_[0] * size
-        return models
+            # columns and target of unit norm: the greedy selection does not depend on them, its rounding does
+            sparse = FROLS(alpha=0.0, max_iter=most, unbias=False).fit(features / norms, target / size)
+        return np.stack(sparse.history_[1 : most + 1]) * size[:, None] / norms
 
     def best(self, models: np.ndarray, motions: Sequence[Motion], fit: SplineFit) -> int:
         """Number of the model of least Bayesian information criterion of its simulated response."""
@@ -244,8 +241,8 @@ class _Library:
         replaced = [(t, x, v, a) for (t, x, v, _), a in zip(motions, parts, strict=True)]
         return solve(*self.regression.equations(replaced))
 
-    def refit(self, values: Values, fit: SplineFit, threshold: float) -> np.ndarray:
-        """Unknowns (sets, q) of other data (n_dof, sets, n) a record, at one threshold."""
+    def refit(self, values: Values, fit: SplineFit, size: int) -> np.ndarray:
+        """Unknowns (sets, q) of other data (n_dof, sets, n) a record, with equally many terms."""
         chosen = smoothings(self.regression, fit, values)
         found = np.full((len(chosen), fit.unknowns.size), np.nan)
         for smoother in sorted({s for s, _ in chosen}):
@@ -255,28 +252,31 @@ class _Library:
             target = np.concatenate([a for _, _, _, a in motions], axis=-1)
             features = self.features(motions)
             if features.shape[1] > features.shape[2]:
-                models = np.stack([thresholded(features, a, threshold) for a in target], axis=1)
+                models = np.stack([greedy(features, a, size) for a in target], axis=1)
                 found[mine] = self.projected(motions, models)
         return found
 
 
-def thresholded(features: np.ndarray, target: np.ndarray, threshold: float) -> np.ndarray:
-    """Sequentially thresholded least squares, (sets, terms), of features (sets, rows, terms), target (sets, rows).
+def greedy(features: np.ndarray, target: np.ndarray, size: int) -> np.ndarray:
+    """Forward orthogonal least squares, (sets, terms), of features (sets, rows, terms) and target (sets, rows).
 
-    The vectorised twin of ``pysindy.STLSQ(alpha=0, normalize_columns=True)`` on a target of unit norm, for the
-    bootstrap; a test holds the two together.
+    Each of ``size`` steps takes the term that, made orthogonal to those taken, explains most of the target. The
+    vectorised twin of ``pysindy.FROLS(alpha=0)``, for the bootstrap; a test holds the two together.
     """
     norms = np.linalg.norm(features, axis=1)
-    norms = np.where(norms > 0, norms, 1.0)
-    columns, size = features / norms[:, None], np.linalg.norm(target, axis=1)[:, None]
-    gram = np.swapaxes(columns, 1, 2) @ columns
-    moment = (np.swapaxes(columns, 1, 2) @ target[..., None])[..., 0]
-    kept = np.ones(norms.shape, bool)
-    for _ in range(SWEEPS + 1):
-        square = np.where(kept[:, :, None] & kept[:, None, :], gram, np.eye(norms.shape[1]))
-        coefficients = np.linalg.solve(square, np.where(kept, moment, 0.0)[..., None])[..., 0]
-        smaller = kept & (np.abs(coefficients) >= threshold * size)
-        if np.array_equal(smaller, kept):
-            break
-        kept = smaller
-    return np.where(kept, coefficients, 0.0) / norms
+    columns = features / np.where(norms > 0, norms, 1.0)[:, None]
+    left, rows = columns.copy(), np.arange(len(features))
+    kept = np.zeros(norms.shape, bool)
+    for _ in range(size):
+        power = np.sum(left**2, axis=1)
+        free = ~kept & (power > 1e-20)
+        gain = np.where(free, np.einsum("srk,sr->sk", left, target) ** 2 / np.where(free, power, 1.0), -1.0)
+        best = np.argmax(gain, axis=1)
+        kept[rows, best] = True
+        taken = left[rows, :, best] / np.sqrt(np.maximum(power[rows, best], 1e-300))[:, None]
+        left = left - taken[:, :, None] * np.einsum("sr,srk->sk", taken, left)[:, None]
+    both = kept[:, :, None] & kept[:, None, :]
+    square = np.where(both, np.swapaxes(columns, 1, 2) @ columns, np.eye(norms.shape[1]))
+    moment = np.where(kept, np.einsum("srk,sr->sk", columns, target), 0.0)
+    coefficients = np.linalg.solve(square, moment[..., None])[..., 0]
+    return np.where(kept, coefficients, 0.0) / np.where(norms > 0, norms, 1.0)
