@@ -23,6 +23,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from bench.errors import InputError
 from bench.mechanics import rk4_step
 from bench.problem import Force
 from bench.scenario import Scenario
@@ -233,5 +234,9 @@ def load_bounds(wanted: Sequence[tuple[Scenario, int]], folder: Path) -> list[Bo
 
 
 def _from_file(path: Path) -> Bound:
-    values = json.loads(path.read_text())
-    return Bound(**{**values, "names": tuple(values["names"]), "null_space": tuple(map(tuple, values["null_space"]))})
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        names, null_space = tuple(values.pop("names")), tuple(map(tuple, values.pop("null_space")))
+        return Bound(names=names, null_space=null_space, **values)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError("store", path, "not a whole bound; remove it, it is computed anew") from None

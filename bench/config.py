@@ -210,6 +210,9 @@ def expand(texts: Sequence[str], multirun: bool) -> list[Job]:
         return [job for name in experiment for job in expand([*others, f"experiment={name}"], multirun)]
     set_by_experiment = _experiment(experiment[0])
     sweep = {**set_by_experiment.get("sweep", {}), **overrides}
+    for group in set(GROUPS) & set(sweep):
+        for value in sweep[group]:
+            _known_choice(group, value)
     swept = [key for key, values in sweep.items() if len(values) > 1]
     if swept and not multirun:
         raise InputError(swept[0], ",".join(map(str, sweep[swept[0]])), "several values need -m")
@@ -263,9 +266,6 @@ def _experiment(name: str | None) -> dict[str, Any]:
     text = files("conf").joinpath("experiment", f"{name}.yaml").read_text(encoding="utf-8")
     content = OmegaConf.to_container(OmegaConf.create(text))
     assert isinstance(content, dict)
-    for key, values in content.get("sweep", {}).items():
-        for value in values if key in GROUPS else []:
-            _known_choice(key, value)
     return {str(key): value for key, value in content.items()}
 
 

@@ -108,10 +108,14 @@ def measured_problem(job: Job) -> Problem:
     if system.n_dof != 1:
         raise InputError("system", config.system.label, "a record with columns t, x is of one DOF")
     table = read_record(config.data)
-    force = () if table.force is None else (Force(table.times, table.force),)
     start = _start(job)
-    channel = Channel(table.times, table.displacement, unit=table.unit, offset=start is None)
-    return Problem(system, (Record((channel,), force, start),), _prior(job, system), name=config.data.name)
+    try:
+        channel = Channel(table.times, table.displacement, unit=table.unit, offset=start is None)
+        forces = () if table.force is None else (Force(table.times, table.force),)
+        record = Record((channel,), forces, start)
+    except InputError as error:
+        raise InputError("data", f"{config.data} ({error.field} {error.value})", error.remedy) from None
+    return Problem(system, (record,), _prior(job, system), name=config.data.name)
 
 
 def _start(job: Job) -> InitialState | None:

@@ -23,6 +23,8 @@ class Prior:
     log_sd: Mapping[str, float]
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "nominal", dict(self.nominal))
+        object.__setattr__(self, "log_sd", dict(self.log_sd))
         for name, value in self.nominal.items():
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"prior.nominal.{name}", value, "a nominal value is a positive number")

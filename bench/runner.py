@@ -161,9 +161,15 @@ def _row(outcome: Outcome, pair: tuple[Problem, Truth]) -> Row:
     problem, truth = pair
     status, message, scores, evaluations = outcome.status, outcome.message, {}, 0
     if outcome.estimate is not None:
-        estimate = combine_with_prior(outcome.estimate, problem.prior).checked()
-        status, message = estimate.status, estimate.message
-        scores, evaluations = score(estimate, problem, truth), estimate.cost.evaluations
+        evaluations = outcome.estimate.cost.evaluations
+        try:
+            with np.errstate(all="ignore"):
+                estimate = combine_with_prior(outcome.estimate, problem.prior).checked()
+                scores = score(estimate, problem, truth)
+            status, message = estimate.status, estimate.message
+        except Exception as error:  # names, shapes or a reconstruction that the contract does not allow
+            text = f"the estimate cannot be scored: {type(error).__name__}: {error}"
+            status, message = Status.INVALID, " ".join(text.split())[:300]
         if status is Status.OK:
             scores["realised_snr_db"] = truth.realised_snr_db
     return Row(
@@ -201,7 +207,7 @@ def _finish(state: _Pending, store: Store) -> StoredCell:
         provenance=provenance(),
     )
     store.save(stored)
-    return stored
+    return store.load(cell.identity) or stored  # as stored, so that a second run prints the very same
 
 
 @cache

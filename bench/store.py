@@ -165,6 +165,8 @@ class Store:
             if content["format"] != FORMAT:
                 remedy = f"format {content['format']}, this version reads {FORMAT}; move it away"
                 raise InputError("store", path, remedy)
+            if content["identity"] != path.stem:
+                raise InputError("store", path, f"it holds the cell {content['identity']}; move it away")
             return StoredCell(
                 identity=content["identity"],
                 cell=content["cell"],
@@ -177,5 +179,5 @@ class Store:
             )
         except InputError:
             raise
-        except (OSError, ValueError, KeyError, TypeError, IndexError):
+        except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError):
             raise InputError("store", path, "not a whole cell of this benchmark; move it away and run again") from None

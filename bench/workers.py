@@ -84,6 +84,7 @@ def _perform(task: Task) -> list[Outcome]:
             estimates = task.fit(task.payloads, task.rngs)
         if len(estimates) != len(task.replicates) or not all(isinstance(e, Estimate) for e in estimates):
             raise TypeError(f"{len(task.replicates)} Estimate objects were expected")
+        checked = [estimate.checked() for estimate in estimates]
     except MemoryError:
         return [Outcome(r, None, Status.OOM, "out of memory") for r in task.replicates]
     except Exception as error:
@@ -92,7 +93,6 @@ def _perform(task: Task) -> list[Outcome]:
     n = len(task.replicates)
     wall, cpu = (time.perf_counter() - wall) / n, (time.process_time() - cpu) / n
     memory = _peak_memory_mb()
-    checked = [estimate.checked() for estimate in estimates]
     return [
         Outcome(r, e, e.status, e.message, wall, cpu, memory) for r, e in zip(task.replicates, checked, strict=True)
     ]
@@ -173,6 +173,9 @@ def _collect(
         except (EOFError, OSError):
             worker.process.join(5)
             failure = _death(worker.process.exitcode)
+        except Exception as error:
+            message = " ".join(f"the estimate cannot be unpickled: {type(error).__name__}: {error}".split())[:300]
+            outcomes = [Outcome(r, None, Status.INVALID, message) for r in task.replicates]
     else:
         failure = Status.TIMEOUT, f"stopped after the limit of {task.timeout_s:g} s"
     if outcomes is None:

@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -27,8 +28,19 @@ from scipy.linalg import eigh
 
 from bench import Estimate, Normal, Problem, Record, Status, System, numpy_ops, regression_columns, simulate, state_rate
 
-Motion = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Times (rows,), and displacement, velocity, acceleration, each (n_dof, sets, rows)."""
+
+class Motion(NamedTuple):
+    """Times (rows,), and displacement, velocity, acceleration, each (n_dof, sets, rows).
+
+    ``force`` of that shape is the known force smoothed like the motion; None means the force itself.
+    """
+
+    times: np.ndarray
+    x: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    force: np.ndarray | None = None
+
 
 Values = Sequence[np.ndarray]
 """Displacements, one array of shape (n_dof, sets, n) a record."""
@@ -76,7 +88,7 @@ def finite_differences(times: np.ndarray, samples: np.ndarray) -> Motion:
     both = h1 + h2
     velocity = -h2 / (h1 * both) * before + (h2 - h1) / (h1 * h2) * here + h1 / (h2 * both) * after
     acceleration = 2.0 / (h1 * both) * before - 2.0 / (h1 * h2) * here + 2.0 / (h2 * both) * after
-    return times[1:-1], here, velocity, acceleration
+    return Motion(times[1:-1], here, velocity, acceleration)
 
 
 class SmoothingSpline:
@@ -148,21 +160,24 @@ class SmoothingSpline:
         parts = samples @ self._project.T
         rough = parts[..., self.order :] ** 2
         outside = np.clip(np.sum(samples**2, -1) - np.sum(parts**2, -1), 0.0, None)
-        kept = 1.0 / (1.0 + self.weights[:, None] * self._rough[self.order :])
+        shrunk = np.maximum(self.weights[:, None] * self._rough[self.order :], 1e-300)
+        kept = 1.0 / (1.0 + shrunk)
         # the quadratic form of the likelihood, (..., weights); a floor keeps exact data finite
         form = rough @ (1.0 - kept).T + outside[..., None]
         size = np.maximum(np.sum(rough, -1) + outside, 1e-300)
         dof = self.n - self.order
-        log_det = -np.sum(np.log1p(-kept), axis=-1)
+        log_det = np.sum(np.log1p(1.0 / shrunk), axis=-1)
         best = np.argmin(dof * np.log(np.maximum(form, 1e-28 * size[..., None])) + log_det, axis=-1)
-        noise = np.take_along_axis(form, best[..., None], -1)[..., 0] / dof
-        return self.weights[best], np.sqrt(noise)
+        # residual power over the degrees of freedom that the spline left (Wahba 1990, section 4.7)
+        left = 1.0 - kept[best]
+        freedom = np.maximum(self.n - self.order - np.sum(kept[best], axis=-1), 1.0)
+        return self.weights[best], np.sqrt((np.sum(rough * left**2, axis=-1) + outside) / freedom)
 
     def motion(self, coefficients: np.ndarray, times: np.ndarray) -> Motion:
         """The splines, their velocities and accelerations at the times (rows,), each (..., rows)."""
         at = (times - self.times[0]) / self.step
         x, v, a = (coefficients @ self._basis(at, i).T / self.step**i for i in range(3))
-        return times, x, v, a
+        return Motion(times, x, v, a)
 
 
 @lru_cache(maxsize=64)
@@ -260,9 +275,12 @@ class Regression:
         n = self.system.n_dof
         columns, targets = [], []
         with_offset = [any(c.offset for c in record.channels) for record in self.records]
-        for i, (record, (times, x, v, a)) in enumerate(zip(self.records, motions, strict=True)):
-            a_matrix, offset = regression_columns(self.system, list(x), list(v), list(a), record.force(times, n))
-            sets, rows = x.shape[1:]
+        for i, (record, motion) in enumerate(zip(self.records, motions, strict=True)):
+            force = record.force(motion.times, n) if motion.force is None else motion.force
+            a_matrix, offset = regression_columns(
+                self.system, list(motion.x), list(motion.v), list(motion.a), list(force)
+            )
+            sets, rows = motion.x.shape[1:]
             # regression_columns stacks the DOFs on the first axis and the parameters on the second
             a_matrix = a_matrix.reshape(n, sets, -1, rows).transpose(1, 3, 0, 2).reshape(sets, rows * n, -1)
             offset = offset.reshape(n, sets, rows).transpose(1, 2, 0).reshape(sets, rows * n)
@@ -285,12 +303,21 @@ class Regression:
         return self.equations(self.motions(values, smoother, which))
 
     def motions(self, values: Values, smoother: tuple[int, int], which: np.ndarray) -> list[Motion]:
-        """The motion of those splines at the samples, less those left out at the ends."""
+        """The motion of those splines at the samples, less those left out at the ends.
+
+        The force is smoothed alike, from its values at the samples: smoothing that damps some frequency of the motion
+        and not of the force would make the system seem heavier and stiffer than it is.
+        """
         order, trim = smoother
         motions = []
-        for times, y in zip(self.times, values, strict=True):
-            spline = smoothing_spline(times, order)
-            motions.append(spline.motion(spline.fit(y, spline.weights[which]), times[trim : times.size - trim]))
+        for record, times, y in zip(self.records, self.times, values, strict=True):
+            spline, inner = smoothing_spline(times, order), times[trim : times.size - trim]
+            weights = spline.weights[which]
+            motion = spline.motion(spline.fit(y, weights), inner)
+            if self.forced:
+                pushes = np.array(record.force(times, self.system.n_dof))[:, None]
+                motion = motion._replace(force=spline.motion(spline.fit(pushes, weights), inner).x)
+            motions.append(motion)
         return motions
 
 
@@ -304,7 +331,8 @@ def solve(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
         scaled = columns / size[:, None, :]
         healthy = np.all(np.isfinite(scaled), axis=(-2, -1)) & np.all(np.isfinite(target), axis=-1)
         scaled = np.where(healthy[:, None, None], scaled, 0.0)
-        triangle = np.linalg.qr(np.concatenate([scaled, np.where(healthy[:, None], target, 0.0)[..., None]], -1), "r")
+        both = np.concatenate([scaled, np.where(healthy[:, None], target, 0.0)[..., None]], axis=-1)
+        triangle = np.asarray(np.linalg.qr(both, "r"))
         square = triangle[:, :q, :q]
         healthy &= np.min(np.abs(np.diagonal(square, axis1=-2, axis2=-1)), axis=-1, initial=1.0) > SINGULAR
         square = np.where(healthy[:, None, None], square, np.eye(q))
@@ -321,7 +349,7 @@ def responses(
     """Displacements (n_dof, sets, n) simulated at parameters (sets,), from the told start or the best-fitting one.
 
     The vectorised twin of :func:`bench.fitted_start`, on data ``y`` (n_dof, sets or 1, n) in place of the record's:
-    Gauss-Newton over the start by finite differences, one step for a linear system (exact), a few from ``guess``
+    Gauss-Newton over the start by finite differences, one step for a linear system (exact), two from ``guess``
     (2 n_dof,) for others. Estimated offsets are in the response. NaN where it diverges.
     """
     sets, n = np.shape(next(iter(p.values())))[0], system.n_dof
@@ -348,7 +376,7 @@ def responses(
         size = np.max(np.abs(y)) * np.repeat([1.0, 1.0 / record.duration], n)
         theta = np.repeat(0.0 * guess[:, None] if system.linear else guess[:, None], sets, 1)
         trials = 1e-3 * np.concatenate([np.zeros((2 * n, 1)), np.diag(size)], axis=1)[..., None]
-        for _ in range(1 if system.linear else 4):
+        for _ in range(1 if system.linear else 2):
             x = at(theta[:, None] + trials)
             jacobian = (x[:, 1:] - x[:, :1]) / 1e-3
             misfit = (y - x[:, 0]).transpose(1, 0, 2).reshape(sets, -1)
@@ -372,7 +400,7 @@ def _shortest(jacobian: np.ndarray, misfit: np.ndarray) -> np.ndarray:
 
 
 def too_fast(system: System, p: Mapping[str, np.ndarray], state: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Which parameter sets (sets,) move faster than samples can show: over 2π radians a step, at rest or at a state.
+    """Which parameter sets (sets,) move faster than samples can show: over π radians a step, at rest or at a state.
 
     The rates are the eigenvalues of the equation of motion linearised by finite differences. Not finite counts.
     """
@@ -392,7 +420,7 @@ def too_fast(system: System, p: Mapping[str, np.ndarray], state: np.ndarray, tim
             healthy = np.all(np.isfinite(jacobian), axis=(-2, -1))
             rate = np.max(np.abs(np.linalg.eigvals(np.where(healthy[:, None, None], jacobian, 0.0))), axis=-1)
             fastest = np.maximum(fastest, np.where(healthy, rate, np.inf))
-    return np.asarray(fastest * np.median(np.diff(times)) > 2 * np.pi)
+    return np.asarray(fastest * np.median(np.diff(times)) > np.pi)
 
 
 # ------------------------------------------------------------------------------- the spline fit, and the bootstrap
@@ -463,16 +491,19 @@ def spline_fit(regression: Regression) -> SplineFit:
     estimate, each estimate a simulated response, and the response of largest likelihood names the smoothing.
     """
     usable = _usable(regression)
-    trial = _try(regression, regression.values, usable, np.arange(WEIGHTS))
+    # integrating a nonlinear system takes its time: fewer weights
+    which = np.arange(0, WEIGHTS, 1 if regression.system.linear else 3)
+    trial = _try(regression, regression.values, usable, which)
     best = int(np.argmin(trial.deviance[0]))
     if not np.isfinite(trial.deviance[0, best]):
-        return _unexplained(regression, trial, usable[0])
+        return _unexplained(regression, usable[0])
     centres = tuple(x[:, 0, best] for x in trial.responses)
     noise = tuple(
         np.sqrt(np.sum((centre - y[:, 0]) ** 2, axis=-1) / _left(regression, record))
         for record, centre, y in zip(regression.records, centres, regression.values, strict=True)
     )
-    return SplineFit(trial.unknowns[0, best], usable[best // WEIGHTS], best % WEIGHTS, centres, noise)
+    smoother, weight = usable[best // which.size], int(which[best % which.size])
+    return SplineFit(trial.unknowns[0, best], smoother, weight, centres, noise)
 
 
 def _usable(regression: Regression) -> list[tuple[int, int]]:
@@ -492,17 +523,18 @@ def _left(regression: Regression, record: Record) -> float:
     return float(max(1.0, record.n / n_dof - shared - own))
 
 
-def _unexplained(regression: Regression, trial: _Trial, smoother: tuple[int, int]) -> SplineFit:
+def _unexplained(regression: Regression, smoother: tuple[int, int]) -> SplineFit:
     """No smoothing gives a response like the data: fall back on the likelihood of the spline alone."""
     centres, noise, numbers = [], [], []
     for times, y in zip(regression.times, regression.values, strict=True):
         spline = smoothing_spline(times, smoother[0])
         weights, sd = spline.likely_weights(y[:, 0])
-        centres.append(spline.motion(spline.fit(y[:, 0], weights), times)[1])
+        centres.append(spline.motion(spline.fit(y[:, 0], weights), times).x)
         noise.append(sd)
         numbers.append(np.flatnonzero(np.isin(spline.weights, weights)))
     which = int(np.median(np.concatenate(numbers)))
-    return SplineFit(trial.unknowns[0, which], smoother, which, tuple(centres), tuple(noise), explained=False)
+    unknowns = solve(*regression.splines(regression.values, smoother, np.array([which])))[0]
+    return SplineFit(unknowns, smoother, which, tuple(centres), tuple(noise), explained=False)
 
 
 def spline_refit(regression: Regression, fit: SplineFit, values: Values) -> np.ndarray:

@@ -27,11 +27,29 @@ from typing import Any, ClassVar, cast
 import numpy as np
 from scipy.sparse.linalg import splu
 
-from bench import Card, Cost, Estimate, Identifier, InitialState, Normal, Ops, Problem, Record, Serves, SimulatedResponse
-from bench import Status, System, acceleration, numpy_ops, rk4_step, simulate, state_rate
+from bench import (
+    Card,
+    Cost,
+    Estimate,
+    Identifier,
+    InitialState,
+    Normal,
+    Ops,
+    Problem,
+    Record,
+    Serves,
+    SimulatedResponse,
+    Status,
+    System,
+    acceleration,
+    numpy_ops,
+    rk4_step,
+    simulate,
+    state_rate,
+)
 from methods.spectral import OutputError, offsets_in, screened, silent
 
-SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(7) for n in (4, 6)), 512)
+SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
 MAX_SUBSTEPS = SUBSTEPS[-1]
 POLISH = 3
 """Gauss-Newton steps in the reduced space after IPOPT, at most: they make the answer free of its tolerance."""
@@ -41,9 +59,10 @@ POLISH = 3
 class Shooting(Identifier):
     """CasADi multiple shooting with the Gauss-Newton Hessian; settings below, the method in the module's docstring.
 
-    ``starts`` separate starts at most; one is followed while its objective after the screen (twice the negative log-posterior) is within ``margin``
-    of the best. ``integration_error`` is the allowed error of the integration relative to the size of the motion,
-    or ``noise_share`` of the standard error that the data allow, whichever is larger. ``sigma_rounds`` fits at most.
+    At most ``starts`` separate starts get ``screen_iterations`` output-error steps; each is then solved by shooting
+    if minus twice its log-posterior is within ``margin`` of the best. The integration may err by ``integration_error``
+    of the motion, or by ``noise_share`` of the standard error that the data allow, whichever is larger.
+    Fit and noise alternate at most ``sigma_rounds`` times, until the noise changes by less than ``sigma_tolerance``.
     """
 
     starts: int = 3
@@ -112,29 +131,27 @@ class Shooting(Identifier):
         residuals = model.data - model.predict(theta)
         if not np.all(np.isfinite(residuals)):
             return None
-        sigma, fit, iterations = model.noise(residuals, float(model.size)), None, 0
+        used, fit, iterations, substeps = float(model.size), None, 0, 1
+        sigma = model.noise(residuals, used)
         plans = tuple(_Plan(model.system, record) for record in model.problem.records)
         for _ in range(self.sigma_rounds):
-            substeps = max(self._substeps(model, theta, plans, sigma), fit.substeps if fit else 1)
+            substeps = max(self._substeps(model, theta, plans, model.noise(residuals, used, floor=0.0)), substeps)
             shape = _Shape.of(model, plans, substeps)
             last, fit = fit, _shoot(shape, model, plans, theta, sigma, self.max_iterations, fit)
             if fit is None:
                 return last
             iterations += fit.iterations
-            updated = model.noise(fit.residuals, fit.used)
-            theta, settled = fit.theta, np.max(np.abs(np.log(updated / sigma))) < self.sigma_tolerance
-            sigma = updated
-            # the solution may be faster than the start was: then the steps were too long
-            if settled and self._substeps(model, theta, plans, sigma) <= fit.substeps:
+            theta, residuals, used = fit.theta, fit.residuals, fit.used
+            fit.sigma, fit.profile = model.noise(residuals, used, floor=0.0), model.profile(theta)
+            fit.iterations = iterations
+            before, sigma = sigma, model.noise(residuals, used)
+            # the solution may be faster than the start was, or fit better: then the steps were too long
+            enough = self._substeps(model, theta, plans, fit.sigma) <= substeps
+            if enough and np.max(np.abs(np.log(sigma / before))) < self.sigma_tolerance:
                 break
-        assert fit is not None
-        fit.iterations, fit.sigma = iterations, model.noise(fit.residuals, fit.used, floor=0.0)
-        fit.profile = model.profile(theta)
         return fit
 
-    def _substeps(
-        self, model: OutputError, theta: np.ndarray, plans: tuple[_Plan, ...], sigma: np.ndarray
-    ) -> int:
+    def _substeps(self, model: OutputError, theta: np.ndarray, plans: tuple[_Plan, ...], sigma: np.ndarray) -> int:
         """Runge-Kutta steps in the longest interval: 1, 2, 3, 4, 6, 8, 12, ... so that few programmes are built.
 
         An order-four step of ``w h`` radians turns the phase by ``(w h)^5 / 120`` too little; over the record the
@@ -164,6 +181,7 @@ class _Fit:
     iterations: int
     substeps: int
     sigma: np.ndarray = field(default_factory=lambda: np.ones(1))
+    """Noise by channel as the residuals have it, without a floor."""
     profile: float = np.inf
 
 
@@ -182,7 +200,8 @@ class _Plan:
         far = np.array(record.force(self.grid[:-1] + 0.75 * self.steps, n)).reshape(n, -1)
         self.forces = np.concatenate([1.5 * near - 0.5 * far, 1.5 * far - 0.5 * near])
         self.at = tuple(
-            np.abs(self.grid[None] - c.times[:, None]).argmin(axis=1) if c.n else np.zeros(0, int) for c in record.channels
+            np.abs(self.grid[None] - c.times[:, None]).argmin(axis=1) if c.n else np.zeros(0, int)
+            for c in record.channels
         )
         self.sensor_forces = tuple(np.array(record.force(c.times, n)).reshape(n, -1) for c in record.channels)
 
@@ -263,13 +282,16 @@ def _interval(system: System, substeps: int) -> Any:
     n, ops = system.n_dof, _casadi_ops()
     state, logs = ca.SX.sym("s", 2 * n), ca.SX.sym("p", len(system.names))
     length, forces = ca.SX.sym("h"), ca.SX.sym("f", 2 * n)
+    part, width = ca.SX.sym("part"), ca.SX.sym("width")
     p = {name: ca.exp(logs[i]) for i, name in enumerate(system.names)}
-    now = ca.vertsplit(state)
     start, end = ca.vertsplit(forces)[:n], ca.vertsplit(forces)[n:]
+    at = [[a + (part + d * width) * (b - a) for a, b in zip(start, end, strict=True)] for d in (0.0, 0.5, 1.0)]
+    after = rk4_step(system, p, ca.vertsplit(state), length * width, (at[0], at[1], at[2]), ops)
+    step = ca.Function("step", [state, logs, length, forces, part, width], [ca.vertcat(*after)])
+    now = state
     for j in range(substeps):
-        at = [[a + (j + part) / substeps * (b - a) for a, b in zip(start, end, strict=True)] for part in (0.0, 0.5, 1.0)]
-        now = rk4_step(system, p, now, length / substeps, (at[0], at[1], at[2]), ops)
-    return ca.Function("interval", [state, logs, length, forces], [ca.vertcat(*now)])
+        now = step(now, logs, length, forces, j / substeps, 1.0 / substeps)
+    return ca.Function("interval", [state, logs, length, forces], [now])
 
 
 def _accelerations(system: System) -> Any:
@@ -349,13 +371,16 @@ def _solver(model: Any, n_unknown: int, max_iterations: int) -> _Programme:
         ["hess"],
     )
     quiet = {"print_level": 0, "sb": "yes", "max_iter": max_iterations, "tol": 1e-8, "acceptable_tol": 1e-6}
-    options = {"hess_lag": hessian, "print_time": False, "error_on_fail": False, "show_eval_warnings": False, "calc_lam_p": False}
-    solver = ca.nlpsol(
-        "shooting",
-        "ipopt",
-        {"x": w, "p": q, "f": 0.5 * ca.dot(misfit, misfit), "g": joins},
-        {**options, "ipopt": {**quiet, "mu_strategy": "adaptive", "linear_solver": "mumps"}},
-    )
+    options: Any = {
+        "hess_lag": hessian,
+        "print_time": False,
+        "error_on_fail": False,
+        "show_eval_warnings": False,
+        "calc_lam_p": False,
+        "ipopt": {**quiet, "mu_strategy": "adaptive", "linear_solver": "mumps"},
+    }
+    programme: Any = {"x": w, "p": q, "f": 0.5 * ca.dot(misfit, misfit), "g": joins}
+    solver = ca.nlpsol("shooting", "ipopt", programme, options)
     return _Programme(solver, ca.Function("linear", [w, q], [misfit, slopes, ca.jacobian(joins, w), joins]))
 
 
@@ -409,7 +434,9 @@ class _Layout:
         names, n = model.system.names, 2 * model.system.n_dof
         logs = [names.index(name) for name in model.free]
         at = len(names) + len(model.offset_channels)
-        offsets, starts, dependent = list(range(len(names), at)), [], []
+        offsets = list(range(len(names), at))
+        starts: list[int] = []
+        dependent: list[int] = []
         fixed = [i for i, name in enumerate(names) if name not in model.free]
         for record, plan in zip(model.problem.records, plans, strict=True):
             (starts if record.initial_state is None else fixed).extend(range(at, at + n))
@@ -485,29 +512,15 @@ def _reduced(
 # ---------------------------------------------------------------------------------------------------- the answer
 
 
-def _covariance(model: OutputError, fit: _Fit) -> np.ndarray | None:
-    """Inverse of the Hessian of half the objective over theta; None where the data leave a direction open."""
-    sigma = np.maximum(fit.sigma, 1e-8 * model.rms)
-    rows = [fit.slopes / sigma[model.channel_of][:, None]]
-    if model.prior is not None:
-        rows.append(np.eye(len(model.free), fit.theta.size) / model.prior.log_sds[:, None])
-    stacked = np.concatenate(rows)
-    sizes = np.linalg.norm(stacked, axis=0)
-    if np.any(sizes == 0) or len(stacked) < fit.theta.size:
-        return None
-    _, values, axes = np.linalg.svd(stacked / sizes, full_matrices=False)
-    if values[-1] < 1e-9 * values[0]:
-        return None
-    root = axes.T / values / sizes[:, None]
-    return np.asarray(root @ root.T)
-
-
 def _estimate(model: OutputError, fit: _Fit, cost: Cost) -> Estimate:
     """The answer in the units of the model's problem."""
-    system, covariance = model.system, _covariance(model, fit)
+    system, covariance = model.system, model.covariance(fit.slopes, fit.sigma)
     if covariance is None:
         return Estimate.failed(
-            system, Status.DIVERGED, "the data leave a parameter open; give more samples, a known force or a prior", cost
+            system,
+            Status.DIVERGED,
+            "the data leave a parameter open; give more samples, a known force or a prior",
+            cost,
         )
     k = len(model.free)
     dof = max(model.data.size - fit.used, 1.0)

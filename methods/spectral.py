@@ -21,8 +21,20 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 from scipy.optimize import nnls
 
-from bench import Channel, Estimate, Force, InitialState, Prior, Problem, Record, System, Units, fitted_start
-from bench import measurements, regression_columns
+from bench import (
+    Channel,
+    Estimate,
+    Force,
+    InitialState,
+    Prior,
+    Problem,
+    Record,
+    System,
+    Units,
+    fitted_start,
+    measurements,
+    regression_columns,
+)
 from bench.systems import Dimension
 
 DECAYS = (0.15, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
@@ -203,6 +215,24 @@ class OutputError:
             theta = self.fit(theta, self.noise(residuals, 0.0), iterations)
         return theta
 
+    def covariance(self, slopes: np.ndarray, sigma: np.ndarray, log_sd: float | None = None) -> np.ndarray | None:
+        """Inverse of the Gauss-Newton Hessian over theta; None where the data and the prior leave a direction open.
+
+        ``slopes`` (N, size) are the derivatives of the predictions, ``sigma`` the noise by channel; ``log_sd`` is the
+        width of a prior on the log-parameters where the problem has none.
+        """
+        sigma, k = np.maximum(sigma, 1e-8 * self.rms), len(self.free)
+        sds = self.prior.log_sds if self.prior is not None else np.full(k, log_sd or np.inf)
+        rows = np.concatenate([slopes / sigma[self.channel_of][:, None], np.eye(k, slopes.shape[1]) / sds[:, None]])
+        sizes = np.linalg.norm(rows, axis=0)
+        if np.any(sizes == 0) or not np.all(np.isfinite(rows)) or len(rows) < rows.shape[1]:
+            return None
+        _, values, axes = np.linalg.svd(rows / sizes, full_matrices=False)
+        if values[-1] < 1e-9 * values[0]:
+            return None
+        root = axes.T / values / sizes[:, None]
+        return np.asarray(root @ root.T)
+
     def vector(self, p: dict[str, float]) -> np.ndarray:
         """``theta`` at parameters, with the initial states and offsets that fit the data best there."""
         theta = np.zeros(self.size)
@@ -224,12 +254,14 @@ class OutputError:
 def silent(problem: Problem) -> bool:
     """Whether no sensor shows any motion: every value zero, or constant where a constant offset is unknown."""
     return all(
-        not np.any(c.values - (c.values[:1] if c.offset else 0.0)) for record in problem.records for c in record.channels
+        not np.any(c.values - (c.values[:1] if c.offset else 0.0))
+        for record in problem.records
+        for c in record.channels
     )
 
 
 def offsets_in(units: Units, model: OutputError, estimate: Estimate) -> tuple[float, ...] | None:
-    """Offsets estimated in the natural ``units``, in those of the user (an Estimate cannot tell what a channel measures)."""
+    """Offsets of an estimate in natural ``units``, in the user's (it cannot convert them: it knows no channels)."""
     if estimate.offsets is None:
         return None
     sizes = [units.of(Dimension(0, 1, -TIME_ORDER[channel.measures])) for _, channel in model.channels]
@@ -289,8 +321,8 @@ def scan(problem: Problem, n: int) -> list[dict[str, float]]:
     found = []
     for i, j in _separate_minima(table)[:n]:
         frequency, decay = grid[i * len(DECAYS) + j]
-        p = _by_kind(problem.system, base, np.array(frequency), np.array(decay))
-        found.append({name: float(p[name] * max(scales[i, j], 1e-12)) for name in names})
+        levels = _by_kind(problem.system, base, np.array(frequency), np.array(decay))
+        found.append({name: float(levels[name] * max(scales[i, j], 1e-12)) for name in names})
     return found
 
 
@@ -363,7 +395,7 @@ def _grid_responses(
 
 
 def _projected(record: Record, responses: np.ndarray, fixed_scale: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Misfit left at each grid point after start, offsets and scale are fitted; and the scale of the parameters there."""
+    """Misfit left at each grid point once start, offsets and scale are fitted; and that scale of the parameters."""
     sizes = [float(np.sqrt(np.mean(c.values**2))) or 1.0 if c.n else 1.0 for c in record.channels]
     weights = np.concatenate([np.full(c.n, 1.0 / s) for c, s in zip(record.channels, sizes, strict=True)])
     y = np.concatenate([c.values for c in record.channels])
@@ -378,7 +410,7 @@ def _projected(record: Record, responses: np.ndarray, fixed_scale: bool) -> tupl
         known = known + responses[..., -1] * _force_size(record)
     elif pushed:
         columns.append(responses[..., -1] * _force_size(record))
-    for i, c in enumerate(record.channels):
+    for c in record.channels:
         if c.offset:
             mine = np.concatenate([np.full(other.n, float(other is c)) for other in record.channels])
             columns.append(np.broadcast_to(mine, responses.shape[:2]))
@@ -494,7 +526,7 @@ def _left(channels: Sequence[Channel], rates: np.ndarray) -> float:
 
 
 def _regressed(problem: Problem, blocks: Sequence[Curves]) -> dict[str, float]:
-    """Non-negative least squares of the residual on the curves; the gauge mass is fixed where no force sets the scale."""
+    """Non-negative least squares of the residual on the curves; gauge mass 1 where no force sets the scale."""
     system = problem.system
     parts = [regression_columns(system, *block) for block in blocks]
     columns, rest = np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])

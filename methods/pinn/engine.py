@@ -28,6 +28,11 @@ START = 0.1
 """Standard deviation of a told start, over the noise: the start is told exactly, so this is small beside it."""
 WEIGHT_PRECISION = 1e-10
 """Precision of the network's weights, relative to the largest diagonal entry of J Jᵀ, when they are profiled out."""
+DAMPING = (1e-3, 1e-6, 1e-7)
+"""First damping of the three stages, relative to the largest diagonal entry of J Jᵀ. The later ones start near the minimum; with
+more damping than this a stage ends early, for the little that a damped step promises."""
+OVERTONES = 3.0
+"""Highest frequency that matters over the dominant one, where there are several modes, harmonics or a force."""
 ROUNDS = 3
 """How often the noise may be estimated anew and the fit polished with it."""
 SETTLED = 0.03
@@ -89,7 +94,8 @@ class Attempt:
             logs = logs - logs[problem.system.names.index(problem.system.gauge)]
         widths = (1, *[settings.width] * settings.depth, problem.system.n_dof)
         self.residuals = Residuals(problem, widths, settings.collocation, free, logs, settings.device)
-        cycles = guess.omega * self.duration / (2.0 * np.pi)
+        plain = problem.system.linear and problem.system.n_dof == 1 and not problem.forced
+        cycles = (1.0 if plain else OVERTONES) * guess.omega * self.duration / (2.0 * np.pi)
         weights = [network.flat(network.initial_layers(widths, cycles, rng)) for _ in problem.records]
         z = np.concatenate([*weights, logs[self.residuals.free], np.zeros(len(self.residuals.offsets))])
         start = torch.as_tensor(z, device=settings.device)
@@ -135,10 +141,10 @@ class Attempt:
         self.sigmas = sigmas
         return change
 
-    def run(self, softness: float, iterations: int, output_only: bool) -> Tensor:
+    def run(self, softness: float, iterations: int, damping: float, output_only: bool) -> Tensor:
         """Levenberg-Marquardt at the present noise; returns the rows' standard deviations."""
         deviations = self.residuals.deviations(self.spread(softness))
-        self.walk.damping = 0.0
+        self.walk.damping = damping
         levenberg.minimise(
             self.residuals, self.walk, deviations, iterations, self.settings.tolerance, output_only=output_only
         )
@@ -151,10 +157,11 @@ class Attempt:
         is cheap, and their spread features already resolve the motion. The last stage frees all weights.
         """
         s = self.settings
-        self.run(s.softness, s.output_iterations, True)
-        self.estimate_noise(self.run(1.0, s.output_iterations, True))
+        far, near, close = DAMPING
+        self.run(s.softness, s.output_iterations, far, True)
+        self.estimate_noise(self.run(1.0, s.output_iterations, near, True))
         for _ in range(ROUNDS):
-            deviations = self.run(1.0, s.iterations, False)
+            deviations = self.run(1.0, s.iterations, close, False)
             if self.estimate_noise(deviations) < SETTLED:
                 break
         return deviations
@@ -179,8 +186,8 @@ class Attempt:
         z = self.walk.state.z.clone()
         first, second = torch.zeros_like(z), torch.zeros_like(z)
         for i in range(1, self.settings.adam_steps + 1):
-            state = self.residuals.evaluate(z, deviations)
-            gradient = self.residuals.gradient(state, deviations) / self.residuals.n_rows
+            state, gradient = self.residuals.gradient(z, deviations)
+            gradient /= self.residuals.n_rows
             first.lerp_(gradient, 0.1)
             second.mul_(0.999).addcmul_(gradient, gradient, value=0.001)
             size = self.settings.adam_rate / (1.0 - 0.9**i)
@@ -192,18 +199,18 @@ class Attempt:
         self.walk.iterations += self.settings.adam_steps
 
     def lbfgs(self, deviations: Tensor, steps: int) -> None:
-        """L-BFGS with a strong-Wolfe line search (scipy's L-BFGS-B without bounds), 50 pairs of memory."""
+        """L-BFGS with a strong-Wolfe line search (scipy's L-BFGS-B without bounds), 30 pairs of memory."""
         last: dict[str, State] = {}
 
         def loss(z: np.ndarray) -> tuple[float, np.ndarray]:
-            state = self.residuals.evaluate(torch.as_tensor(z, device=self.settings.device), deviations)
+            state, gradient = self.residuals.gradient(torch.as_tensor(z, device=self.settings.device), deviations)
             last["state"] = state
-            return state.loss, self.residuals.gradient(state, deviations).cpu().numpy()
+            return state.loss, gradient.cpu().numpy()
 
         def each(_: np.ndarray) -> None:
             self._record(last["state"])
 
-        options = {"maxiter": steps, "maxfun": 2 * steps, "maxcor": 50, "ftol": 1e-9, "gtol": 1e-6}
+        options = {"maxiter": steps, "maxfun": 2 * steps, "maxcor": 30, "ftol": 1e-9, "gtol": 1e-6}
         found = minimize(
             loss, self.walk.state.z.cpu().numpy(), jac=True, method="L-BFGS-B", callback=each, options=options
         )

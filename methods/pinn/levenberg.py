@@ -10,10 +10,9 @@ from torch import Tensor
 
 from methods.pinn.residuals import Residuals, State
 
-FIRST_DAMPING = 1e-3
-LEAST_DAMPING = 1e-13
+LEAST_DAMPING = 1e-11
 GREATEST_DAMPING = 1e6
-"""Damping relative to the largest diagonal entry of J Jᵀ: where it starts, and the range it may move in."""
+"""The range of the damping, relative to the largest diagonal entry of J Jᵀ."""
 
 
 @dataclass
@@ -21,7 +20,7 @@ class Walk:
     """Where a minimisation stands: the state reached, the damping, the counts, and why it stopped."""
 
     state: State
-    damping: float = 0.0
+    damping: float = 1e-3
     evaluations: int = 0
     iterations: int = 0
     reason: str = "the largest number of iterations was reached"
@@ -56,7 +55,7 @@ def minimise(
     output_only: bool = False,
     on_accept: Callable[[State], None] | None = None,
 ) -> Walk:
-    """Minimise half the squared residual vector from ``walk.state``, with the damping of Nielsen.
+    """Minimise half the squared residual vector from ``walk.state`` and ``walk.damping``, with the damping of Nielsen.
 
     Stops when the linear model promises less than ``tolerance`` (the residuals are in standard deviations, so this is a change
     of minus the log posterior), or after ``iterations``. Damping: H. B. Nielsen, Damping Parameter in Marquardt's
@@ -74,8 +73,6 @@ def minimise(
             linear = residuals.linearise(state, deviations, output_only)
             gram = residuals.gram(state, linear, unknown_scale, output_only)
             size = float(gram.diagonal().max())
-            if walk.damping == 0.0:
-                walk.damping = FIRST_DAMPING
         walk.iterations += 1
         solved = step(gram, state.rows, walk.damping * size)
         gain = -1.0

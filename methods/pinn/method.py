@@ -53,8 +53,8 @@ class PINN(Identifier):
     slack: float = 0.2
     softness: float = 30.0
     output_iterations: int = 12
-    iterations: int = 40
-    tolerance: float = 3e-3
+    iterations: int = 60
+    tolerance: float = 1e-3
     restarts: int = 2
     adam_steps: int = 2000
     adam_rate: float = 1e-3

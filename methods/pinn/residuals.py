@@ -182,28 +182,29 @@ class Residuals:
     def evaluate(self, z: Tensor, deviations: Tensor) -> State:
         """The residual vector at z, and its squared length term by term."""
         layers, logs, offsets = self.split(z)
-        tapes, parts = [], []
-        p = dict(zip(self.system.names, logs.exp(), strict=True))
-        for block, own in zip(self.blocks, layers, strict=True):
-            tape = network.forward(own, block.tau, block.rate)
-            out, m = tape.output, block.collocation
+        tapes = [network.forward(own, block.tau, block.rate) for own, block in zip(layers, self.blocks, strict=True)]
+        rows = self._rows([tape.output for tape in tapes], logs, offsets) / deviations
+        return State(z, tapes, rows, self._terms(rows))
+
+    def _rows(self, outputs: Sequence[Tensor], logs: Tensor, offsets: Tensor) -> Tensor:
+        """The residual vector, not yet scaled, by the streams of every network and the other unknowns."""
+        parts = []
+        p = dict(zip(self.system.names, logs.exp().unbind(), strict=True))
+        for block, out in zip(self.blocks, outputs, strict=True):
+            m = block.collocation
             x, v, a = (list(out[s, :m].unbind(-1)) for s in range(3))
             equations = self.system.residual(p, x, v, a, block.force, [], torch_ops)
             parts.append(out[block.stream, block.data_points, block.dof] - block.values)
             parts += [equation / p[self.system.gauge] for equation in equations]
             if block.start is not None:
                 parts.append((out[:2, 0] - block.start).reshape(-1))
-            tapes.append(tape)
         if self.prior is not None:
             parts.append(logs[self.free] - self.prior[0])
         rows = torch.cat(parts)
-        if self.offsets:
-            rows = rows + self._offset_rows @ offsets
-        rows = rows / deviations
-        return State(z, tapes, rows, self._terms(rows))
+        return rows + self._offset_rows @ offsets if self.offsets else rows
 
     def _terms(self, rows: Tensor) -> dict[str, float]:
-        squares = rows * rows
+        squares = (rows * rows).cpu().numpy()
         terms, at = dict.fromkeys(TERMS, 0.0), 0
         for block in self.blocks:
             for name, part in block.slices.items():
@@ -290,22 +291,20 @@ class Residuals:
             at += block.n_rows
         return torch.cat([*parts, unknown_scale**2 * (linear.columns.T @ dual)])
 
-    def gradient(self, state: State, deviations: Tensor) -> Tensor:
-        """The gradient of half the squared length, a vector like z, by one adjoint pass over the points."""
-        layers, logs, _ = self.split(state.z)
-        parts, unknowns, at = [], torch.zeros(self.n_unknowns, dtype=torch.float64, device=self.device), 0
-        pulled = state.rows / deviations
-        for block, own, tape in zip(self.blocks, layers, state.tapes, strict=True):
-            weights = pulled[at : at + block.n_rows]
-            seeds, by_logs = self.seeds(block, tape, logs)
-            summed = torch.zeros_like(tape.output).index_add_(1, block.points, seeds * weights[:, None])
-            parts.append(network.pull_back(tape, network.adjoint(own, tape, summed), None))
-            unknowns[: len(self.free)] += weights[block.slices["physics"]] @ by_logs[..., self.free].flatten(0, 1)
-            at += block.n_rows
-        if self.prior is not None:
-            unknowns[: len(self.free)] += pulled[at:]
-        unknowns[len(self.free) :] += self._offset_rows.T @ pulled
-        return torch.cat([*parts, unknowns])
+    def gradient(self, z: Tensor, deviations: Tensor) -> tuple[State, Tensor]:
+        """The state at z and the gradient of its loss, a vector like z, by one adjoint pass over the points."""
+        layers, logs, offsets = self.split(z)
+        tapes = [network.forward(own, block.tau, block.rate) for own, block in zip(layers, self.blocks, strict=True)]
+        leaves = [part.detach().requires_grad_(True) for part in (*[tape.output for tape in tapes], logs, offsets)]
+        with torch.enable_grad():
+            rows = self._rows(leaves[:-2], leaves[-2], leaves[-1]) / deviations
+            slopes = torch.autograd.grad(0.5 * (rows @ rows), leaves, allow_unused=True, materialize_grads=True)
+        parts = [
+            network.pull_back(tape, network.adjoint(own, tape, seeds), None)
+            for own, tape, seeds in zip(layers, tapes, slopes[:-2], strict=True)
+        ]
+        rows = rows.detach()
+        return State(z, tapes, rows, self._terms(rows)), torch.cat([*parts, slopes[-2][self.free], slopes[-1]])
 
     def jacobian(self, state: State, deviations: Tensor) -> Tensor:
         """J explicitly, (n_rows, n_z); for checks and small problems."""

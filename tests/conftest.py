@@ -1,0 +1,52 @@
+"""What every test shares: one thread per process, the reference scenario, and a folder with its bound."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+
+import pytest
+
+from bench.bound import load_bounds
+from bench.scenario import PriorSpec, Scenario
+
+REPOSITORY = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="session")
+def reference() -> Scenario:
+    """What ``python -m bench method=<name>`` computes by default: the reference system at 20 dB, start known."""
+    nominal = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
+    parameters = {"m": 1.0, "c": 0.4, "k": 8.0}
+    return Scenario("sdof", parameters, ((1.0,), (0.0,)), 20.0, prior=nominal, label="sdof")
+
+
+@pytest.fixture(scope="session")
+def bounds_folder(reference: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that holds the bound of the reference scenario, computed once a test run."""
+    folder = tmp_path_factory.mktemp("bounds")
+    load_bounds([(reference, 0)], folder)
+    return folder
+
+
+Python = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+@pytest.fixture
+def python(tmp_path: Path) -> Python:
+    """Run this Python with arguments in an empty folder: ``python("-m", "bench", ...)``."""
+    empty = tmp_path / "empty"
+    empty.mkdir()
+
+    def run(*arguments: str, env: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+        environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1", **(env or {})}
+        command = [sys.executable, *arguments]
+        return subprocess.run(command, cwd=empty, env=environment, capture_output=True, text=True, timeout=300)
+
+    return run
