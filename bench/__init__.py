@@ -7,7 +7,7 @@ from bench.mechanics import acceleration, mass_matrix, numpy_ops, regression_col
 from bench.prior import Prior
 from bench.problem import Channel, Force, InitialState, Problem, Record, Units
 from bench.simulate import SimulatedResponse, fitted_start, measurements, simulate
-from bench.systems import Components, Ops, Parameter, Quantity, System
+from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
 
 __all__ = [
     "Belief",
@@ -15,6 +15,7 @@ __all__ = [
     "Channel",
     "Components",
     "Cost",
+    "Dimension",
     "Draws",
     "Estimate",
     "Force",

@@ -30,11 +30,15 @@ class _Strict(BaseModel):
 
 
 class InitialConfig(_Strict):
+    """The true state at time 0: metres and metres a second, one number a DOF."""
+
     displacement: list[Finite]
     velocity: list[Finite]
 
 
 class ForceConfig(_Strict):
+    """A known multisine force; see :class:`bench.scenario.ForceSpec`."""
+
     amplitude: Positive
     low_hz: Positive
     high_hz: Positive
@@ -45,6 +49,8 @@ class ForceConfig(_Strict):
 
 
 class SystemConfig(_Strict):
+    """A file of ``conf/system``: true parameters (SI units) and how the record is sampled."""
+
     label: str
     kind: str
     options: dict[str, Any]
@@ -58,6 +64,8 @@ class SystemConfig(_Strict):
 
 
 class PriorConfig(_Strict):
+    """A file of ``conf/prior``: standard deviations of the logarithm by kind of parameter, or none."""
+
     name: str
     sd_by_kind: dict[Literal["mass", "damping", "stiffness", "other"], Positive] | None
     wrong: bool
@@ -278,13 +286,14 @@ def _composed(overrides: tuple[tuple[str, str], ...]) -> str:
     from omegaconf.errors import OmegaConfBaseException
 
     _register_methods()
-    texts = [f"{key}={value}" for key, value in overrides]
+    # nominal starts out empty: its fields are added, all others must be there
+    texts = [f"{'++' if key.startswith('nominal.') else ''}{key}={value}" for key, value in overrides]
     try:
         with initialize_config_module("conf", version_base="1.3"):
             config = OmegaConf.to_container(compose("config", overrides=texts), resolve=True)
     except (HydraException, OmegaConfBaseException) as error:
         match = re.search(r"'([\w.]+)'", str(error))
-        key = match.group(1) if match and match.group(1) in dict(overrides) else texts[-1].partition("=")[0]
+        key = match.group(1) if match and match.group(1) in dict(overrides) else overrides[-1][0]
         reason = "no such field" if "Could not override" in str(error) else str(error).splitlines()[0]
         raise InputError(key, dict(overrides).get(key, ""), reason) from None
     return json.dumps(config)

@@ -74,10 +74,12 @@ class Normal:
     dof: float | None = None
 
     def values(self) -> dict[str, float]:
+        """The point value of each named quantity."""
         centre = np.exp(self.mean) if self.log else self.mean
         return dict(zip(self.names, map(float, centre), strict=True))
 
     def finite(self) -> bool:
+        """Whether every number is."""
         arrays = [self.mean] if self.covariance is None else [self.mean, self.covariance]
         return all(bool(np.all(np.isfinite(array))) for array in arrays)
 
@@ -125,9 +127,11 @@ class Draws:
     samples: np.ndarray
 
     def values(self) -> dict[str, float]:
+        """The median of each parameter."""
         return dict(zip(self.names, map(float, np.median(self.samples, axis=0)), strict=True))
 
     def finite(self) -> bool:
+        """Whether every draw is."""
         return bool(np.all(np.isfinite(self.samples)))
 
     def marginal(self, quantity: Quantity) -> Marginal | None:
@@ -143,6 +147,7 @@ class Draws:
         return Marginal(float(np.median(draws)), ppf)
 
     def expressed_in(self, scale: Mapping[str, float]) -> Draws:
+        """The same draws with every parameter divided by its scale."""
         return replace(self, samples=self.samples / np.array([scale[name] for name in self.names]))
 
 

@@ -17,6 +17,7 @@ from bench.errors import InputError
 from bench.estimate import Estimate, Status
 from bench.prior import Prior
 from bench.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Record
+from bench.reference import REFERENCES
 from bench.registry import make_method, missing_package
 from bench.runner import MethodFit
 from bench.score import point_parameters
@@ -145,6 +146,8 @@ def identify_record(job: Job, timeout_s: float) -> tuple[Problem, Outcome]:
     """Identify the record of a job with its method, in a process of its own."""
     single_threaded()
     name = job.config.method["name"]
+    if name in REFERENCES:
+        raise InputError("method", name, "it needs the truth, which a measured record does not have; choose a method")
     problem = measured_problem(job)
     lacking = missing_package(name)
     if lacking:

@@ -138,6 +138,7 @@ class InitialState:
         object.__setattr__(self, "velocity", read_only(np.atleast_1d(self.velocity), "initial velocity"))
 
     def expressed_in(self, units: Units) -> InitialState:
+        """The same state in other units."""
         return InitialState(
             self.displacement / units.of(MEASURED["displacement"]), self.velocity / units.of(MEASURED["velocity"])
         )
@@ -176,6 +177,7 @@ class Record:
         return total
 
     def expressed_in(self, units: Units) -> Record:
+        """The same record in other units: times, measurements, forces and start."""
         channels = tuple(
             replace(c, times=c.times / units.time, values=c.values / units.of(MEASURED[c.measures]))
             for c in self.channels

@@ -14,7 +14,7 @@ from bench.errors import InputError
 from bench.estimate import Status
 
 FORMAT = 1
-DIGITS = 8
+DIGITS = 6
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class StoredCell:
 
 
 def _to_json(value: Any) -> Any:
-    """JSON has no infinity: numbers that are not finite become strings, the others keep 8 digits."""
+    """JSON has no infinity: numbers that are not finite become strings, the others keep 6 digits."""
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else str(value)
     if isinstance(value, Mapping):

@@ -168,6 +168,7 @@ class System(ABC):
         return own + self.groups + self.modal
 
     def quantity(self, name: str) -> Quantity:
+        """The scored quantity of that name."""
         return next(q for q in self.quantities if q.name == name)
 
     def dimension(self, quantity: Quantity) -> Dimension:

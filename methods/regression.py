@@ -55,6 +55,8 @@ NEARBY = np.array([-4, -2, 0, 2, 4])
 """Steps on the grid of weights that a bootstrap sample tries about the chosen one."""
 FEW_SAMPLES = 120
 """With more samples the smoothing matters little, and a bootstrap sample keeps it as it is."""
+MAX_SAMPLES = 20_000
+"""A record of more is refused: the arrays of the bootstrap would fill the memory, and smoothing decides nothing."""
 SINGULAR = 1e-9
 """A column that is, up to this part of its length, a combination of the others cannot be told from them."""
 MEANINGLESS = 0.9
@@ -209,6 +211,8 @@ def layout_objection(problem: Problem) -> str | None:
             return "its regression needs one displacement channel for every DOF"
         if any(not np.array_equal(c.times, record.channels[0].times) for c in record.channels):
             return "its regression needs all channels of a record sampled at the same times; resample them"
+        if record.channels[0].n > MAX_SAMPLES:
+            return f"its regression takes at most {MAX_SAMPLES} samples a record; thin them"
         if any(c.offset for c in record.channels) and not system.linear:
             return "it can estimate a sensor's offset for linear systems only; subtract it first"
     return None
@@ -491,8 +495,9 @@ def spline_fit(regression: Regression) -> SplineFit:
     estimate, each estimate a simulated response, and the response of largest likelihood names the smoothing.
     """
     usable = _usable(regression)
-    # integrating a nonlinear system takes its time: fewer weights
-    which = np.arange(0, WEIGHTS, 1 if regression.system.linear else 3)
+    # integrating a nonlinear system, or a long record, takes its time: fewer weights
+    quick = regression.system.linear and max(t.size for t in regression.times) <= 1000
+    which = np.arange(0, WEIGHTS, 1 if quick else 3)
     trial = _try(regression, regression.values, usable, which)
     best = int(np.argmin(trial.deviance[0]))
     if not np.isfinite(trial.deviance[0, best]):

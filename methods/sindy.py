@@ -139,11 +139,18 @@ class _Library:
 
     def terms(self, states: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Library terms (..., terms) at states (..., 2 n_dof) under forces (..., n_pushed)."""
-        columns: list[np.ndarray] = []
-        for shorter, factor in self._products:
-            rest = columns[shorter] if shorter >= 0 else 1.0
-            columns.append(rest * states[..., factor] if factor >= 0 else np.ones(states.shape[:-1]))
-        return np.concatenate([np.stack(columns, axis=-1), force], axis=-1)
+        n = len(self.powers)
+        found = np.empty((n + len(self.pushed), *states.shape[:-1]))
+        for i, (shorter, factor) in enumerate(self._products):
+            if factor < 0:
+                found[i] = 1.0
+            elif shorter < 0:
+                found[i] = states[..., factor]
+            else:
+                np.multiply(found[shorter], states[..., factor], out=found[i])
+        for i in range(len(self.pushed)):
+            found[n + i] = force[..., i]
+        return np.moveaxis(found, 0, -1)
 
     @cached_property
     def _products(self) -> list[tuple[int, int]]:
@@ -217,11 +224,13 @@ class _Library:
         n, record = self.regression.system.n_dof, self.regression.records[number]
         rate = np.sqrt(np.mean(a**2) / np.mean(v**2))
         shape = models.shape[:2]
+        result = np.empty((*shape, 2 * n))
 
         def slope(state: np.ndarray, at: float) -> np.ndarray:
-            force = np.array(record.force(np.array(at), n))[list(self.pushed)]
-            terms = self.terms(state, np.broadcast_to(force, (*shape, len(self.pushed))))
-            return np.concatenate([state[..., n:], np.einsum("...dk,...k->...d", models, terms)], axis=-1)
+            force = np.array(record.force(np.array(at), n))[list(self.pushed)] if self.pushed else np.empty(0)
+            result[..., :n] = state[..., n:]
+            result[..., n:] = np.einsum("...dk,...k->...d", models, self.terms(state, force))
+            return result.copy()
 
         first = np.concatenate([x[..., 0], v[..., 0]]).T[:, None]
         state = np.broadcast_to(first, (*shape, 2 * n))

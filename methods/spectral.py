@@ -35,6 +35,7 @@ from bench import (
     measurements,
     regression_columns,
 )
+from bench.simulate import state_matrix
 from bench.systems import Dimension
 
 DECAYS = (0.15, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
@@ -269,7 +270,11 @@ def offsets_in(units: Units, model: OutputError, estimate: Estimate) -> tuple[fl
 
 
 def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 8) -> list[tuple[float, np.ndarray]]:
-    """The best ``n`` separate starts after a few output-error steps each: (profile, theta), best first."""
+    """The best ``n`` separate starts after a few output-error steps each: (profile, theta), best first.
+
+    The sampling is taken to resolve the motion: a linear system whose slowest oscillation came to lie above half the
+    sampling rate is an alias of a slower one, and is dropped unless there is nothing else.
+    """
     found: list[tuple[float, np.ndarray]] = []
     for p in candidates(model, n + 1):
         theta = model.settle(model.vector(p), rounds, iterations)
@@ -277,7 +282,17 @@ def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 
         near = [other for _, other in found if np.max(np.abs(other - theta)[: len(model.free)]) < 1e-2]
         if np.isfinite(value) and not near:
             found.append((value, theta))
-    return sorted(found, key=lambda pair: pair[0])[:n]
+    resolved = [pair for pair in found if not _aliased(model, pair[1])]
+    return sorted(resolved or found, key=lambda pair: pair[0])[:n]
+
+
+def _aliased(model: OutputError, theta: np.ndarray) -> bool:
+    if not model.system.linear:
+        return False
+    rates = np.linalg.eigvals(state_matrix(model.system, model.parameters(theta))[0])
+    oscillations = np.abs(rates.imag)[np.abs(rates.imag) > 0]
+    gaps = [float(np.median(np.diff(c.times))) for _, c in model.channels if c.n > 1]
+    return bool(oscillations.size and gaps and oscillations.min() * min(gaps) > np.pi)
 
 
 def candidates(model: OutputError, n: int) -> list[dict[str, float]]:

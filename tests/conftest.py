@@ -11,10 +11,10 @@ from pathlib import Path
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
-import pytest
+import pytest  # noqa: E402
 
-from bench.bound import load_bounds
-from bench.scenario import PriorSpec, Scenario
+from bench.bound import load_bounds  # noqa: E402
+from bench.scenario import PriorSpec, Scenario  # noqa: E402
 
 REPOSITORY = Path(__file__).parents[1]
 

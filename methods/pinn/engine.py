@@ -167,15 +167,14 @@ class Attempt:
         return deviations
 
     def adam_lbfgs(self) -> Tensor:
-        """The paper's training on the same residuals: Adam, then L-BFGS; the noise is estimated between its rounds."""
+        """The paper's training on the same residuals: Adam, then L-BFGS; the noise is estimated in between."""
         deviations = self.residuals.deviations(self.spread())
         self.adam(deviations)
-        self.estimate_noise(deviations)
-        for i in range(ROUNDS):
+        for share in (1 / 3, 2 / 3):
+            self.estimate_noise(deviations)
             deviations = self.residuals.deviations(self.spread())
-            self.lbfgs(deviations, self.settings.lbfgs_steps // ROUNDS)
-            if self.estimate_noise(deviations) < SETTLED and self.walk.converged:
-                break
+            self.lbfgs(deviations, int(share * self.settings.lbfgs_steps))
+        self.estimate_noise(deviations)
         return deviations
 
     def _record(self, state: State) -> None:

@@ -56,7 +56,7 @@ def noise(scenario: Scenario, seed: int = 0, n: int = 3) -> np.ndarray:
 
 
 def test_a_sample_is_the_response_plus_noise_of_the_variance_that_the_snr_defines() -> None:
-    """σ² = mean square of the clean samples / 10^(SNR/10); over 400 replicates the variance is χ² with 10,000 degrees."""
+    """σ² = mean square of the clean samples / 10^(SNR/10); over 400 replicates it is χ² with 10,000 degrees."""
     for snr in (40.0, 5.0):
         scenario = replace(BASE, snr_db=snr)
         clean = clean_samples(np.linspace(0.0, 10.0, 25))

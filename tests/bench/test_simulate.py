@@ -187,7 +187,8 @@ def test_a_forced_chain_against_scipys_lsim(hold: str) -> None:
 
 
 def test_the_harmonic_steady_state() -> None:
-    """``x = F/√((k - m w²)² + (c w)²) cos(w t - φ)``; joining samples h apart scales a cosine by ``(sin(wh/2)/(wh/2))²``."""
+    """``x = F/√((k - m w²)² + (c w)²) cos(w t - φ)``; straight lines between samples h apart scale a cosine by
+    ``(sin(wh/2)/(wh/2))²``."""
     w, h, p = 2.3, 0.02, P
     grid = np.arange(0.0, 60.0 + h / 2, h)
     force = Force(grid, np.cos(w * grid), "linear")
@@ -243,8 +244,11 @@ def test_what_ideal_sensors_give() -> None:
     """Displacement, velocity and acceleration of the second mass; the acceleration from Newton's law with the force."""
     force = Force([0.0, 9.0], [0.5, 2.0], dof=1)
     start = InitialState(np.array([0.5, -0.2]), np.array([0.0, 1.0]))
-    channels = tuple(
-        Channel(TIMES, np.zeros(TIMES.size), measures, dof=1) for measures in ("displacement", "velocity", "acceleration")
+    zeros = np.zeros(TIMES.size)
+    channels = (
+        Channel(TIMES, zeros, dof=1),
+        Channel(TIMES, zeros, "velocity", 1),
+        Channel(TIMES, zeros, "acceleration", 1),
     )
     x, v, a = measurements(Chain(2), CHAIN, start, Record(channels, (force,), start)).reshape(3, -1)
     motion = simulate(Chain(2), CHAIN, start, TIMES, [force])

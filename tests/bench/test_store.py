@@ -174,7 +174,7 @@ def test_a_writer_killed_at_any_moment_leaves_a_whole_cell(store: Store, python:
 def test_a_store_that_cannot_be_written_is_said_before_anything_runs(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for folder in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(InputError, match="store=.*cannot be written"):
+        with pytest.raises(InputError, match=r"store=.*cannot be written"):
             Store(folder).prepare()
 
 

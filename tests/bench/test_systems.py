@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any, cast
@@ -67,14 +68,14 @@ def evaluate(library: str, system: System, p: dict[str, float], motion: list[lis
         symbols = [[casadi.SX.sym("s") for _ in part] for part in motion]
         parameters = {name: casadi.SX.sym(name) for name in p}
         rows = casadi.vertcat(*system.residual(parameters, *symbols, [], numpy_ops))
-        function = casadi.Function("r", [casadi.vertcat(*parameters.values(), *sum(symbols, []))], [rows])
+        function = casadi.Function("r", [casadi.vertcat(*parameters.values(), *itertools.chain(*symbols))], [rows])
         columns = np.array([list(p.values())] * motion[0][0].size).T
         return np.array(function(np.vstack([columns, *[c for part in motion for c in part]])))
     sympy = pytest.importorskip("sympy")
     symbols = [[sympy.Symbol(f"{letter}{i}") for i in range(system.n_dof)] for letter in "xvaf"]
     parameters = {name: sympy.Symbol(f"p_{name}") for name in p}
     rows = system.residual(parameters, *symbols, [], numpy_ops)
-    function = sympy.lambdify([*parameters.values(), *sum(symbols, [])], rows, "math")
+    function = sympy.lambdify([*parameters.values(), *itertools.chain(*symbols)], rows, "math")
     flat = [c for part in motion for c in part]
     return np.array([function(*p.values(), *(float(c[i]) for c in flat)) for i in range(motion[0][0].size)]).T
 

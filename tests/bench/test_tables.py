@@ -57,7 +57,7 @@ BOUND = Bound(
     0.006,
     (),
 )
-SIZES = {"m_error_pct": 1.6, "c_error_pct": 3.0, "k_error_pct": 1.6, "k_over_m_error_pct": 0.4, "c_over_m_error_pct": 2.8}
+SIZES = dict(zip(METRICS, (0.4, 2.8, 0.0107, 1.6, 3.0, 1.6), strict=True))
 
 
 def stored(cell: Cell, scale: float = 1.0, failures: int = 0) -> StoredCell:
@@ -65,9 +65,8 @@ def stored(cell: Cell, scale: float = 1.0, failures: int = 0) -> StoredCell:
     rng = np.random.default_rng(len(cell.label) + int(cell.scenario.snr_db))
     rows = []
     for i in range(cell.replicates):
-        draws = {name: scale * size * abs(float(rng.standard_normal())) for name, size in SIZES.items()}
-        rmse = scale * 0.0107 * float(rng.uniform(0.5, 1.4))
-        scores = {**draws, "rmse": rmse, "rmse_simulated": rmse, "rmse_forecast": 0.006, "realised_snr_db": 20.0}
+        scores = {name: scale * size * abs(float(rng.standard_normal())) for name, size in SIZES.items()}
+        scores |= {"rmse_simulated": scores["rmse"], "rmse_forecast": 0.006, "realised_snr_db": 20.0}
         failed = i >= cell.replicates - failures
         rows.append(Row(i, Status.DIVERGED, "took too large a step") if failed else Row(i, Status.OK, scores=scores))
     summary = {name: vars(line) for name, line in summarise(rows, BOUND).items()}
@@ -79,6 +78,13 @@ def stored(cell: Cell, scale: float = 1.0, failures: int = 0) -> StoredCell:
 def entry(reference: Scenario, row: str, label: str, scale: float = 1.0, failures: int = 0) -> Entry:
     cell = Cell(reference, label, {}, 40, 0, label)
     return Entry(row, cell, stored(cell, scale, failures))
+
+
+def three(reference: Scenario) -> list[Entry]:
+    """An oracle, a method about as good, and one that is far off."""
+    return [
+        entry(reference, "comparison", name, scale) for name, scale in (("oracle", 1.0), ("pinn", 1.2), ("ls", 9.0))
+    ]
 
 
 def test_the_papers_59_numbers_are_all_found() -> None:
@@ -112,7 +118,7 @@ def test_what_the_paper_does_not_say_is_nan(table: int, row: str, method: str, m
 
 
 def test_tidy_has_a_line_a_metric_with_the_bound_and_the_papers_number(reference: Scenario) -> None:
-    found = [entry(reference, "comparison", name, scale) for name, scale in (("oracle", 1.0), ("pinn", 1.2), ("ls", 9.0))]
+    found = three(reference)
     data = tidy(3, found)
     assert tuple(data.columns) == COLUMNS
     assert set(data.method) == {"bound", "oracle", "pinn", "ls"}
@@ -129,7 +135,7 @@ def test_tidy_has_a_line_a_metric_with_the_bound_and_the_papers_number(reference
 
 
 def test_each_number_of_the_paper_has_the_verdict_of_judge_and_nothing_else_has_one(reference: Scenario) -> None:
-    found = [entry(reference, "comparison", name, scale) for name, scale in (("oracle", 1.0), ("pinn", 1.2), ("ls", 9.0))]
+    found = three(reference)
     lines = tidy(3, found).set_index(["method", "metric"])
     with_verdict = lines[lines.verdict.fillna("").astype(bool)]
     assert set(with_verdict.index) == {(method, key) for method in ("pinn", "ls") for key in KEYS}
@@ -173,8 +179,8 @@ def test_failures_stand_in_the_table_with_their_reason(reference: Scenario) -> N
 
 
 @pytest.fixture
-def small_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
-    """All cells of the four experiments, at two methods, but for one that was not run."""
+def _short_experiments(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The four experiments with two methods and 30 replicates."""
     original = config._experiment
 
     def shortened(name: str | None) -> dict[str, Any]:
@@ -184,6 +190,11 @@ def small_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
         return {**described, "replicates": 30, "sweep": {**described["sweep"], "method": ["prior", "oracle"]}}
 
     monkeypatch.setattr(config, "_experiment", shortened)
+
+
+@pytest.fixture
+def small_store(tmp_path: Path, _short_experiments: None) -> Store:
+    """All cells of the short experiments but for one that was not run."""
     store = Store(tmp_path / "rows")
     store.prepare()
     for name in ("table2", "table3", "table4", "table5"):
@@ -223,9 +234,8 @@ def test_the_command_writes_every_table_in_three_forms_the_same_each_time(small_
     assert {(line["row"], line["initial_state"], line["method"]) for line in not_run} == {("5", "known", "oracle")}
 
 
-def test_a_table_without_any_cell_is_not_written(
-    small_store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.usefixtures("_short_experiments")
+def test_a_table_without_any_cell_is_not_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "empty").mkdir()
     assert main([f"store={tmp_path / 'empty'}", f"out={tmp_path / 'out'}"]) == 0
     assert list((tmp_path / "out").iterdir()) == []

@@ -131,5 +131,3 @@ def test_splitting_a_task_keeps_payloads_and_streams_together(problem: Problem) 
     drawn = [pickle.loads(pickle.dumps(part.rngs[0])).standard_normal() for part in parts]
     assert drawn == [np.random.default_rng(i).standard_normal() for i in range(3)]
     assert all(part.limit == 2.0 for part in parts)
-
-
