@@ -6,7 +6,7 @@ from bench.identifier import Card, Identifier, Serves
 from bench.mechanics import acceleration, mass_matrix, numpy_ops, regression_columns, rk4_step, state_rate
 from bench.prior import Prior
 from bench.problem import Channel, Force, InitialState, Problem, Record, Units
-from bench.simulate import SimulatedResponse, fitted_start, measurements, simulate
+from bench.simulate import SimulatedResponse, fitted_start, measurements, simulate, state_matrix
 from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
 
 __all__ = [
@@ -44,6 +44,7 @@ __all__ = [
     "regression_columns",
     "rk4_step",
     "simulate",
+    "state_matrix",
     "state_rate",
 ]
 __version__ = "0.1.0"

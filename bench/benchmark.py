@@ -1,6 +1,6 @@
 """``python -m bench.benchmark``: time Tables 3 to 5, method by method, on two workers, and print the table.
 
-It runs the cells in a temporary store, so nothing stored is used or touched. ``replicates=`` and ``methods=``
+It runs the cells in a temporary store, so nothing stored is used or touched. ``replicates=`` and ``method=``
 shorten it; the time for the full number of replicates is then extrapolated in proportion, and marked.
 """
 
@@ -15,7 +15,7 @@ from pathlib import Path
 from tabulate import tabulate
 from tqdm import tqdm
 
-from bench.bound import load_bounds
+from bench.bound import bound_identity, load_bounds
 from bench.cell import Cell
 from bench.config import expand, jobs_to_cells
 from bench.errors import InputError
@@ -31,16 +31,21 @@ def _cells(extra: Sequence[str]) -> list[Cell]:
     return list({cell.identity: cell for cell in cells}.values())
 
 
+def _place(cell: Cell) -> tuple[str, str]:
+    """The method and scenario of a cell, whatever its number of replicates."""
+    return cell.label, bound_identity(cell.scenario, 0)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Time the methods; exit status 2 for bad input."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     if {"-h", "--help"} & set(arguments):
         print("usage: python -m bench.benchmark [replicates=<n>] [method=a,b] [workers=2]\n\n" + str(__doc__))
         return 0
-    workers = next((int(a.partition("=")[2]) for a in arguments if a.startswith("workers=")), 2)
     extra = [a for a in arguments if not a.startswith("workers=")]
     try:
-        full = {(c.label, c.scenario): c.replicates for c in _cells([a for a in extra if a.startswith("method=")])}
+        workers = expand(["method=prior", "workers=2", *arguments], multirun=True)[0].config.workers or 2
+        full = {_place(c): c.replicates for c in _cells([a for a in extra if a.startswith("method=")])}
         cells = _cells(extra)
     except InputError as error:
         print(f"bench.benchmark: {error}", file=sys.stderr)
@@ -57,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 results = run_cells(own, store, workers, lambda cell, n, bar=bar: bar.update(n))  # type: ignore[misc]
                 seconds = time.perf_counter() - started
             cpu = sorted(row.cpu_s for result in results for row in result.rows)
-            wanted = sum(full[(c.label, c.scenario)] for c in own)
+            wanted = sum(full[_place(c)] for c in own)
             whole = seconds * wanted / fits
             mark = "" if wanted == fits else " (extrapolated)"
             rows.append([label, len(own), fits, f"{cpu[len(cpu) // 2]:.3g}", f"{seconds:.1f}", f"{whole:.0f}{mark}"])

@@ -120,15 +120,16 @@ class Normal:
 class Draws:
     """A belief as draws of the parameters: ``samples`` of shape (n_draws, n_parameters), all positive.
 
-    The point value of a quantity is the median of its draws.
+    The point value of a quantity is the one of least expected squared relative error, the error that is scored:
+    ``E[1/q] / E[1/q²]`` (set the derivative of ``E[(v/q - 1)²]`` by v to zero).
     """
 
     names: tuple[str, ...]
     samples: np.ndarray
 
     def values(self) -> dict[str, float]:
-        """The median of each parameter."""
-        return dict(zip(self.names, map(float, np.median(self.samples, axis=0)), strict=True))
+        """The point value of each parameter."""
+        return dict(zip(self.names, map(_least_relative_error, self.samples.T), strict=True))
 
     def finite(self) -> bool:
         """Whether every draw is."""
@@ -144,11 +145,17 @@ class Draws:
         def ppf(levels: np.ndarray) -> np.ndarray:
             return np.asarray(np.quantile(draws, levels))
 
-        return Marginal(float(np.median(draws)), ppf)
+        return Marginal(_least_relative_error(draws), ppf)
 
     def expressed_in(self, scale: Mapping[str, float]) -> Draws:
         """The same draws with every parameter divided by its scale."""
         return replace(self, samples=self.samples / np.array([scale[name] for name in self.names]))
+
+
+def _least_relative_error(draws: np.ndarray) -> float:
+    smallest = float(np.min(draws))  # divided out, so that no square underflows
+    inverse = smallest / draws
+    return smallest * float(np.mean(inverse) / np.mean(inverse**2))
 
 
 Belief = Normal | Draws

@@ -24,8 +24,8 @@ PANELS = (
     ("rmse", "displacement error (m), root mean square"),
 )
 CAPTION = (
-    "Error against noise for every method (reference system, start known; failures left out). The grey region lies below "
-    "the Cramér-Rao bound, where no unbiased method can be. Diamonds in the right panel: the paper's own PINN."
+    "Error against noise for every method (reference system, start known; failures left out). The grey region lies "
+    "below the Cramér-Rao bound, where no unbiased method can be. Diamonds in the right panel: the paper's own PINN."
 )
 
 

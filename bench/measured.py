@@ -27,9 +27,9 @@ from bench.workers import Outcome, Task, perform, single_threaded
 
 UNITS = {
     "s": ("t", 1.0), "ms": ("t", 1e-3), "m": ("x", 1.0), "cm": ("x", 1e-2), "mm": ("x", 1e-3), "um": ("x", 1e-6),
-    "µm": ("x", 1e-6), "in": ("x", 0.0254), "n": ("f", 1.0), "kn": ("f", 1e3), "mn": ("f", 1e-3),
+    "µm": ("x", 1e-6), "in": ("x", 0.0254), "n": ("f", 1.0), "kn": ("f", 1e3), "mn": ("f", 1e-3), "MN": ("f", 1e6),
 }  # fmt: skip
-"""Known units of a header, in lower case: the column they belong to and their size in SI."""
+"""Known units of a header, as written or else in lower case: the column they belong to and their size in SI."""
 MAX_SAMPLES = 100_000
 
 
@@ -90,7 +90,7 @@ def _table(values: np.ndarray, header: Sequence[str]) -> Table:
     for i, name in enumerate(header):
         match = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$|_([A-Za-zµ]+)$", name)
         text = next((group for group in match.groups() if group), "") if match else ""
-        kind, size = UNITS.get(text.lower(), ("", 1.0))
+        kind, size = UNITS.get(text, UNITS.get(text.lower(), ("", 1.0)))
         if kind == columns[i]:
             values[:, i] *= size
         elif columns[i] == "x" and text:

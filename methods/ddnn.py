@@ -1,17 +1,20 @@
 """Data-driven neural network: a tanh network fitted to displacement alone, then regression on its derivatives.
 
-The network never sees the equation of motion. It is fitted with Bayesian regularisation: Gaussian priors on its weights,
-one precision for each layer's weights and biases, and Gaussian noise, whose sizes follow from the evidence (D. J. C. MacKay, Neural Comput.
-4:448, 1992; with Levenberg-Marquardt: F. D. Foresee and M. T. Hagan, Proc. ICNN 1997, p. 1930). So nothing is stopped by
-looking at a truth, and no sample is spent on validation. The priors are centred at the random weights that the fit starts from.
-A step is solved in the space of the residuals, which are few, with the weights scaled by their prior.
+The network never sees the equation of motion. It is fitted with Bayesian regularisation: Gaussian priors on its
+weights, one precision for each layer's weights and biases, and Gaussian noise, whose sizes follow from the evidence
+(D. J. C. MacKay, Neural Comput. 4:448, 1992; with Levenberg-Marquardt: F. D. Foresee and M. T. Hagan, Proc. ICNN
+1997, p. 1930). So nothing is stopped by looking at a truth, and no sample is spent on validation. The priors are
+centred at the random weights that the fit starts from. A step is solved in the space of the residuals, which are
+few, with the weights scaled by their prior.
 
-The exact x, x', x'' of the network on a dense grid then give the parameters by least squares on the equation of motion: in free
-vibration with the gauge mass fixed at one (its groups), under a known force all of them. This inherits the bias of any
-regression on noisy regressors, and that of the smoothing: five samples a cycle do not tell a network the curvature between them.
+The exact x, x', x'' of the network on a dense grid then give the parameters by least squares on the equation of
+motion: in free vibration with the gauge mass fixed at one (its groups), under a known force all of them. This
+inherits the bias of any regression on noisy regressors, and that of the smoothing: five samples a cycle do not tell
+a network the curvature between them.
 
-Uncertainty: draws of the weights from the linearised (Laplace) posterior, the regression repeated on each, and the second
-moment of the results about the estimate: so the bias by noisy derivatives is counted, as far as the posterior knows of it.
+Uncertainty: draws of the weights from the linearised (Laplace) posterior, the regression repeated on each, and the
+second moment of the results about the estimate: so the bias by noisy derivatives is counted, as far as the posterior
+knows of it.
 """
 
 from __future__ import annotations
@@ -22,7 +25,19 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from bench import Card, Cost, Estimate, Identifier, InitialState, Normal, Problem, Record, Serves, Status, regression_columns
+from bench import (
+    Card,
+    Cost,
+    Estimate,
+    Identifier,
+    InitialState,
+    Normal,
+    Problem,
+    Record,
+    Serves,
+    Status,
+    regression_columns,
+)
 from methods.pinn.response import NetworkResponse
 from methods.pinn.spectral import scan
 
@@ -32,8 +47,8 @@ if TYPE_CHECKING:
     from methods.pinn.network import Layers, Tape
 
 LEAST_NOISE, MOST_NOISE = 1e-6, 0.7
-"""Range of the noise over the root mean square of the data: the upper end says that at least half of the data's power is motion.
-Without it the evidence, below 10 dB, calls everything noise."""
+"""Range of the noise over the root mean square of the data: the upper end says that at least half of the data's
+power is motion. Without it the evidence, below 10 dB, calls everything noise."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +76,8 @@ class DDNN(Identifier):
     extra: ClassVar[str] = "torch"
 
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The estimate for one problem; status ``diverged`` where the regression gives no positive parameters under a force."""
+        """The estimate for one problem; status ``diverged`` where the regression gives no positive parameters under
+        a force."""
         system = problem.system
         units = problem.natural_units()
         scaled = problem.expressed_in(units)
@@ -92,7 +108,8 @@ class DDNN(Identifier):
         for record in problem.records:
             cycles = guesses[0].omega * record.duration / (2.0 * np.pi)
             trials = [
-                Smoother(record, problem.system.n_dof, self.width, self.depth, factor * cycles, rng) for factor in BANDWIDTHS
+                Smoother(record, problem.system.n_dof, self.width, self.depth, factor * cycles, rng)
+                for factor in BANDWIDTHS
             ]
             for trial in trials:
                 trial.fit(self.iterations)
@@ -110,16 +127,20 @@ class DDNN(Identifier):
             "message": f"the evidence left the network {n_used:.1f} effective weights for {problem.n} samples",
             "traces": {"sigma": np.concatenate([s.sigmas for s in smoothers])},
         }
-        # second moment about the estimate, not about the draws' mean: how far noisy derivatives pull the regression counts
+        # second moment about the estimate, not about the draws' mean: how far noisy derivatives pull the regression
+        # counts
         covariance = (draws - values).T @ (draws - values) / len(draws)
         return _estimate(problem, values, covariance, max(problem.n - n_used, 1.0), common)
 
 
 BANDWIDTHS = (1.0, 2.0, 3.0)
-"""Networks that differ in the slopes of their first layer are tried, and the evidence chooses: times the data's own cycles."""
+"""Networks that differ in the slopes of their first layer are tried, and the evidence chooses: times the data's own
+cycles."""
 
 
-def _regressions(problem: Problem, paths: Sequence[np.ndarray], forces: Sequence[list[np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+def _regressions(
+    problem: Problem, paths: Sequence[np.ndarray], forces: Sequence[list[np.ndarray]]
+) -> tuple[np.ndarray, np.ndarray]:
     """Parameters at the fitted paths, (n,), and at each draw of them, (n_draws, n), gauge mass 1 in free vibration.
 
     Least squares on the equation of motion, each row weighted by the inverse spread of its residual over the draws.
@@ -130,9 +151,10 @@ def _regressions(problem: Problem, paths: Sequence[np.ndarray], forces: Sequence
     def equation(draw: int) -> tuple[np.ndarray, np.ndarray]:
         columns, rest = [], []
         for path, force in zip(paths, forces, strict=True):
-            a, b = regression_columns(system, *(list(path[draw, s].T) for s in range(3)), force)
-            columns.append(a[:, free])
-            rest.append(b if problem.forced else b + a[:, system.names.index(system.gauge)])
+            x, v, a = (list(path[draw, s].T) for s in range(3))
+            block, b = regression_columns(system, x, v, a, force)
+            columns.append(block[:, free])
+            rest.append(b if problem.forced else b + block[:, system.names.index(system.gauge)])
         return np.concatenate(columns), np.concatenate(rest)
 
     systems = [equation(draw) for draw in range(paths[0].shape[0])]
@@ -151,34 +173,43 @@ def _estimate(
     """Groups in free vibration, parameters under a force; a failure where no belief can be stated."""
     system = problem.system
     if not (np.all(np.isfinite(values)) and np.all(np.isfinite(covariance))):
-        return Estimate.failed(system, Status.NONFINITE, "the regression on the derivatives is not finite", common["cost"])
+        return Estimate.failed(
+            system, Status.NONFINITE, "the regression on the derivatives is not finite", common["cost"]
+        )
     parameters = dict(zip(system.names, values, strict=True))
     if not problem.forced:
         names = tuple(group.name for group in system.groups)
         means = np.array([group.value(parameters) for group in system.groups])
         # every group is linear in each parameter once the gauge is one, to first order: p ∂g/∂p = exponent g
         slopes = np.array([group.vector(system.names) for group in system.groups]) * means[:, None] / values
-        return Estimate(system, groups=Normal(names, means, slopes @ covariance @ slopes.T, log=False, dof=dof), **common)
+        return Estimate(
+            system, groups=Normal(names, means, slopes @ covariance @ slopes.T, log=False, dof=dof), **common
+        )
     if np.any(values <= 0):
-        sentence = "the regression gives a parameter that is not positive; more samples a cycle or less noise are needed"
+        sentence = (
+            "the regression gives a parameter that is not positive; more samples a cycle or less noise are needed"
+        )
         return Estimate.failed(system, Status.DIVERGED, sentence, common["cost"])
     mean, logs = np.log(values), covariance / np.outer(values, values)
     if problem.prior is not None:
         precision = np.linalg.pinv(logs, hermitian=True)
         weigh = np.diag(problem.prior.log_sds**-2.0)
-        logs = np.linalg.inv(precision + weigh)
-        mean = logs @ (precision @ mean + weigh @ problem.prior.log_mean)
+        combined = np.linalg.inv(precision + weigh)
+        mean = combined @ (precision @ mean + weigh @ problem.prior.log_mean)
+        return Estimate(system, parameters=Normal(system.names, mean, combined, log=True, dof=dof), **common)
     return Estimate(system, parameters=Normal(system.names, mean, logs, log=True, dof=dof), **common)
 
 
 class Smoother:
     """A network fitted to the displacement of one record by Bayesian regularisation.
 
-    ``sds`` are the prior standard deviations of the weights about their first values, layer by layer; ``sigma`` that of the
-    noise, over the root mean square of each channel.
+    ``sds`` are the prior standard deviations of the weights about their first values, layer by layer; ``sigma`` that
+    of the noise, over the root mean square of each channel.
     """
 
-    def __init__(self, record: Record, n_dof: int, width: int, depth: int, cycles: float, rng: np.random.Generator) -> None:
+    def __init__(
+        self, record: Record, n_dof: int, width: int, depth: int, cycles: float, rng: np.random.Generator
+    ) -> None:
         import torch
 
         from methods.pinn import network
@@ -195,9 +226,11 @@ class Smoother:
         self.tau = torch.as_tensor(2.0 * times / self.duration - 1.0)
         self.dof = torch.as_tensor(np.concatenate([np.full(c.n, c.dof) for c in record.channels]))
         self.values = torch.as_tensor(np.concatenate([c.values for c in record.channels]))
-        sizes = [np.sqrt(np.mean(c.values**2)) if c.n else 0.0 for c in record.channels]
-        sizes = np.maximum(sizes, 1e-3 * max(max(sizes), 1e-300))
-        self.scale = torch.as_tensor(np.concatenate([np.full(c.n, s) for c, s in zip(record.channels, sizes, strict=True)]))
+        sizes = np.array([np.sqrt(np.mean(c.values**2)) if c.n else 0.0 for c in record.channels])
+        sizes = np.maximum(sizes, 1e-3 * max(float(sizes.max()), 1e-300))
+        self.scale = torch.as_tensor(
+            np.concatenate([np.full(c.n, s) for c, s in zip(record.channels, sizes, strict=True)])
+        )
         self.n = int(times.size)
         self.sigma, self.used, self.evidence = 0.1, 0.0, -np.inf
         self.evaluations = self.steps = 0
@@ -269,7 +302,9 @@ class Smoother:
         matrix.diagonal().add_(1.0)
         inverse = torch.linalg.inv(matrix)
         gammas = np.array([float((inverse * share).sum()) for share in shares])
-        self.evidence = -self.objective(self.theta, errors) - 0.5 * float(torch.logdet(matrix)) - self.n * np.log(self.sigma)
+        self.evidence = (
+            -self.objective(self.theta, errors) - 0.5 * float(torch.logdet(matrix)) - self.n * np.log(self.sigma)
+        )
         moved = ((self.theta - self.first) ** 2).numpy()
         squares = np.array([moved[self.layer == i].sum() for i in range(self.sds.size)])
         sds = np.clip(np.sqrt(squares / np.maximum(gammas, 1e-3)), 1e-4, 1e2)
@@ -284,7 +319,8 @@ class Smoother:
         return change
 
     def paths(self, times: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
-        """x, x', x'' at the times: first the fit, then draws from the linearised posterior, (1 + draws, 3, n_times, n_dof).
+        """x, x', x'' at the times: first the fit, then draws from the linearised posterior, (1 + draws, 3, n_times,
+        n_dof).
 
         A draw is a prior draw corrected by the data (Matheron's rule), through the network's derivative by its weights.
         """

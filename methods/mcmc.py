@@ -4,7 +4,7 @@ Sampled together: the log-parameters, the initial states and offsets that are no
 channel's noise. Likelihood: independent normal errors about :func:`bench.simulate`'s response, all walkers at once.
 Priors, all proper but one: the problem's nominal prior on the log-parameters (without one, a normal of standard
 deviation 3, a factor of 20, about the best fit to the data); ``log sigma ~ Normal(log(rms of the channel / 10), 3²)``,
-wide enough for 80 dB to -30 dB within two standard deviations; flat on initial states and offsets, which the data fix.
+its two standard deviations reach from 70 dB to -30 dB; flat on initial states and offsets, which the data fix.
 
 Moves: mostly independent Metropolis-Hastings with a proposal that stands on the modes of the posterior, a mixture of
 multivariate Student t around each half-period that could still be true, so walkers change from one to the other;
@@ -18,7 +18,7 @@ A chain that has not converged is extended; one that never does is a failure wit
 
 Linear systems only: stepping through a nonlinear response for all walkers works, but takes minutes a fit.
 
-Point values are medians of the draws. The reconstruction is the mean response over draws: of all curves the one of
+The point value of a quantity is that of least expected squared relative error (:class:`bench.Draws`). The reconstruction is the mean response over draws: of all curves the one of
 least expected square error under the posterior.
 """
 

@@ -81,7 +81,7 @@ class Shooting(Identifier):
         reconstruction="own",
         uncertainty="inverse reduced Hessian in the log-parameters, Student t with N - p degrees of freedom",
         settings_source="defaults by reasoning on accuracy and cost",
-        tuning="checked, not tuned, on development systems (40 to 5 dB, damping ratio 2-20 %, 2-10 cycles)",
+        tuning="two values of noise_share; development systems at 40 to 5 dB, damping ratio 2-20 %, 2-10 cycles",
     )
     serves: ClassVar[Serves] = Serves(
         measures=("displacement", "velocity", "acceleration"),

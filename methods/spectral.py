@@ -23,6 +23,7 @@ from scipy.optimize import nnls
 
 from bench import (
     Channel,
+    Dimension,
     Estimate,
     Force,
     InitialState,
@@ -34,9 +35,8 @@ from bench import (
     fitted_start,
     measurements,
     regression_columns,
+    state_matrix,
 )
-from bench.simulate import state_matrix
-from bench.systems import Dimension
 
 DECAYS = (0.15, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Decay rates of the grid, in 1 / record."""

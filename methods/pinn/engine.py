@@ -29,8 +29,8 @@ START = 0.1
 WEIGHT_PRECISION = 1e-10
 """Precision of the network's weights, relative to the largest diagonal entry of J Jᵀ, when they are profiled out."""
 DAMPING = (1e-3, 1e-6, 1e-7)
-"""First damping of the three stages, relative to the largest diagonal entry of J Jᵀ. The later ones start near the minimum; with
-more damping than this a stage ends early, for the little that a damped step promises."""
+"""First damping of the three stages, relative to the largest diagonal entry of J Jᵀ. The later ones start near the
+minimum; with more damping than this a stage ends early, for the little that a damped step promises."""
 OVERTONES = 3.0
 """Highest frequency that matters over the dominant one, where there are several modes, harmonics or a force."""
 ROUNDS = 3
@@ -43,8 +43,8 @@ SETTLED = 0.03
 class Fit:
     """The outcome of one attempt, in numpy and natural units.
 
-    ``logs`` (n_parameters,), ``covariance`` of the free log-parameters; ``left`` is the share of the data's sum of squares that
-    the fit leaves; ``loss`` minus the log posterior at the noise in ``sigmas``, up to a constant.
+    ``logs`` (n_parameters,), ``covariance`` of the free log-parameters; ``left`` is the share of the data's sum of
+    squares that the fit leaves; ``loss`` minus the log posterior at the noise in ``sigmas``, up to a constant.
     """
 
     logs: np.ndarray
@@ -244,9 +244,12 @@ class Attempt:
         )
         errors = self.errors(deviations)
         history = {name: np.array([terms[name] for terms in self.walk.history]) for name in TERMS}
-        # minus the log likelihood at the estimated noise: its determinant counts when fits of different noise are compared
+        # minus the log likelihood at the estimated noise: its determinant counts when fits of different noise are
+        # compared
         loss = 0.5 * float(np.sum(self.n * np.log(np.maximum(errors / np.maximum(self.n, 1), 1e-300))))
-        loss += 0.5 * (self.walk.state.terms["physics"] + self.walk.state.terms["initial"] + self.walk.state.terms["prior"])
+        loss += 0.5 * (
+            self.walk.state.terms["physics"] + self.walk.state.terms["initial"] + self.walk.state.terms["prior"]
+        )
         return Fit(
             logs=logs.cpu().numpy(),
             covariance=self.covariance(deviations),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from methods.pinn.residuals import Residuals, State
+from methods.pinn.residuals import Linear, Residuals, State
 
 LEAST_DAMPING = 1e-11
 GREATEST_DAMPING = 1e6
@@ -57,19 +57,20 @@ def minimise(
 ) -> Walk:
     """Minimise half the squared residual vector from ``walk.state`` and ``walk.damping``, with the damping of Nielsen.
 
-    Stops when the linear model promises less than ``tolerance`` (the residuals are in standard deviations, so this is a change
-    of minus the log posterior), or after ``iterations``. Damping: H. B. Nielsen, Damping Parameter in Marquardt's
-    Method, IMM-REP-1999-05, with a floor relative to J Jᵀ. ``output_only`` moves the last layer and the unknowns beside the
-    weights only. Updates and returns ``walk``.
+    Stops when the linear model promises less than ``tolerance`` (the residuals are in standard deviations, so this
+    is a change of minus the log posterior), or after ``iterations``. Damping: H. B. Nielsen, Damping Parameter in
+    Marquardt's Method, IMM-REP-1999-05, with a floor relative to J Jᵀ. ``output_only`` moves the last layer and the
+    unknowns beside the weights only. Updates and returns ``walk``.
     """
     state = residuals.evaluate(walk.state.z, deviations)
     walk.evaluations += 1
     walk.converged, walk.reason = False, "the largest number of iterations was reached"
     growth = 2.0
-    gram = linear = None
+    gram: Tensor | None = None
+    linear: Linear | None = None
     size = 1.0
     for _ in range(iterations):
-        if gram is None:
+        if gram is None or linear is None:
             linear = residuals.linearise(state, deviations, output_only)
             gram = residuals.gram(state, linear, unknown_scale, output_only)
             size = float(gram.diagonal().max())
@@ -87,7 +88,7 @@ def minimise(
                 gain = -1.0
         if gain > 0:
             state = trial
-            gram = None
+            gram = linear = None
             walk.damping = max(walk.damping * max(1 / 10, 1 - (2 * gain - 1) ** 3), LEAST_DAMPING)
             growth = 2.0
             walk.history.append(state.terms)

@@ -11,6 +11,7 @@ and ``s' = -2 h s``: ``h' = s z'`` and ``h'' = s z'' + s' z'²``. The adjoint is
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,18 +23,20 @@ Layers = list[tuple[Tensor, Tensor]]
 """Weights (n_out, n_in) and biases (n_out,), layer by layer; the last layer is linear."""
 
 
-def initial_layers(widths: Sequence[int], cycles: float, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
+def initial_layers(
+    widths: Sequence[int], cycles: float, rng: np.random.Generator
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Random weights for a function of time on [-1, 1] with about ``cycles`` oscillations; numpy, float64.
 
-    First layer: slopes near ``gain = 1 + cycles / 2`` of either sign, and biases that put the centres of the tanh evenly
-    over the interval (zero biases put all of them at its middle, where the ends of the record cannot be fitted).
+    First layer: slopes near ``gain = 1 + cycles / 2`` of either sign, and biases that put the centres of the tanh
+    evenly over the interval (zero biases put all of them at its middle, where the ends of the record cannot be fitted).
     Hidden layers: normal with variance 4/n_in, biases of variance 1. Last layer: zero, so that the first response is
     the state of rest. These sizes were chosen so that a linear combination of the last hidden layer alone already
     solves an oscillator's equation; with larger slopes it oscillates between the collocation points instead.
     """
     layers = []
     gain = 1.0 + 0.5 * cycles
-    for i, (n_in, n_out) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
+    for i, (n_in, n_out) in enumerate(itertools.pairwise(widths)):
         if i == len(widths) - 2:
             weight, bias = np.zeros((n_out, n_in)), np.zeros(n_out)
         elif i == 0:
@@ -49,7 +52,7 @@ def initial_layers(widths: Sequence[int], cycles: float, rng: np.random.Generato
 
 def count(widths: Sequence[int]) -> int:
     """Number of weights and biases."""
-    return sum((n_in + 1) * n_out for n_in, n_out in zip(widths[:-1], widths[1:], strict=True))
+    return sum((n_in + 1) * n_out for n_in, n_out in itertools.pairwise(widths))
 
 
 def flat(layers: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
@@ -60,7 +63,7 @@ def flat(layers: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
 def unflat(theta: Tensor, widths: Sequence[int]) -> Layers:
     """Views of the vector ``theta`` (see :func:`flat`) as layers."""
     layers, at = [], 0
-    for n_in, n_out in zip(widths[:-1], widths[1:], strict=True):
+    for n_in, n_out in itertools.pairwise(widths):
         weight = theta[at : at + n_in * n_out].view(n_out, n_in)
         bias = theta[at + n_in * n_out : at + (n_in + 1) * n_out]
         layers.append((weight, bias))
@@ -135,7 +138,8 @@ def gram(tape: Tape, adjoints: Sequence[Tensor], points: Tensor, only_output: bo
     """``J Jᵀ`` over the weights, (n_rows, n_rows), as a sum over layers of Gram products; J is never formed.
 
     For one layer, ``(J Jᵀ)[i, j] = sum over streams s, t of (a_s[i]·a_t[j]) (h_s[i]·h_t[j])``, with a the adjoints and
-    h the inputs, the biases adding 1 to the inputs' product at s = t = 0. With ``only_output`` just the last layer's share.
+    h the inputs, the biases adding 1 to the inputs' product at s = t = 0. With ``only_output`` just the last layer's
+    share.
     """
     n = points.shape[0]
     half = torch.zeros(n, n, dtype=tape.output.dtype, device=tape.output.device)

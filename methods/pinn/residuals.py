@@ -1,6 +1,7 @@
 """The residual vector of an inverse PINN, and what every optimiser needs of it. One object, whoever minimises it.
 
-The vector holds, each row divided by its standard deviation, so that half its squared length is minus the log posterior:
+The vector holds, each row divided by its standard deviation, so that half its squared length is minus the log
+posterior:
 
 data      network minus measurement, over the channel's noise
 physics   the system's residual at the collocation points, divided by the gauge mass (an acceleration), over ``slack``
@@ -83,7 +84,8 @@ class Block:
         if record.initial_state is not None:
             self.start = tensor(np.stack([record.initial_state.displacement, record.initial_state.velocity]))
         n_start = 0 if self.start is None else 2 * self.n_dof
-        # rows: data, physics (DOF by DOF), start (displacements, then velocities); time 0 is the first collocation point
+        # rows: data, physics (DOF by DOF), start (displacements, then velocities); time 0 is the first collocation
+        # point
         physics = torch.arange(collocation, device=device).repeat(self.n_dof)
         self.points = torch.cat([self.data_points, physics, torch.zeros(n_start, dtype=torch.long, device=device)])
         self.n_rows = self.points.shape[0]
@@ -127,7 +129,13 @@ class Residuals:
     """
 
     def __init__(
-        self, problem: Problem, widths: Sequence[int], collocation: int, free: Sequence[str], log_fixed: np.ndarray, device: str
+        self,
+        problem: Problem,
+        widths: Sequence[int],
+        collocation: int,
+        free: Sequence[str],
+        log_fixed: np.ndarray,
+        device: str,
     ) -> None:
         self.device = torch.device(device)
         self.problem, self.system, self.widths = problem, problem.system, tuple(widths)
@@ -142,7 +150,10 @@ class Residuals:
         self.n_rows = sum(b.n_rows for b in self.blocks)
         self.prior = None
         if problem.prior is not None:
-            self.prior = [torch.as_tensor(v[self.free], device=self.device) for v in (problem.prior.log_mean, problem.prior.log_sds)]
+            self.prior = [
+                torch.as_tensor(v[self.free], device=self.device)
+                for v in (problem.prior.log_mean, problem.prior.log_sds)
+            ]
             self.n_rows += len(self.free)
         self._offset_rows = self._offset_columns()
 
@@ -214,9 +225,11 @@ class Residuals:
         return terms
 
     def _physics_slopes(self, block: Block, tape: network.Tape, logs: Tensor) -> tuple[Tensor, Tensor]:
-        """Derivatives of the scaled equations by the streams, (n_dof, 3, m, n_dof), and by the log-parameters, (n_dof, m, n_parameters).
+        """Derivatives of the scaled equations by the streams, (n_dof, 3, m, n_dof), and by the log-parameters,
+        (n_dof, m, n_parameters).
 
-        The residual acts point by point, so one reverse pass over the sum of its values gives the slopes at every point.
+        The residual acts point by point, so one reverse pass over the sum of its values gives the slopes at every
+        point.
         """
         m = block.collocation
         streams = tape.output[:, :m].detach().clone().requires_grad_(True)
@@ -277,7 +290,9 @@ class Residuals:
             at = end
         return total
 
-    def pull_back(self, state: State, linear: Linear, dual: Tensor, unknown_scale: float, output_only: bool = False) -> Tensor:
+    def pull_back(
+        self, state: State, linear: Linear, dual: Tensor, unknown_scale: float, output_only: bool = False
+    ) -> Tensor:
         """``S² Jᵀ dual`` as a vector like z."""
         parts, at = [], 0
         for block, tape, adjoints in zip(self.blocks, state.tapes, linear.adjoints, strict=True):

@@ -12,7 +12,8 @@ from bench.systems import MASS, SDOF, STIFFNESS, Parameter, Quantity, System
 class Coupled(System):
     """Two masses with an off-diagonal inertia term; its mass matrix depends on the motion (a cart and its arm).
 
-    ``(m1 + m2) a1 + m2 cos(x2) a2 + k x1 = f1`` and ``m2 cos(x2) a1 + m2 a2 + k sin(x2) = f2``.
+    ``(m1 + m2) a1 + m2 cos(x2) a2 + k x1 = f1`` and, doubled so that the matrix is not symmetric,
+    ``m2 cos(x2) a1 + m2 a2 + k sin(x2) = f2``.
     """
 
     name: ClassVar[str] = "coupled"
@@ -33,7 +34,7 @@ class Coupled(System):
         tie = p["m2"] * ops.cos(x[1])
         return [
             (p["m1"] + p["m2"]) * a[0] + tie * a[1] + p["k"] * x[0] - f[0],
-            tie * a[0] + p["m2"] * a[1] + p["k"] * ops.sin(x[1]) - f[1],
+            2.0 * (tie * a[0] + p["m2"] * a[1] + p["k"] * ops.sin(x[1]) - f[1]),
         ]
 
     @property

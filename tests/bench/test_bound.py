@@ -167,6 +167,16 @@ def test_a_known_force_tells_everything(scenario: Scenario, told: str) -> None:
     assert all(math.isfinite(bound.relative_sd[name]) for name in system.names)
 
 
+def test_three_samples_do_not_tell_two_groups_and_a_start() -> None:
+    """Three equations: with the start known, two groups; with it unknown, four unknowns, so one combination is lost."""
+    three = on_its_samples(SDOF_FREE, samples=3, duration=2.0)
+    known, unknown = (compute_bound(replace(three, told=told)) for told in ("known", "unknown"))  # type: ignore[arg-type]
+    assert (len(known.null_space), len(unknown.null_space)) == (1, 2)
+    assert known.identifiable["k_over_m"]
+    assert not unknown.identifiable["k_over_m"]
+    assert unknown.relative_sd["k_over_m"] == math.inf
+
+
 def test_forced_sensitivities_are_finite_differences_of_the_truths_own_response() -> None:
     """The truth's matrix exponential shares no line with the integrator that jax differentiates."""
     scenario = on_its_samples(replace(SDOF_FREE, force=MULTISINE))

@@ -72,6 +72,13 @@ def test_an_unknown_unit_of_x_is_kept_and_a_force_is_read(tmp_path: Path) -> Non
     np.testing.assert_allclose(table.force, [100, 200, -300])
 
 
+@pytest.mark.parametrize(("unit", "newtons"), [("N", 1.0), ("mN", 1e-3), ("MN", 1e6), ("kN", 1e3), ("KN", 1e3)])
+def test_milli_and_mega_are_told_apart(unit: str, newtons: float, tmp_path: Path) -> None:
+    table = read_record(write(tmp_path / "r.csv", f"t,x,force [{unit}]\n0,1,1\n1,2,2\n2,3,-3\n"))
+    assert table.force is not None
+    np.testing.assert_allclose(table.force, newtons * np.array([1, 2, -3]))
+
+
 BAD = {
     "empty": ("", "0 samples; at least 3"),
     "a header alone": ("t,x\n", "0 samples"),

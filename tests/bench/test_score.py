@@ -78,9 +78,10 @@ def test_errors_and_scores_by_hand_when_m_and_k_are_half_too_large() -> None:
     assert scores["rmse"] == scores["rmse_simulated"]
 
 
-def test_coverage_at_each_level_is_where_the_truth_stands_in_the_belief() -> None:
+@pytest.mark.parametrize("side", [0.1, -0.1], ids=["above", "below"])
+def test_coverage_at_each_level_is_where_the_truth_stands_in_the_belief(side: float) -> None:
     """log m is off by one standard deviation, which is the 68 % interval: in at 80 and 95, out at 50."""
-    scores = score(an_estimate(math.exp(0.1), 0.1), *a_pair())
+    scores = score(an_estimate(math.exp(side), 0.1), *a_pair())
     assert [scores[f"m_coverage_{level}"] for level in (50, 80, 95)] == [0.0, 1.0, 1.0]
 
 

@@ -176,6 +176,10 @@ def test_failures_stand_in_the_table_with_their_reason(reference: Scenario) -> N
     assert "15/40" in row
     assert "failed ×" in row  # more than half failed: the median is a failure, the excess that of the others
     assert "- 25 × LS, finite differences: diverged, took too large a step" in text
+    oracle, ls = ([row.scores.get("rmse", math.inf) for row in e.stored.rows] for e in found if e.stored)
+    verdict = data[(data.method == "ls") & (data.metric == "rmse")].verdict.iloc[0]
+    assert verdict == judge(0.119, np.array(ls), np.array(oracle), 0.0).text
+    assert verdict != judge(0.119, np.array(ls)[np.isfinite(ls)], np.array(oracle), 0.0).text
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from methods.ddnn import DDNN, Smoother
 
 torch = pytest.importorskip("torch")
 
-FAST = DDNN(draws=30)
+FAST = DDNN(iterations=30, draws=30)
 
 
 def sine(noise: float, n: int = 30, seed: int = 0) -> Problem:
@@ -59,7 +59,8 @@ def test_units_change_nothing() -> None:
     problem, units = sine(0.1), Units(2.0, 1e-3, 0.1)
     one = FAST.identify(problem, np.random.default_rng(0)).groups
     other = FAST.identify(problem.expressed_in(units), np.random.default_rng(0)).expressed_in(units.inverse).groups
-    assert one is not None and other is not None
+    assert one is not None
+    assert other is not None
     assert np.all(np.abs(one.mean - other.mean) < 1e-3 * np.sqrt(np.diag(one.covariance)))  # type: ignore[arg-type]
 
 
@@ -69,4 +70,5 @@ def test_survives_little_and_nothing() -> None:
     assert few.status is not Status.OK or (few.belief is not None and few.belief.finite())
     pickle.loads(pickle.dumps(few))
     dead = FAST.identify(Problem(SDOF(), (Record((Channel(t, 0 * t),)),)), np.random.default_rng(0))
-    assert dead.status is Status.DIVERGED and dead.message
+    assert dead.status is Status.DIVERGED
+    assert dead.message
