@@ -59,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             fits = sum(cell.replicates for cell in own)
             with tqdm(total=fits, unit="fit", desc=label, file=sys.stderr, leave=False) as bar:
                 started = time.perf_counter()
-                results = run_cells(own, store, workers, lambda cell, n, bar=bar: bar.update(n))  # type: ignore[misc]
+                results = run_cells(own, store, workers, lambda cell, n, stored, bar=bar: bar.update(n))  # type: ignore[misc]
                 seconds = time.perf_counter() - started
             cpu = sorted(row.cpu_s for result in results for row in result.rows)
             wanted = sum(full[_place(c)] for c in own)

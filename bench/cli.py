@@ -102,7 +102,8 @@ def _run(jobs: Sequence[Any]) -> int:
     total = sum(cell.replicates for cell in {cell.identity: cell for cell in cells}.values())
     with tqdm(total=total, unit="fit", file=sys.stderr, dynamic_ncols=True, mininterval=0.2) as bar:
 
-        def progress(cell: Any, n: int) -> None:
+        def progress(cell: Any, n: int, stored: bool) -> None:
+            bar.initial += n if stored else 0  # the rate, and so the time left, is that of fits made now
             bar.set_description(f"{cell.label} {cell.scenario.snr_db:g} dB")
             bar.update(n)
 

@@ -35,6 +35,9 @@ LARGEST_TASK = 5
 PACKAGES = ("numpy", "scipy", "jax", "torch", "casadi", "pysindy", "emcee", "vibration-bench")
 
 
+Progress = Callable[[Cell, int, bool], None]
+
+
 @dataclass(frozen=True)
 class ReferenceFit:
     """A reference row as a worker runs it: its payloads are pairs of problem and truth."""
@@ -76,11 +79,11 @@ class _Pending:
 
 
 def run_cells(
-    cells: Sequence[Cell], store: Store, workers: int, on_progress: Callable[[Cell, int], None] = lambda cell, n: None
+    cells: Sequence[Cell], store: Store, workers: int, on_progress: Progress = lambda cell, n, stored: None
 ) -> list[StoredCell]:
     """Run what the store lacks of the cells, store each as it is done, and return all of them in order.
 
-    ``on_progress(cell, n)`` is called whenever ``n`` more replicates of a cell are done (or were found stored).
+    ``on_progress(cell, n, stored)`` is called when ``n`` more replicates of a cell are done, or were found stored.
     """
     single_threaded()
     done: dict[str, StoredCell] = {}
@@ -91,7 +94,7 @@ def run_cells(
             missing.setdefault(cell.identity, cell)
         else:
             done[cell.identity] = stored
-            on_progress(cell, cell.replicates)
+            on_progress(cell, cell.replicates, True)
     todo = list(missing.values())
     bounds = load_bounds([(cell.scenario, cell.seed) for cell in todo], store.bounds) if todo else []
     # cells of one method go together, in workers of their own: memory peaks then belong to that method
@@ -108,7 +111,7 @@ def _can_now_run(stored: StoredCell) -> bool:
 
 
 def _run_group(
-    group: Sequence[tuple[Cell, Bound]], store: Store, workers: int, on_progress: Callable[[Cell, int], None]
+    group: Sequence[tuple[Cell, Bound]], store: Store, workers: int, on_progress: Progress
 ) -> list[StoredCell]:
     pending: dict[str, _Pending] = {}
     tasks: list[Task] = []
@@ -120,14 +123,14 @@ def _run_group(
         lacking = missing_package(cell.method)
         if lacking:
             state.rows = [Row(i, Status.MISSING_DEPENDENCY, lacking) for i in range(cell.replicates)]
-            on_progress(cell, cell.replicates)
+            on_progress(cell, cell.replicates, False)
             results.append(_finish(pending.pop(cell.identity), store))
         else:
             tasks += _tasks(cell, pairs, workers)
     for task, outcomes in perform(tasks, workers):
         state = pending[task.key]
         state.rows += [_row(outcome, state.pairs[outcome.replicate]) for outcome in outcomes]
-        on_progress(state.cell, len(outcomes))
+        on_progress(state.cell, len(outcomes), False)
         if len(state.rows) == state.cell.replicates:
             results.append(_finish(pending.pop(task.key), store))
     return results

@@ -109,6 +109,8 @@ def _work(connection: Connection) -> None:
         outcomes = _perform(task)
         try:
             connection.send(outcomes)
+        except OSError:
+            return  # nobody waits for it any more
         except Exception as error:
             message = f"the estimate cannot be pickled: {error}"[:300]
             connection.send([Outcome(r, None, Status.INVALID, message) for r in task.replicates])

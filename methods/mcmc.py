@@ -18,8 +18,8 @@ A chain that has not converged is extended; one that never does is a failure wit
 
 Linear systems only: stepping through a nonlinear response for all walkers works, but takes minutes a fit.
 
-The point value of a quantity is that of least expected squared relative error (:class:`bench.Draws`). The reconstruction is the mean response over draws: of all curves the one of
-least expected square error under the posterior.
+The point value of a quantity is that of least expected squared relative error (:class:`bench.Draws`); the
+reconstruction is the mean response over draws: of all curves the one of least expected square error.
 """
 
 from __future__ import annotations

@@ -148,11 +148,11 @@ def test_a_finished_cell_is_found_and_not_computed_again(
 
     for name in ("perform", "load_bounds"):
         monkeypatch.setattr(runner, name, never)
-    told: list[tuple[str, int]] = []
-    (second,) = run_cells([cell], store, 1, lambda cell, n: told.append((cell.label, n)))
+    told: list[tuple[str, int, bool]] = []
+    (second,) = run_cells([cell], store, 1, lambda cell, n, stored: told.append((cell.label, n, stored)))
     assert second.rows == store.load(cell.identity).rows  # type: ignore[union-attr]
     assert store.path(cell.identity).stat().st_mtime_ns == stamp
-    assert told == [("prior", 3)]
+    assert told == [("prior", 3, True)]
     assert first.identity == second.identity
 
 
