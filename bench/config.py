@@ -174,6 +174,8 @@ def read_overrides(texts: Sequence[str]) -> dict[str, list[Any]]:
         key = override.get_key_element()
         if key.split(".")[0] not in FIELDS:
             raise InputError(key, _after_equals(text), f"not a field; fields: {', '.join(FIELDS)}")
+        if key in values:
+            raise InputError(key, _after_equals(text), "given twice; give it once")
         values[key] = _swept(override, key, text)
         if key in GROUPS:
             for value in values[key]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -151,10 +151,10 @@ class Scenario:
         return InitialState(np.array(self.initial[0]), np.array(self.initial[1]))
 
     def forces(self, seed: int) -> tuple[Force, ...]:
-        """The known forces: one draw a scenario and seed, the same for every replicate."""
+        """The known forces: one draw a scenario and seed, the same for every replicate and every noise level."""
         if self.force is None:
             return ()
-        return (self.force.draw(self.duration, self.stream(FORCE_AXIS, seed, 0)),)
+        return (self.force.draw(self.duration, replace(self, snr_db=0.0).stream(FORCE_AXIS, seed, 0)),)
 
     def _response(self, times: np.ndarray, seed: int) -> np.ndarray:
         return reference_response(self.make_system(), self.parameters, self.start, times, self.forces(seed))

@@ -58,14 +58,14 @@ class StoredCell:
         return Status.OK if Status.OK in statuses else max(set(statuses), key=statuses.count)
 
 
-def _to_json(value: Any) -> Any:
-    """JSON has no infinity: numbers that are not finite become strings, the others keep 6 digits."""
+def _to_json(value: Any, digits: int = DIGITS) -> Any:
+    """JSON has no infinity: numbers that are not finite become strings, the others keep so many digits."""
     if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else str(value)
+        return float(f"{value:.{digits}g}") if math.isfinite(value) else str(value)
     if isinstance(value, Mapping):
-        return {key: _to_json(item) for key, item in value.items()}
+        return {key: _to_json(item, digits) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_to_json(item) for item in value]
+        return [_to_json(item, digits) for item in value]
     return value
 
 
@@ -149,7 +149,8 @@ class Store:
         path = self.path(cell.identity)
         temporary = path.with_suffix(f".{os.getpid()}.tmp")
         with temporary.open("w", encoding="utf-8") as file:
-            json.dump(_to_json(content), file, ensure_ascii=False, separators=(",", ":"))
+            exact = _to_json(cell.cell, 17)  # what was computed, as opposed to what came out, is kept to the last digit
+            json.dump({**_to_json(content), "cell": exact}, file, ensure_ascii=False, separators=(",", ":"))
             file.write("\n")
             file.flush()
             os.fsync(file.fileno())

@@ -195,7 +195,11 @@ def _entry(by_metric: pd.DataFrame, metric: str, is_bound: bool) -> str:
     if is_bound:
         return number(line.bound)
     text = number(line["median"])
-    return text if not math.isfinite(line.excess) else f"{text} ×{_excess(line.excess)}"
+    if math.isfinite(line.excess):
+        text += f" ×{_excess(line.excess)}"
+    # the paper's own reading is the known start; its numbers stand beside that panel only
+    beside = math.isfinite(line.paper) and line.initial_state == "known"
+    return f"{text} (paper {number(line.paper)})" if beside else text
 
 
 def _excess(value: float) -> str:

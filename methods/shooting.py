@@ -159,9 +159,7 @@ class Shooting(Identifier):
         """
         relative = float(np.min(sigma / model.rms)) / np.sqrt(model.data.size)
         allowed = max(self.integration_error, self.noise_share * relative)
-        radians = max(
-            _fastest(model.system, model.parameters(theta), start) for start in model.starts(theta)
-        )
+        radians = max(_fastest(model.system, model.parameters(theta), start) for start in model.starts(theta))
         duration = max(record.duration for record in model.problem.records)
         step = (120.0 * allowed / max(radians * duration, 1.0)) ** 0.25 / max(radians, 1e-9)
         longest = max(float(np.max(plan.steps)) for plan in plans)
@@ -215,9 +213,7 @@ def _fastest(system: System, p: dict[str, np.ndarray], start: Any) -> float:
         at = level * amplitude
         step = 1e-6 * np.maximum(np.abs(amplitude), 1e-3)
         shifted = at[:, None] + np.concatenate([np.diag(step), -np.diag(step)], axis=1)
-        rates = np.array(
-            np.broadcast_arrays(*state_rate(system, p, list(shifted), [0.0] * system.n_dof, numpy_ops))
-        )
+        rates = np.array(np.broadcast_arrays(*state_rate(system, p, list(shifted), [0.0] * system.n_dof, numpy_ops)))
         jacobian = (rates[:, : len(at)] - rates[:, len(at) :]) / (2 * step)
         if np.all(np.isfinite(jacobian)):
             fastest = max(fastest, float(np.max(np.abs(np.linalg.eigvals(jacobian)))))

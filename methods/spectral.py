@@ -554,5 +554,3 @@ def _regressed(problem: Problem, blocks: Sequence[Curves]) -> dict[str, float]:
     found = nnls(scaled, right)[0]
     least = SMALLEST * float(np.sqrt(np.mean(right**2)))
     return {**fixed, **{name: float(max(value, least) / sizes[name]) for name, value in zip(free, found, strict=True)}}
-
-

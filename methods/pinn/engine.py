@@ -63,20 +63,23 @@ class Fit:
 
 
 def first_logs(problem: Problem, guess: Guess) -> np.ndarray:
-    """Log-parameters to start from: masses as the prior states them (1 without), the others from the damped wave.
+    """Log-parameters to start from: masses as the prior states them, the others from the damped wave.
 
     A parameter of dimension time^-n is of size omega^n in natural units, a damping 2 decay omega^(n - 1): for one mass
-    this is the wave's own oscillator, for others the right order of magnitude.
+    this is the wave's own oscillator, for others the right order of magnitude. Without a prior a mass is 1, and under a
+    force omega^-2: the unit of mass is then such that a force of one moves it by one in a unit of time, and the force
+    is taken to be as large as that of the springs.
     """
+    unit = guess.omega**-2.0 if problem.prior is None and problem.forced else 1.0
     values = []
     for parameter in problem.system.parameters:
         power = -parameter.dimension.time
         if parameter.kind == "mass":
-            value = problem.prior.nominal[parameter.name] if problem.prior is not None else 1.0
+            value = problem.prior.nominal[parameter.name] if problem.prior is not None else unit
         elif parameter.kind == "damping":
-            value = 2.0 * guess.decay * guess.omega ** (power - 1.0)
+            value = unit * 2.0 * guess.decay * guess.omega ** (power - 1.0)
         else:
-            value = guess.omega**power
+            value = unit * guess.omega**power
         values.append(value)
     return np.log(np.array(values))
 
