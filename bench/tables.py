@@ -152,7 +152,9 @@ def _verdict(paper: float, stored: StoredCell, oracle: StoredCell | None, metric
         return ""
     if oracle is None:
         return "no oracle stored"
-    share = stored.prior_share.get(metric.removesuffix("_error_pct"), 0.0)
+    # the prior's part of this method's own mean square error: a method that is far off is so for other reasons
+    excess = stored.summary[metric]["excess"]
+    share = stored.prior_share.get(metric.removesuffix("_error_pct"), 0.0) / max(excess**2, 1.0)
     return judge(paper, _errors(stored, metric), _errors(oracle, metric), share).text
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 RESAMPLES = 2000
 DECIDED_BY_PRIOR = 0.5
-"""A quantity whose variance at the bound comes to more than this part from the prior's error is not decidable."""
+"""A number is not decidable where more than this part of our mean square error is the prior's."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,8 @@ def judge(paper: float, ours: np.ndarray, oracle: np.ndarray, prior_share: float
 
     Reproduced: between the 5 % and 95 % quantiles of our replicates (single run), or of the means of as many
     replicates drawn from them with replacement (mean of many). Below: ours worse. Above: ours better. Not decidable
-    where the prior decides. Incompatible where it is below the oracle's 0.5 % quantile in both readings.
+    where ``prior_share``, the prior's part of our mean square error, says that the prior decides. Incompatible where it
+    is below the oracle's 0.5 % quantile in both readings.
     """
     if prior_share > DECIDED_BY_PRIOR:
         text = f"not decidable ({100 * prior_share:.0f} % prior)"
