@@ -43,8 +43,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("usage: python -m bench.benchmark [replicates=<n>] [method=a,b] [workers=2]\n\n" + str(__doc__))
         return 0
     extra = [a for a in arguments if not a.startswith("workers=")]
+    asked = [a for a in arguments if a.startswith("workers=")] or ["workers=2"]
     try:
-        workers = expand(["method=prior", "workers=2", *arguments], multirun=True)[0].config.workers or 2
+        workers = expand(["method=prior", *asked], multirun=True)[0].config.workers or 2
         full = {_place(c): c.replicates for c in _cells([a for a in extra if a.startswith("method=")])}
         cells = _cells(extra)
     except InputError as error:
