@@ -7,6 +7,7 @@ import math
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from bench.errors import InputError
@@ -141,6 +142,18 @@ def _as_json(job: Any, cell: Any, result: Any) -> dict[str, Any]:
         "wall_s": result.wall_s,
         "metrics": {name: {key: _finite(values[key]) for key in keys} for name, values in result.summary.items()},
     }
+
+
+def read_folders(arguments: Sequence[str], defaults: dict[str, str]) -> dict[str, Path]:
+    """Folders given as ``field=path``, over the defaults; raises InputError for anything else."""
+    folders = dict(defaults)
+    for argument in arguments:
+        key, _, value = argument.partition("=")
+        if key not in folders or not value:
+            wanted = " or ".join(f"{field}=<folder>" for field in defaults)
+            raise InputError("argument", argument, f"write {wanted}")
+        folders[key] = value
+    return {key: Path(value) for key, value in folders.items()}
 
 
 def number(value: float) -> str:

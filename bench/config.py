@@ -316,7 +316,4 @@ def _register_methods() -> None:
 
 def jobs_to_cells(jobs: Sequence[Job]) -> list[Cell]:
     """The cells of all jobs; raises InputError for the first that does not make sense, before any runs."""
-    for job in jobs:
-        if job.config.method["name"] not in REFERENCES:
-            make_method(job.config.method["name"], {k: v for k, v in job.config.method.items() if k != "name"})
     return [job.cell() for job in jobs]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -256,8 +256,3 @@ class Estimate:
         if self.status is Status.OK and (self.belief is None or not self.belief.finite()):
             return Estimate.failed(self.system, Status.NONFINITE, "the estimate is not finite", self.cost)
         return self
-
-
-def group_names(system: System) -> Sequence[str]:
-    """Names of the identifiable groups, in the order that every vector over them uses."""
-    return [group.name for group in system.groups]

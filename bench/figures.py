@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
+from bench.cli import read_folders
 from bench.errors import InputError
 from bench.store import Store
 from bench.tables import TITLES, Entry, entries, paper_numbers
@@ -79,20 +79,15 @@ def draw(found: Sequence[Entry]) -> Any:
 def main(argv: Sequence[str] | None = None) -> int:
     """``python -m bench.figures [store=results/rows] [out=results/figures]``; exit status 2 for bad input."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    options = {"store": "results/rows", "out": "results/figures"}
     if {"-h", "--help"} & set(arguments):
         print("usage: python -m bench.figures [store=results/rows] [out=results/figures]\n\n" + str(__doc__))
         return 0
     try:
-        for argument in arguments:
-            key, _, value = argument.partition("=")
-            if key not in options or not value:
-                raise InputError("argument", argument, "write store=<folder> or out=<folder>")
-            options[key] = value
-        out = Path(options["out"])
-        _, _, found = entries("table5", Store(Path(options["store"])))
+        folders = read_folders(arguments, {"store": "results/rows", "out": "results/figures"})
+        out = folders["out"]
+        _, _, found = entries("table5", Store(folders["store"]))
         if not any(entry.stored for entry in found):
-            raise InputError("store", options["store"], "no cell of table5 there; run -m experiment=table5 first")
+            raise InputError("store", folders["store"], "no cell of table5 there; run -m experiment=table5 first")
         Store(out).prepare()
         figure = draw(found)
     except ImportError:

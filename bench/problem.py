@@ -234,6 +234,13 @@ class Problem:
         prior = self.prior.expressed_in(units.scales(self.system)) if self.prior else None
         return Problem(self.system, tuple(r.expressed_in(units) for r in self.records), prior, self.name)
 
+    def offsets_from(self, units: Units, offsets: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        """Sensor offsets found in ``units``, one a channel record by record, in the units of this problem."""
+        if offsets is None:
+            return None
+        sizes = [units.of(MEASURED[channel.measures]) for record in self.records for channel in record.channels]
+        return tuple(offset * size for offset, size in zip(offsets, sizes, strict=True))
+
     def natural_units(self) -> Units:
         """Units in which data, time and prior mass are of order one, from the problem alone.
 

@@ -7,7 +7,6 @@ truth, what a perfect optimiser gets from the same data and the same prior.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -95,6 +94,5 @@ def oracle_estimate(problem: Problem, truth: Truth) -> Estimate:
     return Estimate(system, groups=groups, message=str(fit.message), **common)  # type: ignore[arg-type]
 
 
-ReferenceName = Literal["prior", "oracle"]
 REFERENCES: dict[str, Callable[[Problem, Truth], Estimate]] = {"prior": prior_estimate, "oracle": oracle_estimate}
 """Reference rows by name; on the command line ``method=oracle`` works like any method."""

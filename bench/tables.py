@@ -19,7 +19,7 @@ import pandas as pd
 from tabulate import tabulate
 
 from bench.cell import Cell
-from bench.cli import number
+from bench.cli import number, read_folders
 from bench.config import choices, expand, jobs_to_cells
 from bench.errors import InputError
 from bench.statistics import RESAMPLES
@@ -283,13 +283,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("usage: python -m bench.tables [store=results/rows] [out=results]\n\n" + str(__doc__))
         return 0
     try:
-        options = {"store": "results/rows", "out": "results"}
-        for argument in arguments:
-            key, _, value = argument.partition("=")
-            if key not in options or not value:
-                raise InputError("argument", argument, "write store=<folder> or out=<folder>")
-            options[key] = value
-        store, out = Store(Path(options["store"])), Path(options["out"])
+        folders = read_folders(arguments, {"store": "results/rows", "out": "results"})
+        store, out = Store(folders["store"]), folders["out"]
         if not store.folder.is_dir():
             raise InputError("store", store.folder, "there is no such folder; run some cells first")
         Store(out).prepare()

@@ -47,7 +47,7 @@ from bench import (
     System,
     simulate,
 )
-from methods.spectral import LOG_LIMIT, OutputError, offsets_in, screened, silent
+from methods.spectral import LOG_LIMIT, OutputError, screened, silent
 
 NOISE_CENTRE = float(np.log(0.1))
 NOISE_SD = 3.0
@@ -114,7 +114,7 @@ class MCMC(Identifier):
         if logs is not None:
             scales = np.log([units.scales(problem.system)[name] for name in problem.system.names])
             estimate = replace(estimate, traces={**estimate.traces, "mode": logs + scales})
-        return replace(estimate, offsets=offsets_in(units, model, estimate)).expressed_in(units.inverse)
+        return replace(estimate, offsets=problem.offsets_from(units, estimate.offsets)).expressed_in(units.inverse)
 
     def _sample(self, model: OutputError, rng: np.random.Generator) -> Estimate:
         modes = screened(model, n=3, rounds=3, iterations=12)

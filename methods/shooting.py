@@ -47,7 +47,7 @@ from bench import (
     simulate,
     state_rate,
 )
-from methods.spectral import OutputError, offsets_in, screened, silent
+from methods.spectral import OutputError, screened, silent
 
 SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
 MAX_SUBSTEPS = SUBSTEPS[-1]
@@ -104,7 +104,7 @@ class Shooting(Identifier):
         model = OutputError(scaled)
         with np.errstate(all="ignore"):
             estimate = self._solve(model)
-        return replace(estimate, offsets=offsets_in(units, model, estimate)).expressed_in(units.inverse)
+        return replace(estimate, offsets=problem.offsets_from(units, estimate.offsets)).expressed_in(units.inverse)
 
     def _solve(self, model: OutputError) -> Estimate:
         found = screened(model, self.starts, rounds=1, iterations=self.screen_iterations)

@@ -23,15 +23,12 @@ from scipy.optimize import nnls
 
 from bench import (
     Channel,
-    Dimension,
-    Estimate,
     Force,
     InitialState,
     Prior,
     Problem,
     Record,
     System,
-    Units,
     fitted_start,
     measurements,
     regression_columns,
@@ -46,7 +43,6 @@ MAX_CYCLES = 100.0
 SIGMA_FLOOR = 1e-4
 """The noise assumed while fitting is at least this part of a channel's root mean square; see ``noise``."""
 LOG_LIMIT = 40.0
-TIME_ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 SMALLEST = 0.02
 """A parameter that a regression finds negative or nil starts at this part of what would balance the other terms."""
 
@@ -259,14 +255,6 @@ def silent(problem: Problem) -> bool:
         for record in problem.records
         for c in record.channels
     )
-
-
-def offsets_in(units: Units, model: OutputError, estimate: Estimate) -> tuple[float, ...] | None:
-    """Offsets of an estimate in natural ``units``, in the user's (it cannot convert them: it knows no channels)."""
-    if estimate.offsets is None:
-        return None
-    sizes = [units.of(Dimension(0, 1, -TIME_ORDER[channel.measures])) for _, channel in model.channels]
-    return tuple(offset * size for offset, size in zip(estimate.offsets, sizes, strict=True))
 
 
 def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 8) -> list[tuple[float, np.ndarray]]:

@@ -34,8 +34,6 @@ from methods.pinn.spectral import Guess, scan
 if TYPE_CHECKING:
     from methods.pinn.engine import Fit
 
-ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
-"""How many times a channel's quantity is displacement differentiated by time."""
 DIGITS = 10
 """Digits that are kept of every number in natural units."""
 SUSPECT = 2.0
@@ -99,11 +97,8 @@ class PINN(Identifier):
             return Estimate.failed(problem.system, Status.INVALID, sentence)
         with np.errstate(all="ignore"):
             estimate = self._identified(scaled, rng)
-        if estimate.offsets is not None:
-            channels = [c for record in problem.records for c in record.channels]
-            sizes = [units.length / units.time ** ORDER[c.measures] for c in channels]
-            estimate = replace(estimate, offsets=tuple(o * s for o, s in zip(estimate.offsets, sizes, strict=True)))
-        return estimate.expressed_in(units.inverse)
+        offsets = problem.offsets_from(units, estimate.offsets)
+        return replace(estimate, offsets=offsets).expressed_in(units.inverse)
 
     def _identified(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         from methods.pinn import engine
