@@ -188,7 +188,8 @@ class Estimate:
     Exactly one of these is given by a method that succeeded: ``parameters`` (all of them, natively, with the prior
     used), or ``groups`` (the identifiable groups only, in themselves and without the prior; the harness then combines
     them with the prior, once). ``reconstructions`` holds the displacement as a function of time, one a record;
-    empty where the method has none, and the response simulated from its parameters stands in. ``initial_states``
+    empty where the method has none, and the response simulated from its parameters stands in. ``bands`` holds the standard
+    deviation (m) of the displacement as a function of time, one a record, where the method has it. ``initial_states``
     (one a record) and ``offsets`` (one a channel, record by record) are the method's own, where it has them.
     ``traces`` keeps named arrays worth a picture (loss history, parameter trajectory).
     """
@@ -197,6 +198,7 @@ class Estimate:
     parameters: Belief | None = None
     groups: Normal | None = None
     reconstructions: tuple[Reconstruction, ...] = ()
+    bands: tuple[Reconstruction, ...] = ()
     initial_states: tuple[InitialState, ...] | None = None
     offsets: tuple[float, ...] | None = None
     status: Status = Status.OK
@@ -248,6 +250,7 @@ class Estimate:
             parameters=self.parameters.expressed_in(scale) if self.parameters is not None else None,
             groups=self.groups.expressed_in(scale) if self.groups is not None else None,
             reconstructions=tuple(_Rescaled(r, units.time, units.of(LENGTH)) for r in self.reconstructions),
+            bands=tuple(_Rescaled(b, units.time, units.of(LENGTH)) for b in self.bands),
             initial_states=tuple(s.expressed_in(units) for s in starts) if starts is not None else None,
         )
 

@@ -44,7 +44,8 @@ from methods.pinn.spectral import scan
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from methods.pinn.network import Layers, Tape
+    from methods.pinn.ansatz import Tape
+    from methods.pinn.network import Network
 
 LEAST_NOISE, MOST_NOISE = 1e-6, 0.7
 """Range of the noise over the root mean square of the data: the upper end says that at least half of the data's
@@ -223,7 +224,7 @@ class Smoother:
         self.layer = np.concatenate([np.full(w.size + b.size, i) for i, (w, b) in enumerate(layers)])
         self.sds = np.full(len(layers), 1.0 / np.sqrt(width))
         times = np.concatenate([c.times for c in record.channels])
-        self.tau = torch.as_tensor(2.0 * times / self.duration - 1.0)
+        self.ansatz = self._at(times)
         self.dof = torch.as_tensor(np.concatenate([np.full(c.n, c.dof) for c in record.channels]))
         self.values = torch.as_tensor(np.concatenate([c.values for c in record.channels]))
         sizes = np.array([np.sqrt(np.mean(c.values**2)) if c.n else 0.0 for c in record.channels])
@@ -236,23 +237,25 @@ class Smoother:
         self.evaluations = self.steps = 0
         self.sigmas: list[float] = []
 
-    def layers(self, theta: Tensor) -> Layers:
-        return self.network.unflat(theta, self.widths)
+    def _at(self, times: np.ndarray) -> Network:
+        """The network at other times."""
+        tau = self.torch.as_tensor(2.0 * times / self.duration - 1.0)[None]
+        return self.network.Network(self.widths, tau, self.torch.full((1,), 2.0 / self.duration, dtype=tau.dtype))
 
     def errors(self, theta: Tensor) -> tuple[Tape, Tensor]:
         """The forward pass and the residuals over each channel's size, (n_samples,)."""
         self.evaluations += 1
-        tape = self.network.forward(self.layers(theta), self.tau, 2.0 / self.duration)
+        tape = self.ansatz.forward(theta[None])
         index = self.torch.arange(self.n)
-        return tape, (tape.output[0, index, self.dof] - self.values) / self.scale
+        return tape, (tape.output[0, 0, index, self.dof] - self.values) / self.scale
 
     def jacobian(self, tape: Tape) -> Tensor:
         """Of the residuals by the weights, (n_samples, n_weights)."""
         seeds = self.torch.zeros_like(tape.output)
         index = self.torch.arange(self.n)
-        seeds[0, index, self.dof] = 1.0 / self.scale
-        adjoints = self.network.adjoint(self.layers(self.theta), tape, seeds)
-        return self.network.jacobian(tape, adjoints, index)
+        seeds[0, 0, index, self.dof] = 1.0 / self.scale
+        adjoints = self.ansatz.adjoint(self.theta[None], tape, seeds)
+        return self.ansatz.jacobian(tape, adjoints, index)[0]
 
     def spread(self) -> Tensor:
         """Prior standard deviation of every weight, (n_weights,)."""
@@ -340,10 +343,7 @@ class Smoother:
 
     def streams(self, times: np.ndarray, move: Tensor | float = 0.0) -> np.ndarray:
         """x, x', x'' of the fit, or with its weights moved, (3, n_times, n_dof)."""
-        tau = self.torch.as_tensor(2.0 * times / self.duration - 1.0)
-        layers = self.layers(self.theta + move)
-        return np.asarray(self.network.forward(layers, tau, 2.0 / self.duration).output)
+        return np.asarray(self._at(times).forward((self.theta + move)[None]).output[0])
 
     def response(self) -> NetworkResponse:
-        layers = tuple((w.numpy().copy(), b.numpy().copy()) for w, b in self.layers(self.theta))
-        return NetworkResponse(layers, self.duration)
+        return NetworkResponse(self.network.unflat(self.theta.numpy().copy(), self.widths), self.duration)

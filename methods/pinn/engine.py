@@ -1,35 +1,35 @@
-"""One fit of an inverse PINN, from the data to the minimum, by either optimiser. Works in natural units."""
+"""One fit of an inverse PINN, or a batch of them, from the data to the minimum. Works in natural units."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from scipy.optimize import minimize
 from torch import Tensor
 
 from bench import Problem
-from methods.pinn import levenberg, network
-from methods.pinn.residuals import TERMS, Residuals, Spread, State
-from methods.pinn.response import NetworkResponse
+from methods.pinn import descent, levenberg
+from methods.pinn.laplace import laplace
+from methods.pinn.levenberg import Walk
+from methods.pinn.residuals import TERMS, Residuals, Spread
+from methods.pinn.response import Band, ExactStart, Function
 from methods.pinn.spectral import Guess
 
 if TYPE_CHECKING:
-    from methods.pinn.method import PINN
+    from methods.pinn.physics import PhysicsInformed
 
 FIRST_NOISE = 0.1
 """The noise of a channel over its root mean square, before anything is known of it."""
 LEAST_NOISE = 1e-6
-"""The least noise of a channel over its root mean square: what the network and its collocation can resolve."""
+"""The least noise of a channel over its root mean square: what the ansatz and its collocation can resolve."""
 START = 0.1
 """Standard deviation of a told start, over the noise: the start is told exactly, so this is small beside it."""
-WEIGHT_PRECISION = 1e-10
-"""Precision of the network's weights, relative to the largest diagonal entry of J Jᵀ, when they are profiled out."""
 DAMPING = (1e-3, 1e-6, 1e-7)
-"""First damping of the three stages, relative to the largest diagonal entry of J Jᵀ. The later ones start near the
+"""First damping of the three stages, relative to the largest squared row of J. The later ones start near the
 minimum; with more damping than this a stage ends early, for the little that a damped step promises."""
 OVERTONES = 3.0
 """Highest frequency that matters over the dominant one, where there are several modes, harmonics or a force."""
@@ -37,6 +37,8 @@ ROUNDS = 3
 """How often the noise may be estimated anew and the fit polished with it."""
 SETTLED = 0.03
 """Relative change of the noise below which it needs no further round."""
+POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
+"""A measured quantity is of the displacement's size times this power of the frequency."""
 
 
 @dataclass
@@ -44,12 +46,14 @@ class Fit:
     """The outcome of one attempt, in numpy and natural units.
 
     ``logs`` (n_parameters,), ``covariance`` of the free log-parameters; ``left`` is the share of the data's sum of
-    squares that the fit leaves; ``loss`` minus the log posterior at the noise in ``sigmas``, up to a constant.
+    squares that the fit leaves; ``loss`` minus the log posterior at the noise in ``sigmas`` (n_channels,), up to a
+    constant; ``responses`` and ``bands`` one a record.
     """
 
     logs: np.ndarray
     covariance: np.ndarray
-    responses: tuple[NetworkResponse, ...]
+    responses: tuple[Function, ...]
+    bands: tuple[Band, ...]
     starts: list[np.ndarray]
     offsets: np.ndarray
     left: float
@@ -60,6 +64,13 @@ class Fit:
     converged: bool
     reason: str
     history: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+def cycles(problem: Problem, guess: Guess) -> float:
+    """Oscillations in the longest record, of the fastest motion that matters."""
+    plain = problem.system.linear and problem.system.n_dof == 1 and not problem.forced
+    duration = max(record.duration for record in problem.records)
+    return (1.0 if plain else OVERTONES) * guess.omega * duration / (2.0 * np.pi)
 
 
 def first_logs(problem: Problem, guess: Guess) -> np.ndarray:
@@ -84,33 +95,62 @@ def first_logs(problem: Problem, guess: Guess) -> np.ndarray:
     return np.log(np.array(values))
 
 
+def free_parameters(problem: Problem) -> tuple[str, ...]:
+    """The parameters to estimate: without prior and force the gauge mass stays fixed, for the data cannot tell it."""
+    names = problem.system.names
+    if problem.prior is None and not problem.forced:
+        return tuple(name for name in names if name != problem.system.gauge)
+    return names
+
+
+def degrees_of_freedom(problem: Problem) -> float:
+    """Samples less the numbers that the data decide: parameters or groups, unknown starts, offsets; at least 1."""
+    system = problem.system
+    own = len(system.names) if problem.forced else len(system.groups)
+    starts = sum(2 * system.n_dof for record in problem.records if record.initial_state is None)
+    offsets = sum(c.offset for record in problem.records for c in record.channels)
+    return float(max(problem.n - own - starts - offsets, 1))
+
+
 class Attempt:
-    """A residual vector, an unknown noise, and the place reached so far."""
+    """Residual vectors, unknown noises, and the places reached so far, of problems of one structure."""
 
     def __init__(
-        self, problem: Problem, guess: Guess, free: Sequence[str], dof: float, settings: PINN, rng: np.random.Generator
+        self,
+        problems: Sequence[Problem],
+        guesses: Sequence[Guess],
+        settings: PhysicsInformed,
+        rngs: Sequence[np.random.Generator],
     ) -> None:
-        self.problem, self.settings, self.omega = problem, settings, guess.omega
-        self.duration = max(record.duration for record in problem.records)
-        logs = first_logs(problem, guess)
-        if len(free) < logs.size:
-            logs = logs - logs[problem.system.names.index(problem.system.gauge)]
-        widths = (1, *[settings.width] * settings.depth, problem.system.n_dof)
-        self.residuals = Residuals(problem, widths, settings.collocation, free, logs, settings.device)
-        plain = problem.system.linear and problem.system.n_dof == 1 and not problem.forced
-        cycles = (1.0 if plain else OVERTONES) * guess.omega * self.duration / (2.0 * np.pi)
-        weights = [network.flat(network.initial_layers(widths, cycles, rng)) for _ in problem.records]
-        z = np.concatenate([*weights, logs[self.residuals.free], np.zeros(len(self.residuals.offsets))])
-        start = torch.as_tensor(z, device=settings.device)
-        self.walk = levenberg.Walk(State(start, [], start[:0], {}))
-        channels = [c for record in problem.records for c in record.channels]
-        self.n = np.array([c.n for c in channels])
-        power = np.array([-{"displacement": 0, "velocity": -1, "acceleration": -2}[c.measures] for c in channels])
-        self.to_displacement = self.omega ** -power.astype(float)
-        self.rms = np.array([np.sqrt(np.mean(c.values**2)) if c.n else 0.0 for c in channels])
-        largest = float(np.max(self.rms * self.to_displacement))
+        self.problems, self.settings = problems, settings
+        first = problems[0]
+        self.omega = np.array([guess.omega for guess in guesses])
+        self.duration = np.array([max(record.duration for record in p.records) for p in problems])
+        self.cycles = np.array([cycles(p, guess) for p, guess in zip(problems, guesses, strict=True)])
+        self.collocation = settings.points(float(self.cycles[0]))
+        free = free_parameters(first)
+        logs = np.stack([first_logs(p, guess) for p, guess in zip(problems, guesses, strict=True)])
+        if len(free) < logs.shape[1]:
+            gauge = first.system.names.index(first.system.gauge)
+            logs = logs - logs[:, gauge : gauge + 1]
+        exact = self.omega if settings.start == "exact" else None
+        self.residuals = Residuals(problems, settings.ansatz, self.collocation, free, logs, settings.device, exact)
+        weights = [settings.first_coefficients(first.system.n_dof, self.cycles, rngs) for _ in first.records]
+        offsets = np.zeros((len(problems), len(self.residuals.offsets)))
+        z = np.concatenate([*weights, logs[:, self.residuals.free], offsets], 1)
+        self.walk = Walk.start(torch.as_tensor(z, device=settings.device))
+        self._measure(degrees_of_freedom(first))
+
+    def _measure(self, dof: float) -> None:
+        """Sizes of the channels, (B, n_channels), and the first noise."""
+        channels = [[c for record in p.records for c in record.channels] for p in self.problems]
+        self.n = np.array([c.n for c in channels[0]])
+        power = np.array([POWER[c.measures] for c in channels[0]], float)
+        self.to_displacement = self.omega[:, None] ** -power
+        self.rms = np.array([[np.sqrt(np.mean(c.values**2)) if c.n else 0.0 for c in own] for own in channels])
+        largest = np.max(self.rms * self.to_displacement, axis=1, keepdims=True)
         self.rms = np.maximum(self.rms, 1e-3 * largest / self.to_displacement)
-        self.share = dof / problem.n
+        self.share = dof / self.problems[0].n
         self.sigmas = FIRST_NOISE * self.rms
 
     def spread(self, softness: float = 1.0) -> Spread:
@@ -120,166 +160,141 @@ class Attempt:
         deviation a at each of n collocation points. Over a record of duration T this moves an undamped mode of
         frequency w by a standard deviation of ``a T / (w sqrt(2 n))``; a is such that this is ``slack`` noises.
         """
-        noise = float(np.min(self.sigmas * self.to_displacement))
+        noise = np.min(self.sigmas * self.to_displacement, axis=1)
         drift = self.settings.slack * softness * noise
-        acceleration = drift * self.omega * np.sqrt(2.0 * self.settings.collocation) / self.duration
-        return Spread(tuple(self.sigmas), acceleration, START * noise, START * noise * self.omega)
+        acceleration = drift * self.omega * np.sqrt(2.0 * self.collocation) / self.duration
+        return Spread(self.sigmas, acceleration, START * noise, START * noise * self.omega)
 
-    def errors(self, deviations: Tensor) -> np.ndarray:
-        """Sum of squared data residuals of each channel, in natural units."""
-        rows = (self.walk.state.rows * deviations).cpu().numpy()
-        sums: list[float] = []
-        at = 0
-        for block, record in zip(self.residuals.blocks, self.problem.records, strict=True):
-            own = rows[at : at + block.n_data] ** 2
-            sums += [float(own[block.channel == i].sum()) for i in range(len(record.channels))]
+    def errors(self, rows: Tensor, deviations: Tensor) -> np.ndarray:
+        """Sum of squared data residuals of each channel, (B, n_channels), in natural units."""
+        plain = np.asarray((rows * deviations).cpu())
+        sums, at = [], 0
+        for block in self.residuals.blocks:
+            own = plain[:, at : at + block.n_data] ** 2
+            sums += [own[:, block.channel == i].sum(1) for i in range(int(block.channel[-1]) + 1)]
             at += block.n_rows
-        return np.array(sums)
+        return np.stack(sums, 1)
 
-    def estimate_noise(self, deviations: Tensor) -> float:
-        """Set the noise from the data residuals; returns its largest relative change."""
-        sigmas = np.sqrt(self.errors(deviations) / np.maximum(self.n * self.share, 1e-300))
-        sigmas = np.clip(sigmas, LEAST_NOISE * self.rms, self.rms)
-        change = float(np.max(np.abs(np.log(sigmas / self.sigmas))))
-        self.sigmas = sigmas
-        return change
+    def estimate_noise(self, residuals: Residuals, deviations: Tensor, who: np.ndarray) -> np.ndarray:
+        """Set the noise of the fits ``who`` from their data residuals; returns its largest relative change in each."""
+        state = residuals.evaluate(self.walk.z, deviations)
+        sigmas = np.sqrt(self.errors(state.rows, deviations) / np.maximum(self.n * self.share, 1e-300))
+        sigmas = np.clip(np.nan_to_num(sigmas, nan=np.inf), LEAST_NOISE * self.rms, self.rms)
+        change = np.abs(np.log(sigmas / self.sigmas)).max(1)
+        self.sigmas[who] = sigmas[who]
+        return np.asarray(change[who])
 
-    def run(self, softness: float, iterations: int, damping: float, output_only: bool) -> Tensor:
-        """Levenberg-Marquardt at the present noise; returns the rows' standard deviations."""
-        deviations = self.residuals.deviations(self.spread(softness))
-        self.walk.damping = damping
-        levenberg.minimise(
-            self.residuals, self.walk, deviations, iterations, self.settings.tolerance, output_only=output_only
-        )
-        return deviations
+    def run(
+        self, residuals: Residuals, softness: float, iterations: int, damping: float, who: np.ndarray
+    ) -> np.ndarray:
+        """Levenberg-Marquardt at the present noise, then the noise from what it leaves; returns the noise's change."""
+        deviations = residuals.deviations(self.spread(softness))
+        self.walk.damping[who] = damping
+        levenberg.minimise(residuals, self.walk, deviations, iterations, self.settings.tolerance, who)
+        return self.estimate_noise(residuals, deviations, who) if softness == 1.0 else np.zeros(who.size)
 
-    def levenberg(self) -> Tensor:
-        """The default path: soft physics, then nearly hard, both on the output layer alone; then all weights.
+    def levenberg(self) -> None:
+        """The default path: soft physics, then nearly hard, both on the output layer alone; then all coefficients.
 
         With soft physics the loss has one basin where the hard one has many; with the hidden layers fixed an iteration
         is cheap, and their spread features already resolve the motion. The last stage frees all weights.
         """
         s = self.settings
         far, near, close = DAMPING
-        self.run(s.softness, s.output_iterations, far, True)
-        self.estimate_noise(self.run(1.0, s.output_iterations, near, True))
+        everyone = np.arange(len(self.problems))
+        whole = self.walk.z
+        heads, self.walk.z = self.residuals.heads(whole)
+        self.run(heads, s.softness, s.output_iterations, far, everyone)
+        self.run(heads, 1.0, s.output_iterations, near, everyone)
+        self.walk.z = self.residuals.with_heads(whole, self.walk.z)
+        who = everyone
         for _ in range(ROUNDS):
-            deviations = self.run(1.0, s.iterations, close, False)
-            if self.estimate_noise(deviations) < SETTLED:
+            change = self.run(self.residuals, 1.0, s.iterations, close, who)
+            who = who[change >= SETTLED]
+            if not who.size:
                 break
-        return deviations
 
-    def adam_lbfgs(self) -> Tensor:
+    def adam_lbfgs(self, adam_steps: int, adam_rate: float, lbfgs_steps: int) -> None:
         """The paper's training on the same residuals: Adam, then L-BFGS; the noise is estimated in between."""
+        everyone = np.arange(len(self.problems))
         deviations = self.residuals.deviations(self.spread())
-        self.adam(deviations)
+        descent.adam(self.residuals, self.walk, deviations, adam_steps, adam_rate)
         for share in (1 / 3, 2 / 3):
-            self.estimate_noise(deviations)
+            self.estimate_noise(self.residuals, deviations, everyone)
             deviations = self.residuals.deviations(self.spread())
-            self.lbfgs(deviations, int(share * self.settings.lbfgs_steps))
-        self.estimate_noise(deviations)
-        return deviations
+            descent.lbfgs(self.residuals, self.walk, deviations, int(share * lbfgs_steps))
+        self.estimate_noise(self.residuals, deviations, everyone)
 
-    def _record(self, state: State) -> None:
-        self.walk.history.append(state.terms)
-
-    def adam(self, deviations: Tensor) -> None:
-        """Adam (Kingma and Ba, 2015) with its usual moments; the loss is the mean of the squared rows."""
-        z = self.walk.state.z.clone()
-        first, second = torch.zeros_like(z), torch.zeros_like(z)
-        for i in range(1, self.settings.adam_steps + 1):
-            state, gradient = self.residuals.gradient(z, deviations)
-            gradient /= self.residuals.n_rows
-            first.lerp_(gradient, 0.1)
-            second.mul_(0.999).addcmul_(gradient, gradient, value=0.001)
-            size = self.settings.adam_rate / (1.0 - 0.9**i)
-            z = z.addcdiv(first, (second / (1.0 - 0.999**i)).sqrt_().add_(1e-8), value=-size)
-            if i % 10 == 0:
-                self._record(state)
-        self.walk.state = self.residuals.evaluate(z, deviations)
-        self.walk.evaluations += self.settings.adam_steps
-        self.walk.iterations += self.settings.adam_steps
-
-    def lbfgs(self, deviations: Tensor, steps: int) -> None:
-        """L-BFGS with a strong-Wolfe line search (scipy's L-BFGS-B without bounds), 30 pairs of memory."""
-        last: dict[str, State] = {}
-
-        def loss(z: np.ndarray) -> tuple[float, np.ndarray]:
-            state, gradient = self.residuals.gradient(torch.as_tensor(z, device=self.settings.device), deviations)
-            last["state"] = state
-            return state.loss, gradient.cpu().numpy()
-
-        def each(_: np.ndarray) -> None:
-            self._record(last["state"])
-
-        options = {"maxiter": steps, "maxfun": 2 * steps, "maxcor": 30, "ftol": 1e-9, "gtol": 1e-6}
-        found = minimize(
-            loss, self.walk.state.z.cpu().numpy(), jac=True, method="L-BFGS-B", callback=each, options=options
-        )
-        self.walk.state = self.residuals.evaluate(torch.as_tensor(found.x, device=self.settings.device), deviations)
-        self.walk.evaluations += int(found.nfev)
-        self.walk.iterations += int(found.nit)
-        self.walk.converged = bool(found.success)
-        self.walk.reason = "L-BFGS found no further decrease" if found.success else "the number of steps was reached"
-
-    def covariance(self, deviations: Tensor) -> np.ndarray:
-        """Covariance of the free log-parameters, the weights and offsets profiled out (Schur complement in the dual).
-
-        The information is ``Jqᵀ (I + Jw Jwᵀ / precision)⁻¹ Jq``: the part of the parameters' columns that no change of
-        the weights can imitate. The weights' small precision leaves smooth changes of x(t) free; a network of this size
-        could imitate anything between its collocation points.
-        """
-        state = self.residuals.evaluate(self.walk.state.z, deviations)
-        linear = self.residuals.linearise(state, deviations)
-        gram = self.residuals.gram(state, linear, 0.0)
-        matrix = gram / (WEIGHT_PRECISION * float(gram.diagonal().max()))
-        matrix.diagonal().add_(1.0)
-        information = linear.columns.T @ torch.linalg.solve(matrix, linear.columns)
-        covariance = np.linalg.pinv(information.cpu().numpy(), hermitian=True, rcond=1e-14)
-        n = len(self.residuals.free)
-        return np.asarray(covariance[:n, :n])
-
-    def result(self, deviations: Tensor) -> Fit:
-        layers, logs, offsets = self.residuals.split(self.walk.state.z)
-        responses = tuple(
-            NetworkResponse(tuple((w.cpu().numpy().copy(), b.cpu().numpy().copy()) for w, b in own), block.duration)
-            for own, block in zip(layers, self.residuals.blocks, strict=True)
-        )
-        errors = self.errors(deviations)
-        history = {name: np.array([terms[name] for terms in self.walk.history]) for name in TERMS}
+    def results(self) -> list[Fit]:
+        """What was reached, fit by fit."""
+        residuals, walk = self.residuals, self.walk
+        deviations = residuals.deviations(self.spread())
+        state = residuals.evaluate(walk.z, deviations)
+        posterior = laplace(residuals, state, deviations)
+        n = len(residuals.free)
+        covariance = np.asarray(posterior.covariance[:, :n, :n].cpu())
+        bands = [np.asarray(own.cpu()) for own in posterior.bands]
+        parts, logs, offsets = residuals.split(walk.z)
+        coefficients = [np.asarray(part.cpu()) for part in parts]
+        starts = [np.asarray(out[:, :2, 0].cpu()) for out in state.outputs]
+        errors, terms = self.errors(state.rows, deviations), np.asarray(state.terms.cpu())
         # minus the log likelihood at the estimated noise: its determinant counts when fits of different noise are
         # compared
-        loss = 0.5 * float(np.sum(self.n * np.log(np.maximum(errors / np.maximum(self.n, 1), 1e-300))))
-        loss += 0.5 * (
-            self.walk.state.terms["physics"] + self.walk.state.terms["initial"] + self.walk.state.terms["prior"]
-        )
-        return Fit(
-            logs=logs.cpu().numpy(),
-            covariance=self.covariance(deviations),
-            responses=responses,
-            starts=[tape.output[:2, 0].cpu().numpy() for tape in self.walk.state.tapes],
-            offsets=offsets.cpu().numpy(),
-            left=float(np.mean(errors / np.maximum(self.n * self.rms**2, 1e-300))),
-            loss=loss,
-            sigmas=self.sigmas,
-            evaluations=self.walk.evaluations,
-            iterations=self.walk.iterations,
-            converged=self.walk.converged,
-            reason=self.walk.reason,
-            history=history,
-        )
+        counts = np.maximum(self.n, 1)
+        loss = 0.5 * np.sum(self.n * np.log(np.maximum(errors / counts, 1e-300)), 1) + 0.5 * terms[:, 1:].sum(1)
+        left = np.mean(errors / np.maximum(self.n * self.rms**2, 1e-300), 1)
+        return [
+            Fit(
+                logs=np.asarray(logs[i].cpu()),
+                covariance=covariance[i],
+                responses=tuple(self._response(i, k, own[i]) for k, own in enumerate(coefficients)),
+                bands=tuple(
+                    Band(b.times[i, : b.collocation], own[i]) for b, own in zip(residuals.blocks, bands, strict=True)
+                ),
+                starts=[own[i] for own in starts],
+                offsets=np.asarray(offsets[i].cpu()),
+                left=float(left[i]),
+                loss=float(loss[i]),
+                sigmas=self.sigmas[i],
+                evaluations=int(walk.evaluations[i]),
+                iterations=int(walk.iterations[i]),
+                converged=bool(walk.converged[i]),
+                reason=walk.reasons[i],
+                history=dict(zip(TERMS, np.array(walk.history[i]).reshape(-1, len(TERMS)).T, strict=True)),
+            )
+            for i in range(len(self.problems))
+        ]
+
+    def _response(self, i: int, k: int, coefficients: np.ndarray) -> Function:
+        """The response of fit i in record k."""
+        block = self.residuals.blocks[k]
+        duration, system = float(block.duration[i]), self.problems[i].system
+        inner = self.settings.response(coefficients, system.n_dof, duration, self.collocation)
+        told = self.problems[i].records[k].initial_state
+        if told is None or self.settings.start != "exact":
+            return inner
+        return ExactStart(inner, told.displacement, told.velocity, float(self.omega[i]))
+
+
+@contextmanager
+def torch_threads(n: int) -> Iterator[None]:
+    """Torch on n threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(n)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def fit(
-    problem: Problem, guess: Guess, free: Sequence[str], dof: float, settings: PINN, rng: np.random.Generator
-) -> Fit:
-    """One attempt from one starting guess; ``dof`` is the number of samples less that of estimated quantities."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(settings.threads)
-    try:
-        with torch.no_grad():
-            attempt = Attempt(problem, guess, free, dof, settings, rng)
-            deviations = attempt.levenberg() if settings.optimizer == "lm" else attempt.adam_lbfgs()
-            return attempt.result(deviations)
-    finally:
-        torch.set_num_threads(threads)
+    problems: Sequence[Problem],
+    guesses: Sequence[Guess],
+    settings: PhysicsInformed,
+    rngs: Sequence[np.random.Generator],
+) -> list[Fit]:
+    """One attempt at each problem from its starting guess; all are of one structure and as many cycles' points."""
+    with torch_threads(settings.threads), torch.no_grad():
+        attempt = Attempt(problems, guesses, settings, rngs)
+        settings.train(attempt)
+        return attempt.results()

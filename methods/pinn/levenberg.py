@@ -1,10 +1,16 @@
-"""Levenberg-Marquardt in the dual: a step costs a system of the size of the residual vector, not of the network."""
+"""Levenberg-Marquardt for many least-squares problems at once, each on its own: a fit is the same alone or in company.
+
+A step solves the damped normal equations in whichever space is smaller. A network has 4,400 weights and some 230
+residuals, so it solves them in residual space, where ``-(JᵀJ + μI)⁻¹ Jᵀ r = -Jᵀ (JJᵀ + μI)⁻¹ r`` (push-through
+identity). Where residuals outnumber unknowns (splines, the output layer alone, thousands of samples) it solves them
+in the space of the unknowns, with JᵀJ summed up from parts of J.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -12,37 +18,98 @@ from methods.pinn.residuals import Linear, Residuals, State
 
 LEAST_DAMPING = 1e-11
 GREATEST_DAMPING = 1e6
-"""The range of the damping, relative to the largest diagonal entry of J Jᵀ."""
+"""The range of the damping, relative to the largest squared row of J."""
 
 
 @dataclass
 class Walk:
-    """Where a minimisation stands: the state reached, the damping, the counts, and why it stopped."""
+    """Where a batch of minimisations stands: the vectors reached (B, n_z), dampings, counts, and why each stopped.
 
-    state: State
-    damping: float = 1e-3
-    evaluations: int = 0
-    iterations: int = 0
-    reason: str = "the largest number of iterations was reached"
-    converged: bool = False
-    history: list[dict[str, float]] = field(default_factory=list)
-
-
-def step(gram: Tensor, rows: Tensor, damping: float) -> tuple[Tensor, float] | None:
-    """The dual vector ``(J Jᵀ + damping I)⁻¹ r`` and the reduction of ``|r|²/2`` that the linear model promises.
-
-    The step of Levenberg and Marquardt, ``-(Jᵀ J + damping I)⁻¹ Jᵀ r``, is ``-Jᵀ`` times that vector (push-through
-    identity). It leaves the linear residual ``damping * dual``. None where the matrix is not positive definite.
+    ``history[i]`` holds the squared lengths of the terms of fit i, (4,), after every accepted step.
     """
-    matrix = gram.clone()
-    matrix.diagonal().add_(damping)
-    factor, info = torch.linalg.cholesky_ex(matrix)
-    if int(info) != 0:
-        return None
-    dual = torch.cholesky_solve(rows[:, None], factor)[:, 0]
-    left = damping * dual
-    promised = 0.5 * float((rows - left) @ (rows + left))
-    return dual, promised
+
+    z: Tensor
+    damping: np.ndarray
+    evaluations: np.ndarray
+    iterations: np.ndarray
+    converged: np.ndarray
+    reasons: list[str]
+    history: list[list[np.ndarray]] = field(default_factory=list)
+
+    @staticmethod
+    def start(z: Tensor, damping: float = 1e-3) -> Walk:
+        n = z.shape[0]
+        count = np.zeros(n, int)
+        return Walk(
+            z.clone(),
+            np.full(n, damping),
+            count,
+            count.copy(),
+            np.zeros(n, bool),
+            ["not started"] * n,
+            [[] for _ in range(n)],
+        )
+
+    def record(self, who: np.ndarray, terms: Tensor) -> None:
+        """Append the terms of the fits ``who``."""
+        for i, own in zip(who, np.asarray(terms.cpu()), strict=True):
+            self.history[i].append(own)
+
+
+class DualEquations:
+    """The damped normal equations in residual space."""
+
+    def __init__(self, residuals: Residuals, state: State, deviations: Tensor) -> None:
+        self.residuals, self.state = residuals, state
+        self.linear: Linear = residuals.linearise(state, deviations)
+        self.gram = residuals.gram(state, self.linear)
+        self.size = self.gram.diagonal(dim1=1, dim2=2).amax(1)
+
+    def solve(self, damping: Tensor) -> tuple[Tensor, Tensor]:
+        """Steps to subtract (B, n_z), and the decrease of the loss that the linear model promises (B,).
+
+        The step leaves the linear residual ``μ (JJᵀ + μI)⁻¹ r``. NaN where the matrix is not positive definite.
+        """
+        matrix = self.gram.clone()
+        matrix.diagonal(dim1=1, dim2=2).add_(damping[:, None])
+        factor, info = torch.linalg.cholesky_ex(matrix)
+        rows = self.state.rows
+        dual = torch.cholesky_solve(rows[..., None], factor)[..., 0]
+        left = damping[:, None] * dual
+        promised = 0.5 * ((rows - left) * (rows + left)).sum(1)
+        step = self.residuals.pull_back(self.state, self.linear, dual)
+        return step, torch.where(info == 0, promised, torch.nan)
+
+
+class PrimalEquations:
+    """The damped normal equations in the space of the unknowns."""
+
+    def __init__(self, residuals: Residuals, state: State, deviations: Tensor) -> None:
+        n = residuals.n_z
+        self.matrix = state.rows.new_zeros(residuals.n_fits, n, n)
+        self.gradient = state.rows.new_zeros(residuals.n_fits, n)
+        self.size = state.rows.new_zeros(residuals.n_fits)
+        linear = residuals.linearise(state, deviations)
+        for rows, j in residuals.jacobian_parts(state, linear):
+            self.matrix.baddbmm_(j.mT, j)
+            self.gradient += (state.rows[:, None, rows] @ j)[:, 0]
+            if j.shape[1]:
+                self.size = torch.maximum(self.size, (j * j).sum(2).amax(1))
+
+    def solve(self, damping: Tensor) -> tuple[Tensor, Tensor]:
+        """As :meth:`DualEquations.solve`: the promise is ``hᵀ (μ h + Jᵀ r) / 2`` for the step h."""
+        matrix = self.matrix.clone()
+        matrix.diagonal(dim1=1, dim2=2).add_(damping[:, None])
+        factor, info = torch.linalg.cholesky_ex(matrix)
+        step = torch.cholesky_solve(self.gradient[..., None], factor)[..., 0]
+        promised = 0.5 * (step * (damping[:, None] * step + self.gradient)).sum(1)
+        return step, torch.where(info == 0, promised, torch.nan)
+
+
+def equations(residuals: Residuals, state: State, deviations: Tensor) -> DualEquations | PrimalEquations:
+    """The normal equations in the smaller space."""
+    dual = residuals.n_rows <= residuals.n_z
+    return (DualEquations if dual else PrimalEquations)(residuals, state, deviations)
 
 
 def minimise(
@@ -51,58 +118,75 @@ def minimise(
     deviations: Tensor,
     iterations: int,
     tolerance: float,
-    unknown_scale: float = 1.0,
-    output_only: bool = False,
-    on_accept: Callable[[State], None] | None = None,
-) -> Walk:
-    """Minimise half the squared residual vector from ``walk.state`` and ``walk.damping``, with the damping of Nielsen.
+    who: np.ndarray | None = None,
+) -> None:
+    """Minimise half the squared residual vectors of the fits ``who`` from where ``walk`` stands, and update it.
 
-    Stops when the linear model promises less than ``tolerance`` (the residuals are in standard deviations, so this
-    is a change of minus the log posterior), or after ``iterations``. Damping: H. B. Nielsen, Damping Parameter in
-    Marquardt's Method, IMM-REP-1999-05, with a floor relative to J Jᵀ. ``output_only`` moves the last layer and the
-    unknowns beside the weights only. Updates and returns ``walk``.
+    A fit stops when the linear model promises less than ``tolerance`` (the residuals are in standard deviations, so
+    this is a change of minus the log posterior), or after ``iterations``. Damping: H. B. Nielsen, Damping Parameter in
+    Marquardt's Method, IMM-REP-1999-05, with a floor relative to J.
     """
-    state = residuals.evaluate(walk.state.z, deviations)
-    walk.evaluations += 1
-    walk.converged, walk.reason = False, "the largest number of iterations was reached"
-    growth = 2.0
-    gram: Tensor | None = None
-    linear: Linear | None = None
-    size = 1.0
+    active = np.arange(residuals.n_fits) if who is None else who
+    walk.converged[active] = False
+    growth = np.full(residuals.n_fits, 2.0)
+    for i in active:
+        walk.reasons[i] = "the largest number of iterations was reached"
+    own, own_deviations = residuals.take(active), deviations[active]
+    state = own.evaluate(walk.z[active], own_deviations)
+    walk.evaluations[active] += 1
+    normal: DualEquations | PrimalEquations | None = None
     for _ in range(iterations):
-        if gram is None or linear is None:
-            linear = residuals.linearise(state, deviations, output_only)
-            gram = residuals.gram(state, linear, unknown_scale, output_only)
-            size = float(gram.diagonal().max())
-        walk.iterations += 1
-        solved = step(gram, state.rows, walk.damping * size)
-        gain = -1.0
-        if solved is not None:
-            dual, promised = solved
-            trial = residuals.evaluate(
-                state.z - residuals.pull_back(state, linear, dual, unknown_scale, output_only), deviations
-            )
-            walk.evaluations += 1
-            gain = (state.loss - trial.loss) / promised if promised > 0 else -1.0
-            if not gain > -1e300:
-                gain = -1.0
-        if gain > 0:
-            state = trial
-            gram = linear = None
-            walk.damping = max(walk.damping * max(1 / 10, 1 - (2 * gain - 1) ** 3), LEAST_DAMPING)
-            growth = 2.0
-            walk.history.append(state.terms)
-            if promised < tolerance:
-                walk.converged, walk.reason = True, "the linear model promises no further decrease"
-                break
-        else:
-            if solved is not None and promised < tolerance:
-                walk.converged, walk.reason = True, "no step decreases the loss further"
-                break
-            walk.damping *= growth
-            growth *= 2.0
-            if walk.damping > GREATEST_DAMPING:
-                walk.reason = "no step decreases the loss"
-                break
-    walk.state = state
-    return walk
+        if normal is None:
+            normal = equations(own, state, own_deviations)
+        damping = torch.as_tensor(walk.damping[active], device=own.device) * normal.size
+        step, promise = normal.solve(damping)
+        promised = np.asarray(promise.cpu())
+        trial = own.evaluate(state.z - step, own_deviations)
+        walk.evaluations[active] += 1
+        walk.iterations[active] += 1
+        with np.errstate(invalid="ignore", divide="ignore"):
+            gain = np.where(promised > 0, (state.loss - trial.loss) / promised, -1.0)
+            accepted = gain > 0
+            ended = promised < tolerance
+        if accepted.any():
+            state = trial if accepted.all() else _mixed(own, state, trial, accepted, own_deviations)
+            normal = None
+            walk.record(active[accepted], state.terms[accepted])
+        ended |= _damp(walk, active, growth, gain, accepted)
+        for i in np.flatnonzero(ended):
+            _close(walk, int(active[i]), bool(accepted[i]), float(promised[i]), tolerance)
+        if ended.any():
+            walk.z[active] = state.z
+            active = active[~ended]
+            if not active.size:
+                return
+            own, own_deviations = residuals.take(active), deviations[active]
+            state, normal = own.evaluate(walk.z[active], own_deviations), None
+    walk.z[active] = state.z
+
+
+def _mixed(own: Residuals, state: State, trial: State, accepted: np.ndarray, deviations: Tensor) -> State:
+    """The accepted trials, and the old states of the others."""
+    chosen = torch.as_tensor(accepted, device=own.device)[:, None]
+    return own.evaluate(torch.where(chosen, trial.z, state.z), deviations)
+
+
+def _damp(walk: Walk, active: np.ndarray, growth: np.ndarray, gain: np.ndarray, accepted: np.ndarray) -> np.ndarray:
+    """Nielsen's update of the dampings; which fits can no longer be helped by more of it."""
+    good, bad = active[accepted], active[~accepted]
+    shrink = np.maximum(0.1, 1.0 - (2.0 * gain[accepted] - 1.0) ** 3)
+    walk.damping[good] = np.maximum(walk.damping[good] * shrink, LEAST_DAMPING)
+    growth[good] = 2.0
+    walk.damping[bad] *= growth[bad]
+    growth[bad] *= 2.0
+    return walk.damping[active] > GREATEST_DAMPING
+
+
+def _close(walk: Walk, i: int, accepted: bool, promised: float, tolerance: float) -> None:
+    walk.converged[i] = promised < tolerance
+    if not walk.converged[i]:
+        walk.reasons[i] = "no step decreases the loss"
+    elif accepted:
+        walk.reasons[i] = "the linear model promises no further decrease"
+    else:
+        walk.reasons[i] = "no step decreases the loss further"

@@ -3,18 +3,22 @@
 The vector holds, each row divided by its standard deviation, so that half its squared length is minus the log
 posterior:
 
-data      network minus measurement, over the channel's noise
+data      response minus measurement, over the channel's noise
 physics   the system's residual at the collocation points, divided by the gauge mass (an acceleration), over ``slack``
-initial   network minus told state at time 0, over a small part of the noise
+initial   response minus told state at time 0, over a small part of the noise (absent where the ansatz has it exactly)
 prior     log-parameters minus their nominal values, over the prior's standard deviations
 
 Dividing the equation of motion by the gauge mass matters: m x'' + c x' + k x itself becomes small when all parameters
 shrink together, and an optimiser that is offered this bargain takes it.
+
+Every tensor has a leading axis over fits, B: the problems of one batch have the same system, the same channels and as
+many samples, and nothing else in common.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import cast
@@ -24,10 +28,12 @@ import torch
 from torch import Tensor
 
 from bench import Ops, Problem, Record, System
-from methods.pinn import network
+from methods.pinn.ansatz import Adjoints, Ansatz, Tape
 
 STREAM = {"displacement": 0, "velocity": 1, "acceleration": 2}
 TERMS = ("data", "physics", "initial", "prior")
+CHUNK = 2**24
+"""Entries of J formed at a time where the normal equations are built from its columns."""
 
 
 def _solve(matrix: Sequence[Sequence[Tensor]], rhs: Sequence[Tensor]) -> list[Tensor]:
@@ -46,43 +52,66 @@ torch_ops = cast(
 """The torch functions a residual may call."""
 
 
+def structure(problem: Problem) -> tuple[object, ...]:
+    """What problems of one batch have in common."""
+    records = tuple(
+        (tuple((c.n, c.measures, c.dof, c.offset) for c in r.channels), r.initial_state is not None)
+        for r in problem.records
+    )
+    return problem.system, records, problem.prior is not None, problem.forced
+
+
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviations of the rows: one a channel (record by record), of the physics, and of the told start.
-
-    ``physics`` is an acceleration, ``displacement`` and ``velocity`` are those of the told start; natural units.
+    """Standard deviations of the rows, fit by fit: of the channels (B, n_channels), record by record, of the physics
+    (an acceleration), and of the told start's displacement and velocity, (B,) each; natural units.
     """
 
-    channels: tuple[float, ...]
-    physics: float
-    displacement: float
-    velocity: float
+    channels: np.ndarray
+    physics: np.ndarray
+    displacement: np.ndarray
+    velocity: np.ndarray
 
 
 class Block:
-    """One record and its network: the points it is evaluated at, and which row looks at which point."""
+    """One record of every fit: the points its response is evaluated at, and which row looks at which point."""
 
-    def __init__(self, record: Record, system: System, collocation: int, device: torch.device) -> None:
-        def tensor(values: np.ndarray) -> Tensor:
+    def __init__(
+        self,
+        records: Sequence[Record],
+        system: System,
+        collocation: int,
+        device: torch.device,
+        exact: np.ndarray | None,
+    ) -> None:
+        def tensor(values: object) -> Tensor:
             return torch.as_tensor(np.array(values), device=device)
 
-        self.duration = record.duration
-        self.rate = 2.0 / self.duration
-        self.n_dof = system.n_dof
-        self.n_data = record.n
-        self.collocation = collocation
-        grid = np.linspace(0.0, self.duration, collocation)
-        times = np.concatenate([grid, *[c.times for c in record.channels]])
-        self.tau = tensor(2.0 * times / self.duration - 1.0)
-        self.values = tensor(np.concatenate([c.values for c in record.channels]))
-        self.force = [tensor(f) for f in record.force(grid, system.n_dof)]
-        self.stream = tensor(np.concatenate([np.full(c.n, STREAM[c.measures]) for c in record.channels]))
-        self.dof = tensor(np.concatenate([np.full(c.n, c.dof) for c in record.channels]))
-        self.channel = np.concatenate([np.full(c.n, i) for i, c in enumerate(record.channels)])
+        first = records[0]
+        self.n_dof, self.n_data, self.collocation = system.n_dof, first.n, collocation
+        self.duration = np.array([r.duration for r in records])
+        grids = [np.linspace(0.0, r.duration, collocation) for r in records]
+        self.times = np.stack(
+            [np.concatenate([grid, *[c.times for c in r.channels]]) for grid, r in zip(grids, records, strict=True)]
+        )
+        self.values = tensor([np.concatenate([c.values for c in r.channels]) for r in records])
+        forces = [r.force(grid, system.n_dof) for r, grid in zip(records, grids, strict=True)]
+        self.force = [tensor([own[dof] for own in forces]) for dof in range(system.n_dof)]
+        stream = np.concatenate([np.full(c.n, STREAM[c.measures]) for c in first.channels])
+        dof = np.concatenate([np.full(c.n, c.dof) for c in first.channels])
+        self.channel = np.concatenate([np.full(c.n, i) for i, c in enumerate(first.channels)])
         self.data_points = collocation + torch.arange(self.n_data, device=device)
-        self.start = None
-        if record.initial_state is not None:
-            self.start = tensor(np.stack([record.initial_state.displacement, record.initial_state.velocity]))
+        self.pick = tensor(np.eye(3)[:, stream, None] * np.eye(system.n_dof)[dof])  # (3, n_data, n_dof), 0 and 1
+        told = None
+        if first.initial_state is not None:
+            states = [r.initial_state for r in records if r.initial_state is not None]
+            told = np.stack([np.stack([s.displacement, s.velocity]) for s in states])
+        self.lift = self.shape = self.start = None
+        if told is not None and exact is None:
+            self.start = tensor(told)
+        if told is not None and exact is not None:
+            lift, shape = exact_start(self.times, told, exact)
+            self.lift, self.shape = tensor(lift), tensor(shape)
         n_start = 0 if self.start is None else 2 * self.n_dof
         # rows: data, physics (DOF by DOF), start (displacements, then velocities); time 0 is the first collocation
         # point
@@ -95,240 +124,367 @@ class Block:
             "initial": slice(self.n_rows - n_start, self.n_rows),
         }
 
+    def take(self, who: Tensor) -> Block:
+        other = copy.copy(self)
+        which = np.asarray(who.cpu())
+        other.times, other.duration = self.times[which], self.duration[which]
+        other.values, other.force = self.values[who], [f[who] for f in self.force]
+        other.start = None if self.start is None else self.start[who]
+        if self.lift is not None and self.shape is not None:
+            other.lift, other.shape = self.lift[who], self.shape[who]
+        return other
+
+
+def exact_start(times: np.ndarray, told: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """An ansatz that has the told start by construction: ``x(t) = (x0 + v0 t) g + (1 - g) n(t)``.
+
+    ``g = exp(-(omega t)²)`` and n is the trainable function. Returns the streams of the first part, (B, 3, n_points,
+    n_dof), and the matrices that take those of n to the second's, (B, n_points, 3, 3), by the product rule.
+    """
+    t, w2 = times, omega[:, None] ** 2
+    g = np.exp(-w2 * t**2)
+    g1, g2 = -2.0 * w2 * t * g, (4.0 * w2**2 * t**2 - 2.0 * w2) * g
+    x0, v0 = told[:, 0, None, :], told[:, 1, None, :]
+    line = x0 + v0 * t[..., None]
+    g_, g1_, g2_ = (part[..., None] for part in (g, g1, g2))
+    lift = np.stack([line * g_, v0 * g_ + line * g1_, 2.0 * v0 * g1_ + line * g2_], 1)
+    zero = np.zeros_like(g)
+    shape = np.stack([1.0 - g, zero, zero, -g1, 1.0 - g, zero, -g2, -2.0 * g1, 1.0 - g], -1)
+    return lift, shape.reshape(*g.shape, 3, 3)
+
 
 @dataclass
 class State:
-    """The residual vector at a point z, with what its linearisation needs."""
+    """The residual vectors at a point z (B, n_z), with what their linearisation needs.
+
+    ``outputs`` are the responses' streams record by record, ``rows`` (B, n_rows), ``terms`` (B, 4) squared lengths.
+    """
 
     z: Tensor
-    tapes: list[network.Tape]
+    tapes: list[Tape]
+    outputs: list[Tensor]
     rows: Tensor
-    terms: dict[str, float]
+    terms: Tensor
 
     @property
-    def loss(self) -> float:
-        return 0.5 * float(self.rows @ self.rows)
+    def loss(self) -> np.ndarray:
+        """Half the squared length of each vector, (B,)."""
+        return np.asarray(0.5 * self.terms.sum(1).cpu())
 
 
 @dataclass
 class Linear:
-    """The linearisation at a state: adjoints of each record's network, and the columns of the other unknowns.
+    """The linearisation at a state: adjoints of each record's ansatz, and the columns of the other unknowns.
 
-    ``columns`` has shape (n_rows, n_unknowns): free log-parameters, then offsets.
+    ``columns`` has shape (B, n_rows, n_unknowns): free log-parameters, then offsets.
     """
 
-    adjoints: list[list[Tensor]]
+    adjoints: list[Adjoints]
     columns: Tensor
 
 
+AnsatzMaker = Callable[[int, Block], Ansatz]
+"""Makes the ansatz of a record, given its number and its block."""
+
+
 class Residuals:
-    """The residual vector of a problem (in natural units) as a function of ``z``: all weights, then the other unknowns.
+    """The residual vectors of problems (in natural units) as a function of ``z``: coefficients, then other unknowns.
 
     The other unknowns are the logarithms of the ``free`` parameters, then one offset for each channel that has one;
-    the parameters that are not free keep their value in ``log_fixed``.
+    the parameters that are not free keep their value in ``log_fixed`` (B, n_parameters). ``exact`` (B,), frequencies
+    for :func:`exact_start`, asks for an ansatz that has the told start by construction.
     """
 
     def __init__(
         self,
-        problem: Problem,
-        widths: Sequence[int],
+        problems: Sequence[Problem],
+        make_ansatz: AnsatzMaker,
         collocation: int,
         free: Sequence[str],
         log_fixed: np.ndarray,
-        device: str,
+        device: str = "cpu",
+        exact: np.ndarray | None = None,
     ) -> None:
         self.device = torch.device(device)
-        self.problem, self.system, self.widths = problem, problem.system, tuple(widths)
-        self.blocks = [Block(r, problem.system, collocation, self.device) for r in problem.records]
-        self.n_weights = network.count(widths)
-        self.free = [problem.system.names.index(name) for name in free]
+        first = problems[0]
+        self.system = first.system
+        self.blocks = [
+            Block([p.records[i] for p in problems], self.system, collocation, self.device, exact)
+            for i in range(len(first.records))
+        ]
+        self.ansatzes = [make_ansatz(i, block) for i, block in enumerate(self.blocks)]
+        self.free = [self.system.names.index(name) for name in free]
         self.log_fixed = torch.as_tensor(np.array(log_fixed), device=self.device)
-        self.gauge = problem.system.names.index(problem.system.gauge)
-        channels = [(i, j) for i, r in enumerate(problem.records) for j, c in enumerate(r.channels) if c.offset]
-        self.offsets = channels
-        self.n_unknowns = len(self.free) + len(channels)
-        self.n_rows = sum(b.n_rows for b in self.blocks)
-        self.prior = None
-        if problem.prior is not None:
-            self.prior = [
-                torch.as_tensor(v[self.free], device=self.device)
-                for v in (problem.prior.log_mean, problem.prior.log_sds)
-            ]
-            self.n_rows += len(self.free)
+        self.gauge = self.system.gauge
+        self.offsets = [(i, j) for i, r in enumerate(first.records) for j, c in enumerate(r.channels) if c.offset]
+        self.n_unknowns = len(self.free) + len(self.offsets)
+        self.prior: tuple[Tensor, Tensor] | None = None
+        if first.prior is not None:
+            beliefs = [(p.prior.log_mean[self.free], p.prior.log_sds[self.free]) for p in problems if p.prior]
+            means, sds = (torch.as_tensor(np.array(part), device=self.device) for part in zip(*beliefs, strict=True))
+            self.prior = means, sds
+        self.n_rows = sum(b.n_rows for b in self.blocks) + (len(self.free) if self.prior else 0)
         self._offset_rows = self._offset_columns()
+        self._term_rows = self._term_columns()
+
+    @property
+    def n_fits(self) -> int:
+        return int(self.log_fixed.shape[0])
+
+    @property
+    def n_coefficients(self) -> int:
+        return sum(a.count for a in self.ansatzes)
+
+    @property
+    def n_z(self) -> int:
+        return self.n_coefficients + self.n_unknowns
+
+    def take(self, who: np.ndarray) -> Residuals:
+        """The residual vectors of some of the fits, (k,) indices."""
+        if who.size == self.n_fits:
+            return self
+        index = torch.as_tensor(who, device=self.device)
+        other = copy.copy(self)
+        other.blocks = [block.take(index) for block in self.blocks]
+        other.ansatzes = [ansatz.take(index) for ansatz in self.ansatzes]
+        other.log_fixed = self.log_fixed[index]
+        other.prior = None if self.prior is None else (self.prior[0][index], self.prior[1][index])
+        return other
+
+    def heads(self, z: Tensor) -> tuple[Residuals, Tensor]:
+        """The same vectors as a function of the last layers and the other unknowns alone, and these at z."""
+        other = copy.copy(self)
+        parts, rest = self.split_flat(z)
+        pairs = [a.head(part) for a, part in zip(self.ansatzes, parts, strict=True)]
+        other.ansatzes = [basis for basis, _ in pairs]
+        return other, torch.cat([*[own for _, own in pairs], rest], 1)
+
+    def with_heads(self, z: Tensor, short: Tensor) -> Tensor:
+        """z with its last layers and other unknowns as in the vector ``short`` of :meth:`heads`."""
+        parts, _ = self.split_flat(z)
+        sizes = [a.head(part)[0].count for a, part in zip(self.ansatzes, parts, strict=True)]
+        *own, rest = short.split([*sizes, self.n_unknowns], 1)
+        whole = [a.with_head(p, o) for a, p, o in zip(self.ansatzes, parts, own, strict=True)]
+        return torch.cat([*whole, rest], 1)
+
+    def split_flat(self, z: Tensor) -> tuple[list[Tensor], Tensor]:
+        """Coefficients of each record's ansatz, and the other unknowns."""
+        *parts, rest = z.split([*[a.count for a in self.ansatzes], self.n_unknowns], 1)
+        return parts, rest
+
+    def split(self, z: Tensor) -> tuple[list[Tensor], Tensor, Tensor]:
+        """Coefficients of each record's ansatz, all log-parameters (B, n_parameters), offsets."""
+        parts, rest = self.split_flat(z)
+        logs = self.log_fixed.clone()
+        logs[:, self.free] = rest[:, : len(self.free)]
+        return parts, logs, rest[:, len(self.free) :]
+
+    def deviations(self, spread: Spread) -> Tensor:
+        """The standard deviation of every row, (B, n_rows)."""
+        parts, at = [], 0
+        for block in self.blocks:
+            part = np.empty((self.n_fits, block.n_rows))
+            n_channels = int(block.channel[-1]) + 1
+            part[:, block.slices["data"]] = spread.channels[:, at : at + n_channels][:, block.channel]
+            part[:, block.slices["physics"]] = spread.physics[:, None]
+            if block.start is not None:
+                own = np.stack([spread.displacement, spread.velocity], 1)
+                part[:, block.slices["initial"]] = np.repeat(own, block.n_dof, axis=1)
+            parts.append(part)
+            at += n_channels
+        deviations = torch.as_tensor(np.concatenate(parts, 1), device=self.device)
+        return deviations if self.prior is None else torch.cat([deviations, self.prior[1]], 1)
+
+    def evaluate(self, z: Tensor, deviations: Tensor) -> State:
+        """The residual vectors at z, and their squared lengths term by term."""
+        parts, logs, offsets = self.split(z)
+        tapes = [ansatz.forward(part) for ansatz, part in zip(self.ansatzes, parts, strict=True)]
+        outputs = [self._response(block, tape.output) for block, tape in zip(self.blocks, tapes, strict=True)]
+        rows = self._rows(outputs, self._physics(outputs, logs), logs, offsets) / deviations
+        return State(z, tapes, outputs, rows, self._terms(rows))
+
+    @staticmethod
+    def _response(block: Block, output: Tensor) -> Tensor:
+        """The response's streams from those of the trainable function."""
+        if block.lift is None or block.shape is None:
+            return output
+        return block.lift + torch.einsum("bnst,btno->bsno", block.shape, output)
+
+    @staticmethod
+    def response_adjoint(block: Block, seeds: Tensor, points: Tensor | None = None) -> Tensor:
+        """Seeds by the trainable function's streams from those by the response's."""
+        if block.shape is None:
+            return seeds
+        shape = block.shape if points is None else block.shape[:, points]
+        return torch.einsum("bkst,bsko->btko", shape, seeds)
+
+    def _physics(self, outputs: Sequence[Tensor], logs: Tensor) -> list[Tensor]:
+        """The equations of motion over the gauge mass, record by record and DOF by DOF, (B, collocation) each."""
+        p = {name: value[:, None] for name, value in zip(self.system.names, logs.exp().unbind(1), strict=True)}
+        parts = []
+        for block, out in zip(self.blocks, outputs, strict=True):
+            x, v, a = (list(out[:, s, : block.collocation].unbind(-1)) for s in range(3))
+            equations = self.system.residual(p, x, v, a, block.force, [], torch_ops)
+            parts.append(torch.cat([equation / p[self.gauge] for equation in equations], 1))
+        return parts
+
+    def _rows(self, outputs: Sequence[Tensor], physics: Sequence[Tensor], logs: Tensor, offsets: Tensor) -> Tensor:
+        """The residual vectors, not yet scaled."""
+        parts = []
+        for block, out, own in zip(self.blocks, outputs, physics, strict=True):
+            measured = (out[:, :, block.data_points] * block.pick).sum((1, 3))
+            parts += [measured - block.values, own]
+            if block.start is not None:
+                parts.append((out[:, :2, 0] - block.start).flatten(1))
+        if self.prior is not None:
+            parts.append(logs[:, self.free] - self.prior[0])
+        rows = torch.cat(parts, 1)
+        return rows + offsets @ self._offset_rows.T if self.offsets else rows
+
+    def _terms(self, rows: Tensor) -> Tensor:
+        return (rows * rows) @ self._term_rows
+
+    def _term_columns(self) -> Tensor:
+        """Which row belongs to which term, (n_rows, 4), 0 and 1."""
+        columns, at = np.zeros((self.n_rows, len(TERMS))), 0
+        for block in self.blocks:
+            for name, part in block.slices.items():
+                columns[at + part.start : at + part.stop, TERMS.index(name)] = 1.0
+            at += block.n_rows
+        columns[at:, TERMS.index("prior")] = 1.0
+        return torch.as_tensor(columns, device=self.device)
 
     def _offset_columns(self) -> Tensor:
-        columns = torch.zeros(self.n_rows, len(self.offsets), dtype=torch.float64, device=self.device)
-        at = 0
+        """Which data row has which channel's offset, (n_rows, n_offsets), 0 and 1."""
+        columns, at = np.zeros((self.n_rows, len(self.offsets))), 0
         for i, block in enumerate(self.blocks):
             for k, (record, channel) in enumerate(self.offsets):
                 if record == i:
-                    columns[at + torch.as_tensor(np.flatnonzero(block.channel == channel), device=self.device), k] = 1.0
+                    columns[at + np.flatnonzero(block.channel == channel), k] = 1.0
             at += block.n_rows
-        return columns
+        return torch.as_tensor(columns, device=self.device)
 
-    def split(self, z: Tensor) -> tuple[list[network.Layers], Tensor, Tensor]:
-        """Layers of each record's network, all log-parameters (n_parameters,), offsets."""
-        n = self.n_weights
-        layers = [network.unflat(z[i * n : (i + 1) * n], self.widths) for i in range(len(self.blocks))]
-        rest = z[len(self.blocks) * n :]
-        logs = self.log_fixed.clone()
-        logs[self.free] = rest[: len(self.free)]
-        return layers, logs, rest[len(self.free) :]
-
-    def deviations(self, spread: Spread) -> Tensor:
-        """The standard deviation of every row, (n_rows,)."""
-        parts, at = [], 0
-        for block, record in zip(self.blocks, self.problem.records, strict=True):
-            part = np.empty(block.n_rows)
-            part[block.slices["data"]] = np.array(spread.channels[at : at + len(record.channels)])[block.channel]
-            part[block.slices["physics"]] = spread.physics
-            if block.start is not None:
-                part[block.slices["initial"]] = np.repeat([spread.displacement, spread.velocity], block.n_dof)
-            parts.append(part)
-            at += len(record.channels)
-        deviations = torch.as_tensor(np.concatenate(parts), device=self.device)
-        return deviations if self.prior is None else torch.cat([deviations, self.prior[1]])
-
-    def evaluate(self, z: Tensor, deviations: Tensor) -> State:
-        """The residual vector at z, and its squared length term by term."""
-        layers, logs, offsets = self.split(z)
-        tapes = [network.forward(own, block.tau, block.rate) for own, block in zip(layers, self.blocks, strict=True)]
-        rows = self._rows([tape.output for tape in tapes], logs, offsets) / deviations
-        return State(z, tapes, rows, self._terms(rows))
-
-    def _rows(self, outputs: Sequence[Tensor], logs: Tensor, offsets: Tensor) -> Tensor:
-        """The residual vector, not yet scaled, by the streams of every network and the other unknowns."""
-        parts = []
-        p = dict(zip(self.system.names, logs.exp().unbind(), strict=True))
-        for block, out in zip(self.blocks, outputs, strict=True):
-            m = block.collocation
-            x, v, a = (list(out[s, :m].unbind(-1)) for s in range(3))
-            equations = self.system.residual(p, x, v, a, block.force, [], torch_ops)
-            parts.append(out[block.stream, block.data_points, block.dof] - block.values)
-            parts += [equation / p[self.system.gauge] for equation in equations]
-            if block.start is not None:
-                parts.append((out[:2, 0] - block.start).reshape(-1))
-        if self.prior is not None:
-            parts.append(logs[self.free] - self.prior[0])
-        rows = torch.cat(parts)
-        return rows + self._offset_rows @ offsets if self.offsets else rows
-
-    def _terms(self, rows: Tensor) -> dict[str, float]:
-        squares = (rows * rows).cpu().numpy()
-        terms, at = dict.fromkeys(TERMS, 0.0), 0
-        for block in self.blocks:
-            for name, part in block.slices.items():
-                terms[name] += float(squares[at + part.start : at + part.stop].sum())
-            at += block.n_rows
-        terms["prior"] = float(squares[at:].sum())
-        return terms
-
-    def _physics_slopes(self, block: Block, tape: network.Tape, logs: Tensor) -> tuple[Tensor, Tensor]:
-        """Derivatives of the scaled equations by the streams, (n_dof, 3, m, n_dof), and by the log-parameters,
-        (n_dof, m, n_parameters).
+    def _physics_slopes(self, block: Block, output: Tensor, logs: Tensor) -> tuple[Tensor, Tensor]:
+        """Derivatives of the scaled equations by the streams, (B, 3, n_dof, m, n_dof), and by the log-parameters,
+        (B, n_dof, m, n_parameters).
 
         The residual acts point by point, so one reverse pass over the sum of its values gives the slopes at every
         point.
         """
         m = block.collocation
-        streams = tape.output[:, :m].detach().clone().requires_grad_(True)
-        spread_logs = logs.detach().expand(m, -1).clone().requires_grad_(True)
+        streams = output[:, :, :m].detach().clone().requires_grad_(True)
+        spread_logs = logs.detach()[:, None].expand(-1, m, -1).clone().requires_grad_(True)
         by_streams, by_logs = [], []
         with torch.enable_grad():
             p = dict(zip(self.system.names, spread_logs.exp().unbind(-1), strict=True))
-            x, v, a = (list(streams[s].unbind(-1)) for s in range(3))
+            x, v, a = (list(streams[:, s].unbind(-1)) for s in range(3))
             for equation in self.system.residual(p, x, v, a, block.force, [], torch_ops):
-                total = (equation / p[self.system.gauge]).sum()
+                total = (equation / p[self.gauge]).sum()
                 slopes = torch.autograd.grad(total, (streams, spread_logs), retain_graph=True)
                 by_streams.append(slopes[0])
                 by_logs.append(slopes[1])
-        return torch.stack(by_streams), torch.stack(by_logs)
+        return torch.stack(by_streams, 2), torch.stack(by_logs, 1)
 
-    def linearise(self, state: State, deviations: Tensor, output_only: bool = False) -> Linear:
-        """Adjoints (of the last layer only, if so asked) and explicit columns at a state."""
-        layers, logs, _ = self.split(state.z)
-        columns = torch.zeros(self.n_rows, self.n_unknowns, dtype=torch.float64, device=self.device)
+    def linearise(self, state: State, deviations: Tensor) -> Linear:
+        """Adjoints and explicit columns at a state."""
+        parts, logs, _ = self.split(state.z)
+        n_free = len(self.free)
+        columns = torch.zeros(self.n_fits, self.n_rows, self.n_unknowns, dtype=torch.float64, device=self.device)
         adjoints, at = [], 0
-        for block, own, tape in zip(self.blocks, layers, state.tapes, strict=True):
-            own_deviations = deviations[at : at + block.n_rows]
-            seeds, by_logs = self.seeds(block, tape, logs)
-            seeds /= own_deviations[:, None]
+        for k, (block, ansatz, tape) in enumerate(zip(self.blocks, self.ansatzes, state.tapes, strict=True)):
+            own_deviations = deviations[:, at : at + block.n_rows]
+            seeds, by_logs = self._seeds(block, state.outputs[k], logs)
+            seeds /= own_deviations[:, None, :, None]
             physics = slice(at + block.slices["physics"].start, at + block.slices["physics"].stop)
-            columns[physics, : len(self.free)] = by_logs[..., self.free].reshape(-1, len(self.free))
-            adjoints.append([seeds] if output_only else network.adjoint(own, tape, seeds, block.points))
+            columns[:, physics, :n_free] = by_logs[..., self.free].flatten(1, 2)
+            adjoints.append(ansatz.adjoint(parts[k], tape, seeds, block.points))
             at += block.n_rows
         if self.prior is not None:
-            columns[at:, : len(self.free)] = torch.eye(len(self.free), dtype=torch.float64, device=self.device)
-        columns[:, len(self.free) :] = self._offset_rows
-        return Linear(adjoints, columns / deviations[:, None])
+            columns[:, at:, :n_free] = torch.eye(n_free, dtype=torch.float64, device=self.device)
+        columns[:, :, n_free:] = self._offset_rows
+        return Linear(adjoints, columns / deviations[..., None])
 
-    def seeds(self, block: Block, tape: network.Tape, logs: Tensor) -> tuple[Tensor, Tensor]:
-        """Slopes of a record's rows by the network's streams at their points, (3, n_rows, n_dof), not yet scaled."""
-        by_streams, by_logs = self._physics_slopes(block, tape, logs)
-        seeds = torch.zeros(3, block.n_rows, block.n_dof, dtype=torch.float64, device=self.device)
-        rows = torch.arange(block.n_data, device=self.device)
-        seeds[block.stream, rows, block.dof] = 1.0
-        seeds[:, block.slices["physics"]] = by_streams.transpose(0, 1).reshape(3, -1, block.n_dof)
+    def _seeds(self, block: Block, output: Tensor, logs: Tensor) -> tuple[Tensor, Tensor]:
+        """Slopes of a record's rows by the ansatz' streams at their points, (B, 3, n_rows, n_dof), not yet scaled."""
+        by_streams, by_logs = self._physics_slopes(block, output, logs)
+        seeds = torch.zeros(self.n_fits, 3, block.n_rows, block.n_dof, dtype=torch.float64, device=self.device)
+        seeds[:, :, block.slices["data"]] = block.pick
+        seeds[:, :, block.slices["physics"]] = by_streams.flatten(2, 3)
         if block.start is not None:
             eye = torch.eye(block.n_dof, dtype=torch.float64, device=self.device)
             first = block.slices["initial"].start
-            seeds[0, first : first + block.n_dof] = eye
-            seeds[1, first + block.n_dof :] = eye
-        return seeds, by_logs
+            seeds[:, 0, first : first + block.n_dof] = eye
+            seeds[:, 1, first + block.n_dof :] = eye
+        return self.response_adjoint(block, seeds, block.points), by_logs
 
-    def gram(self, state: State, linear: Linear, unknown_scale: float, output_only: bool = False) -> Tensor:
-        """``J S² Jᵀ``, (n_rows, n_rows), where S multiplies the unknowns beside the weights by ``unknown_scale``."""
-        scaled = linear.columns * unknown_scale
-        total = scaled @ scaled.T
+    def gram(self, state: State, linear: Linear, unknowns: bool = True) -> Tensor:
+        """``J Jᵀ``, (B, n_rows, n_rows); over the coefficients alone where ``unknowns`` is False."""
+        total = linear.columns @ linear.columns.mT
+        if not unknowns:
+            total.zero_()
         at = 0
-        for block, tape, adjoints in zip(self.blocks, state.tapes, linear.adjoints, strict=True):
+        for block, ansatz, tape, own in zip(self.blocks, self.ansatzes, state.tapes, linear.adjoints, strict=True):
             end = at + block.n_rows
-            if output_only:
-                tape = network.Tape(tape.inputs[-1:], [], tape.output)
-            total[at:end, at:end] += network.gram(tape, adjoints, block.points)
+            total[:, at:end, at:end] += ansatz.gram(tape, own, block.points)
             at = end
         return total
 
-    def pull_back(
-        self, state: State, linear: Linear, dual: Tensor, unknown_scale: float, output_only: bool = False
-    ) -> Tensor:
-        """``S² Jᵀ dual`` as a vector like z."""
+    def pull_back(self, state: State, linear: Linear, dual: Tensor) -> Tensor:
+        """``Jᵀ dual``, vectors like z, for ``dual`` (B, n_rows)."""
         parts, at = [], 0
-        for block, tape, adjoints in zip(self.blocks, state.tapes, linear.adjoints, strict=True):
-            own = dual[at : at + block.n_rows]
-            if output_only:
-                short = network.Tape(tape.inputs[-1:], [], tape.output)
-                tail = network.pull_back(short, adjoints, block.points, own)
-                parts += [torch.zeros(self.n_weights - tail.shape[0], dtype=torch.float64, device=self.device), tail]
-            else:
-                parts.append(network.pull_back(tape, adjoints, block.points, own))
+        for block, ansatz, tape, own in zip(self.blocks, self.ansatzes, state.tapes, linear.adjoints, strict=True):
+            parts.append(ansatz.pull_back(tape, own, block.points, dual[:, at : at + block.n_rows]))
             at += block.n_rows
-        return torch.cat([*parts, unknown_scale**2 * (linear.columns.T @ dual)])
+        return torch.cat([*parts, (dual[:, None] @ linear.columns)[:, 0]], 1)
+
+    def jacobian_parts(self, state: State, linear: Linear) -> list[tuple[slice, Tensor]]:
+        """J itself, (B, n, n_z) at a time, with the rows that each part holds; the rows of the prior come last."""
+        step = max(1, CHUNK // (self.n_fits * self.n_z))
+        found, at, column = [], 0, 0
+        for block, ansatz, tape, own in zip(self.blocks, self.ansatzes, state.tapes, linear.adjoints, strict=True):
+            for first in range(0, block.n_rows, step):
+                rows = slice(first, min(first + step, block.n_rows))
+                place = slice(at + rows.start, at + rows.stop)
+                part = self._empty_rows(rows.stop - rows.start)
+                part[..., column : column + ansatz.count] = ansatz.jacobian(tape, own, block.points, rows)
+                part[..., self.n_coefficients :] = linear.columns[:, place]
+                found.append((place, part))
+            at += block.n_rows
+            column += ansatz.count
+        part = self._empty_rows(self.n_rows - at)
+        part[..., self.n_coefficients :] = linear.columns[:, at:]
+        return [*found, (slice(at, self.n_rows), part)]
+
+    def _empty_rows(self, n: int) -> Tensor:
+        return torch.zeros(self.n_fits, n, self.n_z, dtype=torch.float64, device=self.device)
 
     def gradient(self, z: Tensor, deviations: Tensor) -> tuple[State, Tensor]:
-        """The state at z and the gradient of its loss, a vector like z, by one adjoint pass over the points."""
-        layers, logs, offsets = self.split(z)
-        tapes = [network.forward(own, block.tau, block.rate) for own, block in zip(layers, self.blocks, strict=True)]
-        leaves = [part.detach().requires_grad_(True) for part in (*[tape.output for tape in tapes], logs, offsets)]
+        """The state at z and the gradient of its loss, vectors like z, by one adjoint pass over the points."""
+        parts, logs, offsets = self.split(z)
+        tapes = [ansatz.forward(part) for ansatz, part in zip(self.ansatzes, parts, strict=True)]
+        outputs = [self._response(block, tape.output) for block, tape in zip(self.blocks, tapes, strict=True)]
+        leaves = [output.detach().requires_grad_(True) for output in outputs]
+        free_logs = logs.detach().requires_grad_(True)
         with torch.enable_grad():
-            rows = self._rows(leaves[:-2], leaves[-2], leaves[-1]) / deviations
-            slopes = torch.autograd.grad(0.5 * (rows @ rows), leaves, allow_unused=True, materialize_grads=True)
-        parts = [
-            network.pull_back(tape, network.adjoint(own, tape, seeds), None)
-            for own, tape, seeds in zip(layers, tapes, slopes[:-2], strict=True)
-        ]
-        rows = rows.detach()
-        return State(z, tapes, rows, self._terms(rows)), torch.cat([*parts, slopes[-2][self.free], slopes[-1]])
-
-    def jacobian(self, state: State, deviations: Tensor) -> Tensor:
-        """J explicitly, (n_rows, n_z); for checks and small problems."""
-        linear = self.linearise(state, deviations)
-        result = torch.zeros(self.n_rows, state.z.shape[0], dtype=torch.float64, device=self.device)
-        at = 0
-        for i, (block, tape, adjoints) in enumerate(zip(self.blocks, state.tapes, linear.adjoints, strict=True)):
-            own = slice(i * self.n_weights, (i + 1) * self.n_weights)
-            result[at : at + block.n_rows, own] = network.jacobian(tape, adjoints, block.points)
+            physics = self._physics(leaves, free_logs)
+        rows = self._rows(outputs, [own.detach() for own in physics], logs, offsets) / deviations
+        pulled = rows / deviations
+        own_pulled, at = [], 0
+        for block in self.blocks:
+            own_pulled.append(pulled[:, at : at + block.n_rows])
             at += block.n_rows
-        result[:, len(self.blocks) * self.n_weights :] = linear.columns
-        return result
+        by_physics = [own[:, block.slices["physics"]] for own, block in zip(own_pulled, self.blocks, strict=True)]
+        *seeds, by_logs = torch.autograd.grad(physics, [*leaves, free_logs], by_physics)
+        gradients = []
+        for k, (block, ansatz, tape) in enumerate(zip(self.blocks, self.ansatzes, tapes, strict=True)):
+            own = own_pulled[k]
+            seeds[k][:, :, block.data_points] = own[:, None, : block.n_data, None] * block.pick
+            if block.start is not None:
+                seeds[k][:, :2, 0] += own[:, block.slices["initial"]].unflatten(1, (2, -1))
+            adjoints = ansatz.adjoint(parts[k], tape, self.response_adjoint(block, seeds[k]))
+            gradients.append(ansatz.pull_back(tape, adjoints, None))
+        by_unknowns = by_logs[:, self.free]
+        if self.prior is not None:
+            by_unknowns = by_unknowns + pulled[:, at:]
+        gradients += [by_unknowns, pulled @ self._offset_rows]
+        return State(z, tapes, outputs, rows, self._terms(rows)), torch.cat(gradients, 1)

@@ -1,10 +1,15 @@
-"""The trained network as a function of time, in plain numpy, so that it can be pickled and read without torch."""
+"""The fitted response as a function of time, in plain numpy, so that it can be pickled and read without torch."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import BSpline
+
+Function = Callable[[np.ndarray], np.ndarray]
+"""Times (n,) to displacements (n_dof, n)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,3 +29,48 @@ class NetworkResponse:
             h = np.tanh(h @ weight.T + bias)
         weight, bias = self.layers[-1]
         return np.asarray((h @ weight.T + bias).T)
+
+
+@dataclass(frozen=True, eq=False)
+class SplineResponse:
+    """Displacement by time: a B-spline with ``knots`` and ``coefficients`` (n_dof, n_functions)."""
+
+    knots: np.ndarray
+    coefficients: np.ndarray
+    degree: int
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        """Displacement, shape (n_dof, n_times), at times of shape (n_times,)."""
+        return np.asarray(BSpline(self.knots, self.coefficients.T, self.degree)(np.asarray(times, float)).T)
+
+
+@dataclass(frozen=True, eq=False)
+class ExactStart:
+    """A response that has the told start by construction: ``(x0 + v0 t) g + (1 - g) n(t)``, ``g = exp(-(omega t)²)``.
+
+    ``displacement`` and ``velocity`` at time 0, (n_dof,) each; see :func:`methods.pinn.residuals.exact_start`.
+    """
+
+    inner: Function
+    displacement: np.ndarray
+    velocity: np.ndarray
+    omega: float
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        """Displacement, shape (n_dof, n_times), at times of shape (n_times,)."""
+        t = np.asarray(times, float)
+        g = np.exp(-((self.omega * t) ** 2))
+        line = self.displacement[:, None] + self.velocity[:, None] * t
+        return np.asarray(line * g + (1.0 - g) * self.inner(t))
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Standard deviation of the displacement by time, linear between ``times`` (n,): ``values`` (n_dof, n)."""
+
+    times: np.ndarray
+    values: np.ndarray
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        """Standard deviation, shape (n_dof, n_times), at times of shape (n_times,)."""
+        return np.stack([np.interp(times, self.times, own) for own in self.values])

@@ -1,0 +1,114 @@
+"""What represents x(t): a function of time with coefficients, and the pieces of its Jacobian that optimisers need.
+
+Every tensor has a leading axis over fits (B), so that one fit or a hundred are the same code. The value and the first
+and second time derivative of the function are its *streams*, (B, 3, n_points, n_dof). A *row* is a scalar
+``sum(seeds[:, :, k] * streams[:, :, points[k]])`` of the streams at one point; the adjoints of all rows are found in
+one reverse pass, and from them the Jacobian of the rows by the coefficients, its Gram matrix, or its transpose times a
+vector, without forming what is not asked for.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+
+@dataclass
+class Tape:
+    """What a forward pass leaves for the adjoint: the streams into each layer, and tanh's slope in each hidden one.
+
+    ``inputs[l]`` has shape (B, 3, n_points, n_in of layer l); ``slopes[l]`` is (B, n_points, width); ``output`` is
+    (B, 3, n_points, n_dof).
+    """
+
+    inputs: list[Tensor]
+    slopes: list[Tensor]
+    output: Tensor
+
+
+Adjoints = list[Tensor]
+"""Adjoints of the linear part of each layer, each of shape (B, 3, n_rows, n_out of the layer)."""
+
+
+class Ansatz(ABC):
+    """A function of time at fixed points. ``count`` is the number of its coefficients."""
+
+    count: int
+
+    @abstractmethod
+    def forward(self, theta: Tensor) -> Tape:
+        """Streams at the points, for coefficients (B, count)."""
+
+    @abstractmethod
+    def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
+        """Adjoints of rows with ``seeds`` (B, 3, n_rows, n_dof) at ``points`` (n_rows,); None: one row a point."""
+
+    @abstractmethod
+    def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
+        """``J Jᵀ``, (B, n_rows, n_rows)."""
+
+    @abstractmethod
+    def pull_back(self, tape: Tape, adjoints: Adjoints, points: Tensor | None, dual: Tensor | None = None) -> Tensor:
+        """``Jᵀ dual``, (B, count), for ``dual`` (B, n_rows); None means all ones."""
+
+    @abstractmethod
+    def jacobian(self, tape: Tape, adjoints: Adjoints, points: Tensor, rows: slice = slice(None)) -> Tensor:
+        """J itself at the given rows, (B, n_rows, count)."""
+
+    @abstractmethod
+    def take(self, who: Tensor) -> Ansatz:
+        """The same function for some of the fits."""
+
+    @abstractmethod
+    def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
+        """The last, linear layer as an ansatz of its own, with its coefficients; what comes before it stays as it is."""
+
+    @abstractmethod
+    def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
+        """Coefficients with the last layer replaced."""
+
+
+@dataclass
+class Basis(Ansatz):
+    """A linear combination of fixed functions, given by their streams at the points: (B, 3, n_points, n_functions).
+
+    The coefficients are those of the first DOF, then of the second, and so on.
+    """
+
+    functions: Tensor
+    n_dof: int
+
+    def __post_init__(self) -> None:
+        self.count = self.n_dof * self.functions.shape[-1]
+
+    def forward(self, theta: Tensor) -> Tape:
+        coefficients = theta.unflatten(1, (self.n_dof, -1))
+        return Tape([self.functions], [], self.functions @ coefficients.mT[:, None])
+
+    def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
+        return [seeds]
+
+    def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
+        j = self.jacobian(tape, adjoints, points)
+        return j @ j.mT
+
+    def pull_back(self, tape: Tape, adjoints: Adjoints, points: Tensor | None, dual: Tensor | None = None) -> Tensor:
+        seeds = adjoints[0] if dual is None else adjoints[0] * dual[:, None, :, None]
+        functions = self.functions if points is None else self.functions[:, :, points]
+        return (seeds.flatten(1, 2).mT @ functions.flatten(1, 2)).flatten(1)
+
+    def jacobian(self, tape: Tape, adjoints: Adjoints, points: Tensor, rows: slice = slice(None)) -> Tensor:
+        at_rows = self.functions[:, :, points[rows]]
+        return torch.einsum("bsro,bsrk->brok", adjoints[0][:, :, rows], at_rows).flatten(2)
+
+    def take(self, who: Tensor) -> Basis:
+        return replace(self, functions=self.functions[who])
+
+    def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
+        return self, theta
+
+    def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
+        return coefficients

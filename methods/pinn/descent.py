@@ -1,0 +1,66 @@
+"""The paper's training on the residual vector: Adam, then L-BFGS. The loss is half its squared length."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.optimize import minimize
+from torch import Tensor
+
+from methods.pinn.levenberg import Walk
+from methods.pinn.residuals import Residuals, State
+
+EVERY = 10
+"""Adam's steps from one record of the loss to the next."""
+MEMORY = 30
+"""Pairs that L-BFGS remembers."""
+
+
+def adam(residuals: Residuals, walk: Walk, deviations: Tensor, steps: int, rate: float) -> None:
+    """Adam (Kingma and Ba, 2015) with its usual moments, on the mean of the squared rows."""
+    z = walk.z.clone()
+    everyone = np.arange(residuals.n_fits)
+    first, second = torch.zeros_like(z), torch.zeros_like(z)
+    for i in range(1, steps + 1):
+        state, gradient = residuals.gradient(z, deviations)
+        gradient /= residuals.n_rows
+        first.lerp_(gradient, 0.1)
+        second.mul_(0.999).addcmul_(gradient, gradient, value=0.001)
+        size = rate / (1.0 - 0.9**i)
+        z = z.addcdiv(first, (second / (1.0 - 0.999**i)).sqrt_().add_(1e-8), value=-size)
+        if i % EVERY == 0:
+            walk.record(everyone, state.terms)
+    walk.z = z
+    walk.evaluations += steps
+    walk.iterations += steps
+
+
+def lbfgs(residuals: Residuals, walk: Walk, deviations: Tensor, steps: int) -> None:
+    """L-BFGS with a line search for the Wolfe conditions (scipy's L-BFGS-B without bounds), one fit after the other."""
+    for i in range(residuals.n_fits):
+        _lbfgs(residuals.take(np.array([i])), walk, i, deviations[i : i + 1], steps)
+
+
+def _lbfgs(own: Residuals, walk: Walk, i: int, deviations: Tensor, steps: int) -> None:
+    last: list[State] = []
+    who = np.array([i])
+
+    def loss(z: np.ndarray) -> tuple[float, np.ndarray]:
+        state, gradient = own.gradient(torch.as_tensor(z[None], device=own.device), deviations)
+        last[:] = [state]
+        return float(state.loss[0]), gradient[0].cpu().numpy()
+
+    options = {"maxiter": steps, "maxfun": 2 * steps, "maxcor": MEMORY, "ftol": 1e-9, "gtol": 1e-6}
+    found = minimize(
+        loss,
+        walk.z[i].cpu().numpy(),
+        jac=True,
+        method="L-BFGS-B",
+        callback=lambda _: walk.record(who, last[0].terms),
+        options=options,
+    )
+    walk.z[i] = torch.as_tensor(found.x, device=own.device)
+    walk.evaluations[i] += int(found.nfev)
+    walk.iterations[i] += int(found.nit)
+    walk.converged[i] = bool(found.success)
+    walk.reasons[i] = "L-BFGS found no further decrease" if found.success else "the number of steps was reached"

@@ -1,0 +1,102 @@
+"""Uncertainty from the linearisation at a minimum: covariance of the parameters, and of the displacement.
+
+The ansatz' coefficients have next to no prior of their own, a precision that is tiny beside what data and physics say.
+It leaves smooth changes of x(t) free; a network of this size could imitate anything between its collocation points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from methods.pinn.residuals import Block, Residuals, State
+
+PRECISION = 1e-10
+"""Precision of the coefficients, relative to the largest squared row of J."""
+
+
+@dataclass
+class Laplace:
+    """Covariance of the other unknowns (B, n_unknowns, n_unknowns), the coefficients profiled out; and the standard
+    deviation of the displacement at the collocation points, (B, n_dof, collocation), record by record.
+    """
+
+    covariance: Tensor
+    bands: list[Tensor]
+
+
+def laplace(residuals: Residuals, state: State, deviations: Tensor) -> Laplace:
+    """The Gauss-Newton approximation of the posterior at a state."""
+    covariance, variances = (_dual if residuals.n_rows <= residuals.n_z else _primal)(residuals, state, deviations)
+    bands = [
+        own.clamp(min=0.0).sqrt().unflatten(1, (block.n_dof, -1))
+        for own, block in zip(variances, residuals.blocks, strict=True)
+    ]
+    return Laplace(covariance, bands)
+
+
+def _displacements(residuals: Residuals, block: Block) -> tuple[Tensor, Tensor]:
+    """Seeds and points of rows that are the displacements at the collocation points, DOF by DOF."""
+    n, m = block.n_dof, block.collocation
+    points = torch.arange(m, device=residuals.device).repeat(n)
+    seeds = torch.zeros(residuals.n_fits, 3, n * m, n, dtype=torch.float64, device=residuals.device)
+    seeds[:, 0] = torch.eye(n, dtype=torch.float64, device=residuals.device).repeat_interleave(m, 0)
+    return residuals.response_adjoint(block, seeds, points), points
+
+
+def _dual(residuals: Residuals, state: State, deviations: Tensor) -> tuple[Tensor, list[Tensor]]:
+    """In residual space, with ``M = Jw Jwᵀ + e`` over the coefficients w, e their precision, and C the columns of the
+    other unknowns q: information on q ``e Cᵀ M⁻¹ C`` (Schur complement); for a displacement with gradient g by w and
+    ``k = Jw g``, variance ``(gᵀg - kᵀ M⁻¹ k) / e`` given q, and what the uncertainty of q adds.
+    """
+    linear = residuals.linearise(state, deviations)
+    parts, _ = residuals.split_flat(state.z)
+    matrix = residuals.gram(state, linear, unknowns=False)
+    precision = PRECISION * matrix.diagonal(dim1=1, dim2=2).amax(1)
+    matrix.diagonal(dim1=1, dim2=2).add_(precision[:, None])
+    factor = torch.linalg.cholesky(matrix)
+    solved = torch.cholesky_solve(linear.columns, factor)
+    information = precision[:, None, None] * (linear.columns.mT @ solved)
+    covariance = torch.linalg.pinv(information, hermitian=True, rtol=1e-14)
+    variances, at = [], 0
+    for k, (block, ansatz, tape) in enumerate(zip(residuals.blocks, residuals.ansatzes, state.tapes, strict=True)):
+        seeds, points = _displacements(residuals, block)
+        extra = ansatz.adjoint(parts[k], tape, seeds, points)
+        both = [torch.cat(pair, 2) for pair in zip(linear.adjoints[k], extra, strict=True)]
+        gram = ansatz.gram(tape, both, torch.cat([block.points, points]))
+        n = block.n_rows
+        cross = gram.new_zeros(residuals.n_fits, residuals.n_rows, points.shape[0])
+        cross[:, at : at + n] = gram[:, :n, n:]
+        inner = (cross * torch.cholesky_solve(cross, factor)).sum(1)
+        given = (gram[:, n:, n:].diagonal(dim1=1, dim2=2) - inner) / precision[:, None]
+        by_unknowns = cross.mT @ solved
+        variances.append(given + ((by_unknowns @ covariance) * by_unknowns).sum(2))
+        at += n
+    return covariance, variances
+
+
+def _primal(residuals: Residuals, state: State, deviations: Tensor) -> tuple[Tensor, list[Tensor]]:
+    """In the space of the unknowns: the inverse of JᵀJ, with the coefficients' precision added."""
+    linear = residuals.linearise(state, deviations)
+    parts, _ = residuals.split_flat(state.z)
+    n_z, n_w = residuals.n_z, residuals.n_coefficients
+    matrix = state.rows.new_zeros(residuals.n_fits, n_z, n_z)
+    size = state.rows.new_zeros(residuals.n_fits)
+    for _, j in residuals.jacobian_parts(state, linear):
+        matrix.baddbmm_(j.mT, j)
+        if j.shape[1]:
+            size = torch.maximum(size, (j * j).sum(2).amax(1))
+    matrix.diagonal(dim1=1, dim2=2)[:, :n_w] += PRECISION * size[:, None]
+    scale = matrix.diagonal(dim1=1, dim2=2).rsqrt()
+    whole = torch.linalg.pinv(matrix * scale[:, :, None] * scale[:, None], hermitian=True, rtol=1e-14)
+    whole = whole * scale[:, :, None] * scale[:, None]
+    variances, at = [], 0
+    for k, (block, ansatz, tape) in enumerate(zip(residuals.blocks, residuals.ansatzes, state.tapes, strict=True)):
+        seeds, points = _displacements(residuals, block)
+        g = ansatz.jacobian(tape, ansatz.adjoint(parts[k], tape, seeds, points), points)
+        own = whole[:, at : at + ansatz.count, at : at + ansatz.count]
+        variances.append(((g @ own) * g).sum(2))
+        at += ansatz.count
+    return whole[:, n_w:, n_w:], variances
