@@ -188,9 +188,10 @@ class Estimate:
     Exactly one of these is given by a method that succeeded: ``parameters`` (all of them, natively, with the prior
     used), or ``groups`` (the identifiable groups only, in themselves and without the prior; the harness then combines
     them with the prior, once). ``reconstructions`` holds the displacement as a function of time, one a record;
-    empty where the method has none, and the response simulated from its parameters stands in. ``bands`` holds the standard
-    deviation (m) of the displacement as a function of time, one a record, where the method has it. ``initial_states``
-    (one a record) and ``offsets`` (one a channel, record by record) are the method's own, where it has them.
+    empty where the method has none, and the response simulated from its parameters stands in. ``bands`` holds the
+    standard deviation (m) of the displacement as a function of time, one a record, where the method has it.
+    ``initial_states`` (one a record) and ``offsets`` (one a channel, record by record) are the method's own, where it
+    has them.
     ``traces`` keeps named arrays worth a picture (loss history, parameter trajectory).
     """
 

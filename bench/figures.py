@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from bench.cli import read_folders
@@ -14,11 +15,12 @@ from bench.tables import TITLES, Entry, entries, paper_numbers
 
 STYLES = {
     "oracle": ("#7f7f7f", "D"), "shooting": ("#0072B2", "o"), "mcmc": ("#56B4E9", "v"), "pinn": ("#D55E00", "s"),
-    "pinn_adam": ("#E69F00", "P"), "ls": ("#000000", "x"), "ls_spline": ("#555555", "+"), "rls": ("#999999", "1"),
+    "pinn_adam": ("#E69F00", "P"), "collocation": ("#8C564B", "h"),
+    "ls": ("#000000", "x"), "ls_spline": ("#555555", "+"), "rls": ("#999999", "1"),
     "sindy": ("#009E73", "^"), "ddnn": ("#CC79A7", "*"),
 }  # fmt: skip
 """A method's colour (Okabe and Ito's palette and greys) and marker, the same in every picture."""
-COINCIDING = {"oracle": 14, "shooting": 11, "mcmc": 8}
+COINCIDING = {"oracle": 16, "shooting": 13, "mcmc": 10, "collocation": 7.5}
 """Hollow markers of these sizes, so that lines that lie on each other can all be seen."""
 PANELS = (
     ("k_over_m_error_pct", "error of k/m (%), root mean square"),
@@ -28,7 +30,7 @@ PANELS = (
 CAPTION = (
     "Error against noise for every method (reference system, start known; failures left out). The grey region lies "
     "below the Cramér-Rao bound, where no unbiased method can be. Orange diamonds in the right panel: the paper's own "
-    "PINN. Oracle, shooting, MCMC and PINN lie on each other, on the bound."
+    "PINN. Oracle, shooting, MCMC, PINN and spline collocation lie on each other, on the bound."
 )
 
 
@@ -38,14 +40,29 @@ def _root_mean_square(entry: Entry, metric: str) -> float:
     return summary["excess"] * summary["bound"] if summary else math.nan
 
 
-def draw(found: Sequence[Entry]) -> Any:
-    """The figure: one panel a metric, one line a method, over SNR."""
+def pyplot() -> Any:
+    """matplotlib's pyplot without a display, in the one style of all pictures."""
     import matplotlib
 
     matplotlib.use("Agg")
     matplotlib.rcParams.update({"font.size": 9, "svg.hashsalt": "vibration-bench", "axes.spines.top": False})
-    from matplotlib import pyplot as plt
+    from matplotlib import pyplot
 
+    return pyplot
+
+
+def save_figure(figure: Any, folder: Path, name: str) -> list[Path]:
+    """Write a figure as SVG and PNG, the same bytes for the same picture; returns the paths."""
+    paths = []
+    for ending, extra in (("svg", {"metadata": {"Date": None}}), ("png", {"dpi": 160})):
+        paths.append(folder / f"{name}.{ending}")
+        figure.savefig(paths[-1], **extra)
+    return paths
+
+
+def draw(found: Sequence[Entry]) -> Any:
+    """The figure: one panel a metric, one line a method, over SNR."""
+    plt = pyplot()
     found = [entry for entry in found if entry.cell.scenario.told == "known" and entry.stored]
     figure, axes = plt.subplots(1, 3, figsize=(10.5, 4.2), layout="constrained")
     for axis, (metric, label) in zip(axes, PANELS, strict=True):
@@ -96,9 +113,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"bench.figures: {error}", file=sys.stderr)
         return 2
-    for ending, extra in (("svg", {"metadata": {"Date": None}}), ("png", {"dpi": 160})):
-        figure.savefig(out / f"error_against_noise.{ending}", **extra)
-        print(out / f"error_against_noise.{ending}")
+    for path in save_figure(figure, out, "error_against_noise"):
+        print(path)
     (out / "error_against_noise.txt").write_text(CAPTION + "\n", encoding="utf-8")
     return 0
 

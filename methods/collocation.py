@@ -42,28 +42,29 @@ class Collocation(PhysicsInformed):
         tuning="none of its own",
     )
 
-    def _knots(self, duration: float, collocation: int) -> np.ndarray:
+    def _knots(self, resolution: int, duration: float) -> np.ndarray:
         """Uniform, the ends repeated ``degree`` times more."""
-        inner = np.linspace(0.0, duration, collocation // self.points_an_interval + 1)
+        inner = np.linspace(0.0, duration, self.points(resolution) // self.points_an_interval + 1)
         return np.concatenate([np.zeros(self.degree), inner, np.full(self.degree, duration)])
 
-    def _count(self, collocation: int) -> int:
-        return collocation // self.points_an_interval + self.degree
+    def _count(self, resolution: int) -> int:
+        return self.points(resolution) // self.points_an_interval + self.degree
 
-    def ansatz(self, record: int, block: Block) -> Ansatz:
+    def ansatz(self, block: Block, resolution: int) -> Ansatz:
         import torch
 
         from methods.pinn.ansatz import Basis
 
         streams = []
         for times, duration in zip(block.times, block.duration, strict=True):
-            knots = self._knots(duration, block.collocation)
-            spline = BSpline(knots, np.eye(self._count(block.collocation)), self.degree)
+            spline = BSpline(self._knots(resolution, duration), np.eye(self._count(resolution)), self.degree)
             streams.append(np.stack([spline(times, order) for order in range(3)]))
         return Basis(torch.as_tensor(np.stack(streams), device=block.values.device), block.n_dof)
 
-    def first_coefficients(self, n_dof: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]) -> np.ndarray:
-        return np.zeros((cycles.size, n_dof * self._count(self.points(float(cycles[0])))))
+    def first_coefficients(
+        self, n_dof: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
+    ) -> np.ndarray:
+        return np.zeros((cycles.size, n_dof * self._count(resolution)))
 
-    def response(self, coefficients: np.ndarray, n_dof: int, duration: float, collocation: int) -> Function:
-        return SplineResponse(self._knots(duration, collocation), coefficients.reshape(n_dof, -1), self.degree)
+    def response(self, coefficients: np.ndarray, n_dof: int, resolution: int, duration: float) -> Function:
+        return SplineResponse(self._knots(resolution, duration), coefficients.reshape(n_dof, -1), self.degree)

@@ -64,7 +64,7 @@ class Ansatz(ABC):
 
     @abstractmethod
     def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
-        """The last, linear layer as an ansatz of its own, with its coefficients; what comes before it stays as it is."""
+        """The last, linear layer as an ansatz of its own, with its coefficients; what comes before it stays."""
 
     @abstractmethod
     def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:

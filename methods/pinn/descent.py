@@ -11,7 +11,7 @@ from methods.pinn.levenberg import Walk
 from methods.pinn.residuals import Residuals, State
 
 EVERY = 10
-"""Adam's steps from one record of the loss to the next."""
+"""Steps from one record to the next."""
 MEMORY = 30
 """Pairs that L-BFGS remembers."""
 
@@ -28,11 +28,11 @@ def adam(residuals: Residuals, walk: Walk, deviations: Tensor, steps: int, rate:
         second.mul_(0.999).addcmul_(gradient, gradient, value=0.001)
         size = rate / (1.0 - 0.9**i)
         z = z.addcdiv(first, (second / (1.0 - 0.999**i)).sqrt_().add_(1e-8), value=-size)
+        walk.evaluations += 1
+        walk.iterations += 1
         if i % EVERY == 0:
-            walk.record(everyone, state.terms)
+            walk.record(everyone, state.rows * deviations)
     walk.z = z
-    walk.evaluations += steps
-    walk.iterations += steps
 
 
 def lbfgs(residuals: Residuals, walk: Walk, deviations: Tensor, steps: int) -> None:
@@ -48,19 +48,17 @@ def _lbfgs(own: Residuals, walk: Walk, i: int, deviations: Tensor, steps: int) -
     def loss(z: np.ndarray) -> tuple[float, np.ndarray]:
         state, gradient = own.gradient(torch.as_tensor(z[None], device=own.device), deviations)
         last[:] = [state]
+        walk.evaluations[i] += 1
         return float(state.loss[0]), gradient[0].cpu().numpy()
 
+    def each(_: np.ndarray) -> None:
+        walk.iterations[i] += 1
+        if walk.iterations[i] % EVERY == 0:
+            walk.record(who, last[0].rows * deviations)
+
     options = {"maxiter": steps, "maxfun": 2 * steps, "maxcor": MEMORY, "ftol": 1e-9, "gtol": 1e-6}
-    found = minimize(
-        loss,
-        walk.z[i].cpu().numpy(),
-        jac=True,
-        method="L-BFGS-B",
-        callback=lambda _: walk.record(who, last[0].terms),
-        options=options,
-    )
+    first = walk.z[i].cpu().numpy()
+    found = minimize(loss, first, jac=True, method="L-BFGS-B", callback=each, options=options)
     walk.z[i] = torch.as_tensor(found.x, device=own.device)
-    walk.evaluations[i] += int(found.nfev)
-    walk.iterations[i] += int(found.nit)
     walk.converged[i] = bool(found.success)
     walk.reasons[i] = "L-BFGS found no further decrease" if found.success else "the number of steps was reached"

@@ -15,11 +15,12 @@ from bench import Problem
 from methods.pinn import descent, levenberg
 from methods.pinn.laplace import laplace
 from methods.pinn.levenberg import Walk
-from methods.pinn.residuals import TERMS, Residuals, Spread
+from methods.pinn.residuals import TERMS, Block, Residuals, Spread
 from methods.pinn.response import Band, ExactStart, Function
 from methods.pinn.spectral import Guess
 
 if TYPE_CHECKING:
+    from methods.pinn.ansatz import Ansatz
     from methods.pinn.physics import PhysicsInformed
 
 FIRST_NOISE = 0.1
@@ -71,6 +72,11 @@ def cycles(problem: Problem, guess: Guess) -> float:
     plain = problem.system.linear and problem.system.n_dof == 1 and not problem.forced
     duration = max(record.duration for record in problem.records)
     return (1.0 if plain else OVERTONES) * guess.omega * duration / (2.0 * np.pi)
+
+
+def resolution(cycles: float) -> int:
+    """Oscillations that collocation points and coefficients must resolve: in steps of five, so that fits share them."""
+    return 5 * int(np.ceil(cycles / 5.0))
 
 
 def first_logs(problem: Problem, guess: Guess) -> np.ndarray:
@@ -127,19 +133,25 @@ class Attempt:
         self.omega = np.array([guess.omega for guess in guesses])
         self.duration = np.array([max(record.duration for record in p.records) for p in problems])
         self.cycles = np.array([cycles(p, guess) for p, guess in zip(problems, guesses, strict=True)])
-        self.collocation = settings.points(float(self.cycles[0]))
+        self.resolution = resolution(float(self.cycles[0]))
+        self.collocation = settings.points(self.resolution)
         free = free_parameters(first)
         logs = np.stack([first_logs(p, guess) for p, guess in zip(problems, guesses, strict=True)])
         if len(free) < logs.shape[1]:
             gauge = first.system.names.index(first.system.gauge)
             logs = logs - logs[:, gauge : gauge + 1]
         exact = self.omega if settings.start == "exact" else None
-        self.residuals = Residuals(problems, settings.ansatz, self.collocation, free, logs, settings.device, exact)
-        weights = [settings.first_coefficients(first.system.n_dof, self.cycles, rngs) for _ in first.records]
+        self.residuals = Residuals(problems, self._ansatz, self.collocation, free, logs, settings.device, exact)
+        weights = [
+            settings.first_coefficients(first.system.n_dof, self.resolution, self.cycles, rngs) for _ in first.records
+        ]
         offsets = np.zeros((len(problems), len(self.residuals.offsets)))
         z = np.concatenate([*weights, logs[:, self.residuals.free], offsets], 1)
         self.walk = Walk.start(torch.as_tensor(z, device=settings.device))
         self._measure(degrees_of_freedom(first))
+
+    def _ansatz(self, block: Block) -> Ansatz:
+        return self.settings.ansatz(block, self.resolution)
 
     def _measure(self, dof: float) -> None:
         """Sizes of the channels, (B, n_channels), and the first noise."""
@@ -225,6 +237,12 @@ class Attempt:
             descent.lbfgs(self.residuals, self.walk, deviations, int(share * lbfgs_steps))
         self.estimate_noise(self.residuals, deviations, everyone)
 
+    def record(self) -> None:
+        """Note where the fits stand."""
+        deviations = self.residuals.deviations(self.spread())
+        state = self.residuals.evaluate(self.walk.z, deviations)
+        self.walk.record(np.arange(len(self.problems)), state.rows * deviations)
+
     def results(self) -> list[Fit]:
         """What was reached, fit by fit."""
         residuals, walk = self.residuals, self.walk
@@ -260,7 +278,9 @@ class Attempt:
                 iterations=int(walk.iterations[i]),
                 converged=bool(walk.converged[i]),
                 reason=walk.reasons[i],
-                history=dict(zip(TERMS, np.array(walk.history[i]).reshape(-1, len(TERMS)).T, strict=True)),
+                history=_history(
+                    walk.history[i], np.asarray(deviations[i].cpu()), np.asarray(residuals.term_rows.cpu())
+                ),
             )
             for i in range(len(self.problems))
         ]
@@ -269,11 +289,22 @@ class Attempt:
         """The response of fit i in record k."""
         block = self.residuals.blocks[k]
         duration, system = float(block.duration[i]), self.problems[i].system
-        inner = self.settings.response(coefficients, system.n_dof, duration, self.collocation)
+        inner = self.settings.response(coefficients, system.n_dof, self.resolution, duration)
         told = self.problems[i].records[k].initial_state
         if told is None or self.settings.start != "exact":
             return inner
         return ExactStart(inner, told.displacement, told.velocity, float(self.omega[i]))
+
+
+def _history(records: list[np.ndarray], deviations: np.ndarray, terms: np.ndarray) -> dict[str, np.ndarray]:
+    """The way to the minimum: evaluations, the loss at the weights of the end, mean squares in natural units.
+
+    ``deviations`` (n_rows,) are those of the end; ``terms`` (n_rows, 4) says which row belongs to which term.
+    """
+    evaluations, rows = np.array(records)[:, 0], np.array(records)[:, 1:]
+    squares = rows**2 @ (terms / np.maximum(terms.sum(0), 1.0))
+    named = {f"mean_square_{term}": own for term, own in zip(TERMS, squares.T, strict=True)}
+    return {"evaluations": evaluations, "loss": 0.5 * np.sum((rows / deviations) ** 2, 1), **named}
 
 
 @contextmanager
@@ -293,8 +324,10 @@ def fit(
     settings: PhysicsInformed,
     rngs: Sequence[np.random.Generator],
 ) -> list[Fit]:
-    """One attempt at each problem from its starting guess; all are of one structure and as many cycles' points."""
+    """One attempt at each problem from its starting guess; all are of one structure and one resolution."""
     with torch_threads(settings.threads), torch.no_grad():
         attempt = Attempt(problems, guesses, settings, rngs)
+        attempt.record()
         settings.train(attempt)
+        attempt.record()
         return attempt.results()

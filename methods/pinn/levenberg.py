@@ -25,7 +25,8 @@ GREATEST_DAMPING = 1e6
 class Walk:
     """Where a batch of minimisations stands: the vectors reached (B, n_z), dampings, counts, and why each stopped.
 
-    ``history[i]`` holds the squared lengths of the terms of fit i, (4,), after every accepted step.
+    ``history[i]`` holds, after every accepted step of fit i, the evaluations and the residual vector in natural units
+    (not divided by deviations, which change as the noise is estimated), (1 + n_rows,).
     """
 
     z: Tensor
@@ -50,10 +51,10 @@ class Walk:
             [[] for _ in range(n)],
         )
 
-    def record(self, who: np.ndarray, terms: Tensor) -> None:
-        """Append the terms of the fits ``who``."""
-        for i, own in zip(who, np.asarray(terms.cpu()), strict=True):
-            self.history[i].append(own)
+    def record(self, who: np.ndarray, plain: Tensor) -> None:
+        """Append to the history of the fits ``who`` (k,) their residual vectors (k, n_rows)."""
+        for i, own in zip(who, np.asarray(plain.cpu()), strict=True):
+            self.history[i].append(np.append(self.evaluations[i], own))
 
 
 class DualEquations:
@@ -151,7 +152,7 @@ def minimise(
         if accepted.any():
             state = trial if accepted.all() else _mixed(own, state, trial, accepted, own_deviations)
             normal = None
-            walk.record(active[accepted], state.terms[accepted])
+            walk.record(active[accepted], (state.rows * own_deviations)[accepted])
         ended |= _damp(walk, active, growth, gain, accepted)
         for i in np.flatnonzero(ended):
             _close(walk, int(active[i]), bool(accepted[i]), float(promised[i]), tolerance)

@@ -26,9 +26,16 @@ if TYPE_CHECKING:
     from methods.pinn.residuals import Block
 
 
+UNITS_A_CYCLE = 12
+"""Units of a hidden layer for each oscillation in the record, where ``width`` would give fewer."""
+
+
 @dataclass(frozen=True)
 class PINN(PhysicsInformed):
-    """The settings of the network and its training; see the module for the method."""
+    """The settings of the network and its training; see the module for the method.
+
+    ``width``: units of a hidden layer (more where an oscillation would have fewer than 12: the layers must resolve it).
+    """
 
     optimizer: Literal["lm", "adam_lbfgs"] = "lm"
     width: int = 64
@@ -48,10 +55,10 @@ class PINN(PhysicsInformed):
         " 5-120 dB, 2-11 cycles, damping 2-20 %, judged by maximum a posteriori from the truth on the same data",
     )
 
-    def _widths(self, n_dof: int) -> tuple[int, ...]:
-        return (1, *[self.width] * self.depth, n_dof)
+    def _widths(self, n_dof: int, resolution: int) -> tuple[int, ...]:
+        return (1, *[max(self.width, UNITS_A_CYCLE * resolution)] * self.depth, n_dof)
 
-    def ansatz(self, record: int, block: Block) -> Ansatz:
+    def ansatz(self, block: Block, resolution: int) -> Ansatz:
         import torch
 
         from methods.pinn.network import Network
@@ -59,20 +66,22 @@ class PINN(PhysicsInformed):
         tau = 2.0 * block.times / block.duration[:, None] - 1.0
         device = block.values.device
         rate = torch.as_tensor(2.0 / block.duration, device=device)
-        return Network(self._widths(block.n_dof), torch.as_tensor(tau, device=device), rate)
+        return Network(self._widths(block.n_dof, resolution), torch.as_tensor(tau, device=device), rate)
 
-    def first_coefficients(self, n_dof: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]) -> np.ndarray:
+    def first_coefficients(
+        self, n_dof: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
+    ) -> np.ndarray:
         from methods.pinn import network
 
-        widths = self._widths(n_dof)
+        widths = self._widths(n_dof, resolution)
         return np.stack(
             [network.flat(network.initial_layers(widths, own, rng)) for own, rng in zip(cycles, rngs, strict=True)]
         )
 
-    def response(self, coefficients: np.ndarray, n_dof: int, duration: float, collocation: int) -> Function:
+    def response(self, coefficients: np.ndarray, n_dof: int, resolution: int, duration: float) -> Function:
         from methods.pinn import network
 
-        return NetworkResponse(network.unflat(coefficients, self._widths(n_dof)), duration)
+        return NetworkResponse(network.unflat(coefficients, self._widths(n_dof, resolution)), duration)
 
     def train(self, attempt: Attempt) -> None:
         if self.optimizer == "lm":

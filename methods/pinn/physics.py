@@ -80,24 +80,26 @@ class PhysicsInformed(Identifier):
     extra: ClassVar[str] = "torch"
 
     @abstractmethod
-    def ansatz(self, record: int, block: Block) -> Ansatz:
-        """What represents the response in a record."""
+    def ansatz(self, block: Block, resolution: int) -> Ansatz:
+        """What represents the response in a record of at most ``resolution`` oscillations."""
 
     @abstractmethod
-    def first_coefficients(self, n_dof: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]) -> np.ndarray:
+    def first_coefficients(
+        self, n_dof: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
+    ) -> np.ndarray:
         """The coefficients to start from, (B, count), for responses of ``cycles`` (B,) oscillations."""
 
     @abstractmethod
-    def response(self, coefficients: np.ndarray, n_dof: int, duration: float, collocation: int) -> Function:
+    def response(self, coefficients: np.ndarray, n_dof: int, resolution: int, duration: float) -> Function:
         """The response by time, in numpy."""
 
     def train(self, attempt: Attempt) -> None:
         """Minimise."""
         attempt.levenberg()
 
-    def points(self, cycles: float) -> int:
-        """How many collocation points a response of so many oscillations gets: a multiple of 100 beyond the setting."""
-        return max(self.collocation, 100 * int(np.ceil(POINTS_A_CYCLE * cycles / 100.0)))
+    def points(self, resolution: int) -> int:
+        """How many collocation points so many oscillations get."""
+        return max(self.collocation, POINTS_A_CYCLE * resolution)
 
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """The estimate for one problem; status ``diverged`` or ``nonfinite`` where none was found."""
@@ -106,15 +108,15 @@ class PhysicsInformed(Identifier):
     def identify_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
         """Estimates for all problems, ``batch`` of the same structure solved at a time; each is the same as alone."""
         found: dict[int, Estimate] = {}
-        tasks: list[tuple[int, _Task]] = []
+        tasks: list[tuple[int, Task]] = []
         with np.errstate(all="ignore"):
             for i, (problem, rng) in enumerate(zip(problems, rngs, strict=True)):
                 objection = self._obstacle(problem)
                 if objection is not None:
                     found[i] = objection
                 else:
-                    tasks.append((i, _Task(problem, rng)))
-            self._attempt([task for _, task in tasks])
+                    tasks.append((i, Task(problem, rng)))
+            self.attempt([task for _, task in tasks])
             if self.uncertainty != "laplace":
                 for _, task in tasks:
                     self._resample(task)
@@ -131,16 +133,16 @@ class PhysicsInformed(Identifier):
             return Estimate.failed(problem.system, Status.INVALID, sentence)
         return None
 
-    def _attempt(self, tasks: Sequence[_Task]) -> None:
+    def attempt(self, tasks: Sequence[Task]) -> None:
         """Fit each, and start those in a bad basin again elsewhere."""
         from methods.pinn import engine
         from methods.pinn.residuals import structure
 
         for n in range(1 + self.restarts):
-            groups: dict[object, list[_Task]] = {}
+            groups: dict[object, list[Task]] = {}
             for task in tasks:
                 if not task.settled and n < len(task.guesses):
-                    key = structure(task.scaled), self.points(engine.cycles(task.scaled, task.guesses[n]))
+                    key = structure(task.scaled), engine.resolution(engine.cycles(task.scaled, task.guesses[n]))
                     groups.setdefault(key, []).append(task)
             for group in groups.values():
                 for at in range(0, len(group), self.batch):
@@ -149,7 +151,7 @@ class PhysicsInformed(Identifier):
                     for task, fit in zip(own, fits, strict=True):
                         task.fits.append(fit)
 
-    def _resample(self, task: _Task) -> None:
+    def _resample(self, task: Task) -> None:
         """Spread of the parameters and of the response over an ensemble or a bootstrap, in place of the linearised."""
         from methods.pinn import engine
 
@@ -168,7 +170,7 @@ class PhysicsInformed(Identifier):
             fits += engine.fit(chunk, [guess] * len(chunk), self, rngs[at : at + self.batch])
         task.members = [fit for fit in fits if np.all(np.isfinite(fit.logs))]
 
-    def _estimate(self, task: _Task) -> Estimate:
+    def _estimate(self, task: Task) -> Estimate:
         problem, best = task.scaled, task.best
         cost = Cost(sum(fit.evaluations for fit in task.fits), sum(fit.iterations for fit in task.fits))
         if best is None:
@@ -192,12 +194,12 @@ class PhysicsInformed(Identifier):
             offsets=tuple(map(float, offsets)) if any(task.offset_flags) else None,
             message=message,
             cost=cost,
-            traces={f"loss_{name}": values for name, values in best.history.items()},
+            traces=best.history,
         )
         offsets_back = task.problem.offsets_from(task.units, estimate.offsets)
         return replace(estimate, offsets=offsets_back).expressed_in(task.units.inverse)
 
-    def _belief(self, task: _Task, best: Fit) -> dict[str, Any]:
+    def _belief(self, task: Task, best: Fit) -> dict[str, Any]:
         """All parameters, or the groups where the data alone cannot tell the scale."""
         from methods.pinn import engine
 
@@ -218,7 +220,7 @@ class PhysicsInformed(Identifier):
         names = tuple(group.name for group in system.groups)
         return {"groups": Normal(names, values, slopes @ covariance @ slopes.T, log=False, dof=dof)}
 
-    def _bands(self, task: _Task, best: Fit) -> tuple[Function, ...]:
+    def _bands(self, task: Task, best: Fit) -> tuple[Function, ...]:
         if not task.members:
             return best.bands
         bands = []
@@ -228,7 +230,7 @@ class PhysicsInformed(Identifier):
         return tuple(bands)
 
 
-class _Task:
+class Task:
     """One problem on its way: in natural units, with its guesses, its random stream, and the attempts so far."""
 
     def __init__(self, problem: Problem, rng: np.random.Generator) -> None:

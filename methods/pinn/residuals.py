@@ -183,8 +183,8 @@ class Linear:
     columns: Tensor
 
 
-AnsatzMaker = Callable[[int, Block], Ansatz]
-"""Makes the ansatz of a record, given its number and its block."""
+AnsatzMaker = Callable[[Block], Ansatz]
+"""Makes the ansatz of a record, given its block."""
 
 
 class Residuals:
@@ -212,7 +212,7 @@ class Residuals:
             Block([p.records[i] for p in problems], self.system, collocation, self.device, exact)
             for i in range(len(first.records))
         ]
-        self.ansatzes = [make_ansatz(i, block) for i, block in enumerate(self.blocks)]
+        self.ansatzes = [make_ansatz(block) for block in self.blocks]
         self.free = [self.system.names.index(name) for name in free]
         self.log_fixed = torch.as_tensor(np.array(log_fixed), device=self.device)
         self.gauge = self.system.gauge
@@ -225,7 +225,7 @@ class Residuals:
             self.prior = means, sds
         self.n_rows = sum(b.n_rows for b in self.blocks) + (len(self.free) if self.prior else 0)
         self._offset_rows = self._offset_columns()
-        self._term_rows = self._term_columns()
+        self.term_rows = self._term_columns()
 
     @property
     def n_fits(self) -> int:
@@ -342,7 +342,7 @@ class Residuals:
         return rows + offsets @ self._offset_rows.T if self.offsets else rows
 
     def _terms(self, rows: Tensor) -> Tensor:
-        return (rows * rows) @ self._term_rows
+        return (rows * rows) @ self.term_rows
 
     def _term_columns(self) -> Tensor:
         """Which row belongs to which term, (n_rows, 4), 0 and 1."""

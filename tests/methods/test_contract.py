@@ -20,7 +20,7 @@ from bench.truth import closed_form
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "ls_spline": {"name": "ls", "derivative": "spline"},
-    "pinn_adam": {"name": "pinn", "optimizer": "adam_lbfgs", "slack": 0.5, "adam_steps": 300, "lbfgs_steps": 300},
+    "pinn_adam": {"name": "pinn", "optimizer": "adam_lbfgs", "slack": 0.5, "adam_steps": 200, "lbfgs_steps": 300},
 }
 NAMES = [*registered(), *VARIANTS]
 P = {"m": 1.4, "c": 0.7, "k": 11.0}  # a plant that is in no table

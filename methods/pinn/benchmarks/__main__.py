@@ -1,0 +1,136 @@
+"""``python -m methods.pinn.benchmarks``: what the PINN engine costs and how far it can be trusted, as a page.
+
+Each part is stored when it is done (``<out>/pinn/<part>.json``), and the page ``<out>/pinn.md`` and its pictures are
+made from what is stored; ``part=`` runs some of them only. Rival scripts are timed where ``peers=`` names their folder.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from tabulate import tabulate
+from tqdm import tqdm
+
+from bench.config import expand, jobs_to_cells
+from bench.errors import InputError
+from bench.store import Store
+from bench.workers import single_threaded
+from methods.pinn.benchmarks.common import Part
+
+PARTS = ("rivals", "memory", "accuracy", "systems", "initialisations", "starting_values", "loss", "scaling")
+USAGE = """usage: python -m methods.pinn.benchmarks [part=<a,b>] [replicates=100] [out=results]
+                                        [peers=<folder of rival scripts> [peer_python=<python with DeepXDE>] [seeds=3]]
+parts: """ + ", ".join(PARTS)
+
+
+def options(arguments: Sequence[str]) -> dict[str, str]:
+    """The arguments, checked; raises InputError."""
+    found = {
+        "part": ",".join(PARTS),
+        "replicates": "100",
+        "out": "results",
+        "peers": "",
+        "peer_python": "",
+        "seeds": "3",
+    }
+    for argument in arguments:
+        key, _, value = argument.partition("=")
+        if key not in found or not value:
+            raise InputError("argument", argument, f"write one of {', '.join(f'{name}=' for name in found)}")
+        found[key] = value
+    for part in found["part"].split(","):
+        if part not in PARTS:
+            raise InputError("part", part, f"one of {', '.join(PARTS)}")
+    for name in ("replicates", "seeds"):
+        if not found[name].isdigit() or int(found[name]) < 1:
+            raise InputError(name, found[name], "a whole number of at least 1")
+    if found["peers"] and not (Path(found["peers"]) / "naive_fit.py").is_file():
+        raise InputError("peers", found["peers"], "a folder that holds naive_fit.py")
+    if found["peer_python"] and not Path(found["peer_python"]).is_file():
+        raise InputError("peer_python", found["peer_python"], "the path of a Python interpreter")
+    return found
+
+
+def run(part: str, chosen: dict[str, str]) -> Part:
+    """One part, with a progress bar where it is long."""
+    from methods.pinn.benchmarks import rivals, robustness, scaling
+
+    adam = dict(jobs_to_cells(expand(["method=pinn_adam"], multirun=False))[0].settings)
+    replicates = int(chosen["replicates"])
+    few = max(1, min(5, replicates))
+    peers = Path(chosen["peers"]) if chosen["peers"] else None
+    with tqdm(desc=part, unit="fit", file=sys.stderr, leave=False) as bar:
+        parts: dict[str, tuple[int, Callable[[], Part]]] = {
+            "rivals": (
+                0,
+                lambda: rivals.rivals(peers, chosen["peer_python"] or None, int(chosen["seeds"]), sys.executable, adam),
+            ),
+            "memory": (0, lambda: robustness.memory(adam)),
+            "accuracy": (20 * replicates, lambda: robustness.accuracy(replicates, bar.update)),
+            "systems": (8 * max(1, replicates // 2), lambda: robustness.systems(max(1, replicates // 2), bar.update)),
+            "initialisations": (100, lambda: robustness.initialisations(50, bar.update)),
+            "starting_values": (400, lambda: robustness.starting_values(bar.update)),
+            "loss": (0, lambda: robustness.loss(adam)),
+            "scaling": (scaling.COUNT, lambda: scaling.scaling(few, bar.update)),
+        }
+        bar.total, compute = parts[part]
+        return compute()
+
+
+def page(folder: Path) -> str:
+    """All stored parts as one page."""
+    sections = ["# The PINN engine", "Regenerate: `python -m methods.pinn.benchmarks`, " + MACHINE]
+    for name in PARTS:
+        path = folder / f"{name}.json"
+        if path.is_file():
+            part = json.loads(path.read_text(encoding="utf-8"))
+            table = tabulate(part["rows"], headers=part["columns"], tablefmt="github", disable_numparse=True)
+            picture = f"![{part['title']}](figures/pinn_{name}.svg)" if part["data"] else ""
+            sections += [f"## {part['title']}", part["text"], table, *([picture] if picture else [])]
+    return "\n\n".join(sections) + "\n"
+
+
+MACHINE = (
+    "with `peers=` and `peer_python=` for the rivals' times. Times are wall-clock on one core of the machine that ran "
+    "it; compare them within one part only."
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the parts and write the page; exit status 2 for bad input."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if {"-h", "--help"} & set(arguments):
+        print(f"{USAGE}\n\n{__doc__}")
+        return 0
+    single_threaded()
+    try:
+        chosen = options(arguments)
+        out = Path(chosen["out"])
+        folder = out / "pinn"
+        Store(folder).prepare()
+        Store(out / "figures").prepare()
+    except InputError as error:
+        print(f"methods.pinn.benchmarks: {error}", file=sys.stderr)
+        return 2
+    for name in chosen["part"].split(","):
+        part = run(name, chosen)
+        print(f"\n{part.title}\n\n{tabulate(part.rows, headers=part.columns, disable_numparse=True)}", flush=True)
+        content = {**asdict(part), "python": platform.python_version()}
+        (folder / f"{name}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        if part.data:
+            from methods.pinn.benchmarks import pictures
+
+            for path in getattr(pictures, f"{name}_picture")(part.data, out / "figures"):
+                print(path)
+    (out / "pinn.md").write_text(page(folder), encoding="utf-8")
+    print(out / "pinn.md")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,95 @@
+"""What the parts of the benchmark share: a result as a table, scenarios, errors over the oracle's."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench import Identifier
+from bench.bound import load_bounds
+from bench.combine import combine_with_prior
+from bench.config import expand, jobs_to_cells
+from bench.reference import oracle_estimate
+from bench.scenario import METHOD, Scenario
+from bench.score import score
+from bench.statistics import metric_bounds
+from bench.store import Store
+
+SEED = 31337
+"""A seed that nothing was tuned on and no table uses."""
+
+
+@dataclass
+class Part:
+    """One part's result: a table, what was asked of it, and numbers for a picture."""
+
+    name: str
+    title: str
+    text: str
+    columns: list[str]
+    rows: list[list[str]]
+    data: dict[str, Any] = field(default_factory=dict)
+
+
+def scenario(**fields: Any) -> Scenario:
+    """A scenario by fields of the configuration, e.g. ``system="sdof", snr=20``."""
+    arguments = [f"{name}={value}" for name, value in {"method": "prior", **fields}.items()]
+    return jobs_to_cells(expand(arguments, multirun=False))[0].scenario
+
+
+def root_mean_squares(scores: Sequence[dict[str, float]], names: Sequence[str]) -> np.ndarray:
+    """Root mean square of each score over the replicates; infinite where a replicate has none."""
+    return np.array([np.sqrt(np.mean([s.get(name, np.inf) ** 2 for s in scores])) for name in names])
+
+
+def error_names(scenario: Scenario) -> list[str]:
+    """The scores that methods are ranked on: displacement and identifiable groups."""
+    return ["rmse", *(f"{group.name}_error_pct" for group in scenario.make_system().groups)]
+
+
+@dataclass
+class Comparison:
+    """Root mean square errors over the oracle's on the same data, and over the bound; seconds a fit, median."""
+
+    names: list[str]
+    over_oracle: np.ndarray
+    over_bound: np.ndarray
+    seconds: float
+    failed: int
+
+
+def compare(method: Identifier, scenario: Scenario, replicates: int, bound: bool = False) -> Comparison:
+    """Fit ``replicates`` data sets of a scenario, one after the other, and score them beside the oracle."""
+    own, oracle, seconds = [], [], []
+    for i, (problem, truth) in enumerate(scenario.replicates(SEED, replicates)):
+        rng = scenario.stream(METHOD, SEED, i)
+        started = time.perf_counter()
+        estimate = method.identify(problem, rng)
+        seconds.append(time.perf_counter() - started)
+        own.append(score(combine_with_prior(estimate, problem.prior).checked(), problem, truth))
+        oracle.append(score(oracle_estimate(problem, truth), problem, truth))
+    names = error_names(scenario)
+    errors = root_mean_squares(own, names)
+    bounds = np.full(len(names), np.nan)
+    if bound:
+        bounds = bound_values(scenario, names)
+    return Comparison(
+        names,
+        errors / root_mean_squares(oracle, names),
+        errors / bounds,
+        float(np.median(seconds)),
+        sum(not s for s in own),
+    )
+
+
+def bound_values(scenario: Scenario, names: Sequence[str]) -> np.ndarray:
+    """The bound of each score."""
+    with tempfile.TemporaryDirectory() as folder:
+        bounds = metric_bounds(load_bounds([(scenario, SEED)], Store(Path(folder)).bounds)[0])
+    return np.array([bounds[name] for name in names])

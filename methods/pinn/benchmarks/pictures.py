@@ -1,0 +1,70 @@
+"""The benchmark's pictures, from its stored numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.figures import STYLES, pyplot, save_figure
+
+LABELS = {
+    "pinn": "PINN (Levenberg-Marquardt)",
+    "pinn_adam": "PINN (paper's training)",
+    "collocation": "spline collocation",
+}
+
+
+def loss_picture(data: dict[str, Any], out: Path) -> list[Path]:
+    """The paper's Figure 6, for both trainings."""
+    plt = pyplot()
+    figure, axes = plt.subplots(1, 3, figsize=(10.0, 3.2), layout="constrained")
+    for name, own in data.items():
+        evaluations = np.array(own["evaluations"]) + 1.0
+        style = {"color": STYLES[name][0], "label": LABELS[name]}
+        axes[0].loglog(evaluations, own["loss"], **style)
+        axes[1].loglog(evaluations, own["mean_square_data"], **style)
+        axes[2].loglog(evaluations, _positive(own["mean_square_physics"]), **style)
+    titles = ("loss, at its final weights", "data, mean square", "equation of motion, mean square")
+    for axis, title in zip(axes, titles, strict=True):
+        axis.set_title(title, fontsize=9)
+        axis.set_xlabel("evaluations of the residual vector")
+    axes[0].legend(frameon=False, fontsize=8)
+    return save_figure(figure, out, "pinn_loss")
+
+
+def _positive(values: list[float]) -> np.ndarray:
+    """The values, those that are zero left out: the state of rest that both start from solves the equation."""
+    array = np.array(values)
+    return np.where(array > 0, array, np.nan)
+
+
+def scaling_picture(data: dict[str, Any], out: Path) -> list[Path]:
+    """Seconds a fit, and error over the oracle's, against size."""
+    plt = pyplot()
+    labels = {"residuals": "residuals", "masses": "masses in the chain", "cycles": "cycles in the record"}
+    figure, axes = plt.subplots(2, 3, figsize=(9.5, 4.8), layout="constrained", sharex="col", sharey="row")
+    for column, (kind, label) in enumerate(labels.items()):
+        for name in ("pinn", "collocation"):
+            own = [point for point in data[kind] if point["method"] == name]
+            colour, marker = STYLES[name]
+            size = [point["size"] for point in own]
+            for row, what in enumerate(("seconds", "ratio")):
+                values = [point[what] for point in own]
+                axes[row, column].plot(size, values, color=colour, marker=marker, ms=4, label=LABELS[name])
+        axes[1, column].axhline(1.0, color="0.7", lw=0.8)
+        axes[1, column].set_xlabel(label)
+        for row in range(2):
+            axes[row, column].set_yscale("log")
+        ticks = sorted({point["size"] for point in data[kind]})
+        if kind == "residuals":
+            axes[1, column].set_xscale("log")
+            axes[1, column].minorticks_off()
+        axes[1, column].set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    ratios = [point["ratio"] for own in data.values() for point in own]
+    axes[1, 0].set_ylim(0.8, max(2.0, 1.2 * np.nanmax(np.minimum(ratios, 1e3))))
+    axes[0, 0].set_ylabel("seconds a fit")
+    axes[1, 0].set_ylabel("error / oracle's")
+    axes[0, 0].legend(frameon=False, fontsize=8)
+    return save_figure(figure, out, "pinn_scaling")

@@ -1,0 +1,178 @@
+"""Side by side with other inverse PINNs, one core, in the same run: time to the minimum, and time of a fit.
+
+The problem is the rivals' own: 25 samples at 20 dB of a free oscillator, 200 collocation points, a network 1-64-64-1,
+trainable log(k/m) and log(c/m) from (4, 1), no start and no prior, and the loss ``mean data misfit² + 0.1 mean
+residual²``. Every optimiser of this problem has the same minimum to find. The rival scripts are run where their folder
+is given (``peers=``); DeepXDE where it is installed (``peer_python=`` names the interpreter that has it).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import statistics
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from bench import Channel, Problem, Record
+from bench.registry import make_method
+from bench.systems import SDOF
+from bench.truth import closed_form
+from methods.pinn import levenberg
+from methods.pinn.benchmarks.common import Part, scenario
+from methods.pinn.engine import torch_threads
+from methods.pinn.levenberg import Walk
+from methods.pinn.method import PINN
+from methods.pinn.residuals import Residuals, Spread
+
+DURATION, SAMPLES, COLLOCATION, WEIGHT = 10.0, 25, 200, 0.1
+FIRST = {"k": 4.0, "c": 1.0}
+WITHIN = 0.01
+"""How near to the minimum a fit must come, relative."""
+ADAM, LBFGS = 10000, 3000
+
+
+def rivals_data(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """The samples of one seed: times and values, (25,) each."""
+    times = np.linspace(0.0, DURATION, SAMPLES)
+    clean = closed_form({"m": 1.0, "c": 0.4, "k": 8.0}, 1.0, 0.0, times)
+    sigma = np.sqrt(np.mean(clean**2) / 100.0)
+    return times, clean + sigma * np.random.default_rng(seed).standard_normal(SAMPLES)
+
+
+@dataclass
+class Descent:
+    """Losses of the rivals' problem against time (s)."""
+
+    seconds: list[float]
+    losses: list[float]
+    k_over_m: float
+
+    def time_to(self, loss: float) -> float:
+        """When a loss was first reached; infinite if never."""
+        return next((s for s, own in zip(self.seconds, self.losses, strict=True) if own <= loss), np.inf)
+
+
+class _Watched(Walk):
+    """A walk that notes the time and the rivals' loss of every accepted step."""
+
+    def __init__(self, z: torch.Tensor, scale: float) -> None:
+        super().__init__(**vars(Walk.start(z)))
+        self.scale, self.noted = scale, list[tuple[float, float]]()
+
+    def record(self, who: np.ndarray, plain: torch.Tensor) -> None:
+        data, physics = (part.square().mean().item() for part in plain[0].split([SAMPLES, COLLOCATION]))
+        self.noted.append((time.perf_counter(), self.scale**2 * (data + WEIGHT * physics / DURATION**4)))
+
+
+def descend(seed: int, rng: np.random.Generator, iterations: int, tolerance: float) -> Descent:
+    """Levenberg-Marquardt on the rivals' loss: on the output layer with the parameters, then on all weights."""
+    started = time.perf_counter()
+    times, values = rivals_data(seed)
+    scale = float(np.sqrt(np.mean(values**2)))
+    problem = Problem(SDOF(), (Record((Channel(times / DURATION, values / scale),)),))
+    logs = np.log([[1.0, FIRST["c"] * DURATION, FIRST["k"] * DURATION**2]])
+    settings = PINN()
+    cycles = np.array([np.sqrt(FIRST["k"]) * DURATION / (2.0 * np.pi)])
+    with torch_threads(1), torch.no_grad():
+        residuals = Residuals([problem], lambda block: settings.ansatz(block, 0), COLLOCATION, ("c", "k"), logs)
+        # rows whose squared length is the rivals' loss: theirs are means, in metres and seconds
+        data, physics = np.sqrt(SAMPLES) / scale, np.sqrt(COLLOCATION / WEIGHT) * DURATION**2 / scale
+        one = np.ones(1)
+        deviations = residuals.deviations(Spread(np.full((1, 1), data), physics * one, one, one))
+        first = np.concatenate([settings.first_coefficients(1, 0, cycles, [rng]), logs[:, 1:]], 1)
+        whole = torch.as_tensor(first)
+        heads, short = residuals.heads(whole)
+        walk = _Watched(short, scale)
+        levenberg.minimise(heads, walk, deviations, 30, 1e-7)
+        walk.z, walk.damping = residuals.with_heads(whole, walk.z), np.full(1, 1e-6)
+        levenberg.minimise(residuals, walk, deviations, iterations, tolerance)
+    parameters = np.exp(walk.z[0, -2:].numpy())
+    seconds, losses = zip(*walk.noted, strict=True)
+    return Descent([s - started for s in seconds], list(losses), parameters[1] / DURATION**2)
+
+
+@dataclass
+class Rival:
+    """One fit of a rival script: seconds and the loss it ended at."""
+
+    name: str
+    seconds: float
+    loss: float
+
+
+def run_rivals(folder: Path, python: str | None, seeds: int, ours: str) -> list[Rival]:
+    """The rival scripts over the seeds, one core and one thread."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "DDE_BACKEND": "pytorch"}
+    commands = {"naive PyTorch": [ours, "naive_fit.py", "f32", str(ADAM), str(seeds), str(LBFGS)]}
+    if python:
+        commands["DeepXDE"] = [python, "dde_peer.py", "fit", "f32", str(ADAM), str(seeds), str(LBFGS)]
+    found = []
+    for name, command in commands.items():
+        print(f"{name}: {seeds} fits, half a minute each ...", flush=True)
+        output = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True).stdout
+        for line in output.splitlines():
+            parts = re.findall(r"(?:adam \d+|\)) ([\d.]+)s", line)
+            losses = re.findall(r"loss ([\d.e+-]+)", line)
+            if parts and losses:
+                found.append(Rival(name, sum(map(float, parts)), float(losses[-1])))
+    return found
+
+
+def shipped_seconds(name: str, settings: dict[str, object], fits: int) -> float:
+    """Median seconds of a whole fit of a method as shipped, start-up apart, on the reference cell at 20 dB."""
+    method, cell = make_method(name, settings), scenario(system="sdof", snr=20)
+    seconds = []
+    for i, (problem, _) in enumerate(cell.replicates(0, fits + 1)):
+        started = time.perf_counter()
+        method.identify(problem, np.random.default_rng(i))
+        seconds.append(time.perf_counter() - started)
+    return statistics.median(seconds[1:])
+
+
+def rivals(folder: Path | None, python: str | None, seeds: int, ours: str, adam: dict[str, object]) -> Part:
+    """The table of times, and ratios where the rivals could be run."""
+    fits: list[tuple[float, float]] = []
+    minima = []
+    descend(0, np.random.default_rng(0), 5, 1e-9)  # start-up
+    for seed in range(seeds):
+        longest = [descend(seed, np.random.default_rng([seed, i]), 400, 1e-12) for i in range(3)]
+        minima.append(min(descent.losses[-1] for descent in longest))
+        own = descend(seed, np.random.default_rng([seed, 99]), 200, 1e-9)
+        fits.append((own.time_to((1.0 + WITHIN) * minima[-1]), own.losses[-1] / minima[-1]))
+    found = run_rivals(folder, python, seeds, ours) if folder else []
+    rows, lm = [], statistics.median(s for s, _ in fits)
+    above = statistics.median(100.0 * (ratio - 1.0) for _, ratio in fits)
+    rows.append(["their loss, Levenberg-Marquardt (to within 1 %)", f"{lm:.3f}", f"{above:.2f}", *_ratios(found, lm)])
+    cases: list[tuple[str, str, dict[str, object], int]]
+    cases = [("pinn", "pinn", {}, 20), ("collocation", "collocation", {}, 20), ("pinn_adam", "pinn", adam, 5)]
+    for name, method, settings, n in cases:
+        seconds = shipped_seconds(method, settings, n)
+        rows.append([f"method={name}, whole fit", f"{seconds:.3f}", "-", *_ratios(found, seconds)])
+    for name in dict.fromkeys(rival.name for rival in found):
+        runs = [rival for rival in found if rival.name == name]
+        seconds = statistics.median(rival.seconds for rival in runs)
+        over = [100.0 * (rival.loss / minimum - 1.0) for rival, minimum in zip(runs, minima, strict=True)]
+        reached = sum(value <= 100.0 * WITHIN for value in over)
+        label = f"{name}, Adam {ADAM} + L-BFGS ({reached} of {len(runs)} within 1 %)"
+        rows.append([label, f"{seconds:.2f}", f"{statistics.median(over):.1f}", *_ratios(found, seconds)])
+    columns = ["what", "seconds a fit", "above the minimum %", "naive PyTorch takes", "DeepXDE takes"]
+    text = (
+        "One core, one thread, medians; start-up and imports apart. The minimum is the lowest loss of three long "
+        "Levenberg-Marquardt runs from other weights. A rival's time is that of its whole training, whether it "
+        "comes within 1 % of the minimum or not, so the ratios are lower limits."
+    )
+    return Part("rivals", "Time against other inverse PINNs", text, columns, rows)
+
+
+def _ratios(found: list[Rival], seconds: float) -> list[str]:
+    ratios = []
+    for name in ("naive PyTorch", "DeepXDE"):
+        own = [rival.seconds for rival in found if rival.name == name]
+        ratios.append(f"{statistics.median(own) / seconds:.3g} times as long" if own else "not run")
+    return ratios

@@ -1,0 +1,164 @@
+"""Does it reach the floor, and the same minimum from everywhere? Accuracy, initialisations, starts, memory, loss."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+
+import numpy as np
+
+from bench.registry import make_method
+from methods.pinn.benchmarks.common import SEED, Part, compare, scenario
+from methods.pinn.method import PINN
+from methods.pinn.physics import PhysicsInformed, Task
+from methods.pinn.spectral import Guess
+
+Advance = Callable[[int], object]
+"""Told how many more fits are done."""
+SNRS = (40, 30, 20, 10, 5)
+
+
+def accuracy(replicates: int, advance: Advance) -> Part:
+    """Root mean square errors over the oracle's on the same data, and over the bound."""
+    rows = []
+    for name in ("pinn", "collocation"):
+        for told in ("known", "unknown"):
+            for snr in SNRS:
+                cell = scenario(system="sdof", snr=snr, initial_state=told)
+                found = compare(make_method(name, {}), cell, replicates, bound=True)
+                over_oracle = [f"{value:.3f}" for value in found.over_oracle]
+                over_bound = [f"{value:.2f}" for value in found.over_bound]
+                ok = f"{replicates - found.failed}/{replicates}"
+                rows.append([name, told, str(snr), *over_oracle, *over_bound, f"{found.seconds:.3f}", ok])
+                advance(replicates)
+    columns = ["method", "start", "SNR (dB)", "rmse / oracle", "k/m / oracle", "c/m / oracle"]
+    columns += ["rmse / bound", "k/m / bound", "c/m / bound", "s a fit", "ok"]
+    text = (
+        f"Root mean square errors over {replicates} data sets of the reference system (seed {SEED}, in no table), "
+        "divided by those of the oracle (maximum a posteriori from the truth) on the same data, and by the bound. "
+        f"The second has a sampling error of {100 / np.sqrt(2 * replicates):.0f} %."
+    )
+    return Part("accuracy", "Accuracy", text, columns, rows)
+
+
+def systems(replicates: int, advance: Advance) -> Part:
+    """Two masses and the Duffing oscillator, 40 samples a channel at 30 dB."""
+    rows = []
+    for name in ("pinn", "collocation"):
+        for system in ("chain2", "duffing"):
+            for told in ("known", "unknown"):
+                cell = scenario(system=system, snr=30, initial_state=told)
+                found = compare(make_method(name, {}), cell, replicates, bound=True)
+                worst = int(np.argmax(found.over_bound))
+                worst_name = found.names[worst].removesuffix("_error_pct")
+                ok = f"{replicates - found.failed}/{replicates}"
+                excess = [f"{found.over_bound[0]:.2f}", f"{found.over_bound[worst]:.2f} ({worst_name})"]
+                rest = [f"{found.over_oracle.max():.2f}", f"{found.seconds:.2f}", ok]
+                rows.append([name, system, told, *excess, *rest])
+                advance(replicates)
+    columns = ["method", "system", "start", "rmse / bound", "largest excess", "largest / oracle", "s a fit", "ok"]
+    text = f"{replicates} data sets each, seed {SEED}; excess is the root mean square error over the bound."
+    return Part("systems", "Two masses, and a nonlinear spring", text, columns, rows)
+
+
+def initialisations(n: int, advance: Advance) -> Part:
+    """The same data set from different random weights."""
+    rows = []
+    for name, method in (("pinn", PINN()), ("pinn, start=exact", PINN(start="exact", iterations=150))):
+        problem, _ = scenario(system="sdof", snr=20).replicates(SEED, 1)[0]
+        values = []
+        for i in range(n):
+            estimate = method.identify(problem, np.random.default_rng([SEED, i]))
+            marginal = estimate.marginal(problem.system.quantity("k_over_m"))
+            values.append(marginal.value if marginal else np.nan)
+            advance(1)
+        off = np.abs(np.array(values) / np.median(values) - 1.0)
+        low, high = marginal.interval(0.95) if marginal else (np.nan, np.nan)
+        spread = f"{off.max():.1e}"
+        rows.append(
+            [name, str(n), str(int(np.sum(off <= 1e-4))), spread, f"{(high - low) / 2 / np.median(values):.1e}"]
+        )
+    columns = ["method", "initialisations", "k/m within 1e-4", "largest deviation", "half the 95 % interval"]
+    text = "One data set at 20 dB, deviations of k/m from the median, relative; the interval is that of the noise."
+    return Part("initialisations", "Different random weights", text, columns, rows)
+
+
+def starting_values(advance: Advance) -> Part:
+    """From 20 x 10 starting values, k/m 0.5 to 40 and c/m 0.05 to 2, with and without the restarts."""
+    rows = []
+    problem, _ = scenario(system="sdof", snr=20).replicates(SEED, 1)[0]
+    for name, method in (("pinn", PINN()), ("pinn, no restarts", PINN(restarts=0))):
+        reference = _k_over_m(method, Task(problem, np.random.default_rng(0)))
+        same, restarted = 0, 0
+        for k in np.geomspace(0.5, 40.0, 20):
+            for c in np.geomspace(0.05, 2.0, 10):
+                task = Task(problem, np.random.default_rng(SEED))
+                omega, decay = np.sqrt(k) * task.units.time, 0.5 * c * task.units.time
+                task.guesses.insert(0, Guess(omega, decay, 1.0))
+                same += abs(_k_over_m(method, task) / reference - 1.0) < 1e-3
+                restarted += len(task.fits) > 1
+                advance(1)
+        rows.append([name, "200", str(same), str(restarted)])
+    columns = ["method", "starting values", "the same minimum", "restarted"]
+    text = "k/m from 0.5 to 40 and c/m from 0.05 to 2 (truth 8 and 0.4), 20 dB; the same minimum is k/m within 0.1 %."
+    return Part("starting_values", "Different starting values", text, columns, rows)
+
+
+def _k_over_m(method: PhysicsInformed, task: Task) -> float:
+    method.attempt([task])
+    best = task.best
+    logs = dict(zip(task.problem.system.names, best.logs, strict=True)) if best else {"k": np.nan, "m": 0.0}
+    return float(np.exp(logs["k"] - logs["m"]))
+
+
+MEMORY = """
+import resource, numpy as np, torch
+from bench.workers import single_threaded
+single_threaded()
+from bench import Channel, InitialState, Prior, Problem, Record
+from bench.systems import SDOF
+from methods.collocation import Collocation
+from methods.pinn import PINN, engine
+times = np.linspace(0.0, 10.0, 25)
+values = np.exp(-0.2 * times) * np.cos(2.8 * times) + 0.04 * np.random.default_rng(0).standard_normal(25)
+start = InitialState(np.ones(1), np.zeros(1))
+prior = Prior(dict(m=1.0, c=1.0, k=6.0), dict(m=0.02, c=1.0, k=0.5))
+problem = Problem(SDOF(), (Record((Channel(times, values),), (), start),), prior)
+torch.linalg.cholesky(torch.eye(8, dtype=torch.float64))
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+estimate = {method}(**{settings!r}).identify(problem, np.random.default_rng(0))
+assert estimate.message
+print(before / 1024, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def memory(adam: dict[str, object]) -> Part:
+    """Peak memory that a fit adds to a process that has loaded everything, each in a fresh one."""
+    rows = []
+    cases: list[tuple[str, str, dict[str, object]]]
+    cases = [("pinn", "PINN", {}), ("pinn_adam", "PINN", adam), ("collocation", "Collocation", {})]
+    for label, method, settings in cases:
+        code = MEMORY.format(method=method, settings=settings)
+        output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+        before, after = map(float, output.split())
+        rows.append([label, f"{before:.0f}", f"{after - before:.0f}"])
+    columns = ["method", "process before (MB)", "added by a fit (MB)"]
+    return Part("memory", "Memory", "Peak resident memory, one fit at 20 dB in a fresh process.", columns, rows)
+
+
+def loss(adam: dict[str, object]) -> Part:
+    """The way to the minimum by both optimisers, on one data set."""
+    rows, data = [], {}
+    problem, _ = scenario(system="sdof", snr=20).replicates(SEED, 1)[0]
+    for label, settings in (("pinn", {}), ("pinn_adam", adam)):
+        estimate = make_method("pinn", settings).identify(problem, np.random.default_rng(0))
+        data[label] = {name: np.asarray(values).tolist() for name, values in estimate.traces.items()}
+        evaluations, total = data[label]["evaluations"][-1], data[label]["loss"]
+        rows.append([label, f"{evaluations:.0f}", f"{total[0]:.3g}", f"{total[-1]:.3g}", f"{total[0] / total[-1]:.3g}"])
+    columns = ["method", "evaluations", "first", "last", "drop"]
+    text = (
+        "The loss that is minimised, minus the log posterior at the final weights, along both trainings, and the mean "
+        "squares of its terms in units of the record (its duration and root mean square)."
+    )
+    return Part("loss", "The way to the minimum", text, columns, rows, data)
