@@ -35,11 +35,13 @@ class Status(StrEnum):
 class Marginal:
     """The belief about one quantity: its point value and its quantile function.
 
-    ``ppf`` maps levels in (0, 1) to quantiles; it is None where the method gives no uncertainty.
+    ``ppf`` maps levels in (0, 1) to quantiles, ``cdf`` a value to its level; both are None where the method gives no
+    uncertainty.
     """
 
     value: float
     ppf: Callable[[np.ndarray], np.ndarray] | None = None
+    cdf: Callable[[float], float] | None = None
 
     def interval(self, level: float) -> tuple[float, float]:
         """The equal-tailed interval of the given level, e.g. 0.95; NaNs without an uncertainty."""
@@ -49,13 +51,20 @@ class Marginal:
         return float(low), float(high)
 
 
-def _normal_ppf(mean: float, sd: float, dof: float | None, log: bool) -> Callable[[np.ndarray], np.ndarray]:
+def _normal_marginal(value: float, mean: float, sd: float, dof: float | None, log: bool) -> Marginal:
+    """Normal, or Student's t with ``dof`` degrees of freedom, in the quantity or in its logarithm."""
+    unit = stats.norm() if dof is None else stats.t(dof)
+
     def ppf(levels: np.ndarray) -> np.ndarray:
-        z = stats.norm.ppf(levels) if dof is None else stats.t.ppf(levels, dof)
+        z = unit.ppf(levels)
         with np.errstate(over="ignore"):
             return np.exp(mean + sd * z) if log else mean + sd * z
 
-    return ppf
+    def cdf(true: float) -> float:
+        with np.errstate(over="ignore"):
+            return float(unit.cdf(((np.log(true) if log else true) - mean) / np.maximum(sd, 1e-300)))
+
+    return Marginal(value, ppf, cdf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +101,7 @@ class Normal:
             if self.covariance is None:
                 return Marginal(float(self.mean[i]))
             sd = float(np.sqrt(self.covariance[i, i]))
-            return Marginal(float(self.mean[i]), _normal_ppf(float(self.mean[i]), sd, self.dof, False))
+            return _normal_marginal(float(self.mean[i]), float(self.mean[i]), sd, self.dof, False)
         return None
 
     def _log_marginal(self, quantity: Quantity) -> Marginal | None:
@@ -105,7 +114,7 @@ class Normal:
         if self.covariance is None:
             return Marginal(value)
         sd = float(np.sqrt(max(weights @ self.covariance @ weights, 0.0)))
-        return Marginal(value, _normal_ppf(centre, sd, self.dof, True))
+        return _normal_marginal(value, centre, sd, self.dof, True)
 
     def expressed_in(self, scale: Mapping[str, float]) -> Normal:
         """The same belief with every named quantity divided by its scale."""
@@ -145,7 +154,11 @@ class Draws:
         def ppf(levels: np.ndarray) -> np.ndarray:
             return np.asarray(np.quantile(draws, levels))
 
-        return Marginal(_least_relative_error(draws), ppf)
+        def cdf(true: float) -> float:
+            # mid-rank over n + 1: the rank statistic of simulation-based calibration, never 0 or 1
+            return float((np.searchsorted(draws, true) + 0.5) / (draws.size + 1.0))
+
+        return Marginal(_least_relative_error(draws), ppf, cdf)
 
     def expressed_in(self, scale: Mapping[str, float]) -> Draws:
         """The same draws with every parameter divided by its scale."""
@@ -240,7 +253,7 @@ class Estimate:
             return Marginal(float(np.exp(centre)))
         gradient = powers / self.groups.mean
         sd = float(np.sqrt(max(gradient @ self.groups.covariance @ gradient, 0.0)))
-        return Marginal(float(np.exp(centre)), _normal_ppf(centre, sd, self.groups.dof, True))
+        return _normal_marginal(float(np.exp(centre)), centre, sd, self.groups.dof, True)
 
     def expressed_in(self, units: Units) -> Estimate:
         """The same estimate in other units (see :meth:`Problem.expressed_in`; ``units.inverse`` leads back)."""

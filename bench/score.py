@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from scipy import stats
 
-from bench.estimate import Draws, Estimate, Marginal, Status
+from bench.estimate import Estimate, Marginal, Normal, Status
 from bench.problem import Problem
 from bench.simulate import fitted_start, simulate
 from bench.systems import Quantity
@@ -22,8 +23,10 @@ def score(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, float
     """Named scores; a score that this estimate cannot have is absent. Failed estimates have none.
 
     ``<quantity>_error_pct`` (absolute relative error, %), ``<quantity>_coverage_50`` etc. (1 if the interval holds the
-    truth, else 0), ``<quantity>_interval_score_pct`` (95 %) and ``<quantity>_crps_pct`` relative to the truth, in %;
-    ``rmse`` (of the reconstruction), ``rmse_simulated``, ``rmse_forecast`` (m), over all DOFs.
+    truth, else 0), ``<quantity>_pit`` (the belief's level at the truth, uniform over replicates if it is calibrated:
+    probability integral transform), ``<quantity>_interval_score_pct`` (95 %) and ``<quantity>_crps_pct`` relative to
+    the truth, in %; ``rmse`` (of the reconstruction), ``rmse_simulated``, ``rmse_forecast`` (m), over all DOFs;
+    ``band_inside_50`` etc.: the share of the record where the displacement lies in the method's own band.
     """
     if estimate.status is not Status.OK:
         return {}
@@ -32,14 +35,15 @@ def score(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, float
         marginal = estimate.marginal(quantity)
         if marginal is not None:
             scores |= _quantity_scores(quantity, marginal, float(quantity.value(truth.parameters)))
-    return scores | _displacement_scores(estimate, problem, truth)
+    return scores | _displacement_scores(estimate, problem, truth) | _band_scores(estimate, truth)
 
 
 def _quantity_scores(quantity: Quantity, marginal: Marginal, true: float) -> dict[str, float]:
     name = quantity.name
     scores = {f"{name}_error_pct": 100.0 * abs(marginal.value - true) / true}
-    if marginal.ppf is None:
+    if marginal.ppf is None or marginal.cdf is None:
         return scores
+    scores[f"{name}_pit"] = marginal.cdf(true)
     for level in LEVELS:
         low, high = marginal.interval(level)
         scores[f"{name}_coverage_{round(100 * level)}"] = float(low <= true <= high)
@@ -94,13 +98,17 @@ def _displacement_scores(estimate: Estimate, problem: Problem, truth: Truth) -> 
     return scores
 
 
+def _band_scores(estimate: Estimate, truth: Truth) -> dict[str, float]:
+    if not estimate.bands or not estimate.reconstructions:
+        return {}
+    dof = estimate.belief.dof if isinstance(estimate.belief, Normal) else None
+    unit = stats.norm() if dof is None else stats.t(dof)
+    sd = estimate.bands[0](truth.dense_times)
+    off = np.abs(estimate.reconstructions[0](truth.dense_times) - truth.dense_displacement)
+    return {f"band_inside_{round(100 * v)}": float(np.mean(off <= unit.ppf(0.5 + v / 2) * sd)) for v in LEVELS}
+
+
 def _rms(error: np.ndarray) -> float:
     with np.errstate(over="ignore", invalid="ignore"):
         value = float(np.sqrt(np.mean(error**2)))
     return value if np.isfinite(value) else float("inf")
-
-
-def has_uncertainty(estimate: Estimate) -> bool:
-    """Whether the estimate says how sure it is."""
-    belief = estimate.belief
-    return isinstance(belief, Draws) or (belief is not None and belief.covariance is not None)

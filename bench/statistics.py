@@ -21,7 +21,8 @@ class Summary:
     """One metric of one cell. Failed replicates count as infinite errors in mean, median and interval.
 
     ``excess`` is the root mean square over the successful replicates divided by ``bound`` (1 is the best an unbiased
-    method can do); for a coverage, mean and interval are of the fraction (Wilson's interval), over the successful.
+    method can do); for a coverage, mean and interval are of the fraction (Wilson's interval), over the successful; for
+    a level at the truth (``_pit``) and a share of the record, they are of the mean, likewise.
     """
 
     mean: float
@@ -47,7 +48,9 @@ def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Summary]:
     index = np.random.default_rng(0).integers(0, len(rows), (RESAMPLES, len(rows)))
     result = {}
     for name in names:
-        if "_coverage_" in name:
+        if name.endswith("_pit") or name.startswith("band_inside"):
+            result[name] = _share(np.array([row.scores[name] for row in ok if name in row.scores]))
+        elif "_coverage_" in name:
             result[name] = _coverage(np.array([row.scores[name] for row in ok if name in row.scores]))
         else:
             values = np.array([row.scores.get(name, np.inf) if row.status is Status.OK else np.inf for row in rows])
@@ -70,6 +73,17 @@ def _medians_with_failures(values: np.ndarray) -> np.ndarray:
     ordered = np.sort(values, axis=1)
     n = ordered.shape[1]
     return np.asarray(0.5 * (ordered[:, (n - 1) // 2] + ordered[:, n // 2]))
+
+
+def _share(values: np.ndarray) -> Summary:
+    """Of numbers between 0 and 1 that are not errors, over the successful; the interval is the mean's (Student's t)."""
+    nan = float("nan")
+    if values.size < 2:
+        only = float(values[0]) if values.size else nan
+        return Summary(only, only, nan, nan, nan, nan, int(values.size))
+    half = float(stats.t.ppf(0.975, values.size - 1) * stats.sem(values))
+    mean = float(values.mean())
+    return Summary(mean, float(np.median(values)), mean - half, mean + half, nan, nan, int(values.size))
 
 
 def _coverage(hits: np.ndarray) -> Summary:

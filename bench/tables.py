@@ -34,7 +34,8 @@ METRICS = ("k_over_m_error_pct", "c_over_m_error_pct", "rmse", "m_error_pct", "c
 HEADINGS = ("k/m error %", "c/m error %", "RMSE (m)", "m error %", "c error %", "k error %")
 TITLES = {
     "prior": "prior (no data)", "oracle": "oracle", "bound": "bound", "shooting": "Multiple shooting",
-    "mcmc": "Bayesian MCMC", "pinn": "PINN", "pinn_adam": "PINN (paper's training)", "ls": "LS, finite differences",
+    "mcmc": "Bayesian MCMC", "pinn": "PINN", "pinn_adam": "PINN (paper's training)",
+    "collocation": "Spline collocation", "ls": "LS, finite differences",
     "ls_spline": "LS, smoothing spline", "rls": "RLS", "sindy": "SINDy", "ddnn": "DDNN",
 }  # fmt: skip
 PAPER_METHODS = {"ls": "ls", "rls": "rls", "ddnn": "ddnn", "pinn_adam": "pinn", "pinn": "pinn"}

@@ -11,7 +11,7 @@ from scipy import stats
 
 from bench import Channel, Draws, Estimate, InitialState, Normal, Problem, Record, Status
 from bench.scenario import Scenario
-from bench.score import QUANTILES, crps, has_uncertainty, interval_score, score
+from bench.score import QUANTILES, crps, interval_score, score
 from bench.systems import SDOF
 from bench.truth import Truth, closed_form
 
@@ -129,11 +129,31 @@ def test_a_failed_estimate_has_no_scores() -> None:
     assert score(Estimate.failed(SDOF(), Status.DIVERGED, "no"), *a_pair()) == {}
 
 
-def test_which_estimates_say_how_sure_they_are() -> None:
-    assert has_uncertainty(an_estimate())
-    assert has_uncertainty(Estimate(SDOF(), parameters=Draws(NAMES, np.ones((4, 3)))))
-    assert not has_uncertainty(Estimate(SDOF(), parameters=Normal(NAMES, np.zeros(3), None, log=True)))
-    assert not has_uncertainty(Estimate.failed(SDOF(), Status.CRASHED, "no"))
+def test_the_level_at_the_truth_is_the_beliefs_distribution_function() -> None:
+    """log m off by one standard deviation; draws of which three in ten lie below the truth."""
+    assert score(an_estimate(math.exp(0.1), 0.1), *a_pair())["m_pit"] == pytest.approx(stats.norm.cdf(-1.0))
+    draws = np.column_stack([np.linspace(1.4, 3.35, 10), np.full(10, 0.5), np.full(10, 18.0)])
+    truth = a_pair()[1].parameters["m"]
+    below = float(np.mean(draws[:, 0] < truth))
+    pit = score(Estimate(SDOF(), parameters=Draws(NAMES, draws)), *a_pair())["m_pit"]
+    assert pit == pytest.approx((10 * below + 0.5) / 11)
+
+
+@dataclass(frozen=True)
+class Constant:
+    """The same standard deviation at all times."""
+
+    value: float
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        return np.full((1, times.size), self.value)
+
+
+def test_the_share_inside_the_band() -> None:
+    """Off by 0.1 m everywhere: inside 1.96 and 1.28 standard deviations of 0.08 m, outside 0.67 of them."""
+    scores = score(an_estimate(reconstructions=(Shifted(0.1),), bands=(Constant(0.08),)), *a_pair())
+    assert [scores[f"band_inside_{level}"] for level in (50, 80, 95)] == [0.0, 1.0, 1.0]
+    assert "band_inside_95" not in score(an_estimate(reconstructions=(Shifted(0.1),)), *a_pair())
 
 
 def test_the_rmse_of_two_degrees_of_freedom_is_over_both(reference: Scenario) -> None:
