@@ -10,8 +10,8 @@ import numpy as np
 
 from bench import Identifier
 from bench.scenario import Scenario
+from benchmarks.pinn.common import Part, compare, scenario
 from methods.collocation import Collocation
-from methods.pinn.benchmarks.common import Part, compare, scenario
 from methods.pinn.method import PINN
 
 Advance = Callable[[int], object]

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from bench.registry import make_method
-from methods.pinn.benchmarks.common import SEED, Part, compare, scenario
+from benchmarks.pinn.common import SEED, Part, compare, scenario
 from methods.pinn.method import PINN
 from methods.pinn.physics import PhysicsInformed, Task
 from methods.pinn.spectral import Guess

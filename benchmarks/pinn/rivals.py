@@ -23,8 +23,8 @@ from bench import Channel, Problem, Record
 from bench.registry import make_method
 from bench.systems import SDOF
 from bench.truth import closed_form
+from benchmarks.pinn.common import Part, scenario
 from methods.pinn import levenberg
-from methods.pinn.benchmarks.common import Part, scenario
 from methods.pinn.engine import torch_threads
 from methods.pinn.levenberg import Walk
 from methods.pinn.method import PINN

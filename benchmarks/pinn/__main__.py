@@ -1,4 +1,4 @@
-"""``python -m methods.pinn.benchmarks``: what the PINN engine costs and how far it can be trusted, as a page.
+"""``python -m benchmarks.pinn``: what the PINN engine costs and how far it can be trusted, as a page.
 
 Each part is stored when it is done (``<out>/pinn/<part>.json``), and the page ``<out>/pinn.md`` and its pictures are
 made from what is stored; ``part=`` runs some of them only. Rival scripts are timed where ``peers=`` names their folder.
@@ -20,10 +20,10 @@ from bench.config import expand, jobs_to_cells
 from bench.errors import InputError
 from bench.store import Store
 from bench.workers import single_threaded
-from methods.pinn.benchmarks.common import Part
+from benchmarks.pinn.common import Part
 
 PARTS = ("rivals", "memory", "accuracy", "systems", "initialisations", "starting_values", "loss", "scaling")
-USAGE = """usage: python -m methods.pinn.benchmarks [part=<a,b>] [replicates=100] [out=results]
+USAGE = """usage: python -m benchmarks.pinn [part=<a,b>] [replicates=100] [out=results]
                                         [peers=<folder of rival scripts> [peer_python=<python with DeepXDE>] [seeds=3]]
 parts: """ + ", ".join(PARTS)
 
@@ -58,7 +58,7 @@ def options(arguments: Sequence[str]) -> dict[str, str]:
 
 def run(part: str, chosen: dict[str, str]) -> Part:
     """One part, with a progress bar where it is long."""
-    from methods.pinn.benchmarks import rivals, robustness, scaling
+    from benchmarks.pinn import rivals, robustness, scaling
 
     adam = dict(jobs_to_cells(expand(["method=pinn_adam"], multirun=False))[0].settings)
     replicates = int(chosen["replicates"])
@@ -84,7 +84,7 @@ def run(part: str, chosen: dict[str, str]) -> Part:
 
 def page(folder: Path) -> str:
     """All stored parts as one page."""
-    sections = ["# The PINN engine", "Regenerate: `python -m methods.pinn.benchmarks`, " + MACHINE]
+    sections = ["# The PINN engine", "Regenerate: `python -m benchmarks.pinn`, " + MACHINE]
     for name in PARTS:
         path = folder / f"{name}.json"
         if path.is_file():
@@ -115,7 +115,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Store(folder).prepare()
         Store(out / "figures").prepare()
     except InputError as error:
-        print(f"methods.pinn.benchmarks: {error}", file=sys.stderr)
+        print(f"benchmarks.pinn: {error}", file=sys.stderr)
         return 2
     for name in chosen["part"].split(","):
         part = run(name, chosen)
@@ -123,7 +123,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         content = {**asdict(part), "python": platform.python_version()}
         (folder / f"{name}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         if part.data:
-            from methods.pinn.benchmarks import pictures
+            from benchmarks.pinn import pictures
 
             for path in getattr(pictures, f"{name}_picture")(part.data, out / "figures"):
                 print(path)

@@ -1,0 +1,1 @@
+"""Long measurements, one command each, run from the repository: they see methods and truth alike; not installed."""

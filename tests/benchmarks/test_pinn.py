@@ -1,0 +1,78 @@
+"""The PINN's benchmark: its command line, the loss it shares with the rivals, and its page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.scenario import Scenario
+from benchmarks.pinn.__main__ import main, options, page
+from benchmarks.pinn.scaling import chain, horizon
+
+torch = pytest.importorskip("torch")
+
+from benchmarks.pinn import rivals  # noqa: E402
+
+
+@pytest.mark.parametrize(
+    ("argument", "words"),
+    [
+        ("part=speed", "speed"),
+        ("replicates=none", "whole number"),
+        ("seeds=0", "at least 1"),
+        ("peers=/nowhere", "naive_fit.py"),
+        ("snr=20", "snr=20"),
+    ],
+)
+def test_a_wrong_argument_is_one_line(argument: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([argument]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+def test_help_names_the_parts(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    assert "starting_values" in capsys.readouterr().out
+    assert options([])["replicates"] == "100"
+
+
+def test_the_rivals_loss_is_theirs() -> None:
+    """The noted loss against the loss written out, with derivatives of the response by finite differences.
+
+    A response that solves the equation, without noise: the sum of squares of the data misfit is all that is left.
+    """
+    found = rivals.descend(0, np.random.default_rng(0), 200, 1e-9)
+    times, values = rivals.rivals_data(0)
+
+    def misfit(theta: np.ndarray) -> np.ndarray:
+        k, c, x0, v0 = theta
+        return rivals.closed_form({"m": 1.0, "c": c, "k": k}, x0, v0, times) - values
+
+    from scipy.optimize import least_squares
+
+    exact = least_squares(misfit, [8.0, 0.4, 1.0, 0.0])
+    hard = float(np.mean(exact.fun**2))  # the least loss of a response that solves the equation exactly
+    assert 0.5 * hard < found.losses[-1] <= hard * (1 + 1e-6)
+    assert found.k_over_m == pytest.approx(exact.x[0], rel=0.02)
+    assert found.losses[-1] < 0.05 * found.losses[0]
+
+
+def test_growing_scenarios_are_what_they_say() -> None:
+    cell = horizon(20)
+    assert np.sqrt(cell.parameters["k"] / cell.parameters["m"]) * cell.duration / (2 * np.pi) == pytest.approx(20.0)
+    assert cell.samples == 100
+    assert isinstance(chain(3), Scenario)
+    assert chain(3).make_system().n_dof == 3
+
+
+def test_the_page_shows_what_is_stored(tmp_path: Path) -> None:
+    part = {"title": "Memory", "text": "Peak.", "columns": ["method"], "rows": [["pinn"]], "data": {}}
+    (tmp_path / "memory.json").write_text(json.dumps(part), encoding="utf-8")
+    text = page(tmp_path)
+    assert "## Memory" in text
+    assert "| pinn" in text
+    assert "![" not in text
