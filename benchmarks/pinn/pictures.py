@@ -55,15 +55,14 @@ def scaling_picture(data: dict[str, Any], out: Path) -> list[Path]:
                 axes[row, column].plot(size, values, color=colour, marker=marker, ms=4, label=LABELS[name])
         axes[1, column].axhline(1.0, color="0.7", lw=0.8)
         axes[1, column].set_xlabel(label)
-        for row in range(2):
-            axes[row, column].set_yscale("log")
+        axes[0, column].set_yscale("log")
         ticks = sorted({point["size"] for point in data[kind]})
         if kind == "residuals":
             axes[1, column].set_xscale("log")
             axes[1, column].minorticks_off()
         axes[1, column].set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     ratios = [point["ratio"] for own in data.values() for point in own]
-    axes[1, 0].set_ylim(0.8, max(2.0, 1.2 * np.nanmax(np.minimum(ratios, 1e3))))
+    axes[1, 0].set_ylim(0.0, min(max(2.0, 1.1 * np.nanmax(ratios)), 10.0))
     axes[0, 0].set_ylabel("seconds a fit")
     axes[1, 0].set_ylabel("error / oracle's")
     axes[0, 0].legend(frameon=False, fontsize=8)

@@ -15,9 +15,9 @@ from methods.collocation import Collocation
 from methods.pinn.method import PINN
 
 Advance = Callable[[int], object]
-COLLOCATIONS = (100, 200, 400, 800, 1400, 2000)
+COLLOCATIONS = (100, 200, 400, 1000, 2000)
 MASSES = (1, 2, 3, 4)
-CYCLES = (2, 5, 10, 15, 20, 30)
+CYCLES = (2, 5, 10, 20, 30, 45)
 PER_CYCLE = 5
 """Samples a cycle where the horizon grows."""
 COUNT = 2 * (len(COLLOCATIONS) + len(MASSES) + len(CYCLES))

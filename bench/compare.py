@@ -1,0 +1,160 @@
+"""Which methods really differ: comparisons of errors paired by data set, with ties said to be ties.
+
+All methods of an experiment are fitted to the same data, so two of them are compared by the logarithm of the ratio of
+their errors on each data set. A failed replicate is an infinite error; where both fail they are equal. Replicates of
+one scenario are not scenarios, so intervals resample scenarios as clusters and replicates within them (A. C. Davison,
+D. V. Hinkley, Bootstrap Methods and their Application, 1997, section 3.8).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from bench.errors import InputError
+
+RESAMPLES = 1000
+LEVEL = 0.05
+MARGIN = 0.02
+"""Errors whose median ratio is closer to 1 than this are a tie for any purpose, however sure the difference is."""
+POWER = float(stats.norm.ppf(0.975) + stats.norm.ppf(0.8))
+"""How many standard errors a difference must be to be found with 80 % probability at the 5 % level."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of several methods on the same data: ``values[method]`` (n,), and the scenario of each data set (n,)."""
+
+    values: Mapping[str, np.ndarray]
+    scenario: np.ndarray
+
+    def __post_init__(self) -> None:
+        for method, own in self.values.items():
+            if own.shape != self.scenario.shape:
+                sentence = (
+                    f"as many as there are data sets ({self.scenario.size}): the same replicates for every method"
+                )
+                raise InputError(f"errors of {method}", own.size, sentence)
+            if np.isnan(own).any() or (own < 0).any():
+                raise InputError(
+                    f"errors of {method}", own[~(own >= 0)][0], "errors of zero or more, infinite if failed"
+                )
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """``ratio``: median of a's error over b's on the same data, with its 95 % interval ``low`` to ``high``.
+
+    ``p_value`` is that of Wilcoxon's signed-rank test, ``adjusted`` by Holm's method over all pairs compared together.
+    ``resolved``: the smallest ratio that as many data sets would find with 80 % probability.
+    """
+
+    a: str
+    b: str
+    ratio: float
+    low: float
+    high: float
+    p_value: float
+    adjusted: float
+    resolved: float
+
+    @property
+    def tie(self) -> bool:
+        """Not told apart at the 5 % level, or less than 2 % apart."""
+        return self.adjusted > LEVEL or 1.0 / (1.0 + MARGIN) < self.ratio < 1.0 + MARGIN
+
+
+def log_ratios(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """``log(a / b)`` (n,) of errors; 0 where both failed or both are nil."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.log(a) - np.log(b)
+    return np.where(np.isnan(ratios), 0.0, ratios)
+
+
+def signed_rank(ratios: np.ndarray) -> float:
+    """Two-sided p-value of Wilcoxon's signed-rank test, zeros split (J. W. Pratt, J. Am. Stat. Assoc. 54:655, 1959).
+
+    Infinite ratios have the highest ranks.
+    """
+    if not np.any(ratios):
+        return 1.0
+    finite = np.abs(ratios[np.isfinite(ratios)])
+    bounded = np.clip(ratios, -1.0 - finite.max(initial=0.0), 1.0 + finite.max(initial=0.0))
+    return float(stats.wilcoxon(bounded, zero_method="zsplit", method="approx").pvalue)
+
+
+def holm(p_values: Sequence[float]) -> np.ndarray:
+    """Adjusted p-values (S. Holm, Scand. J. Stat. 6:65, 1979), in the order given."""
+    p = np.asarray(p_values, float)
+    order = np.argsort(p)
+    scaled = np.maximum.accumulate(p[order] * np.arange(p.size, 0, -1))
+    adjusted = np.empty(p.size)
+    adjusted[order] = np.minimum(scaled, 1.0)
+    return adjusted
+
+
+def compare(errors: Errors, pairs: Sequence[tuple[str, str]] | None = None) -> list[Comparison]:
+    """Every pair of methods (or the given ones), adjusted together."""
+    pairs = list(itertools.combinations(errors.values, 2)) if pairs is None else list(pairs)
+    ratios = [log_ratios(errors.values[a], errors.values[b]) for a, b in pairs]
+    p_values = [signed_rank(own) for own in ratios]
+    resamples = _resamples(errors.scenario)
+    found = []
+    for (a, b), own, p, adjusted in zip(pairs, ratios, p_values, holm(p_values), strict=True):
+        medians = _median(own[resamples])
+        low, high = np.quantile(medians, [0.025, 0.975], method="inverted_cdf")
+        sizes = medians[np.isfinite(medians)]
+        error = float(np.std(sizes)) if sizes.size > 1 else np.inf
+        with np.errstate(over="ignore"):
+            values = np.exp([float(_median(own)), low, high, POWER * error])
+        ratio, low, high, resolved = map(float, values)
+        found.append(Comparison(a, b, ratio, low, high, p, float(adjusted), resolved))
+    return found
+
+
+def tied_with_best(errors: Errors, candidates: Sequence[str]) -> tuple[str, ...]:
+    """The candidate of least median error, first, and those that cannot be told from it."""
+    best = min(candidates, key=lambda method: float(_median(errors.values[method])))
+    if not np.isfinite(_median(errors.values[best])):
+        return ()
+    others = [(other, best) for other in candidates if other != best]
+    return (best, *(c.a for c in compare(errors, others) if c.tie))
+
+
+def profile(errors: Errors, factors: Sequence[float]) -> dict[str, np.ndarray]:
+    """Performance profiles: the share of data sets on which a method's error is within each factor of the least.
+
+    E. D. Dolan, J. J. Moré, Math. Program. 91:201, 2002; a failure is within no factor.
+    """
+    least = np.min(np.stack(list(errors.values.values())), axis=0)
+    return {
+        method: np.array([np.mean(np.isfinite(own) & (own <= factor * least)) for factor in factors])
+        for method, own in errors.values.items()
+    }
+
+
+def _median(values: np.ndarray) -> np.ndarray:
+    """Medians along the last axis where values may be infinite, the lower of the middle two."""
+    ordered = np.sort(values, axis=-1)
+    return np.asarray(ordered[..., (ordered.shape[-1] - 1) // 2])
+
+
+def _resamples(scenario: np.ndarray) -> np.ndarray:
+    """Indices of resampled data sets, (RESAMPLES, n): scenarios with replacement, then replicates within each.
+
+    With one scenario it is the plain bootstrap. All scenarios must have as many data sets.
+    """
+    labels, counts = np.unique(scenario, return_counts=True)
+    if np.unique(counts).size > 1:
+        raise InputError("replicates", counts.tolist(), "as many of every scenario")
+    members = np.stack([np.flatnonzero(scenario == label) for label in labels])
+    rng, n = np.random.default_rng(0), int(counts[0])
+    chosen = (
+        rng.integers(0, labels.size, (RESAMPLES, labels.size)) if labels.size > 1 else np.zeros((RESAMPLES, 1), int)
+    )
+    within = rng.integers(0, n, (RESAMPLES, labels.size, n))
+    return np.asarray(members[chosen[..., None], within].reshape(RESAMPLES, -1))
