@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -100,29 +100,41 @@ def holm(p_values: Sequence[float]) -> np.ndarray:
 def compare(errors: Errors, pairs: Sequence[tuple[str, str]] | None = None) -> list[Comparison]:
     """Every pair of methods (or the given ones), adjusted together."""
     pairs = list(itertools.combinations(errors.values, 2)) if pairs is None else list(pairs)
-    ratios = [log_ratios(errors.values[a], errors.values[b]) for a, b in pairs]
-    p_values = [signed_rank(own) for own in ratios]
     resamples = _resamples(errors.scenario)
+    return adjusted([_pair(a, b, log_ratios(errors.values[a], errors.values[b]), resamples) for a, b in pairs])
+
+
+def adjusted(comparisons: Sequence[Comparison]) -> list[Comparison]:
+    """The same comparisons, their p-values adjusted together by Holm's method."""
+    together = holm([c.p_value for c in comparisons])
+    return [replace(c, adjusted=float(p)) for c, p in zip(comparisons, together, strict=True)]
+
+
+def _pair(a: str, b: str, ratios: np.ndarray, resamples: np.ndarray) -> Comparison:
+    medians = _median(ratios[resamples])
+    low, high = np.quantile(medians, [0.025, 0.975], method="inverted_cdf")
+    sizes = medians[np.isfinite(medians)]
+    error = float(np.std(sizes)) if sizes.size > 1 else np.inf
+    with np.errstate(over="ignore"):
+        ratio, low, high, resolved = map(float, np.exp([float(_median(ratios)), low, high, POWER * error]))
+    p = signed_rank(ratios)
+    return Comparison(a, b, ratio, low, high, p, p, resolved)
+
+
+def against_best(values: Mapping[str, np.ndarray]) -> tuple[str, list[Comparison]]:
+    """The best method on one scenario, and every other compared with it on the data sets that both were given.
+
+    ``values[method]`` (n,) are errors on the first n replicates. The best has the least median among the methods with
+    most replicates.
+    """
+    most = max(own.size for own in values.values())
+    best = min((m for m, own in values.items() if own.size == most), key=lambda m: float(_median(values[m])))
     found = []
-    for (a, b), own, p, adjusted in zip(pairs, ratios, p_values, holm(p_values), strict=True):
-        medians = _median(own[resamples])
-        low, high = np.quantile(medians, [0.025, 0.975], method="inverted_cdf")
-        sizes = medians[np.isfinite(medians)]
-        error = float(np.std(sizes)) if sizes.size > 1 else np.inf
-        with np.errstate(over="ignore"):
-            values = np.exp([float(_median(own)), low, high, POWER * error])
-        ratio, low, high, resolved = map(float, values)
-        found.append(Comparison(a, b, ratio, low, high, p, float(adjusted), resolved))
-    return found
-
-
-def tied_with_best(errors: Errors, candidates: Sequence[str]) -> tuple[str, ...]:
-    """The candidate of least median error, first, and those that cannot be told from it."""
-    best = min(candidates, key=lambda method: float(_median(errors.values[method])))
-    if not np.isfinite(_median(errors.values[best])):
-        return ()
-    others = [(other, best) for other in candidates if other != best]
-    return (best, *(c.a for c in compare(errors, others) if c.tie))
+    for method, own in values.items():
+        if method != best:
+            one = np.zeros(own.size, int)
+            found += compare(Errors({method: own, best: values[best][: own.size]}, one), [(method, best)])
+    return best, adjusted(found)
 
 
 def profile(errors: Errors, factors: Sequence[float]) -> dict[str, np.ndarray]:

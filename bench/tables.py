@@ -6,8 +6,9 @@ A table is what its experiment in ``conf`` describes; a cell that the store lack
 from __future__ import annotations
 
 import math
+import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import as_file, files
@@ -20,8 +21,10 @@ from tabulate import tabulate
 
 from bench.cell import Cell
 from bench.cli import number, read_folders
+from bench.compare import Comparison, against_best
 from bench.config import choices, expand, jobs_to_cells
 from bench.errors import InputError
+from bench.reference import REFERENCES
 from bench.statistics import RESAMPLES
 from bench.store import Store, StoredCell
 from bench.verdict import judge
@@ -30,6 +33,8 @@ COLUMNS = (
     "table", "row", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high",
     "bound", "excess", "n_ok", "n", "paper", "verdict",
 )  # fmt: skip
+PRIMARY = ("k_over_m_error_pct", "c_over_m_error_pct", "rmse")
+"""The metrics that methods are ranked on: what the data tell."""
 METRICS = ("k_over_m_error_pct", "c_over_m_error_pct", "rmse", "m_error_pct", "c_error_pct", "k_error_pct")
 HEADINGS = ("k/m error %", "c/m error %", "RMSE (m)", "m error %", "c error %", "k error %")
 TITLES = {
@@ -45,7 +50,8 @@ being the best that an unbiased method can do. The row *bound* gives the Cramér
 median lies below a root mean square: about 0.67 of it for a normal error). *oracle* is maximum a posteriori started at
 the truth, *prior* the nominal values without any data. Free vibration tells k/m and c/m only: m, and what follows from
 it, is decided by the prior. All 95 % intervals are in the CSV. A failed replicate counts as an infinite error in
-medians; the excess is over the successful ones."""
+medians; the excess is over the successful ones. Bold: the method of least median error, and all that cannot be told
+from it on the same data (Wilcoxon's signed-rank test, Holm's adjustment, 5 %) or are less than 2 % from it."""
 
 
 @dataclass(frozen=True)
@@ -164,9 +170,10 @@ def markdown(table: int, title: str, data: pd.DataFrame, found: Sequence[Entry])
     parts = [f"# Table {table}. {title}", LEGEND]
     for told in dict.fromkeys(data.initial_state):
         parts.append(f"## Initial state {told}")
-        parts.append(
-            tabulate(*_panel(table, data[data.initial_state == told]), tablefmt="github", disable_numparse=True)
-        )
+        comparisons = ranked(found, told)
+        panel = _panel(table, data[data.initial_state == told], comparisons)
+        parts.append(tabulate(*panel, tablefmt="github", disable_numparse=True))
+        parts.append(_resolved(comparisons))
     parts.append("## The paper's numbers")
     parts.append(
         "A verdict says where the paper's number falls among our replicates (known start): between their 5 % and 95 % "
@@ -179,16 +186,58 @@ def markdown(table: int, title: str, data: pd.DataFrame, found: Sequence[Entry])
     return "\n\n".join(parts) + "\n"
 
 
-def _panel(table: int, data: pd.DataFrame) -> tuple[list[list[str]], list[str]]:
+Ranking = Mapping[tuple[str, str], tuple[str, list[Comparison]]]
+"""By row and metric: the best method, and the others compared with it."""
+
+
+def ranked(found: Sequence[Entry], told: str) -> Ranking:
+    """The methods of each row of one panel compared on the metrics they are ranked on; reference rows apart."""
+    ranking = {}
+    own = [e for e in found if e.cell.scenario.told == told and e.stored and e.cell.method not in REFERENCES]
+    for row in dict.fromkeys(entry.row for entry in own):
+        stored = {e.cell.label: e.stored for e in own if e.row == row and e.stored}
+        for metric in PRIMARY:
+            values = {label: _errors(cell, metric) for label, cell in stored.items()}
+            if len(values) > 1:
+                ranking[row, metric] = against_best(values)
+    return ranking
+
+
+def _resolved(ranking: Ranking) -> str:
+    """What these replicates could tell apart."""
+    pairs = [c for _, found in ranking.values() for c in found if math.isfinite(c.resolved)]
+    if not pairs:
+        return ""
+    low, high = min(pairs, key=lambda c: c.resolved), max(pairs, key=lambda c: c.resolved)
+    names = [TITLES.get(c.a, c.a) for c in (low, high)]
+    return (
+        "The smallest ratio of errors to the best method's that these replicates would tell from 1 with 80 % "
+        f"probability: from {low.resolved:.3f} ({names[0]}) to {high.resolved:.2f} ({names[1]})."
+    )
+
+
+def _panel(table: int, data: pd.DataFrame, ranking: Ranking) -> tuple[list[list[str]], list[str]]:
     first = {4: "set", 5: "SNR (dB)"}.get(table)
     rows: list[list[str]] = []
     for (row, method), lines in data.groupby(["row", "method"], sort=False):
         by_metric = lines.set_index("metric")
         cells = [_entry(by_metric, metric, method == "bound") for metric in METRICS]
+        cells = [
+            f"**{cell}**" if _leads(ranking.get((str(row), metric)), str(method)) else cell
+            for cell, metric in zip(cells, METRICS, strict=True)
+        ]
         n = by_metric.n.iloc[0]
         ok = "" if method == "bound" else f"{by_metric.n_ok.iloc[0]:.0f}/{n:.0f}" if n else "not run"
         rows.append([*([str(row)] if first else []), TITLES.get(str(method), str(method)), *cells, ok])
     return rows, [*([first] if first else []), "method", *HEADINGS, "ok"]
+
+
+def _leads(ranking: tuple[str, list[Comparison]] | None, method: str) -> bool:
+    """Whether a method is the best of its row, or tied with it."""
+    if ranking is None:
+        return False
+    best, others = ranking
+    return method == best or any(c.a == method and c.tie for c in others)
 
 
 def _entry(by_metric: pd.DataFrame, metric: str, is_bound: bool) -> str:
@@ -240,14 +289,15 @@ def _failure_notes(found: Sequence[Entry]) -> list[str]:
     return ["## What failed\n\n" + "\n".join(lines)] if lines else []
 
 
-def latex(table: int, title: str, data: pd.DataFrame) -> str:
+def latex(table: int, title: str, data: pd.DataFrame, found: Sequence[Entry]) -> str:
     """Both panels as LaTeX (booktabs), for an article."""
     parts = []
     for told in dict.fromkeys(data.initial_state):
-        rows, headers = _panel(table, data[data.initial_state == told])
+        rows, headers = _panel(table, data[data.initial_state == told], ranked(found, told))
         body = tabulate(rows, headers, tablefmt="latex_booktabs", disable_numparse=True)
         for plain, escaped in (("×", r"$\times$"), ("é", r"\'e")):
             body = body.replace(plain, escaped)
+        body = re.sub(r"\*\*(.+?)\*\*", r"\\textbf{\1}", body)
         caption = f"{title} (initial state {told}). Median, and root mean square error over the Cram\\'er-Rao bound."
         parts.append(
             "\\begin{table}\n\\centering\n\\small\n"
@@ -268,7 +318,7 @@ def write_tables(store: Store, out: Path, experiments: Sequence[str]) -> list[Pa
         contents = {
             "md": markdown(number_, title, data, found),
             "csv": data.to_csv(index=False, float_format="%.6g"),
-            "tex": latex(number_, title, data),
+            "tex": latex(number_, title, data, found),
         }
         for ending, content in contents.items():
             path = out / f"table{number_}.{ending}"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.compare import Errors, compare, holm, log_ratios, profile, signed_rank, tied_with_best
+from bench.compare import Errors, against_best, compare, holm, log_ratios, profile, signed_rank
 from bench.errors import InputError
 
 ONE = np.zeros(100, int)
@@ -54,7 +54,16 @@ def test_failures_are_worst_and_both_failing_is_equal() -> None:
     found = compare(Errors({"good": good, "failing": failing}, ONE))[0]
     assert not found.tie
     assert found.ratio == 0.0
-    assert tied_with_best(Errors({"good": good, "failing": failing}, ONE), ["good", "failing"]) == ("good",)
+
+
+def test_the_best_and_its_ties_with_unequal_replicates() -> None:
+    """b is the same as the best up to noise, c four times worse on the twenty replicates it was given."""
+    rng = np.random.default_rng(0)
+    base = lognormal(rng)
+    b = 1.05 * base * np.exp(0.5 * rng.standard_normal(100))
+    best, found = against_best({"a": base, "b": b, "c": 4.0 * base[:20]})
+    assert best == "a"
+    assert {c.a: c.tie for c in found} == {"b": True, "c": False}
 
 
 def test_clusters_widen_the_interval() -> None:
