@@ -40,7 +40,8 @@ HEADINGS = ("k/m error %", "c/m error %", "RMSE (m)", "m error %", "c error %", 
 TITLES = {
     "prior": "prior (no data)", "oracle": "oracle", "bound": "bound", "shooting": "Multiple shooting",
     "mcmc": "Bayesian MCMC", "pinn": "PINN", "pinn_adam": "PINN (paper's training)",
-    "collocation": "Spline collocation", "ls": "LS, finite differences",
+    "collocation": "Spline collocation", "collocation_bootstrap": "Spline collocation, bootstrap",
+    "pinn_ensemble": "PINN, ensemble (paper's way)", "ls": "LS, finite differences",
     "ls_spline": "LS, smoothing spline", "rls": "RLS", "sindy": "SINDy", "ddnn": "DDNN",
 }  # fmt: skip
 PAPER_METHODS = {"ls": "ls", "rls": "rls", "ddnn": "ddnn", "pinn_adam": "pinn", "pinn": "pinn"}

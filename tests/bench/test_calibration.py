@@ -1,48 +1,56 @@
-"""Verdicts on beliefs whose calibration is known."""
+"""The calibration table from stored rows whose levels are known."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from scipy import stats
 
-from bench.calibration import calibration
-
-
-def levels(n: int, sd: float = 1.0, bias: float = 0.0, seed: int = 0) -> np.ndarray:
-    """Levels at the truth of estimates with standard error 1 that state ``sd`` and are off by ``bias``, Student's t."""
-    rng = np.random.default_rng(seed)
-    noise = np.sqrt(rng.chisquare(21, n) / 21)
-    return stats.t(21).cdf((0.0 - (bias + rng.standard_normal(n))) / (sd * noise))
+from bench.calibration import lines, main, markdown
+from bench.cell import Cell
+from bench.estimate import Status
+from bench.scenario import Scenario
+from bench.store import Row, StoredCell
+from bench.tables import Entry
 
 
-def test_a_calibrated_belief_is_called_so_in_nineteen_cases_of_twenty() -> None:
-    verdicts = [calibration(levels(300, seed=seed)).verdict for seed in range(100)]
-    assert verdicts.count("calibrated") >= 90
+def stored(levels: np.ndarray, band: float | None) -> StoredCell:
+    """A cell whose rows have these levels at the truth for k/m, and none for c/m."""
+    extra = {} if band is None else {"band_inside_95": band}
+    rows = tuple(Row(i, Status.OK, scores={"k_over_m_pit": float(v), **extra}) for i, v in enumerate(levels))
+    return StoredCell("x", {}, rows, {}, {}, {}, 0.0, {})
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_half_the_standard_deviation_is_too_sure_and_twice_too_wide(seed: int) -> None:
-    assert "too sure" in calibration(levels(100, sd=0.5, seed=seed)).verdict
-    assert "too wide" in calibration(levels(100, sd=2.0, seed=seed)).verdict
+@pytest.fixture
+def found(reference: Scenario) -> list[Entry]:
+    even = (np.arange(200) + 0.5) / 200
+    # half the standard deviation: the normal score of every level is doubled
+    from scipy import stats
+
+    doubled = stats.norm.cdf(2.0 * stats.norm.ppf(even))
+    cells = [Cell(reference, name, {}, 200, 0, name) for name in ("shooting", "pinn")]
+    pairs = zip(cells, (stored(even, 0.9), stored(doubled, None)), strict=True)
+    return [Entry("20", cell, own) for cell, own in pairs]
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_a_bias_of_half_a_standard_deviation_is_flagged_with_its_side(seed: int) -> None:
-    assert "biased upwards" in calibration(levels(200, bias=0.5, seed=seed)).verdict
-    assert "biased downwards" in calibration(levels(200, bias=-0.5, seed=seed)).verdict
+def test_honest_and_halved_uncertainties_are_told_apart(found: list[Entry]) -> None:
+    data = lines(found).set_index(["method", "quantity"])
+    honest, halved = data.loc[("shooting", "k_over_m")], data.loc[("pinn", "k_over_m")]
+    assert honest.verdict == "calibrated"
+    assert honest.coverage_95 == pytest.approx(0.95)
+    assert "too sure" in halved.verdict
+    assert halved.sd_z == pytest.approx(2.0, rel=0.02)
+    # doubled scores beyond 1.96 are scores beyond 0.98: 67 % remain inside
+    assert halved.coverage_95 == pytest.approx(0.67, abs=0.01)
+    assert data.loc[("pinn", "c_over_m")].verdict == "-"
+    text = markdown(lines(found))
+    assert "| 90.0" in text
+    assert "too sure" in text
 
 
-def test_coverage_is_the_share_of_levels_in_the_middle() -> None:
-    """Levels 0.005, 0.015 … 0.995: 50, 80 and 96 of a hundred lie in the middle 50, 80 and 95 %."""
-    found = calibration((np.arange(100) + 0.5) / 100)
-    assert [c.share for c in found.coverage] == pytest.approx([0.5, 0.8, 0.96], abs=0.011)
-    assert all(c.low < c.share < c.high for c in found.coverage)
-    assert found.uniform > 0.99
-    assert found.verdict == "calibrated"
-
-
-def test_levels_at_the_ends_and_too_few() -> None:
-    assert "too sure" in calibration(np.r_[np.zeros(20), np.ones(20)]).verdict
-    with pytest.raises(ValueError, match="at least 5"):
-        calibration(np.array([0.2, 0.4]))
+def test_a_store_without_its_cells_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([f"store={tmp_path}"]) == 2
+    assert "experiment=calibration" in capsys.readouterr().err
+    assert main(["stor=x"]) == 2
+    assert main(["--help"]) == 0
