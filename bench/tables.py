@@ -151,7 +151,8 @@ def _lines(table: int, entry: Entry, oracle: StoredCell | None) -> Iterable[dict
         }
 
 
-def _errors(stored: StoredCell, metric: str) -> np.ndarray:
+def errors_of(stored: StoredCell, metric: str) -> np.ndarray:
+    """A metric's errors, replicate by replicate; infinite where a replicate failed."""
     return np.array([row.scores.get(metric, math.inf) for row in stored.rows])
 
 
@@ -163,7 +164,7 @@ def _verdict(paper: float, stored: StoredCell, oracle: StoredCell | None, metric
     # the prior's part of this method's own mean square error: a method that is far off is so for other reasons
     excess = stored.summary[metric]["excess"]
     share = stored.prior_share.get(metric.removesuffix("_error_pct"), 0.0) / max(excess**2, 1.0)
-    return judge(paper, _errors(stored, metric), _errors(oracle, metric), share).text
+    return judge(paper, errors_of(stored, metric), errors_of(oracle, metric), share).text
 
 
 def markdown(table: int, title: str, data: pd.DataFrame, found: Sequence[Entry]) -> str:
@@ -198,7 +199,7 @@ def ranked(found: Sequence[Entry], told: str) -> Ranking:
     for row in dict.fromkeys(entry.row for entry in own):
         stored = {e.cell.label: e.stored for e in own if e.row == row and e.stored}
         for metric in PRIMARY:
-            values = {label: _errors(cell, metric) for label, cell in stored.items()}
+            values = {label: errors_of(cell, metric) for label, cell in stored.items()}
             if len(values) > 1:
                 ranking[row, metric] = against_best(values)
     return ranking
