@@ -1,15 +1,16 @@
-"""``python -m bench.figures``: the picture of Table 5, from stored rows alone, as SVG and PNG."""
+"""``python -m bench.figures``: the pictures of the tables, from stored rows alone, as SVG and PNG with a caption."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from bench.cli import read_folders
 from bench.errors import InputError
+from bench.estimate import Status
 from bench.store import Store
 from bench.tables import TITLES, Entry, entries, paper_numbers
 
@@ -27,10 +28,15 @@ PANELS = (
     ("c_over_m_error_pct", "error of c/m (%), root mean square"),
     ("rmse", "displacement error (m), root mean square"),
 )
-CAPTION = (
+NOISE_CAPTION = (
     "Error against noise for every method (reference system, start known; failures left out). The grey region lies "
     "below the Cramér-Rao bound, where no unbiased method can be. Orange diamonds in the right panel: the paper's own "
     "PINN. Oracle, shooting, MCMC, PINN and spline collocation lie on each other, on the bound."
+)
+TIME_CAPTION = (
+    "Accuracy against time at 20 dB (Table 3): excess of k/m over the Cramér-Rao bound, and processor time of a fit. "
+    "Marker: the median fit, everything loaded. Line to the right: the slowest, which is the first of a process and "
+    "loads and builds what the method needs. Left is faster, low is better, 1 is the best that the data allow."
 )
 
 
@@ -60,8 +66,8 @@ def save_figure(figure: Any, folder: Path, name: str) -> list[Path]:
     return paths
 
 
-def draw(found: Sequence[Entry]) -> Any:
-    """The figure: one panel a metric, one line a method, over SNR."""
+def draw_noise(found: Sequence[Entry]) -> Any:
+    """One panel a metric, one line a method, over SNR."""
     plt = pyplot()
     found = [entry for entry in found if entry.cell.scenario.told == "known" and entry.stored]
     figure, axes = plt.subplots(1, 3, figsize=(10.5, 4.2), layout="constrained")
@@ -93,6 +99,41 @@ def draw(found: Sequence[Entry]) -> Any:
     return figure
 
 
+def draw_time(found: Sequence[Entry]) -> Any:
+    """Excess of k/m against processor time, one panel a reading of the start."""
+    plt = pyplot()
+    panels = list(dict.fromkeys(entry.cell.scenario.told for entry in found))
+    figure, axes = plt.subplots(1, len(panels), figsize=(9.5, 4.0), layout="constrained", sharey=True, squeeze=False)
+    for axis, told in zip(axes[0], panels, strict=True):
+        for entry in found:
+            label, stored = entry.cell.label, entry.stored
+            if entry.cell.scenario.told != told or stored is None or label not in STYLES or label == "oracle":
+                continue
+            seconds = sorted(row.cpu_s for row in stored.rows if row.status is Status.OK)
+            excess = stored.summary["k_over_m_error_pct"]["excess"]
+            if not seconds or not math.isfinite(excess):
+                continue
+            colour, marker = STYLES[label]
+            warm, cold = seconds[len(seconds) // 2], seconds[-1]
+            axis.plot([warm, cold], [excess, excess], color=colour, lw=0.8, alpha=0.6)
+            axis.plot(warm, excess, color=colour, marker=marker, ms=7, ls="none", label=TITLES[label])
+        axis.axhline(1.0, color="0.7", lw=0.8)
+        axis.set(xscale="log", yscale="log", xlabel="processor time of a fit (s)", title=f"initial state {told}")
+        axis.title.set_fontsize(9)
+        axis.grid(alpha=0.3)
+    axes[0][0].set_ylabel("excess of k/m: error / bound")
+    handles = {label: h for axis in axes[0] for h, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=5, frameon=False)
+    return figure
+
+
+PICTURES: dict[str, tuple[str, Callable[[Sequence[Entry]], Any], str]] = {
+    "error_against_noise": ("table5", draw_noise, NOISE_CAPTION),
+    "accuracy_against_time": ("table3", draw_time, TIME_CAPTION),
+}
+"""By file name: the experiment whose cells it shows, what draws it, its caption."""
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """``python -m bench.figures [store=results/rows] [out=results/figures]``; exit status 2 for bad input."""
     arguments = list(sys.argv[1:] if argv is None else argv)
@@ -101,21 +142,23 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     try:
         folders = read_folders(arguments, {"store": "results/rows", "out": "results/figures"})
-        out = folders["out"]
-        _, _, found = entries("table5", Store(folders["store"]))
-        if not any(entry.stored for entry in found):
-            raise InputError("store", folders["store"], "no cell of table5 there; run -m experiment=table5 first")
+        store, out = Store(folders["store"]), folders["out"]
+        found = {name: entries(experiment, store)[2] for name, (experiment, _, _) in PICTURES.items()}
+        found = {name: own for name, own in found.items() if any(entry.stored for entry in own)}
+        if not found:
+            raise InputError("store", store.folder, "no cell of a table there; run -m experiment=table5 first")
         Store(out).prepare()
-        figure = draw(found)
+        for name, own in found.items():
+            _, draw, caption = PICTURES[name]
+            for path in save_figure(draw(own), out, name):
+                print(path)
+            (out / f"{name}.txt").write_text(caption + "\n", encoding="utf-8")
     except ImportError:
         print("bench.figures: matplotlib is missing: pip install 'vibration-bench[figures]'", file=sys.stderr)
         return 2
     except InputError as error:
         print(f"bench.figures: {error}", file=sys.stderr)
         return 2
-    for path in save_figure(figure, out, "error_against_noise"):
-        print(path)
-    (out / "error_against_noise.txt").write_text(CAPTION + "\n", encoding="utf-8")
     return 0
 
 
