@@ -419,3 +419,15 @@ def test_dead_channel_and_absent_device_are_statuses() -> None:
         absent = PINN(device="cuda").identify(Problem(SDOF(), (record(),)), np.random.default_rng(0))
         assert absent.status is Status.INVALID
         assert "device=cpu" in absent.message
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
+@pytest.mark.parametrize("kind", [PINN, Collocation])
+def test_a_batch_on_a_gpu_is_the_fits_on_the_processor(kind: type[PhysicsInformed]) -> None:
+    problems = [Problem(SDOF(), (record(0.05, known=True, seed=i),), PRIOR) for i in range(4)]
+    rngs = [np.random.default_rng(i) for i in range(4)]
+    there = kind(device="cuda", batch=4).identify_many(problems, rngs)
+    for i, problem in enumerate(problems):
+        here = kind().identify(problem, np.random.default_rng(i)).parameters
+        sd = np.sqrt(np.diag(here.covariance))  # type: ignore[union-attr,arg-type]
+        assert np.all(np.abs(here.mean - there[i].parameters.mean) < 1e-2 * sd)  # type: ignore[union-attr]
