@@ -221,6 +221,17 @@ def test_the_base_noise_stays_where_the_times_change(kind: str) -> None:
         assert np.corrcoef(moved.ravel(), plain.ravel())[0, 1] > 0.9
 
 
+def test_what_a_disturbance_draws_is_independent_of_the_noise() -> None:
+    """Timing errors (seen as differences of paired samples), and the places of outliers, against the base noise."""
+    base = noise(BASE, 400)
+    moved = (noise(disturbed("jitter"), 400) - base) * np.sign(motion(np.linspace(0.0, 10.0, 25))[1])
+    assert abs(np.corrcoef(moved[:, 1:].ravel(), base[:, 1:].ravel())[0, 1]) < 5 / math.sqrt(400 * 24)
+    hit = ~np.isclose(base, noise(disturbed("outliers"), 400), rtol=1e-6, atol=1e-9)
+    assert stats.kstest(base[hit], "norm").pvalue > 1e-4
+    tails = noise(disturbed("heavy_tails"), 400) / base  # the square root of the inverse chi-square, scaled
+    assert abs(stats.spearmanr(tails.ravel(), base.ravel()).statistic) < 5 / math.sqrt(base.size)
+
+
 def test_the_realised_snr_counts_all_that_the_samples_are_off_by() -> None:
     problem, truth = disturbed("bias", size=1.0).replicates(0, 1)[0]
     clean = motion(np.linspace(0.0, 10.0, 25))[0]
