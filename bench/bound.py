@@ -126,7 +126,8 @@ def sensitivities(scenario: Scenario, seed: int, times: np.ndarray) -> tuple[np.
 
 
 def compute_bound(scenario: Scenario, seed: int = 0) -> Bound:
-    """The bound of a scenario; ``seed`` matters only where it draws a force."""
+    """The bound of a scenario without its disturbance; ``seed`` matters only where it draws a force."""
+    scenario = scenario.undisturbed
     system = scenario.make_system()
     names, n_parameters = system.names, len(system.names)
     times = np.unique(np.concatenate([scenario.times, scenario.dense_times, scenario.forecast_times]))
@@ -198,7 +199,7 @@ def bound_identity(scenario: Scenario, seed: int) -> str:
     """Hash of everything the bound depends on (the seed only where it draws a force)."""
     identity = {
         "format": FORMAT,
-        **scenario.data_identity(),
+        **scenario.undisturbed.data_identity(),
         **scenario.told_identity(),
         "dense": scenario.dense,
         "forecast": scenario.forecast,

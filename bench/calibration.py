@@ -1,27 +1,22 @@
-"""``python -m bench.calibration``: whether stated uncertainties hold, as results/calibration.md and .csv.
+"""Whether stated uncertainties hold: the table of ``experiment=calibration``, from its stored rows.
 
-From the stored rows of ``experiment=calibration`` alone: for every method, noise and start, how often the intervals
+For every method, noise and start, how often the intervals
 of k/m and c/m held the truth, how its normal scores are spread, and the share of the displacement inside the band.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from tabulate import tabulate
 
-from bench.cli import read_folders
-from bench.errors import InputError
 from bench.levels import calibration
 from bench.store import Store, StoredCell
-from bench.tables import TITLES, entries
+from bench.tables import TITLES, Entry, described_cells
 
-EXPERIMENT = "calibration"
 SYMBOLS = {"k_over_m": "k/m", "c_over_m": "c/m"}
 FEWEST = 20
 """Replicates below which nothing is judged."""
@@ -72,7 +67,6 @@ def markdown(data: pd.DataFrame) -> str:
         headers += [f"{symbol} {what}" for symbol in SYMBOLS.values() for what in ("95 %", "sd of z", "verdict")]
         table = tabulate(rows, headers=[*headers, "band 95 %"], tablefmt="github", disable_numparse=True)
         parts += [f"## Initial state {told}", table]
-    parts.append(f"Regenerate: `python -m bench -m experiment={EXPERIMENT} && python -m bench.calibration`")
     return "\n\n".join(parts) + "\n"
 
 
@@ -92,33 +86,12 @@ def _row(own: pd.DataFrame) -> list[str]:
     return [*cells, f"{100 * band:.1f}" if np.isfinite(band) else "-"]
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """``python -m bench.calibration [store=results/rows] [out=results]``; exit status 2 for bad input."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments):
-        print("usage: python -m bench.calibration [store=results/rows] [out=results]\n\n" + str(__doc__))
-        return 0
-    try:
-        folders = read_folders(arguments, {"store": "results/rows", "out": "results"})
-        _, _, found = entries(EXPERIMENT, Store(folders["store"]))
-        if not any(entry.stored for entry in found):
-            raise InputError("store", folders["store"], f"no cell of it there; run -m experiment={EXPERIMENT} first")
-        Store(folders["out"]).prepare()
-    except InputError as error:
-        print(f"bench.calibration: {error}", file=sys.stderr)
-        return 2
-    for path in write(lines(found), folders["out"]):
-        print(path)
-    return 0
-
-
-def write(data: pd.DataFrame, out: Path) -> list[Path]:
-    """Write both forms; returns the paths."""
-    paths = [out / "calibration.md", out / "calibration.csv"]
-    paths[0].write_text(markdown(data), encoding="utf-8")
-    paths[1].write_text(data.to_csv(index=False, float_format="%.5g"), encoding="utf-8")
-    return paths
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def calibration_table(experiment: str, store: Store) -> dict[str, str]:
+    """The files of the table by name; none where the store holds no cell of it."""
+    _, cells = described_cells(experiment)
+    found = [Entry("", cell, store.load(cell.identity)) for cell in cells]
+    if all(entry.stored is None for entry in found):
+        return {}
+    data = lines(found)
+    text = f"{markdown(data)}\nRegenerate: `python -m bench -m experiment={experiment} && python -m bench.tables`\n"
+    return {"calibration.md": text, "calibration.csv": data.to_csv(index=False, float_format="%.5g")}

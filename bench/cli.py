@@ -23,13 +23,14 @@ fields (defaults in brackets):
   snr            [20] signal-to-noise ratio in dB
   initial_state  [known] known, unknown: whether the method is told the start
   prior          [nominal] {priors}
+  disturbance    [none] {disturbances}
   replicates     [20] data sets      seed [0]      timeout_s [600] per replicate
   store          [results/rows] where finished cells are kept and found again
   format         [table] table, json      workers [one a core]
   data           a CSV with columns t, x and optionally a force
   nominal.<p>, start   what is stated of a measured system (with prior=, initial_state=known)
   experiment     {experiments}
-  method.<setting>, system.<field>    any setting of a method, any field of a system
+  method.<setting>, system.<field>, disturbance.size    any setting of a method, any field of a system
 
 options: -m, --multirun   --cfg (print the configuration, run nothing)   --version   -h, --help
 tables from the stored cells: python -m bench.tables"""
@@ -75,6 +76,9 @@ def _main(arguments: list[str]) -> int:
             print(job.config.model_dump_json(indent=2))
         return 0
     if jobs[0].config.data is not None:
+        disturbance = jobs[0].config.disturbance.kind
+        if disturbance != "none":
+            raise InputError("disturbance", disturbance, "a measured record is taken as it is; leave it out")
         if len(jobs) > 1:
             raise InputError("data", jobs[0].config.data, "one record and one method at a time")
         return _identify(jobs[0])
@@ -84,7 +88,9 @@ def _main(arguments: list[str]) -> int:
 def _usage() -> str:
     from bench.config import choices
 
-    names = {f"{group}s": ", ".join(choices(group)) for group in ("method", "system", "prior", "experiment")}
+    names = {
+        f"{group}s": ", ".join(choices(group)) for group in ("method", "system", "prior", "disturbance", "experiment")
+    }
     return USAGE.format(**names)
 
 
@@ -136,6 +142,7 @@ def _as_json(job: Any, cell: Any, result: Any) -> dict[str, Any]:
         "seed": cell.seed,
         "initial_state": cell.scenario.told,
         "prior": job.config.prior.name,
+        "disturbance": job.config.disturbance.kind,
         "n_ok": result.n_ok,
         "status": result.status.value,
         "message": "" if result.n_ok else result.rows[0].message,
@@ -188,6 +195,7 @@ def _cell_table(cell: Any, result: Any) -> str:
     seconds = [row.wall_s for row in result.rows if math.isfinite(row.wall_s)]
     head = (
         f"{cell.label} on {scenario.label}, {scenario.snr_db:g} dB, initial state {scenario.told}, "
+        f"{f'disturbance {_disturbance(scenario)}, ' if scenario.disturbance else ''}"
         f"{result.n_ok}/{len(result.rows)} ok"
     )
     headers = ["", "median", "95 % interval", "bound", "excess", "cover %"]
@@ -199,6 +207,10 @@ def _cell_table(cell: Any, result: Any) -> str:
     lines.append("median over replicates; bound on the root mean square; excess = root mean square / bound")
     lines += gauge_note
     return "\n".join(lines)
+
+
+def _disturbance(scenario: Any) -> str:
+    return f"{scenario.disturbance.kind} {scenario.disturbance.size:g}" if scenario.disturbance else "none"
 
 
 def _failures(result: Any) -> dict[tuple[str, str], int]:
@@ -214,14 +226,18 @@ def _sweep_table(cells: Sequence[Any], results: Sequence[Any]) -> str:
     from tabulate import tabulate
 
     rows = []
+    disturbed = any(cell.scenario.disturbance for cell in cells)
     for cell, result in zip(cells, results, strict=True):
         group = cell.scenario.make_system().groups[0].name
         error, rmse = (result.summary.get(name, {}) for name in (f"{group}_error_pct", "rmse"))
         values = [number(part.get(key, math.nan)) for part in (error, rmse) for key in ("median", "excess")]
         ok = f"{result.n_ok}/{len(result.rows)}"
-        rows.append([cell.label, cell.scenario.label, f"{cell.scenario.snr_db:g}", cell.scenario.told, ok, *values])
+        scenario = cell.scenario
+        by = [_disturbance(scenario)] if disturbed else []
+        rows.append([cell.label, scenario.label, f"{scenario.snr_db:g}", scenario.told, *by, ok, *values])
     name = results[0].cell["system"] and cells[0].scenario.make_system().groups[0].name.replace("_over_", "/")
-    headers = ["method", "system", "dB", "start", "ok", f"{name} %", "excess", "RMSE m", "excess"]
+    by = ["disturbance"] if disturbed else []
+    headers = ["method", "system", "dB", "start", *by, "ok", f"{name} %", "excess", "RMSE m", "excess"]
     return tabulate(rows, headers=headers, disable_numparse=True)
 
 

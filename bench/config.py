@@ -15,12 +15,15 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bench.cell import Cell
+from bench.disturbance import Disturbance, make_disturbance
 from bench.errors import InputError
 from bench.reference import REFERENCES
 from bench.registry import default_settings, load_method, make_method, method_names, registered
 from bench.scenario import ForceSpec, PriorSpec, Scenario
 
-GROUPS = ("method", "system", "prior", "experiment")
+GROUPS = ("method", "system", "prior", "disturbance", "experiment")
+OF_EXPERIMENTS = ("sweep", "also", "replicates_by_method", "table")
+"""Fields that an experiment alone sets."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(allow_inf_nan=False, gt=0)]
 
@@ -71,12 +74,21 @@ class PriorConfig(_Strict):
     wrong: bool
 
 
+class DisturbanceConfig(_Strict):
+    """A file of ``conf/disturbance``: a kind of :mod:`bench.disturbance` and its settings."""
+
+    kind: str
+    size: Finite | None = None
+    share: Finite | None = None
+
+
 class Config(_Strict):
     """One cell's configuration, and the fields that an experiment adds. Unknown fields are refused."""
 
     method: dict[str, Any]
     system: SystemConfig
     prior: PriorConfig
+    disturbance: DisturbanceConfig
     snr: Annotated[float, Field(allow_inf_nan=False, ge=-40, le=300)]
     replicates: Annotated[int, Field(ge=1, le=1_000_000)]
     seed: Annotated[int, Field(ge=0, lt=2**63)]
@@ -89,12 +101,13 @@ class Config(_Strict):
     nominal: dict[str, Positive]
     start: list[Finite] | None
     sweep: dict[str, list[Any]]
+    also: list[dict[str, list[Any]]]
     replicates_by_method: dict[str, Annotated[int, Field(ge=1)]]
     table: dict[str, Any] | None
 
 
 FIELDS = (
-    *(name for name in Config.model_fields if name not in ("sweep", "replicates_by_method", "table")),
+    *(name for name in Config.model_fields if name not in OF_EXPERIMENTS),
     "experiment",
 )
 """What a command line can set; the rest is for experiments."""
@@ -114,6 +127,11 @@ class Job:
         if prior.sd_by_kind is None:
             return None
         return PriorSpec(prior.name, {str(kind): sd for kind, sd in prior.sd_by_kind.items()}, prior.wrong)
+
+    def disturbance(self) -> Disturbance | None:
+        """The disturbance; raises InputError where its settings do not make sense."""
+        settings = self.config.disturbance.model_dump(exclude_none=True)
+        return make_disturbance(settings.pop("kind"), settings)
 
     def settings(self) -> dict[str, Any]:
         """All settings of the method, defaults included, as validated plain values."""
@@ -138,6 +156,7 @@ class Job:
             force=ForceSpec(**system.force.model_dump()) if system.force else None,
             options=dict(system.options),
             label=system.label,
+            disturbance=self.disturbance(),
         )
         settings = {key: list(v) if isinstance(v, tuple) else v for key, v in self.settings().items()}
         return Cell(
@@ -219,7 +238,18 @@ def expand(texts: Sequence[str], multirun: bool) -> list[Job]:
         others = [text for text in texts if not text.startswith("experiment=")]
         return [job for name in experiment for job in expand([*others, f"experiment={name}"], multirun)]
     set_by_experiment = _experiment(experiment[0])
-    sweep = {**set_by_experiment.get("sweep", {}), **overrides}
+    jobs = []
+    for block in [{}, *set_by_experiment.get("also", [])]:
+        # what the command line sets is no longer the part of the experiment that the block describes
+        if not set(block) & set(overrides):
+            sweep = {**set_by_experiment.get("sweep", {}), **block, **overrides}
+            jobs += _expand_sweep(sweep, set_by_experiment, frozenset(overrides), multirun)
+    return jobs
+
+
+def _expand_sweep(
+    sweep: Mapping[str, list[Any]], experiment: Mapping[str, Any], explicit: frozenset[str], multirun: bool
+) -> list[Job]:
     for group in set(GROUPS) & set(sweep):
         for value in sweep[group]:
             _known_choice(group, value)
@@ -231,7 +261,7 @@ def expand(texts: Sequence[str], multirun: bool) -> list[Job]:
     jobs = []
     for values in itertools.product(*sweep.values()):
         chosen = dict(zip(sweep, values, strict=True))
-        jobs.append(_job(chosen, set_by_experiment, frozenset(overrides)))
+        jobs.append(_job(chosen, experiment, explicit))
     return jobs
 
 
@@ -242,7 +272,7 @@ def _job(chosen: Mapping[str, Any], experiment: Mapping[str, Any], explicit: fro
     default_prior = content["system"].get("default_prior", "nominal")
     if "prior" not in chosen and default_prior != content["prior"]["name"]:
         content = _compose({**composed_by, "prior": default_prior})
-    fields = {k: v for k, v in experiment.items() if k not in ("sweep", "replicates_by_method", "table")}
+    fields = {k: v for k, v in experiment.items() if k not in OF_EXPERIMENTS}
     by_method = experiment.get("replicates_by_method", {})
     if chosen["method"] in by_method and "replicates" not in explicit:
         fields["replicates"] = by_method[chosen["method"]]

@@ -11,13 +11,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bench.disturbance import Disturbance
 from bench.errors import InputError
 from bench.prior import Prior, draw_prior, wrong_prior
 from bench.problem import MIN_SAMPLES, Channel, Force, Hold, InitialState, Problem, Record
 from bench.systems import System, make_system
 from bench.truth import Truth, reference_response
 
-NOISE, NOMINAL, FORCE_AXIS, METHOD = range(4)
+NOISE, NOMINAL, FORCE_AXIS, METHOD, DISTURBANCE = range(5)
 """Axes of the seed tree: what a random stream is for. Streams of different axes never meet."""
 
 
@@ -60,6 +61,8 @@ class Scenario:
 
     ``initial`` is the true displacement and velocity of each DOF at time 0, ``told`` whether a method knows it.
     ``samples`` uniform displacement samples of every DOF over ``duration``, both ends included; noise at ``snr_db``.
+    ``disturbance`` breaks what methods assume of the data; noise draw, noise level, nominal values and bound stay those
+    of the undisturbed scenario.
     """
 
     system: str
@@ -75,6 +78,7 @@ class Scenario:
     dense: int = 1000
     forecast: float = 10.0
     label: str = ""
+    disturbance: Disturbance | None = None
 
     def __post_init__(self) -> None:
         system = self.make_system()
@@ -94,12 +98,18 @@ class Scenario:
             raise InputError("samples", self.samples, f"at least {MIN_SAMPLES}")
         if not np.any(np.asarray(self.initial)) and self.force is None:
             raise InputError("system.initial", list(map(list, self.initial)), "a start away from rest, or a force")
+        if self.disturbance is not None:
+            self.disturbance.check(self.duration, self.force is not None)
 
     def make_system(self) -> System:
         return make_system(self.system, self.options)
 
     def data_identity(self) -> dict[str, Any]:
         """What decides the data, and nothing else: neither the label nor what is told of them."""
+        disturbance = {"disturbance": self.disturbance.identity()} if self.disturbance else {}
+        return self._undisturbed_identity() | disturbance
+
+    def _undisturbed_identity(self) -> dict[str, Any]:
         return {
             "system": self.system,
             "options": dict(self.options),
@@ -121,18 +131,26 @@ class Scenario:
         }
 
     def stream(self, axis: int, seed: int, replicate: int, *key: int) -> np.random.Generator:
-        """The random stream of one axis, replicate and scenario; independent of every other."""
+        """The random stream of one axis, replicate and scenario; independent of every other.
+
+        A disturbed scenario has the streams of the undisturbed one: they differ by the disturbance alone.
+        """
         sequence = np.random.SeedSequence(seed, spawn_key=(axis, *self._key, replicate, *key))
         return np.random.default_rng(sequence)
 
     @cached_property
     def _key(self) -> tuple[int, ...]:
-        digest = hashlib.sha256(json.dumps(self.data_identity(), sort_keys=True).encode()).digest()
+        digest = hashlib.sha256(json.dumps(self._undisturbed_identity(), sort_keys=True).encode()).digest()
         return tuple(int.from_bytes(digest[i : i + 4], "big") for i in (0, 4))
 
     @cached_property
+    def undisturbed(self) -> Scenario:
+        """The same scenario without its disturbance."""
+        return self if self.disturbance is None else replace(self, disturbance=None)
+
+    @cached_property
     def times(self) -> np.ndarray:
-        """Sample times (s), shape (samples,)."""
+        """Uniform sample times (s), shape (samples,)."""
         return np.linspace(0.0, self.duration, self.samples)
 
     @cached_property
@@ -147,7 +165,7 @@ class Scenario:
 
     @cached_property
     def start(self) -> InitialState:
-        """The true initial state."""
+        """The initial state of the motion, which is what is told of it."""
         return InitialState(np.array(self.initial[0]), np.array(self.initial[1]))
 
     def forces(self, seed: int) -> tuple[Force, ...]:
@@ -157,40 +175,63 @@ class Scenario:
         return (self.force.draw(self.duration, replace(self, snr_db=0.0).stream(FORCE_AXIS, seed, 0)),)
 
     def _response(self, times: np.ndarray, seed: int) -> np.ndarray:
-        return reference_response(self.make_system(), self.parameters, self.start, times, self.forces(seed))
+        """True displacement at times of the record; its disturbance may say by what integrator, or how late."""
+        response = self.disturbance.response if self.disturbance else reference_response
+        return response(self.make_system(), self.parameters, self.start, times, self.forces(seed))
 
     def replicates(self, seed: int, n: int) -> list[tuple[Problem, Truth]]:
         """The first ``n`` replicates of a seed: the same noise and nominal values for every method."""
         clean, dense = self._response(self.times, seed), self._response(self.dense_times, seed)
-        forecast = self._response(self.forecast_times, seed)
-        return [self._replicate(seed, i, clean, dense, forecast) for i in range(n)]
+        forecast, sigma = self._response(self.forecast_times, seed), self.sigmas(seed)
+        return [self._replicate(seed, i, clean, dense, forecast, sigma) for i in range(n)]
 
     def sigmas(self, seed: int) -> np.ndarray:
         """Noise standard deviation of each channel (m): mean square of the clean samples over 10^(SNR/10)."""
-        clean = self._response(self.times, seed)
+        clean = self.undisturbed._response(self.times, seed)
         return np.asarray(np.sqrt(np.mean(clean**2, axis=1) / 10.0 ** (self.snr_db / 10.0)))
 
     def _replicate(
-        self, seed: int, index: int, clean: np.ndarray, dense: np.ndarray, forecast: np.ndarray
+        self, seed: int, index: int, clean: np.ndarray, dense: np.ndarray, forecast: np.ndarray, sigma: np.ndarray
     ) -> tuple[Problem, Truth]:
         system = self.make_system()
-        sigma = np.sqrt(np.mean(clean**2, axis=1) / 10.0 ** (self.snr_db / 10.0))
-        noise = sigma[:, None] * self.stream(NOISE, seed, index).standard_normal(clean.shape)
-        channels = tuple(Channel(self.times, values, dof=i) for i, values in enumerate(clean + noise))
+        times, ideal, error = self._samples(seed, index, clean, sigma)
+        channels = tuple(Channel(times, values, dof=i) for i, values in enumerate(ideal + error))
         record = Record(channels, self.forces(seed), self.start if self.told == "known" else None)
         problem = Problem(system, (record,), self.draw_prior(system, seed, index), name=self.label)
         truth = Truth(
             parameters=dict(self.parameters),
-            initial_state=self.start,
+            initial_state=self._true_start,
             dense_times=self.dense_times,
             dense_displacement=dense,
             forecast_times=self.forecast_times,
             forecast_displacement=forecast,
             sigma=tuple(map(float, sigma)),
-            realised_snr_db=float(10 * np.log10(np.sum(clean**2) / np.sum(noise**2))),
+            realised_snr_db=float(10 * np.log10(np.sum(ideal**2) / np.sum(error**2))),
             sigma_over_peak=float(np.max(sigma / np.max(np.abs(dense), axis=1))),
         )
         return problem, truth
+
+    def _samples(
+        self, seed: int, index: int, clean: np.ndarray, sigma: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Stated times, the true displacement at them, and what the samples are off by: noise and disturbance."""
+        base = self.stream(NOISE, seed, index).standard_normal(clean.shape)
+        if self.disturbance is None:
+            return self.times, clean, sigma[:, None] * base
+        rng = self.stream(DISTURBANCE, seed, index)
+        stated, actual = self.disturbance.sampling(self.times, rng)
+        ideal = clean if stated is self.times else self._response(stated, seed)
+        taken = ideal if actual is stated else self._response(actual, seed)
+        rms = sigma * 10.0 ** (self.snr_db / 20.0)  # of the clean samples, by the definition of the SNR
+        systematic = rms[:, None] * self.disturbance.reading_error(stated)
+        return stated, ideal, taken - ideal + systematic + sigma[:, None] * self.disturbance.noise(base, rng)
+
+    @cached_property
+    def _true_start(self) -> InitialState:
+        """The true state at time 0 of the record."""
+        if self.disturbance is None:
+            return self.start
+        return self.disturbance.start(self.make_system(), self.parameters, self.start)
 
     def draw_prior(self, system: System, seed: int, index: int) -> Prior | None:
         """The nominal prior of one replicate, drawn around the truth."""

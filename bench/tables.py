@@ -1,6 +1,7 @@
-"""``python -m bench.tables``: results/table2 … table5 as Markdown, CSV and LaTeX, from stored rows alone.
+"""``python -m bench.tables``: the tables of all experiments as Markdown, CSV and LaTeX, from stored rows alone.
 
-A table is what its experiment in ``conf`` describes; a cell that the store lacks is a row that says so.
+A table is what its experiment in ``conf`` describes; a cell that the store lacks is a row that says so. Tables 2 to 5
+are made here; an experiment whose ``table`` names another form has it made there (see :func:`table_files`).
 """
 
 from __future__ import annotations
@@ -89,15 +90,28 @@ def _row_name(table: int, cell: Cell) -> str:
     return {2: "identified", 3: "comparison"}.get(table, f"{cell.scenario.snr_db:g}")
 
 
-def entries(experiment: str, store: Store) -> tuple[int, str, list[Entry]]:
-    """Number and title of an experiment's table, and its cells in order with what the store holds of each."""
-    jobs = expand([f"experiment={experiment}"], multirun=True)
+def table_experiments() -> list[str]:
+    """The experiments that describe a table."""
     from bench.config import _experiment
 
-    described = _experiment(experiment)["table"]
-    cells = jobs_to_cells(jobs)
-    found = [Entry(_row_name(described["number"], cell), cell, store.load(cell.identity)) for cell in cells]
-    return described["number"], described["title"], found
+    return [name for name in choices("experiment") if _experiment(name).get("table")]
+
+
+def described_cells(experiment: str) -> tuple[str, list[Cell]]:
+    """Title of an experiment's table, and its cells in order."""
+    from bench.config import _experiment
+
+    cells = jobs_to_cells(expand([f"experiment={experiment}"], multirun=True))
+    return str(_experiment(experiment)["table"]["title"]), cells
+
+
+def entries(experiment: str, store: Store) -> tuple[int, str, list[Entry]]:
+    """Number and title of an experiment's table, and its cells in order with what the store holds of each."""
+    from bench.config import _experiment
+
+    number_ = int(_experiment(experiment)["table"]["number"])
+    title, cells = described_cells(experiment)
+    return number_, title, [Entry(_row_name(number_, cell), cell, store.load(cell.identity)) for cell in cells]
 
 
 def tidy(table: int, found: Sequence[Entry]) -> pd.DataFrame:
@@ -250,13 +264,14 @@ def _entry(by_metric: pd.DataFrame, metric: str, is_bound: bool) -> str:
         return number(line.bound)
     text = number(line["median"])
     if math.isfinite(line.excess):
-        text += f" ×{_excess(line.excess)}"
+        text += f" ×{excess_text(line.excess)}"
     # the paper's own reading is the known start; its numbers stand beside that panel only
     beside = math.isfinite(line.paper) and line.initial_state == "known"
     return f"{text} (paper {number(line.paper)})" if beside else text
 
 
-def _excess(value: float) -> str:
+def excess_text(value: float) -> str:
+    """An excess as tables show it: two decimals, three digits where it is large."""
     return f"{value:.2f}" if value < 10 else f"{value:.3g}"
 
 
@@ -308,22 +323,39 @@ def latex(table: int, title: str, data: pd.DataFrame, found: Sequence[Entry]) ->
     return f"% needs the package booktabs\n% regenerate: python -m bench.tables\n{''.join(parts)}"
 
 
+def paper_table(experiment: str, store: Store) -> dict[str, str]:
+    """The files of a table of the paper by name; none where the store holds no cell of it."""
+    number_, title, found = entries(experiment, store)
+    if all(entry.stored is None for entry in found):
+        return {}
+    data = tidy(number_, found)
+    return {
+        f"table{number_}.md": markdown(number_, title, data, found),
+        f"table{number_}.csv": data.to_csv(index=False, float_format="%.6g"),
+        f"table{number_}.tex": latex(number_, title, data, found),
+    }
+
+
+def table_files(experiment: str, store: Store) -> dict[str, str]:
+    """The files of an experiment's table by name, made by the form that its ``table`` names; none without cells."""
+    from bench.calibration import calibration_table
+    from bench.config import _experiment
+    from bench.robustness import robustness_table  # here, since these build on this module
+
+    forms = {"paper": paper_table, "robustness": robustness_table, "calibration": calibration_table}
+    return forms[_experiment(experiment)["table"].get("form", "paper")](experiment, store)
+
+
 def write_tables(store: Store, out: Path, experiments: Sequence[str]) -> list[Path]:
     """Write the tables that have any stored cell; returns the paths written."""
     written = []
     for experiment in experiments:
-        number_, title, found = entries(experiment, store)
-        if all(entry.stored is None for entry in found):
+        contents = table_files(experiment, store)
+        if not contents:
             print(f"{experiment}: no cells stored; run python -m bench -m experiment={experiment}", file=sys.stderr)
             continue
-        data = tidy(number_, found)
-        contents = {
-            "md": markdown(number_, title, data, found),
-            "csv": data.to_csv(index=False, float_format="%.6g"),
-            "tex": latex(number_, title, data, found),
-        }
-        for ending, content in contents.items():
-            path = out / f"table{number_}.{ending}"
+        for name, content in contents.items():
+            path = out / name
             path.write_text(content, encoding="utf-8")
             written.append(path)
     return written
@@ -341,8 +373,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not store.folder.is_dir():
             raise InputError("store", store.folder, "there is no such folder; run some cells first")
         Store(out).prepare()
-        experiments = [name for name in choices("experiment") if name.startswith("table")]
-        for path in write_tables(store, out, experiments):
+        for path in write_tables(store, out, table_experiments()):
             print(path)
     except InputError as error:
         print(f"bench.tables: {error}", file=sys.stderr)

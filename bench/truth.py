@@ -26,7 +26,8 @@ class Truth:
 
     ``dense_displacement`` has shape (n_dof, n_dense) on ``dense_times`` (s, over the record), ``forecast_displacement``
     likewise over what follows the record. ``sigma`` is the noise standard deviation of each channel (in its unit),
-    ``realised_snr_db`` the SNR of the drawn noise, ``sigma_over_peak`` the noise over the largest displacement.
+    ``realised_snr_db`` the SNR of all that the samples are off by, ``sigma_over_peak`` the noise over the largest
+    displacement.
     """
 
     parameters: Mapping[str, float]
@@ -52,7 +53,28 @@ def reference_response(
         return closed_form(p, float(start.displacement[0]), float(start.velocity[0]), times)[None]
     if system.linear:
         return matrix_exponential_response(system, p, start, times, forces)
-    return _integrated(system, p, start, times, forces)
+    return integrated_response(system, p, start, times, forces)
+
+
+def reference_state(system: System, p: Mapping[str, float], start: InitialState, time: float) -> InitialState:
+    """State at a time > 0 (s) of the free motion from ``start``."""
+    n = system.n_dof
+    state = _integrated(system, p, start, np.array([time]), ())[:, 0]
+    return InitialState(state[:n], state[n : 2 * n])
+
+
+def integrated_response(
+    system: System,
+    p: Mapping[str, float],
+    start: InitialState,
+    times: np.ndarray,
+    forces: Sequence[Force] = (),
+    method: str = "DOP853",
+    rtol: float = 1e-11,
+    atol: float = 1e-13,
+) -> np.ndarray:
+    """Displacement (m), shape (n_dof, n_times), by an integrator of ``scipy.integrate.solve_ivp`` at a tolerance."""
+    return _integrated(system, p, start, times, forces, method, rtol, atol)[: system.n_dof]
 
 
 def closed_form(p: Mapping[str, float], x0: float, v0: float, times: np.ndarray) -> np.ndarray:
@@ -71,8 +93,16 @@ def closed_form(p: Mapping[str, float], x0: float, v0: float, times: np.ndarray)
 
 
 def _integrated(
-    system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force]
+    system: System,
+    p: Mapping[str, float],
+    start: InitialState,
+    times: np.ndarray,
+    forces: Sequence[Force],
+    method: str = "DOP853",
+    rtol: float = 1e-11,
+    atol: float = 1e-13,
 ) -> np.ndarray:
+    """Displacement, velocity and hidden states, shape (2 n_dof + n_hidden, n_times)."""
     n = system.n_dof
 
     def rate(t: float, state: np.ndarray) -> list[float]:
@@ -84,12 +114,12 @@ def _integrated(
     # the force has kinks at its samples: integrate from one to the next
     ends = np.unique(np.concatenate([[0.0, times[-1]], *[f.times[f.times < times[-1]] for f in forces]]))
     state = np.concatenate([start.displacement, start.velocity, np.zeros(system.n_hidden)])
-    path = np.empty((n, times.size))
-    path[:, times == 0.0] = start.displacement[:, None]
+    path = np.empty((state.size, times.size))
+    path[:, times == 0.0] = state[:, None]
     for t0, t1 in itertools.pairwise(ends):
         inside = (times > t0) & (times <= t1)
-        solution = solve_ivp(rate, (t0, t1), state, method="DOP853", rtol=1e-11, atol=1e-13, dense_output=True)
+        solution = solve_ivp(rate, (t0, t1), state, method=method, rtol=rtol, atol=atol, dense_output=True)
         if np.any(inside):
-            path[:, inside] = solution.sol(times[inside])[:n]
+            path[:, inside] = solution.sol(times[inside])
         state = solution.y[:, -1]
     return path

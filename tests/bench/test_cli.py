@@ -52,6 +52,18 @@ BAD: dict[str, tuple[str, str, str]] = {
     "method=oracle system.colour=red": ("system.colour", "red", "no such field"),
     "method=oracle system=beam": ("system", "beam", "known: "),
     "method=oracle prior=flat": ("prior", "flat", "known: "),
+    "method=ls disturbance=foo": ("disturbance", "foo", "known: bias, coloured, drift"),
+    "method=oracle disturbance=jitter disturbance.size=0": ("disturbance.size", "0.0", "above 0, at most 0.25"),
+    "method=oracle disturbance=jitter disturbance.size=abc": ("disturbance.size", "abc", "number"),
+    "method=oracle disturbance=bias disturbance.size=nan": ("disturbance.size", "nan", "finite"),
+    "method=oracle disturbance=bias disturbance.size=null": ("disturbance", "bias", "its settings are size"),
+    "method=oracle disturbance=bias disturbance.share=0.1": ("disturbance.share", "0.1", "no such field"),
+    "method=oracle disturbance=bias disturbance.kind=foo": ("disturbance.kind", "foo", "known: none, integrator"),
+    "method=oracle disturbance.size=0.1": ("disturbance.size", "0.1", "no such field"),
+    "method=oracle disturbance=outliers disturbance.share=1": ("disturbance.share", "1.0", "between 0 and 1"),
+    "method=oracle disturbance=late_trigger system=sdof_forced": ("disturbance", "late_trigger", "free vibration"),
+    "-m method=oracle disturbance=late_trigger disturbance.size=0.02,10": ("disturbance.size", "10.0", "duration"),
+    "method=ls disturbance=bias data=nowhere.csv": ("disturbance", "bias", "taken as it is"),
     "method=oracle replicates=0": ("replicates", "0", "greater than or equal to 1"),
     "method=oracle replicates=2.5": ("replicates", "2.5", "integer"),
     "method=oracle seed=-1": ("seed", "-1", "greater than or equal to 0"),
@@ -229,7 +241,8 @@ def test_help_and_bad_input_load_no_heavy_package(python: Callable[..., Any]) ->
 def test_help_names_every_choice(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
     out = capsys.readouterr().out
-    for name in ("pinn_adam", "ls_spline", "oracle", "chain2", "sdof_forced", "handbook", "table5", "--version"):
+    names = "pinn_adam ls_spline oracle chain2 sdof_forced handbook late_trigger table5 robustness --version"
+    for name in names.split():
         assert name in out
 
 

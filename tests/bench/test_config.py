@@ -49,7 +49,8 @@ def test_numbers_written_differently_are_one_cell() -> None:
 @pytest.mark.parametrize(
     "change",
     ["snr=11", "seed=1", "replicates=21", "initial_state=unknown", "prior=handbook", "prior=none", "timeout_s=5",
-     "system.samples=26", "system.parameters.k=9", "system=table4_1", "method=prior"],
+     "system.samples=26", "system.parameters.k=9", "system=table4_1", "method=prior",
+     "disturbance=bias", "disturbance=outliers"],
 )  # fmt: skip
 def test_what_changes_the_computation_changes_the_cell(change: str) -> None:
     texts = [] if change.startswith("method") else ["method=oracle"]
@@ -90,6 +91,14 @@ def test_every_system_in_conf_makes_data(system: str) -> None:
     (cell,) = cells("method=oracle", f"system={system}")
     problem, _ = cell.scenario.replicates(0, 1)[0]
     assert problem.n == cell.scenario.samples * problem.system.n_dof
+
+
+@pytest.mark.parametrize("name", choices("disturbance"))
+def test_every_disturbance_in_conf_makes_data(name: str) -> None:
+    (cell,) = cells("method=oracle", f"disturbance={name}")
+    assert (cell.scenario.disturbance.kind if cell.scenario.disturbance else "none") == name
+    problem, _ = cell.scenario.replicates(0, 1)[0]
+    assert problem.n == 25
 
 
 @pytest.mark.parametrize("name", choices("prior"))
@@ -136,6 +145,27 @@ def test_the_experiments_ask_for_every_row_of_the_papers_table_in_both_readings(
     assert min(experiment["replicates_by_method"].values()) >= 20
     if table == 4:
         assert sweep["system"] == [f"table4_{i}" for i in range(1, 6)]
+
+
+def test_the_robustness_experiment_tells_the_start_only_where_the_trigger_is_late() -> None:
+    found = cells("experiment=robustness", multirun=True)
+    kinds = {told: [] for told in ("known", "unknown")}  # type: dict[str, list[str]]
+    for cell in found:
+        kinds[cell.scenario.told].append(cell.scenario.disturbance.kind if cell.scenario.disturbance else "none")
+        assert cell.replicates == (20 if cell.method == "mcmc" else 100)
+    assert set(kinds["known"]) == {"none", "late_trigger"}
+    assert set(kinds["unknown"]) == set(choices("disturbance")) - {"late_trigger"}
+    assert len({cell.identity for cell in found}) == len(found) == (9 + 2) * 9
+
+
+def test_a_further_sweep_of_an_experiment_is_left_out_where_the_command_line_sets_its_fields() -> None:
+    for text, kinds, told in [
+        ("disturbance=bias", {"bias"}, {"unknown"}),
+        ("initial_state=known", set(choices("disturbance")) - {"none", "late_trigger"}, {"known"}),
+    ]:
+        found = cells("experiment=robustness", "method=oracle", text, multirun=True)
+        assert {c.scenario.disturbance.kind for c in found if c.scenario.disturbance} == kinds
+        assert {c.scenario.told for c in found} == told
 
 
 def test_nominal_values_of_a_measured_record_can_be_set() -> None:
