@@ -3,7 +3,7 @@
 The zero crossings, interpolated linearly, lie half a period ``π/ω_d`` apart: the slope of a straight line through
 (number, time) gives the damped frequency. The extremes between them (a parabola through the three samples about each
 largest one) lie on ``A e^(-σt)`` up to one constant: the slope of a straight line through (time, log|extreme|) gives
-``-σ`` (logarithmic decrement; S. S. Rao, Mechanical Vibrations, section 2.6). The roots of ``s² + (c/m) s + k/m = 0`` are
+``-σ`` (logarithmic decrement; S. S. Rao, Mechanical Vibrations, section 2.6). The roots of ``s² + (c/m) s + k/m`` are
 ``-σ ± iω_d``, so ``c/m = 2σ`` and ``k/m = ω_d² + σ²``.
 
 Where a hand would stop: swings below ``smallest`` of the largest sample are taken for noise. A swing is a run of
