@@ -24,7 +24,8 @@ from typing import ClassVar
 import numpy as np
 from scipy.optimize import least_squares
 
-from bench import Card, Cost, Estimate, Identifier, InputError, Problem, Serves, Status
+from bench import Card, Cost, Estimate, Identifier, InitialState, InputError, Problem, Serves, Status
+from methods.regression import too_fast
 from methods.spectral import OutputError, estimate_at, silent
 
 POOR = 0.5
@@ -39,7 +40,7 @@ class SingleShooting(Identifier):
     """
 
     sigma_rounds: int = 6
-    sigma_tolerance: float = 1e-6
+    sigma_tolerance: float = 1e-3
     max_evaluations: int = 200
 
     card: ClassVar[Card] = Card(
@@ -48,7 +49,7 @@ class SingleShooting(Identifier):
         scale="native",
         reconstruction="own",
         uncertainty="inverse Gauss-Newton Hessian in the log-parameters, Student t with N - p degrees of freedom",
-        settings_source="rounds and tolerance of the oracle; SciPy's defaults otherwise",
+        settings_source="rounds of the oracle, tolerance below the noise level's own error; SciPy's defaults else",
         tuning="none",
     )
     serves: ClassVar[Serves] = Serves(
@@ -80,16 +81,15 @@ class SingleShooting(Identifier):
         theta = model.vector(cold_start(model.problem))
         residuals, used = model.data - model.predict(theta), float(model.size)
         evaluations, iterations = 1, 0
-        if not np.all(np.isfinite(residuals)):
-            sentence = "the response at the start values is not finite; give a prior nearer to the system"
+        if not np.all(np.isfinite(residuals)) or _out_of_reach(model, theta):
+            sentence = "the response at the start values is not finite, or too fast; give a prior nearer to the system"
             return Estimate.failed(model.system, Status.DIVERGED, sentence)
         sigma = model.noise(residuals, used)
         for _ in range(self.sigma_rounds):
-            fit = least_squares(
-                _misfit, theta, _slopes, args=(model, sigma), x_scale="jac", max_nfev=self.max_evaluations
-            )
+            aim = _Objective(model, sigma)
+            fit = least_squares(aim.misfit, theta, aim.slopes, x_scale="jac", max_nfev=self.max_evaluations)
             theta, residuals, used = fit.x, model.data - model.predict(fit.x), _used(fit.jac, model.data.size)
-            evaluations += fit.nfev + fit.njev * (2 * model.size + 1)
+            evaluations += aim.evaluations + 1
             iterations += fit.njev
             before, sigma = sigma, model.noise(residuals, used)
             if np.max(np.abs(np.log(sigma / before))) < self.sigma_tolerance:
@@ -105,19 +105,49 @@ def cold_start(problem: Problem) -> dict[str, float]:
     return dict(problem.prior.nominal) if problem.prior else dict.fromkeys(problem.system.names, 1.0)
 
 
-def _misfit(theta: np.ndarray, model: OutputError, sigma: np.ndarray) -> np.ndarray:
-    """Standardised residuals of data and prior; where they are not finite the step is shortened."""
-    residuals = (model.predict(theta) - model.data) / sigma[model.channel_of]
-    return np.concatenate([residuals, model.penalty(theta)])
+class _Objective:
+    """Standardised residuals of data and prior, and their slopes, which come from the same simulation."""
+
+    def __init__(self, model: OutputError, sigma: np.ndarray) -> None:
+        self.model, self.weights, self.evaluations = model, 1.0 / sigma[model.channel_of], 0
+        self._at, self._slopes = np.full(model.size, np.nan), np.zeros((0, model.size))
+
+    def misfit(self, theta: np.ndarray) -> np.ndarray:
+        """Shape (N + parameters,); where it is not finite the step is shortened."""
+        model = self.model
+        if _out_of_reach(model, theta):
+            return np.full(model.data.size + model.penalty(theta).size, np.nan)
+        predicted, slopes = model.jacobian(theta)
+        self.evaluations += 2 * model.size + 1
+        # a neighbour that diverged says nothing of the slope
+        self._at, self._slopes = theta.copy(), np.where(np.isfinite(slopes), slopes, 0.0)
+        return np.concatenate([(predicted - model.data) * self.weights, model.penalty(theta)])
+
+    def slopes(self, theta: np.ndarray) -> np.ndarray:
+        """Derivatives of :meth:`misfit`."""
+        if not np.array_equal(theta, self._at):
+            self.misfit(theta)
+        rows, prior = self._slopes * self.weights[:, None], self.model.prior
+        if prior is None:
+            return rows
+        return np.concatenate([rows, np.eye(len(self.model.free), theta.size) / prior.log_sds[:, None]])
 
 
-def _slopes(theta: np.ndarray, model: OutputError, sigma: np.ndarray) -> np.ndarray:
-    slopes = model.jacobian(theta)[1] / sigma[model.channel_of][:, None]
-    # a neighbour that diverged says nothing of the slope
-    slopes = np.where(np.isfinite(slopes), slopes, 0.0)
-    if model.prior is None:
-        return slopes
-    return np.concatenate([slopes, np.eye(len(model.free), theta.size) / model.prior.log_sds[:, None]])
+def _out_of_reach(model: OutputError, theta: np.ndarray) -> bool:
+    """Whether a nonlinear system moves faster than the samples show: its integration would outlast every fit."""
+    if model.system.linear:
+        return False
+    p = {name: value[None] for name, value in model.parameters(theta).items()}
+    return any(
+        bool(too_fast(model.system, p, np.concatenate([s.displacement, s.velocity]), c.times)[0])
+        for s, record in zip(_states(model, theta), model.problem.records, strict=True)
+        for c in record.channels
+        if c.n > 1
+    )
+
+
+def _states(model: OutputError, theta: np.ndarray) -> list[InitialState]:
+    return [s if isinstance(s, InitialState) else InitialState(s[0], s[1]) for s in model.starts(theta)]
 
 
 def _used(slopes: np.ndarray, samples: int) -> float:
