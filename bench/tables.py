@@ -37,6 +37,8 @@ TITLES = {
     "mcmc": "Bayesian MCMC", "pinn": "PINN", "pinn_adam": "PINN (paper's training)",
     "collocation": "Spline collocation", "ls": "LS, finite differences",
     "ls_spline": "LS, smoothing spline", "rls": "RLS", "sindy": "SINDy", "ddnn": "DDNN",
+    "output_error": "Output error, one start", "matrix_pencil": "Matrix pencil",
+    "log_decrement": "Logarithmic decrement",
 }  # fmt: skip
 PAPER_METHODS = {"ls": "ls", "rls": "rls", "ddnn": "ddnn", "pinn_adam": "pinn", "pinn": "pinn"}
 """Which of the paper's methods a method of ours is compared with."""
