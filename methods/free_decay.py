@@ -18,7 +18,7 @@ from methods.regression import Regression, Unusable, Values, answer, bootstrap_c
 Reader = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Times (n,) and displacements (sets, n) to k/m and c/m, shape (sets, 2); NaN where a set does not tell them."""
 
-SERVES = Serves(forced=False, nonlinear=False, max_dof=1)
+SERVES = Serves(offsets=True, forced=False, nonlinear=False, max_dof=1)
 GROWS = "the vibration grows: c/m came out negative; take a record with more decay above its noise"
 
 
@@ -28,6 +28,11 @@ def decay_objection(problem: Problem) -> str | None:
     if sorted(kinds.values()) != ["damping", "mass", "stiffness"]:
         return "it needs one mass, one damping and one stiffness"
     return layout_objection(problem)
+
+
+def has_offset(problem: Problem) -> bool:
+    """Whether the one sensor adds an unknown constant."""
+    return problem.records[0].channels[0].offset
 
 
 def identify_decay(
@@ -57,7 +62,9 @@ def identify_decay(
     world = _world(regression, unknowns)
     covariance = bootstrap_covariance(world, fitter, rng, bootstrap) if world is not None and bootstrap else None
     damping = unknowns[order][1]
-    return answer(regression, unknowns, covariance, GROWS if damping <= 0 else "").expressed_in(units.inverse)
+    # the resting level is found too, and costs a degree of freedom
+    found = np.append(unknowns, np.zeros(int(has_offset(problem))))
+    return answer(regression, found, covariance, GROWS if damping <= 0 else "").expressed_in(units.inverse)
 
 
 def _order(regression: Regression) -> list[int]:
@@ -76,7 +83,9 @@ class _Decay:
 
 
 def _world(regression: Regression, unknowns: np.ndarray) -> _Decay | None:
-    """The response of the estimate from its best start, with N - 4 degrees of freedom; None where it overflows."""
+    """The response of the estimate from its best start, and the noise with N - 4 degrees of freedom (N - 5 with an
+    offset); None where it overflows.
+    """
     y = regression.values[0]
     response = responses(
         regression.system, regression.parameters(unknowns[None]), regression.records[0], y, np.zeros(2)
@@ -84,4 +93,5 @@ def _world(regression: Regression, unknowns: np.ndarray) -> _Decay | None:
     if not np.all(np.isfinite(response)):
         return None
     misfit = np.sum((response - y) ** 2, axis=-1)[:, 0]
-    return _Decay((response[:, 0],), (np.sqrt(misfit / max(y.shape[-1] - 4, 1)),))
+    spent = 4 + int(regression.records[0].channels[0].offset)
+    return _Decay((response[:, 0],), (np.sqrt(misfit / max(y.shape[-1] - spent, 1)),))

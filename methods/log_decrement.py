@@ -12,6 +12,10 @@ swing is missing (a gap of more than 1.5 times the median half period).
 
 It is biased without any noise where samples are few: a straight line is not the sine's way through zero, nor a parabola
 its top. At five samples a cycle the top of a parabola is up to 4 % low, depending on where the samples fall.
+A sensor's offset is the level about which successive extremes alternate and decay: for three of them, ``e₁, e₂, e₃``,
+a geometric sequence about ``(e₁e₃ - e₂²)/(e₁ + e₃ - 2e₂)`` (Aitken's formula), averaged over the triples. It starts at
+the mean of the samples and is found in a few rounds, since the swings are counted from it.
+
 Times may be uneven. The start, the prior and the noise level are not used.
 """
 
@@ -24,12 +28,13 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card, Estimate, Identifier, InputError, Problem, Serves
-from methods.free_decay import SERVES, decay_objection, identify_decay
+from methods.free_decay import SERVES, decay_objection, has_offset, identify_decay
 from methods.regression import finite_differences
 
 MIN_CROSSINGS = 3
 """One full cycle."""
 MIN_EXTREMES = 2
+LEVEL_ROUNDS = 5
 MISSING = 1.5
 """A gap between crossings of more than this many median half periods has lost a swing."""
 
@@ -65,6 +70,8 @@ class LogDecrement(Identifier):
         """The groups k/m and c/m; ``diverged`` with a sentence where there are too few crossings or extremes."""
 
         def read(times: np.ndarray, sets: np.ndarray) -> np.ndarray:
+            if has_offset(problem):
+                sets = np.array([y - resting_level(times, y, self.smallest) for y in sets])
             return np.array([decrement(times, y, self.smallest) for y in sets])
 
         sentence = (
@@ -81,8 +88,20 @@ def decrement(times: np.ndarray, y: np.ndarray, smallest: float) -> tuple[float,
     if crossings.size < MIN_CROSSINGS or heights.size < MIN_EXTREMES:
         return float("nan"), float("nan")
     half_period = _slope(np.arange(crossings.size, dtype=float), crossings)
-    decay = -_slope(at, np.log(heights))
+    decay = -_slope(at, np.log(np.abs(heights)))
     return (np.pi / half_period) ** 2 + decay**2, 2.0 * decay
+
+
+def resting_level(times: np.ndarray, y: np.ndarray, smallest: float) -> float:
+    """The level about which the extremes of a record (n,) alternate; its mean where there are fewer than three."""
+    level = float(np.mean(y))
+    for _ in range(LEVEL_ROUNDS):
+        swings, _crossings = swings_and_crossings(times, y - level, smallest)
+        _at, e = extremes(times, y - level, swings)
+        if e.size < 3:
+            break
+        level += float(np.mean((e[:-2] * e[2:] - e[1:-1] ** 2) / (e[:-2] + e[2:] - 2.0 * e[1:-1])))
+    return level
 
 
 def swings_and_crossings(times: np.ndarray, y: np.ndarray, smallest: float) -> tuple[list[np.ndarray], np.ndarray]:
@@ -108,16 +127,17 @@ def _zero(times: np.ndarray, y: np.ndarray, first: int, last: int) -> float:
 
 
 def extremes(times: np.ndarray, y: np.ndarray, swings: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Times and sizes of the extremes, by the parabola through the largest sample of each swing and its neighbours.
+    """Times and heights of the extremes, by the parabola through the largest sample of each swing and its neighbours.
 
-    The parabola has its top at ``-x'/x''`` from the sample, ``x'²/(2|x''|)`` higher. A swing whose largest sample is
-    the first or the last of the record has no top to be seen.
+    The parabola has its top at ``-x'/x''`` from the sample, where it is ``x - x'²/(2x'')``; of three equal samples it
+    is the middle one. A swing whose largest sample is the first or the last of the record has no top to be seen.
     """
     largest = np.array([swing[np.argmax(np.abs(y[swing]))] for swing in swings], dtype=int)
     largest = largest[(largest > 0) & (largest < y.size - 1)]
     motion = finite_differences(times, y)
     v, a = motion.v[largest - 1], motion.a[largest - 1]
-    return times[largest] - v / a, np.abs(y[largest] - 0.5 * v**2 / a)
+    away = np.where(a == 0.0, 0.0, -v / np.where(a == 0.0, 1.0, a))
+    return times[largest] + away, y[largest] + 0.5 * v * away
 
 
 def _slope(x: np.ndarray, y: np.ndarray) -> float:

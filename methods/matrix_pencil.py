@@ -11,6 +11,9 @@ a complex pair gives ``k/m = |s|²`` and ``c/m = -2 Re s``.
 L is ``pencil`` of the samples. Hua and Sarkar find the smallest variance at N/3 and 2N/3 for one undamped sinusoid, and
 little change between; Sarkar and Pereira advise N/3 to N/2. Here N/3, and no trial was made of others.
 
+A sensor's offset is a third exponential, of pole 1: three singular vectors are then kept, and of the three poles the
+complex pair is the vibration.
+
 Even sampling is needed. The start, the prior and the noise level are not used.
 """
 
@@ -22,12 +25,10 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card, Estimate, Identifier, InputError, Problem, Serves, Status
-from methods.free_decay import SERVES, decay_objection, identify_decay
+from methods.free_decay import SERVES, decay_objection, has_offset, identify_decay
 
 UNEVEN = 1e-3
 """Steps may differ by this part of themselves: what rounding of printed times does."""
-MIN_SAMPLES = 5
-"""Four amplitudes and rates are found, and a pencil of two by two needs four samples; one is left for the noise."""
 MAX_SAMPLES = 600
 """The decomposition costs the cube of the samples, and the bootstrap repeats it."""
 BATCH = 2_000_000
@@ -72,7 +73,8 @@ class MatrixPencil(Identifier):
             return Estimate.failed(problem.system, Status.UNSUPPORTED, objection)
 
         def read(times: np.ndarray, sets: np.ndarray) -> np.ndarray:
-            return groups_from_poles(poles(sets, self.pencil), float(times[-1] - times[0]) / (times.size - 1))
+            found = poles(sets, self.pencil, 3 if has_offset(problem) else 2)
+            return groups_from_poles(found, float(times[-1] - times[0]) / (times.size - 1))
 
         return identify_decay(problem, read, NO_VIBRATION, rng, self.bootstrap)
 
@@ -80,31 +82,33 @@ class MatrixPencil(Identifier):
 def _sampling_objection(problem: Problem) -> str | None:
     for record in problem.records:
         times = record.channels[0].times
-        if not MIN_SAMPLES <= times.size <= MAX_SAMPLES:
-            return f"it takes {MIN_SAMPLES} to {MAX_SAMPLES} samples a record; thin a longer one"
+        # amplitude and rate of each exponential, and one sample for the noise
+        least = 7 if has_offset(problem) else 5
+        if not least <= times.size <= MAX_SAMPLES:
+            return f"it takes {least} to {MAX_SAMPLES} samples a record; thin a longer one"
         even = np.linspace(times[0], times[-1], times.size)
         if np.max(np.abs(times - even)) > UNEVEN * (even[1] - even[0]):
             return "it needs samples at even steps of time; resample them"
     return None
 
 
-def poles(sets: np.ndarray, pencil: float) -> np.ndarray:
-    """The two poles z of each data set, complex (sets, 2), from evenly sampled values (sets, n), n >= 4."""
+def poles(sets: np.ndarray, pencil: float, count: int = 2) -> np.ndarray:
+    """``count`` poles z of each data set, complex (sets, count), from even samples (sets, n), n >= 2 count."""
     n = sets.shape[-1]
-    length = int(np.clip(round(pencil * n), 2, n - 2))
+    length = int(np.clip(round(pencil * n), count, n - count))
     batch = max(1, BATCH // ((n - length) * (length + 1)))
-    found = [_poles(sets[i : i + batch], length) for i in range(0, sets.shape[0], batch)]
+    found = [_poles(sets[i : i + batch], length, count) for i in range(0, sets.shape[0], batch)]
     return np.concatenate(found)
 
 
-def _poles(sets: np.ndarray, length: int) -> np.ndarray:
+def _poles(sets: np.ndarray, length: int, count: int) -> np.ndarray:
     hankel = np.lib.stride_tricks.sliding_window_view(sets, length + 1, axis=-1)
-    main = np.linalg.svd(hankel, full_matrices=False)[2][:, :2].swapaxes(-1, -2)
+    main = np.linalg.svd(hankel, full_matrices=False)[2][:, :count].swapaxes(-1, -2)
     return np.asarray(np.linalg.eigvals(np.linalg.pinv(main[:, :-1]) @ main[:, 1:])).astype(complex)
 
 
 def groups_from_poles(z: np.ndarray, step: float) -> np.ndarray:
-    """k/m and c/m, (sets, 2), of complex pairs z (sets, 2) at a step of time; NaN for other pairs."""
+    """k/m and c/m, (sets, 2), of the complex pair among poles z (sets, 2 or 3) at a step of time; NaN where none is."""
     upper = z[np.arange(z.shape[0]), np.argmax(z.imag, axis=1)]
     with np.errstate(all="ignore"):
         s = np.log(upper) / step

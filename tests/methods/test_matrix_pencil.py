@@ -41,6 +41,14 @@ def test_exact_samples_give_the_groups_exactly(p: dict[str, float], pencil: floa
     np.testing.assert_allclose(found, [p["k"] / p["m"], p["c"] / p["m"]], rtol=1e-7, atol=1e-8)
 
 
+def test_an_offset_is_a_third_exponential() -> None:
+    values = closed_form(PLANT, 0.8, 0.5, TIMES) + 2.5
+    problem = Problem(SDOF(), (Record((Channel(TIMES, values, offset=True),)),))
+    found = groups(problem)
+    np.testing.assert_allclose(found.mean, [9.0 / 1.3, 0.6 / 1.3], rtol=1e-7)
+    assert found.dof == 25 - 5
+
+
 def test_four_samples_are_pronys() -> None:
     """Four values of two exponentials obey ``y_{j+2} + a y_{j+1} + b y_j = 0``: two equations for a and b, whose roots
     are the poles. With noise too, since four values are always two exponentials.
