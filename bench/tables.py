@@ -44,6 +44,8 @@ TITLES = {
     "collocation": "Spline collocation", "collocation_bootstrap": "Spline collocation, bootstrap",
     "pinn_ensemble": "PINN, ensemble (paper's way)", "ls": "LS, finite differences",
     "ls_spline": "LS, smoothing spline", "rls": "RLS", "sindy": "SINDy", "ddnn": "DDNN",
+    "output_error": "Output error, one start", "matrix_pencil": "Matrix pencil",
+    "log_decrement": "Logarithmic decrement",
 }  # fmt: skip
 PAPER_METHODS = {"ls": "ls", "rls": "rls", "ddnn": "ddnn", "pinn_adam": "pinn", "pinn": "pinn"}
 """Which of the paper's methods a method of ours is compared with."""

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -430,6 +430,16 @@ def too_fast(system: System, p: Mapping[str, np.ndarray], state: np.ndarray, tim
 # ------------------------------------------------------------------------------- the spline fit, and the bootstrap
 
 
+class World(Protocol):
+    """What synthetic records are drawn from: a response (n_dof, n) a record, and its noise (n_dof,) a record."""
+
+    @property
+    def centres(self) -> tuple[np.ndarray, ...]: ...
+
+    @property
+    def noise(self) -> tuple[np.ndarray, ...]: ...
+
+
 @dataclass(frozen=True, eq=False)
 class SplineFit:
     """The regression on smoothing splines: unknowns (q,), the smoother and weight used, and what the data look like.
@@ -574,12 +584,12 @@ def smoothings(regression: Regression, fit: SplineFit, values: Values) -> list[t
 
 
 def bootstrap_covariance(
-    fit: SplineFit, fitter: Callable[[Values], np.ndarray], rng: np.random.Generator, count: int
+    fit: World, fitter: Callable[[Values], np.ndarray], rng: np.random.Generator, count: int
 ) -> np.ndarray | None:
     """Covariance (q, q) of what ``fitter`` finds in ``count`` synthetic data sets; None where too few can be fitted.
 
     The parametric bootstrap (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, section 6.5): records are
-    drawn from the response that explains the data best plus white noise of its misfit, and fitted like the data.
+    drawn from the response of a fit plus white noise of its misfit, and fitted like the data.
     ``fitter`` maps displacements (n_dof, count, n) a record to unknowns (count, q). It measures spread, not bias.
     """
     drawn = [

@@ -33,12 +33,10 @@ from bench import (
     Estimate,
     Identifier,
     InitialState,
-    Normal,
     Ops,
     Problem,
     Record,
     Serves,
-    SimulatedResponse,
     Status,
     System,
     acceleration,
@@ -47,7 +45,7 @@ from bench import (
     simulate,
     state_rate,
 )
-from methods.spectral import OutputError, screened, silent
+from methods.spectral import OutputError, estimate_at, screened, silent
 
 SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
 MAX_SUBSTEPS = SUBSTEPS[-1]
@@ -510,45 +508,12 @@ def _reduced(
 
 def _estimate(model: OutputError, fit: _Fit, cost: Cost) -> Estimate:
     """The answer in the units of the model's problem."""
-    system, covariance = model.system, model.covariance(fit.slopes, fit.sigma)
+    covariance = model.covariance(fit.slopes, fit.sigma)
     if covariance is None:
         return Estimate.failed(
-            system,
+            model.system,
             Status.DIVERGED,
             "the data leave a parameter open; give more samples, a known force or a prior",
             cost,
         )
-    k = len(model.free)
-    dof = max(model.data.size - fit.used, 1.0)
-    p = {name: float(value) for name, value in model.parameters(fit.theta).items()}
-    starts = tuple(
-        start if isinstance(start, InitialState) else InitialState(start[0], start[1])
-        for start in model.starts(fit.theta)
-    )
-    logs, spread = fit.theta[:k], covariance[:k, :k]
-    parameters = groups = None
-    if len(model.free) == len(system.names):
-        parameters = Normal(system.names, logs, spread, log=True, dof=dof)
-    else:
-        # the gauge is 1 here, so a group is exp(weights . logs): first order (delta method) for its covariance
-        powers = np.array([group.vector(model.free) for group in system.groups])
-        values = np.array([group.value(p) for group in system.groups])
-        groups = Normal(
-            tuple(group.name for group in system.groups),
-            values,
-            values[:, None] * (powers @ spread @ powers.T) * values,
-            log=False,
-            dof=dof,
-        )
-    return Estimate(
-        system,
-        parameters=parameters,
-        groups=groups,
-        reconstructions=tuple(
-            SimulatedResponse(system, p, start, record.forces)
-            for start, record in zip(starts, model.problem.records, strict=True)
-        ),
-        initial_states=starts,
-        offsets=tuple(map(float, model.offsets(fit.theta))),
-        cost=cost,
-    )
+    return estimate_at(model, fit.theta, covariance, fit.used, cost)

@@ -23,11 +23,15 @@ from scipy.optimize import nnls
 
 from bench import (
     Channel,
+    Cost,
+    Estimate,
     Force,
     InitialState,
+    Normal,
     Prior,
     Problem,
     Record,
+    SimulatedResponse,
     System,
     fitted_start,
     measurements,
@@ -246,6 +250,43 @@ class OutputError:
             means = [np.mean(residuals[self.channel_of == i]) for i in self.offset_channels]
             theta[at:] = np.where(np.isfinite(means), means, 0.0)
         return theta
+
+
+def estimate_at(
+    model: OutputError, theta: np.ndarray, covariance: np.ndarray | None, used: float, cost: Cost, message: str = ""
+) -> Estimate:
+    """The answer that ``theta`` is, in the model's units: all parameters, or the groups where the gauge mass is fixed.
+
+    ``covariance`` (size, size) is that of theta, Student's t with ``N - used`` degrees of freedom, or None.
+    """
+    system, k = model.system, len(model.free)
+    dof = max(model.data.size - used, 1.0)
+    p = {name: float(value) for name, value in model.parameters(theta).items()}
+    starts = tuple(s if isinstance(s, InitialState) else InitialState(s[0], s[1]) for s in model.starts(theta))
+    spread = None if covariance is None else covariance[:k, :k]
+    parameters = groups = None
+    if k == len(system.names):
+        parameters = Normal(system.names, theta[:k], spread, log=True, dof=dof)
+    else:
+        # the gauge is 1 here, so a group is exp(weights . logs): first order (delta method) for its covariance
+        powers = np.array([group.vector(model.free) for group in system.groups])
+        values = np.array([group.value(p) for group in system.groups])
+        if spread is not None:
+            spread = values[:, None] * (powers @ spread @ powers.T) * values
+        groups = Normal(tuple(group.name for group in system.groups), values, spread, log=False, dof=dof)
+    return Estimate(
+        system,
+        parameters=parameters,
+        groups=groups,
+        reconstructions=tuple(
+            SimulatedResponse(system, p, start, record.forces)
+            for start, record in zip(starts, model.problem.records, strict=True)
+        ),
+        initial_states=starts,
+        offsets=tuple(map(float, model.offsets(theta))),
+        message=message,
+        cost=cost,
+    )
 
 
 def silent(problem: Problem) -> bool:
