@@ -55,7 +55,7 @@ def error_names(scenario: Scenario) -> list[str]:
 
 @dataclass
 class Comparison:
-    """Root mean square errors over the oracle's on the same data, and over the bound; seconds a fit, median."""
+    """Root mean square errors over the oracle's on the same data, and over the bound; processor seconds a fit, median."""
 
     names: list[str]
     over_oracle: np.ndarray
@@ -69,9 +69,9 @@ def compare(method: Identifier, scenario: Scenario, replicates: int, bound: bool
     own, oracle, seconds = [], [], []
     for i, (problem, truth) in enumerate(scenario.replicates(SEED, replicates)):
         rng = scenario.stream(METHOD, SEED, i)
-        started = time.perf_counter()
+        started = time.process_time()
         estimate = method.identify(problem, rng)
-        seconds.append(time.perf_counter() - started)
+        seconds.append(time.process_time() - started)
         own.append(score(combine_with_prior(estimate, problem.prior).checked(), problem, truth))
         oracle.append(score(oracle_estimate(problem, truth), problem, truth))
     names = error_names(scenario)

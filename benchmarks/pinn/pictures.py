@@ -63,7 +63,7 @@ def scaling_picture(data: dict[str, Any], out: Path) -> list[Path]:
         axes[1, column].set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     ratios = [point["ratio"] for own in data.values() for point in own]
     axes[1, 0].set_ylim(0.0, min(max(2.0, 1.1 * np.nanmax(ratios)), 10.0))
-    axes[0, 0].set_ylabel("seconds a fit")
+    axes[0, 0].set_ylabel("processor seconds a fit")
     axes[1, 0].set_ylabel("error / oracle's")
     axes[0, 0].legend(frameon=False, fontsize=8)
     return save_figure(figure, out, "pinn_scaling")

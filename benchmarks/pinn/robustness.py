@@ -33,7 +33,7 @@ def accuracy(replicates: int, advance: Advance) -> Part:
                 rows.append([name, told, str(snr), *over_oracle, *over_bound, f"{found.seconds:.3f}", ok])
                 advance(replicates)
     columns = ["method", "start", "SNR (dB)", "rmse / oracle", "k/m / oracle", "c/m / oracle"]
-    columns += ["rmse / bound", "k/m / bound", "c/m / bound", "s a fit", "ok"]
+    columns += ["rmse / bound", "k/m / bound", "c/m / bound", "CPU s a fit", "ok"]
     text = (
         f"Root mean square errors over {replicates} data sets of the reference system (seed {SEED}, in no table), "
         "divided by those of the oracle (maximum a posteriori from the truth) on the same data, and by the bound. "
@@ -57,7 +57,7 @@ def systems(replicates: int, advance: Advance) -> Part:
                 rest = [f"{found.over_oracle.max():.2f}", f"{found.seconds:.2f}", ok]
                 rows.append([name, system, told, *excess, *rest])
                 advance(replicates)
-    columns = ["method", "system", "start", "rmse / bound", "largest excess", "largest / oracle", "s a fit", "ok"]
+    columns = ["method", "system", "start", "rmse / bound", "largest excess", "largest / oracle", "CPU s a fit", "ok"]
     text = f"{replicates} data sets each, seed {SEED}; excess is the root mean square error over the bound."
     return Part("systems", "Two masses, and a nonlinear spring", text, columns, rows)
 
