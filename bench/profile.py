@@ -190,7 +190,7 @@ def _profile(
 def draw_profiles(found: Sequence[Profile], truth: dict[str, float], prior: Prior | None) -> Any:
     """One panel a quantity: profile, threshold, the true value, and what the prior says of it."""
     plt = pyplot()
-    columns = min(4, len(found))
+    columns = min(4, max(3, math.ceil(math.sqrt(len(found)))))
     rows = -(-len(found) // columns)
     figure, axes = plt.subplots(rows, columns, figsize=(2.6 * columns, 2.2 * rows), layout="constrained", squeeze=False)
     for axis in axes.flat[len(found) :]:
@@ -206,7 +206,8 @@ def draw_profiles(found: Sequence[Profile], truth: dict[str, float], prior: Prio
         axis.axhline(THRESHOLD, color="0.4", ls="--", lw=0.8, label="ends of the 95 % interval")
         axis.axvline(q.value(truth), color="0.4", ls=":", lw=1.0, label="true value")
         axis.set(ylim=(-0.2, 3 * THRESHOLD), xlim=(x[0], x[-1]))
-        axis.set_title(f"{q.name.replace('_over_', '/')} ({q.unit})" if q.unit != "-" else q.name, fontsize=9)
+        axis.set_title(q.name.replace("_over_", "/") + (f" ({q.unit})" if q.unit != "-" else ""), fontsize=9)
+        axis.locator_params(axis="x", nbins=4)
         axis.grid(alpha=0.3)
     for row in axes:
         row[0].set_ylabel("fall of log-likelihood", fontsize=8)

@@ -61,8 +61,10 @@ class Structure:
         if bent:
             ways = "one more way" if bent == 1 else f"{bent} more ways"
             lines.append(f"the parameters can change in {ways} together that no fixed powers describe")
-        told = ", ".join(readable(group) for group in self.groups) or "none"
-        lines.append(f"identifiable products of powers are the products of: {told}")
+        if self.groups:
+            lines.append(f"identifiable: {', '.join(map(readable, self.groups))}, and any product of their powers")
+        if len(self.groups) < self.rank:
+            lines.append(f"and {self.rank - len(self.groups)} more functions that are no products of powers (sums)")
         return lines
 
 
