@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import null_space
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
@@ -29,10 +28,11 @@ from bench.systems import Quantity, System
 
 THRESHOLD = float(chi2.ppf(0.95, 1)) / 2
 """The fall of the log-likelihood at the ends of a 95 % interval (Wilks, Ann. Math. Statistics 9:60, 1938)."""
-POINTS = 10
+POINTS = 8
 """Points on each side of the estimate."""
-REACH, FARTHEST = 4.0, math.log(4.0)
+REACH, FARTHEST = 3.2, math.log(4.0)
 """How far from the estimate: bounds on the standard deviation, but no farther than this in the logarithm."""
+TOO_FAR = FARTHEST + 2.5
 ROUNDS = 8
 STEP = 1e-5
 CAPTION = (
@@ -72,10 +72,13 @@ class Profile:
 
 
 class _Likelihood:
-    """The log-likelihood over ``phi``: log-parameters, then the start over its scale where it is not told."""
+    """The log-likelihood over ``phi``: log-parameters, then the start over its scale where it is not told.
 
-    def __init__(self, system: System, record: Record) -> None:
-        self.system, self.record = system, record
+    Log-parameters stay within TOO_FAR of ``centre``.
+    """
+
+    def __init__(self, system: System, record: Record, centre: np.ndarray) -> None:
+        self.system, self.record, self.centre = system, record, centre
         self.y = np.concatenate([channel.values for channel in record.channels])
         self.counts = [channel.n for channel in record.channels]
         size = float(np.max(np.abs(self.y))) or 1.0
@@ -91,6 +94,11 @@ class _Likelihood:
         start = phi[len(names) :] * self.scale.reshape(-1, *(1,) * (phi.ndim - 1))
         return measurements(self.system, p, (start[:n], start[n:]), self.record) - self.y
 
+    def _trial(self, phi: np.ndarray) -> np.ndarray:
+        """The residuals of one ``phi``, infinite where it is too far: a step that the solver takes back."""
+        far = np.abs(phi[: len(self.centre)] - self.centre) > TOO_FAR
+        return np.full(self.y.size, np.inf) if np.any(far) else self.residuals(phi)
+
     def _levels(self, residuals: np.ndarray) -> np.ndarray:
         """The noise level of each channel by its residuals, never quite zero."""
         parts = np.split(residuals, np.cumsum(self.counts)[:-1])
@@ -100,14 +108,17 @@ class _Likelihood:
         """The best point of ``base + directions @ u`` from u = 0, directions (n_phi, n_free), and its log-likelihood.
 
         Least squares with the channels weighted by their own residuals, until the weights stay: where they do, the
-        gradient is that of the likelihood with the noise levels profiled out.
+        gradient is that of the likelihood with the noise levels profiled out. Where ``base`` is too far or its response
+        diverges the log-likelihood is -inf.
         """
+        if not np.all(np.isfinite(self._trial(base))):
+            return base, -math.inf
         levels = self._levels(self.residuals(base))
         for _ in range(ROUNDS if len(self.counts) > 1 else 1):
             weights = 1.0 / np.repeat(levels, self.counts)
 
             def misfit(u: np.ndarray, base: np.ndarray = base, weights: np.ndarray = weights) -> np.ndarray:
-                return np.asarray(weights * self.residuals(base + directions @ u))
+                return np.asarray(weights * self._trial(base + directions @ u))
 
             def slopes(u: np.ndarray, base: np.ndarray = base, weights: np.ndarray = weights) -> np.ndarray:
                 both = np.concatenate([STEP * directions, -STEP * directions], axis=1)
@@ -142,8 +153,8 @@ def profiles(
     record = problem.records[0]
     if measured:
         record = replace(record, channels=tuple(c for c in record.channels if c.dof in measured))
-    likelihood = _Likelihood(system, record)
     first = np.log([scenario.parameters[name] for name in system.names])
+    likelihood = _Likelihood(system, record, first)
     if scenario.told == "unknown":
         start = np.concatenate([scenario.start.displacement, scenario.start.velocity])
         first = np.concatenate([first, start / likelihood.scale])
@@ -165,20 +176,27 @@ def _profile(
     names = likelihood.system.names
     w = np.zeros((1, len(best)))
     w[0, : len(names)] = quantity.vector(names)
-    # scalings that leave the quantity as it is have nothing to make up for: the fit does not walk along them
-    idle = null_space((scalings @ w.T).T).T @ scalings if len(scalings) else scalings
-    directions = _complement(np.concatenate([w, idle]))
     step = min(REACH * sd, FARTHEST) / POINTS
-    move = step * w[0] / (w @ w.T).item()
+    way = w[0] @ scalings.T @ scalings
+    if np.any(way):
+        # a scaling changes the quantity: along it the response, hence the maximum, should stay as it is; no fit is
+        # needed, only the likelihood there
+        directions = np.zeros((len(best), 0))
+    else:
+        # scalings leave the quantity as it is: the fit need not walk along them
+        way, directions = w[0], _complement(np.concatenate([w, scalings]))
+    move = step * way / (w @ way).item()
     drops = {0: 0.0}
     for side in (-1, 1):
         phi, before = best, best - side * move
         for i in range(1, POINTS + 1):
             # start where the last two points point to, at the wanted value of the quantity
             ahead = 2 * phi - before
-            ahead += w[0] * (side * step - (w @ (ahead - phi)).item()) / (w @ w.T).item()
-            before = phi
+            ahead += move * (side - (w @ (ahead - phi)).item() / step)
+            straight, before = phi + side * move, phi
             phi, height = likelihood.maximise(ahead, directions)
+            if height == -math.inf:
+                phi, height = likelihood.maximise(straight, directions)
             drops[side * i] = highest - height
     estimate = float(quantity.value({n: math.exp(v) for n, v in zip(names, best, strict=False)}))
     order = sorted(drops)

@@ -117,7 +117,7 @@ def structure(
     n = len(system.names)
     lost: list[list[Any]] = []  # spans what is lost at any of the points
     told_rows: list[list[Any]] = []  # spans what is told at any of them
-    rank = settled = seed = 0
+    rank, settled, seed = -1, 0, 0
     while settled < SETTLED:
         try:
             rows = _jacobian(system, measured, told, forced, start, random.Random(seed))
@@ -125,12 +125,17 @@ def structure(
             if start is None:
                 raise
             return structure(system, measured, told, forced, None)
+        seed += 1
         here = [row[:n] for row in _null(rows, len(rows[0]))]
         own = _null(here, n)
-        dimensions = len(lost), len(told_rows)
-        lost, told_rows = _basis([*lost, *here], n), _basis([*told_rows, *own], n)
-        settled = settled + 1 if dimensions == (len(lost), len(told_rows)) else 0
-        rank, seed = max(rank, len(own)), seed + 1
+        if len(own) > rank:  # what came before were special points
+            rank, settled, lost, told_rows = len(own), 0, [], []
+        if len(own) == rank:
+            dimensions = len(lost), len(told_rows)
+            lost, told_rows = _basis([*lost, *here], n), _basis([*told_rows, *own], n)
+            settled = settled + 1 if dimensions == (len(lost), len(told_rows)) else 0
+        if rank == n:
+            break
     groups = tuple(_quantity(system, row) for row in _null(lost, n))
     scalings = tuple(_leading_positive(_integers(row)) for row in _null(told_rows, n))
     at_start = start is not None

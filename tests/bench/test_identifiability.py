@@ -297,9 +297,10 @@ def test_profiles_are_flat_or_end_where_a_curve_fit_says(reference: Scenario) ->
 def test_the_fit_is_a_maximum_of_the_likelihood_with_every_noise_level_profiled_out() -> None:
     """Two channels of unequal noise: no step from the fitted point raises -sum n log(rss)/2, written out here."""
     record = CHAIN_FREE.replicates(0, 1)[0][0].records[0]
-    likelihood = _Likelihood(Chain(2), record)
+    first = np.log(list(CHAIN_TRUE.values()))
+    likelihood = _Likelihood(Chain(2), record, first)
     start = np.concatenate([CHAIN_FREE.start.displacement, CHAIN_FREE.start.velocity]) / likelihood.scale
-    best, height = likelihood.maximise(np.concatenate([np.log(list(CHAIN_TRUE.values())), start]), np.eye(10)[:, 1:])
+    best, height = likelihood.maximise(np.concatenate([first, start]), np.eye(10)[:, 1:])
 
     def written_out(phi: np.ndarray) -> float:
         halves = np.split(likelihood.residuals(phi), 2)
