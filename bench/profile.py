@@ -33,7 +33,7 @@ POINTS = 8
 REACH, FARTHEST = 3.2, math.log(4.0)
 """How far from the estimate: bounds on the standard deviation, but no farther than this in the logarithm."""
 TOO_FAR = FARTHEST + 2.5
-ROUNDS = 8
+ROUNDS, HALVINGS = 8, 6
 STEP = 1e-5
 CAPTION = (
     "Profile likelihoods on one replicate: each quantity is held and the rest fitted again, the noise level too. No "
@@ -54,7 +54,7 @@ class Profile:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The 95 % interval; 0 or inf for a side on which the profile does not reach the threshold.
+        """The 95 % interval; 0 or inf for a side on which the profile does not reach the threshold, or breaks off.
 
         Interpolated in the square root of the drop, which is a straight line for a parabola.
         """
@@ -63,6 +63,8 @@ class Profile:
         for side, outside in ((range(middle, -1, -1), 0.0), (range(middle, len(root)), math.inf)):
             end = outside
             for i, j in zip(side, list(side)[1:], strict=False):
+                if math.isinf(root[j]):
+                    break
                 if root[i] < math.sqrt(THRESHOLD) <= root[j]:
                     part = (math.sqrt(THRESHOLD) - root[i]) / (root[j] - root[i])
                     end = float(np.exp(logs[i] + part * (logs[j] - logs[i])))
@@ -186,18 +188,32 @@ def _profile(
         # scalings leave the quantity as it is: the fit need not walk along them
         way, directions = w[0], _complement(np.concatenate([w, scalings]))
     move = step * way / (w @ way).item()
-    drops = {0: 0.0}
-    for side in (-1, 1):
+    drops, fitted = {0.0: 0.0}, {0.0: best}
+
+    def visit(at: float, start: np.ndarray, fallback: np.ndarray) -> None:
+        phi, height = likelihood.maximise(start, directions)
+        if height == -math.inf:
+            phi, height = likelihood.maximise(fallback, directions)
+        drops[at], fitted[at] = highest - height, phi
+
+    for side in (-1.0, 1.0):
         phi, before = best, best - side * move
         for i in range(1, POINTS + 1):
             # start where the last two points point to, at the wanted value of the quantity
             ahead = 2 * phi - before
             ahead += move * (side - (w @ (ahead - phi)).item() / step)
-            straight, before = phi + side * move, phi
-            phi, height = likelihood.maximise(ahead, directions)
-            if height == -math.inf:
-                phi, height = likelihood.maximise(straight, directions)
-            drops[side * i] = highest - height
+            visit(side * i, ahead, phi + side * move)
+            phi, before = fitted[side * i], phi
+        low = next((i for i in range(POINTS) if drops[side * (i + 1)] >= THRESHOLD), None)
+        if low is not None:
+            inner, outer = side * low, side * (low + 1)
+            for _ in range(HALVINGS):  # a fit that comes to an end, at a parameter of zero, has a kink there
+                if math.sqrt(max(drops[outer], 0)) - math.sqrt(max(drops[inner], 0)) < 1.0:
+                    break
+                middle = (inner + outer) / 2
+                start = fitted[inner] + (middle - inner) * move
+                visit(middle, start, start)
+                inner, outer = (middle, outer) if drops[middle] < THRESHOLD else (inner, middle)
     estimate = float(quantity.value({n: math.exp(v) for n, v in zip(names, best, strict=False)}))
     order = sorted(drops)
     drop = np.array([drops[i] for i in order])
