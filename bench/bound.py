@@ -17,6 +17,7 @@ import multiprocessing
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -28,7 +29,7 @@ from bench.mechanics import rk4_step
 from bench.problem import Force
 from bench.scenario import Scenario
 from bench.simulate import interval_ends, longest_step
-from bench.systems import Ops, System
+from bench.systems import Ops, Quantity, System
 
 REFINE = 12
 """Integration steps per step that plain simulation would take."""
@@ -125,48 +126,110 @@ def sensitivities(scenario: Scenario, seed: int, times: np.ndarray) -> tuple[np.
     return np.asarray(response(theta)), np.asarray(jax.jacfwd(response)(theta))
 
 
+@dataclass(frozen=True, eq=False)
+class Information:
+    """What data and prior tell to first order: Fisher information ``data`` and diagonal ``precision`` of the prior.
+
+    Over the log-parameters ``names``, then the initial displacements and velocities where they are not told.
+    """
+
+    names: tuple[str, ...]
+    data: np.ndarray
+    precision: np.ndarray
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """The bound on the covariance; on the informed directions only, where some are not."""
+        return _pseudo_inverse(self.data + np.diag(self.precision))
+
+    @cached_property
+    def null_space(self) -> np.ndarray:
+        """Directions of the log-parameters that the data cannot tell, orthonormal rows over ``names``."""
+        return _null_space(self.data, len(self.names))
+
+    @cached_property
+    def _untold(self) -> np.ndarray:
+        return _null_space(self.data + np.diag(self.precision), len(self.names))
+
+    def _exponents(self, quantity: Quantity) -> np.ndarray:
+        w = np.zeros(len(self.precision))
+        w[: len(self.names)] = quantity.vector(self.names)
+        return w
+
+    def identifiable(self, quantity: Quantity) -> bool:
+        """Whether the data alone tell a quantity."""
+        return _orthogonal(self.null_space, quantity.vector(self.names))
+
+    def variance(self, quantity: Quantity) -> float:
+        """The bound on the variance of the quantity's logarithm; inf where neither data nor prior tell it."""
+        if not _orthogonal(self._untold, quantity.vector(self.names)):
+            return float("inf")
+        w = self._exponents(quantity)
+        return float(w @ self.covariance @ w)
+
+    def prior_share(self, quantity: Quantity) -> float:
+        """The part of that variance that comes from the prior's error; 0 where nothing tells the quantity."""
+        w, variance = self._exponents(quantity), self.variance(quantity)
+        from_prior = self.covariance @ np.diag(self.precision) @ self.covariance
+        return float(w @ from_prior @ w / variance) if 0 < variance < np.inf else 0.0
+
+    def condition(self, with_prior: bool) -> tuple[float, int]:
+        """Condition number of the information scaled to a unit diagonal, and how many directions it leaves out.
+
+        Those left out are uninformed: their eigenvalue is zero to within rounding.
+        """
+        values = np.linalg.eigvalsh(_scaled(self.data + with_prior * np.diag(self.precision))[0])
+        informed = values[values >= RANK_TOLERANCE * values[-1]]
+        return float(informed[-1] / informed[0]), len(values) - len(informed)
+
+
+def _orthogonal(directions: np.ndarray, exponents: Sequence[float]) -> bool:
+    return not directions.size or float(np.max(np.abs(directions @ np.asarray(exponents)))) < 1e-5
+
+
+def information(scenario: Scenario, seed: int = 0, measured: Sequence[int] | None = None) -> Information:
+    """The information in displacements of the ``measured`` DOFs (all by default), at the truth, undisturbed."""
+    scenario = scenario.undisturbed
+    _, gradient = sensitivities(scenario, seed, scenario.times)
+    return _information(scenario, seed, gradient, measured)
+
+
+def _information(
+    scenario: Scenario, seed: int, gradient: np.ndarray, measured: Sequence[int] | None = None
+) -> Information:
+    """From the sensitivities at the samples, shape (n_dof, n_samples, n_parameters + 2 n_dof)."""
+    system = scenario.make_system()
+    free = len(system.names) if scenario.told == "known" else gradient.shape[2]
+    scaled = gradient[..., :free] / scenario.sigmas(seed)[:, None, None]
+    if measured is not None:
+        scaled = scaled[list(measured)]
+    precision = np.zeros(free)
+    if scenario.prior is not None:
+        kinds = [scenario.prior.sd_by_kind[p.kind] for p in system.parameters]
+        precision[: len(kinds)] = 1.0 / np.array(kinds) ** 2
+    return Information(system.names, np.einsum("dti,dtj->ij", scaled, scaled), precision)
+
+
 def compute_bound(scenario: Scenario, seed: int = 0) -> Bound:
     """The bound of a scenario without its disturbance; ``seed`` matters only where it draws a force."""
     scenario = scenario.undisturbed
     system = scenario.make_system()
-    names, n_parameters = system.names, len(system.names)
     times = np.unique(np.concatenate([scenario.times, scenario.dense_times, scenario.forecast_times]))
     _, gradient = sensitivities(scenario, seed, times)
-    free = n_parameters if scenario.told == "known" else gradient.shape[2]
-    gradient = gradient[..., :free]
-    at_samples = gradient[:, np.searchsorted(times, scenario.times)] / scenario.sigmas(seed)[:, None, None]
-    data = np.einsum("dti,dtj->ij", at_samples, at_samples)
-    precision = np.zeros(free)
-    if scenario.prior is not None:
-        kinds = [scenario.prior.sd_by_kind[p.kind] for p in system.parameters]
-        precision[:n_parameters] = 1.0 / np.array(kinds) ** 2
-    covariance = _pseudo_inverse(data + np.diag(precision))
-    null = _null_space(data, n_parameters)
-    told = _null_space(data + np.diag(precision), n_parameters)
-    from_prior = covariance @ np.diag(precision) @ covariance
-
-    relative_sd, identifiable, share = {}, {}, {}
-    for q in system.quantities:
-        w = np.zeros(free)
-        w[:n_parameters] = q.vector(names)
-        variance = float(w @ covariance @ w)
-        identifiable[q.name] = not null.size or float(np.max(np.abs(null @ w[:n_parameters]))) < 1e-5
-        reachable = not told.size or float(np.max(np.abs(told @ w[:n_parameters]))) < 1e-5
-        relative_sd[q.name] = float(np.sqrt(variance)) if reachable else float("inf")
-        share[q.name] = float(w @ from_prior @ w / variance) if reachable and variance > 0 else 0.0
+    told = _information(scenario, seed, gradient[:, np.searchsorted(times, scenario.times)])
 
     def rms(at: np.ndarray) -> float:
-        g = gradient[:, np.searchsorted(times, at)]
-        return float(np.sqrt(np.mean(np.einsum("dti,ij,dtj->dt", g, covariance, g))))
+        g = gradient[:, np.searchsorted(times, at), : len(told.precision)]
+        return float(np.sqrt(np.mean(np.einsum("dti,ij,dtj->dt", g, told.covariance, g))))
 
     return Bound(
-        names=names,
-        relative_sd=relative_sd,
-        identifiable=identifiable,
-        prior_share=share,
+        names=system.names,
+        relative_sd={q.name: float(np.sqrt(told.variance(q))) for q in system.quantities},
+        identifiable={q.name: told.identifiable(q) for q in system.quantities},
+        prior_share={q.name: told.prior_share(q) for q in system.quantities},
         rmse=rms(scenario.dense_times),
         rmse_forecast=rms(scenario.forecast_times),
-        null_space=tuple(tuple(map(float, row)) for row in null),
+        null_space=tuple(tuple(map(float, row)) for row in told.null_space),
     )
 
 

@@ -33,7 +33,8 @@ fields (defaults in brackets):
   method.<setting>, system.<field>, disturbance.size    any setting of a method, any field of a system
 
 options: -m, --multirun   --cfg (print the configuration, run nothing)   --version   -h, --help
-tables from the stored cells: python -m bench.tables"""
+tables from the stored cells: python -m bench.tables
+what the data of a scenario can tell: python -m bench.identifiability system=chain2 snr=10"""
 
 SHOWN = ("rmse", "rmse_simulated", "rmse_forecast")
 
