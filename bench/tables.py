@@ -32,7 +32,7 @@ from bench.verdict import judge
 
 COLUMNS = (
     "table", "row", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high",
-    "bound", "excess", "n_ok", "n", "paper", "verdict",
+    "bound", "prior_share", "excess", "n_ok", "n", "paper", "verdict",
 )  # fmt: skip
 PRIMARY = ("k_over_m_error_pct", "c_over_m_error_pct", "rmse")
 """The metrics that methods are ranked on: what the data tell."""
@@ -41,17 +41,17 @@ HEADINGS = ("k/m error %", "c/m error %", "RMSE (m)", "m error %", "c error %", 
 TITLES = {
     "prior": "prior (no data)", "oracle": "oracle", "bound": "bound", "shooting": "Multiple shooting",
     "mcmc": "Bayesian MCMC", "pinn": "PINN", "pinn_adam": "PINN (paper's training)",
-    "collocation": "Spline collocation", "collocation_bootstrap": "Spline collocation, bootstrap",
-    "pinn_ensemble": "PINN, ensemble (paper's way)", "ls": "LS, finite differences",
+    "pinn_ensemble": "PINN, ensemble (paper's way)", "collocation": "Spline collocation",
+    "collocation_bootstrap": "Spline collocation, bootstrap", "output_error": "Output error, one cold start",
+    "matrix_pencil": "Matrix pencil", "log_decrement": "Logarithmic decrement", "ls": "LS, finite differences",
     "ls_spline": "LS, smoothing spline", "rls": "RLS", "sindy": "SINDy", "ddnn": "DDNN",
-    "output_error": "Output error, one start", "matrix_pencil": "Matrix pencil",
-    "log_decrement": "Logarithmic decrement",
 }  # fmt: skip
 PAPER_METHODS = {"ls": "ls", "rls": "rls", "ddnn": "ddnn", "pinn_adam": "pinn", "pinn": "pinn"}
 """Which of the paper's methods a method of ours is compared with."""
 LEGEND = """Each entry: median over the replicates, and after × the excess: root mean square error over the bound, 1
 being the best that an unbiased method can do. The row *bound* gives the Cramér-Rao bound on the root mean square (a
-median lies below a root mean square: about 0.67 of it for a normal error). *oracle* is maximum a posteriori started at
+median lies below a root mean square: about 0.67 of it for a normal error), and below it how much of its variance is the
+prior's: 0 % is told by the data, 100 % by the prior alone (`python -m bench.identifiability` says more). *oracle* is maximum a posteriori started at
 the truth, *prior* the nominal values without any data. Free vibration tells k/m and c/m only: m, and what follows from
 it, is decided by the prior. All 95 % intervals are in the CSV. A failed replicate counts as an infinite error in
 medians; the excess is over the successful ones. Bold: the method of least median error, and all that cannot be told
@@ -144,7 +144,9 @@ def _head(table: int, entry: Entry) -> dict[str, Any]:
 def _bound_lines(table: int, entry: Entry, stored: StoredCell) -> Iterable[dict[str, Any]]:
     for metric, summary in stored.summary.items():
         if math.isfinite(summary["bound"]):
-            yield {**_head(table, entry), "method": "bound", "metric": metric, "bound": summary["bound"]}
+            share = stored.prior_share.get(metric.removesuffix("_error_pct"), math.nan)
+            line = {"method": "bound", "metric": metric, "bound": summary["bound"], "prior_share": share}
+            yield {**_head(table, entry), **line}
 
 
 def _lines(table: int, entry: Entry, oracle: StoredCell | None) -> Iterable[dict[str, Any]]:
@@ -246,7 +248,11 @@ def _panel(table: int, data: pd.DataFrame, ranking: Ranking) -> tuple[list[list[
         ]
         n = by_metric.n.iloc[0]
         ok = "" if method == "bound" else f"{by_metric.n_ok.iloc[0]:.0f}/{n:.0f}" if n else "not run"
-        rows.append([*([str(row)] if first else []), TITLES.get(str(method), str(method)), *cells, ok])
+        head = [str(row)] if first else []
+        rows.append([*head, TITLES.get(str(method), str(method)), *cells, ok])
+        if method == "bound":
+            shares = [f"{100 * by_metric.prior_share.get(metric, math.nan):.0f} %" for metric in METRICS]
+            rows.append([*head, "of it from the prior", *("-" if s == "nan %" else s for s in shares), ""])
     return rows, [*([first] if first else []), "method", *HEADINGS, "ok"]
 
 

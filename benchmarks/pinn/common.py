@@ -55,7 +55,7 @@ def error_names(scenario: Scenario) -> list[str]:
 
 @dataclass
 class Comparison:
-    """Root mean square errors over the oracle's on the same data, and over the bound; median processor seconds a fit."""
+    """Root mean square errors over the oracle's on the same data and over the bound; median processor seconds a fit."""
 
     names: list[str]
     over_oracle: np.ndarray
