@@ -48,15 +48,15 @@ TITLES = {
 }  # fmt: skip
 PAPER_METHODS = {"ls": "ls", "rls": "rls", "ddnn": "ddnn", "pinn_adam": "pinn", "pinn": "pinn"}
 """Which of the paper's methods a method of ours is compared with."""
-LEGEND = """Each entry: median over the replicates, and after × the excess: root mean square error over the bound, 1 being the
-best that an unbiased method can do. The row *bound* gives the Cramér-Rao bound on the root mean square (a median
-lies below a root mean square: about 0.67 of it for a normal error), and below it how much of its variance is the
-prior's: 0 % is told by the data, 100 % by the prior alone (`python -m bench.identifiability` says more). *oracle*
+LEGEND = """Each entry: median over the replicates, and after × the excess: root mean square error over the bound, 1
+being the best that an unbiased method can do. The row *bound* gives the Cramér-Rao bound on the root mean square (a
+median lies below a root mean square: about 0.67 of it for a normal error), and below it how much of its variance is
+the prior's: 0 % is told by the data, 100 % by the prior alone (`python -m bench.identifiability` says more). *oracle*
 is maximum a posteriori started at the truth, *prior* the nominal values without any data. Free vibration tells k/m
 and c/m only: m, and what follows from it, is decided by the prior. All 95 % intervals are in the CSV. A failed
 replicate counts as an infinite error in medians; the excess is over the successful ones. Bold: the method of least
-median error, and all that cannot be told from it on the same data (Wilcoxon's signed-rank test, Holm's adjustment,
-5 %) or are less than 2 % from it."""
+median error, and all that cannot be told from it on the same data (Wilcoxon's signed-rank test, Holm's adjustment, 5
+%) or are less than 2 % from it."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.compare import Errors, against_best, compare, holm, log_ratios, profile, signed_rank
+from bench.compare import Errors, against_best, compare, differences, holm, log_ratios, profile, signed_rank
 from bench.errors import InputError
 
 ONE = np.zeros(100, int)
@@ -64,6 +64,14 @@ def test_the_best_and_its_ties_with_unequal_replicates() -> None:
     best, found = against_best({"a": base, "b": b, "c": 4.0 * base[:20]})
     assert best == "a"
     assert {c.a: c.tie for c in found} == {"b": True, "c": False}
+
+
+def test_differences_are_in_units_of_their_scenario() -> None:
+    """Median errors 2 and 20; both failing is no difference, one failing an infinite one."""
+    a, b = np.array([3.0, 2.0, 30.0, 20.0, np.inf, np.inf]), np.array([1.0, 2.0, 10.0, 20.0, np.inf, 4.0])
+    found = differences(a, b, np.array([0, 0, 1, 1, 2, 2]))
+    np.testing.assert_allclose(found[:5], [1.0, 0.0, 1.0, 0.0, 0.0])
+    assert found[5] == np.inf
 
 
 def test_clusters_widen_the_interval() -> None:
