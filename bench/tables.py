@@ -36,6 +36,8 @@ COLUMNS = (
 )  # fmt: skip
 PRIMARY = ("k_over_m_error_pct", "c_over_m_error_pct", "rmse")
 """The metrics that methods are ranked on: what the data tell."""
+GROSS = 2.0
+"""A method whose excess is this many times the best's is not marked as tied: it fails grossly now and then."""
 METRICS = ("k_over_m_error_pct", "c_over_m_error_pct", "rmse", "m_error_pct", "c_error_pct", "k_error_pct")
 HEADINGS = ("k/m error %", "c/m error %", "RMSE (m)", "m error %", "c error %", "k error %")
 TITLES = {
@@ -56,7 +58,7 @@ is maximum a posteriori started at the truth, *prior* the nominal values without
 and c/m only: m, and what follows from it, is decided by the prior. All 95 % intervals are in the CSV. A failed
 replicate counts as an infinite error in medians; the excess is over the successful ones. Bold: the method of least
 median error, and all that cannot be told from it on the same data (Wilcoxon's signed-rank test, Holm's adjustment, 5
-%) or are less than 2 % from it."""
+%) or are less than 2 % from it, unless gross errors now and then double its excess."""
 
 
 @dataclass(frozen=True)
@@ -243,8 +245,9 @@ def _panel(table: int, data: pd.DataFrame, ranking: Ranking) -> tuple[list[list[
     for (row, method), lines in data.groupby(["row", "method"], sort=False):
         by_metric = lines.set_index("metric")
         cells = [_entry(by_metric, metric, method == "bound") for metric in METRICS]
+        excess = {metric: _excesses(data, row, metric) for metric in PRIMARY}
         cells = [
-            f"**{cell}**" if _leads(ranking.get((str(row), metric)), str(method)) else cell
+            f"**{cell}**" if _leads(ranking.get((str(row), metric)), str(method), excess.get(metric, {})) else cell
             for cell, metric in zip(cells, METRICS, strict=True)
         ]
         n = by_metric.n.iloc[0]
@@ -257,12 +260,18 @@ def _panel(table: int, data: pd.DataFrame, ranking: Ranking) -> tuple[list[list[
     return rows, [*([first] if first else []), "method", *HEADINGS, "ok"]
 
 
-def _leads(ranking: tuple[str, list[Comparison]] | None, method: str) -> bool:
-    """Whether a method is the best of its row, or tied with it."""
+def _excesses(data: pd.DataFrame, row: Any, metric: str) -> dict[str, float]:
+    own = data[(data.row == row) & (data.metric == metric)]
+    return dict(zip(own.method, own.excess, strict=True))
+
+
+def _leads(ranking: tuple[str, list[Comparison]] | None, method: str, excess: Mapping[str, float]) -> bool:
+    """Whether a method is the best of its row, or tied with it and free of the gross errors that ranks do not see."""
     if ranking is None:
         return False
     best, others = ranking
-    return method == best or any(c.a == method and c.tie for c in others)
+    gross = excess.get(method, math.nan) > GROSS * excess.get(best, math.nan)
+    return method == best or (not gross and any(c.a == method and c.tie for c in others))
 
 
 def _entry(by_metric: pd.DataFrame, metric: str, is_bound: bool) -> str:
