@@ -19,7 +19,7 @@ STYLES = {
     "pinn_adam": ("#E69F00", "P"), "collocation": ("#8C564B", "h"),
     "ls": ("#000000", "x"), "ls_spline": ("#555555", "+"), "rls": ("#999999", "1"),
     "sindy": ("#009E73", "^"), "ddnn": ("#CC79A7", "*"),
-    "output_error": ("#F0E442", "p"), "matrix_pencil": ("#882255", "d"), "log_decrement": ("#44AA99", "<"),
+    "output_error": ("#B5A300", "p"), "matrix_pencil": ("#882255", "d"), "log_decrement": ("#44AA99", "<"),
 }  # fmt: skip
 """A method's colour (Okabe and Ito's palette, greys, and a few of Tol's) and marker, the same in every picture."""
 COINCIDING = {"oracle": 16, "shooting": 13, "mcmc": 10, "collocation": 7.5}
