@@ -381,6 +381,8 @@ def write_tables(store: Store, out: Path, experiments: Sequence[str]) -> list[Pa
 
 def main(argv: Sequence[str] | None = None) -> int:
     """``python -m bench.tables [store=results/rows] [out=results]``; exit status 2 for bad input."""
+    from bench.leaderboard import leaderboard  # here, since it builds on this module
+
     arguments = list(sys.argv[1:] if argv is None else argv)
     if {"-h", "--help"} & set(arguments):
         print("usage: python -m bench.tables [store=results/rows] [out=results]\n\n" + str(__doc__))
@@ -393,6 +395,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         Store(out).prepare()
         for path in write_tables(store, out, table_experiments()):
             print(path)
+        for name, content in leaderboard(store).items():
+            (out / name).write_text(content, encoding="utf-8")
+            print(out / name)
     except InputError as error:
         print(f"bench.tables: {error}", file=sys.stderr)
         return 2
