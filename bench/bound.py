@@ -211,7 +211,10 @@ def _information(
 
 
 def compute_bound(scenario: Scenario, seed: int = 0) -> Bound:
-    """The bound of a scenario without its disturbance; ``seed`` matters only where it draws a force."""
+    """The bound of a scenario without its disturbance; ``seed`` matters only where it draws a force.
+
+    Where every replicate has a truth of its own there is no one bound: errors are then compared with infinity.
+    """
     scenario = scenario.undisturbed
     system = scenario.make_system()
     times = np.unique(np.concatenate([scenario.times, scenario.dense_times, scenario.forecast_times]))
@@ -222,13 +225,14 @@ def compute_bound(scenario: Scenario, seed: int = 0) -> Bound:
         g = gradient[:, np.searchsorted(times, at), : len(told.precision)]
         return float(np.sqrt(np.mean(np.einsum("dti,ij,dtj->dt", g, told.covariance, g))))
 
+    none = np.inf if scenario.truth_drawn else 1.0
     return Bound(
         names=system.names,
-        relative_sd={q.name: float(np.sqrt(told.variance(q))) for q in system.quantities},
+        relative_sd={q.name: none * float(np.sqrt(told.variance(q))) for q in system.quantities},
         identifiable={q.name: told.identifiable(q) for q in system.quantities},
         prior_share={q.name: told.prior_share(q) for q in system.quantities},
-        rmse=rms(scenario.dense_times),
-        rmse_forecast=rms(scenario.forecast_times),
+        rmse=none * rms(scenario.dense_times),
+        rmse_forecast=none * rms(scenario.forecast_times),
         null_space=tuple(tuple(map(float, row)) for row in told.null_space),
     )
 

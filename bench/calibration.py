@@ -58,9 +58,9 @@ def _judged(stored: StoredCell, name: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def markdown(data: pd.DataFrame) -> str:
+def markdown(data: pd.DataFrame, title: str) -> str:
     """The table for reading."""
-    parts = ["# Calibration of the stated uncertainties", LEGEND]
+    parts = [f"# {title}", LEGEND]
     for told, panel in data.groupby("initial_state", sort=False):
         rows = [_row(own) for _, own in panel.groupby(["method", "snr_db"], sort=False)]
         headers = ["method", "SNR (dB)", "n"]
@@ -88,10 +88,11 @@ def _row(own: pd.DataFrame) -> list[str]:
 
 def calibration_table(experiment: str, store: Store) -> dict[str, str]:
     """The files of the table by name; none where the store holds no cell of it."""
-    _, cells = described_cells(experiment)
+    title, cells = described_cells(experiment)
     found = [Entry("", cell, store.load(cell.identity)) for cell in cells]
     if all(entry.stored is None for entry in found):
         return {}
     data = lines(found)
-    text = f"{markdown(data)}\nRegenerate: `python -m bench -m experiment={experiment} && python -m bench.tables`\n"
-    return {"calibration.md": text, "calibration.csv": data.to_csv(index=False, float_format="%.5g")}
+    command = f"python -m bench -m experiment={experiment} && python -m bench.tables"
+    text = f"{markdown(data, title)}\nRegenerate: `{command}`\n"
+    return {f"{experiment}.md": text, f"{experiment}.csv": data.to_csv(index=False, float_format="%.5g")}

@@ -72,6 +72,7 @@ class PriorConfig(_Strict):
     name: str
     sd_by_kind: dict[Literal["mass", "damping", "stiffness", "other"], Positive] | None
     wrong: bool
+    draws: Literal["nominal", "truth"] = "nominal"
 
 
 class DisturbanceConfig(_Strict):
@@ -126,7 +127,7 @@ class Job:
         prior = self.config.prior
         if prior.sd_by_kind is None:
             return None
-        return PriorSpec(prior.name, {str(kind): sd for kind, sd in prior.sd_by_kind.items()}, prior.wrong)
+        return PriorSpec(prior.name, {str(kind): sd for kind, sd in prior.sd_by_kind.items()}, prior.wrong, prior.draws)
 
     def disturbance(self) -> Disturbance | None:
         """The disturbance; raises InputError where its settings do not make sense."""

@@ -22,13 +22,23 @@ NOISE, NOMINAL, FORCE_AXIS, METHOD, DISTURBANCE = range(5)
 """Axes of the seed tree: what a random stream is for. Streams of different axes never meet."""
 
 
+SNR_SPREAD = 10.0
+"""Half the range (dB) from which the SNR is drawn where the truth is."""
+
+
 @dataclass(frozen=True)
 class PriorSpec:
-    """How wide the nominal prior is, by kind of parameter, and whether its nominal values are calibrated."""
+    """How wide the nominal prior is, by kind of parameter, and whether its nominal values are calibrated.
+
+    ``draws``: ``nominal`` values are drawn around a fixed truth, replicate by replicate; or the ``truth`` (and with it
+    the noise level, uniform within :data:`SNR_SPREAD` dB) is drawn around fixed nominal values, as simulation-based
+    calibration asks (S. Talts et al., arXiv:1804.06788).
+    """
 
     name: str
     sd_by_kind: Mapping[str, float]
     wrong: bool = False
+    draws: Literal["nominal", "truth"] = "nominal"
 
 
 @dataclass(frozen=True)
@@ -107,7 +117,8 @@ class Scenario:
     def data_identity(self) -> dict[str, Any]:
         """What decides the data, and nothing else: neither the label nor what is told of them."""
         disturbance = {"disturbance": self.disturbance.identity()} if self.disturbance else {}
-        return self._undisturbed_identity() | disturbance
+        drawn = {"truth": "drawn"} if self.truth_drawn else {}
+        return self._undisturbed_identity() | disturbance | drawn
 
     def _undisturbed_identity(self) -> dict[str, Any]:
         return {
@@ -142,6 +153,11 @@ class Scenario:
     def _key(self) -> tuple[int, ...]:
         digest = hashlib.sha256(json.dumps(self._undisturbed_identity(), sort_keys=True).encode()).digest()
         return tuple(int.from_bytes(digest[i : i + 4], "big") for i in (0, 4))
+
+    @property
+    def truth_drawn(self) -> bool:
+        """Whether each replicate has a truth of its own."""
+        return self.prior is not None and self.prior.draws == "truth"
 
     @cached_property
     def undisturbed(self) -> Scenario:
@@ -181,9 +197,23 @@ class Scenario:
 
     def replicates(self, seed: int, n: int) -> list[tuple[Problem, Truth]]:
         """The first ``n`` replicates of a seed: the same noise and nominal values for every method."""
+        if self.truth_drawn:
+            return [self._drawn(seed, i) for i in range(n)]
         clean, dense = self._response(self.times, seed), self._response(self.dense_times, seed)
         forecast, sigma = self._response(self.forecast_times, seed), self.sigmas(seed)
         return [self._replicate(seed, i, clean, dense, forecast, sigma) for i in range(n)]
+
+    def _drawn(self, seed: int, index: int) -> tuple[Problem, Truth]:
+        """A replicate whose truth is drawn around the nominal values, which are this scenario's parameters."""
+        assert self.prior is not None
+        system, rng = self.make_system(), self.stream(NOMINAL, seed, index)
+        drawn = draw_prior(system, self.parameters, self.prior.sd_by_kind, rng)
+        snr = self.snr_db + rng.uniform(-SNR_SPREAD, SNR_SPREAD)
+        own = replace(self, parameters=drawn.nominal, snr_db=snr, prior=replace(self.prior, draws="nominal"))
+        clean, dense = own._response(own.times, seed), own._response(own.dense_times, seed)
+        forecast = own._response(own.forecast_times, seed)
+        problem, truth = own._replicate(seed, index, clean, dense, forecast, own.sigmas(seed))
+        return replace(problem, prior=Prior(dict(self.parameters), drawn.log_sd)), truth
 
     def sigmas(self, seed: int) -> np.ndarray:
         """Noise standard deviation of each channel (m): mean square of the clean samples over 10^(SNR/10)."""

@@ -44,7 +44,7 @@ def test_honest_and_halved_uncertainties_are_told_apart(found: list[Entry]) -> N
     # doubled scores beyond 1.96 are scores beyond 0.98: 67 % remain inside
     assert halved.coverage_95 == pytest.approx(0.67, abs=0.01)
     assert data.loc[("pinn", "c_over_m")].verdict == "-"
-    text = markdown(lines(found))
+    text = markdown(lines(found), "Calibration")
     assert "| 90.0" in text
     assert "too sure" in text
 

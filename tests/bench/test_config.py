@@ -103,12 +103,14 @@ def test_every_disturbance_in_conf_makes_data(name: str) -> None:
 
 @pytest.mark.parametrize("name", choices("prior"))
 def test_every_prior_in_conf_is_what_the_protocol_says(name: str) -> None:
-    protocol = {"nominal": (0.02, 1.0, 0.5), "wrong": (0.02, 1.0, 0.5), "handbook": (0.05, 0.3, 0.05), "none": None}
+    wide = (0.02, 1.0, 0.5)
+    protocol = {"nominal": wide, "wrong": wide, "drawn_truth": wide, "handbook": (0.05, 0.3, 0.05), "none": None}
     (cell,) = cells("method=oracle", f"prior={name}")
     spec = cell.scenario.prior
     found = None if spec is None else tuple(spec.sd_by_kind[kind] for kind in ("mass", "damping", "stiffness"))
     assert found == protocol[name]
     assert spec is None or spec.wrong == (name == "wrong")
+    assert cell.scenario.truth_drawn == (name == "drawn_truth")
 
 
 def test_an_experiment_sets_its_sweep_and_the_command_line_has_the_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,7 +157,7 @@ def test_the_robustness_experiment_tells_the_start_only_where_the_trigger_is_lat
         assert cell.replicates == (20 if cell.method == "mcmc" else 100)
     assert set(kinds["known"]) == {"none", "late_trigger"}
     assert set(kinds["unknown"]) == set(choices("disturbance")) - {"late_trigger"}
-    assert len({cell.identity for cell in found}) == len(found) == (9 + 2) * 9
+    assert len({cell.identity for cell in found}) == len(found) == (9 + 2) * 12  # disturbances times methods
 
 
 def test_a_further_sweep_of_an_experiment_is_left_out_where_the_command_line_sets_its_fields() -> None:

@@ -19,7 +19,7 @@ from bench.bound import Bound
 from bench.cell import Cell
 from bench.scenario import ForceSpec, PriorSpec, Scenario
 from bench.systems import System
-from bench.truth import Truth
+from bench.truth import Truth, closed_form
 
 TRUE = {"m": 1.2345678901, "c": 0.4567890123, "k": 8.7654321098}
 NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
@@ -280,3 +280,24 @@ def test_a_cell_is_known_by_what_it_computes() -> None:
         replace(cell, scenario=replace(BASE, dense=60)),
     ]
     assert len({c.identity for c in [cell, *others]}) == 1 + len(others)
+
+
+def test_a_drawn_truth_lies_around_the_nominal_values_as_the_prior_says(reference: Scenario) -> None:
+    """Simulation-based calibration: log(truth / nominal) over the prior's width is standard normal."""
+    assert reference.prior is not None
+    drawn = replace(reference, prior=replace(reference.prior, draws="truth"))
+    pairs = drawn.replicates(3, 200)
+    assert {tuple(problem.prior.nominal.items()) for problem, _ in pairs if problem.prior} == {
+        tuple(reference.parameters.items())
+    }
+    widths = {"m": 0.02, "c": 1.0, "k": 0.5}
+    for name, width in widths.items():
+        z = np.log([truth.parameters[name] / reference.parameters[name] for _, truth in pairs]) / width
+        assert stats.kstest(z, "norm").pvalue > 0.01
+    # the data are those of the drawn truth, at the drawn noise
+    problem, truth = pairs[0]
+    clean = closed_form(truth.parameters, 1.0, 0.0, reference.times)
+    z = (problem.records[0].channels[0].values - clean) / truth.sigma[0]
+    assert 0.5 < np.std(z) < 1.5
+    assert np.ptp([truth.realised_snr_db for _, truth in pairs]) > 15.0
+    assert drawn.data_identity() != reference.data_identity()
