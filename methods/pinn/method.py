@@ -51,8 +51,9 @@ class PINN(PhysicsInformed):
         reconstruction="own",
         uncertainty="Gauss-Newton covariance of the log-parameters, network weights profiled out, Student's t",
         settings_source="architecture and collocation: the paper's Table 1; the rest chosen on development data",
-        tuning="first weights: 26 combinations; slack, damping, tolerance: 25; adam_lbfgs: 6; 3-12 records each,"
-        " 5-120 dB, 2-11 cycles, damping 2-20 %, judged by maximum a posteriori from the truth on the same data",
+        tuning="first weights: 26 combinations; slack, damping, tolerance: 25; units a cycle: 9; adam_lbfgs: 12; 3-16"
+        " records each, 5-120 dB, 2-30 cycles, damping 2-20 %, judged by maximum a posteriori from the truth on the"
+        " same data",
     )
 
     def _widths(self, n_dof: int, resolution: int) -> tuple[int, ...]:
