@@ -154,7 +154,7 @@ def test_the_robustness_experiment_tells_the_start_only_where_the_trigger_is_lat
     kinds = {told: [] for told in ("known", "unknown")}  # type: dict[str, list[str]]
     for cell in found:
         kinds[cell.scenario.told].append(cell.scenario.disturbance.kind if cell.scenario.disturbance else "none")
-        assert cell.replicates == (20 if cell.method == "mcmc" else 100)
+        assert cell.replicates == {"mcmc": 20, "sindy": 40, "pinn": 50}.get(cell.method, 100)
     assert set(kinds["known"]) == {"none", "late_trigger"}
     assert set(kinds["unknown"]) == set(choices("disturbance")) - {"late_trigger"}
     assert len({cell.identity for cell in found}) == len(found) == (9 + 2) * 12  # disturbances times methods
