@@ -42,6 +42,10 @@ class Collocation(PhysicsInformed):
         tuning="none of its own",
     )
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._at_least({"degree": 3, "points_an_interval": 1})
+
     def _knots(self, resolution: int, duration: float) -> np.ndarray:
         """Uniform, the ends repeated ``degree`` times more."""
         inner = np.linspace(0.0, duration, self.points(resolution) // self.points_an_interval + 1)

@@ -59,9 +59,9 @@ class LogDecrement(Identifier):
 
     def __post_init__(self) -> None:
         if not 0 < self.smallest < 1:
-            raise InputError("smallest", self.smallest, "a part of the largest sample, between 0 and 1")
+            raise InputError("method.smallest", self.smallest, "a part of the largest sample, between 0 and 1")
         if self.bootstrap < 0:
-            raise InputError("bootstrap", self.bootstrap, "a number of records, 0 for no uncertainty")
+            raise InputError("method.bootstrap", self.bootstrap, "a number of records, 0 for no uncertainty")
 
     def objection(self, problem: Problem) -> str | None:
         return super().objection(problem) or decay_objection(problem)

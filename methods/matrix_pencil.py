@@ -59,9 +59,9 @@ class MatrixPencil(Identifier):
 
     def __post_init__(self) -> None:
         if not 0 < self.pencil < 1:
-            raise InputError("pencil", self.pencil, "a part of the number of samples, N/3 to N/2 say")
+            raise InputError("method.pencil", self.pencil, "a part of the number of samples, N/3 to N/2 say")
         if self.bootstrap < 0:
-            raise InputError("bootstrap", self.bootstrap, "a number of records, 0 for no uncertainty")
+            raise InputError("method.bootstrap", self.bootstrap, "a number of records, 0 for no uncertainty")
 
     def objection(self, problem: Problem) -> str | None:
         return super().objection(problem) or decay_objection(problem) or _sampling_objection(problem)

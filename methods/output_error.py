@@ -63,7 +63,7 @@ class SingleShooting(Identifier):
     def __post_init__(self) -> None:
         for name in ("sigma_rounds", "max_evaluations"):
             if getattr(self, name) < 1:
-                raise InputError(name, getattr(self, name), "at least 1")
+                raise InputError(f"method.{name}", getattr(self, name), "at least 1")
 
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """The estimate: all parameters, or the groups in free vibration without a prior. Uses no randomness."""

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from bench import Card
+from bench import Card, InputError
 from methods.pinn.physics import PhysicsInformed
 from methods.pinn.response import Function, NetworkResponse
 
@@ -55,6 +55,12 @@ class PINN(PhysicsInformed):
         " records each, 5-120 dB, 2-30 cycles, damping 2-20 %, judged by maximum a posteriori from the truth on the"
         " same data",
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._at_least({"width": 2, "depth": 1, "adam_steps": 0, "lbfgs_steps": 3})
+        if not (np.isfinite(self.adam_rate) and self.adam_rate > 0):
+            raise InputError("method.adam_rate", self.adam_rate, "a positive number")
 
     def _widths(self, n_dof: int, resolution: int) -> tuple[int, ...]:
         return (1, *[max(self.width, UNITS_A_CYCLE * resolution)] * self.depth, n_dof)

@@ -20,13 +20,13 @@ N - p degrees of freedom, those of the ensemble with ``members`` - 1.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from bench import Cost, Estimate, Identifier, InitialState, Normal, Problem, Record, Serves, Status
+from bench import Cost, Estimate, Identifier, InitialState, InputError, Normal, Problem, Record, Serves, Status
 from methods.pinn.response import Band, Function
 from methods.pinn.spectral import Guess, scan
 
@@ -68,6 +68,26 @@ class PhysicsInformed(Identifier):
     batch: int = 1
     device: str = "cpu"
     threads: int = 1
+
+    def __post_init__(self) -> None:
+        least = {
+            "collocation": 10,
+            "output_iterations": 1,
+            "iterations": 1,
+            "restarts": 0,
+            "members": 2,
+            "batch": 1,
+            "threads": 1,
+        }
+        self._at_least(least)
+        for name in ("slack", "softness", "tolerance"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise InputError(f"method.{name}", getattr(self, name), "a positive number")
+
+    def _at_least(self, least: Mapping[str, int]) -> None:
+        for name, bound in least.items():
+            if getattr(self, name) < bound:
+                raise InputError(f"method.{name}", getattr(self, name), f"a whole number of at least {bound}")
 
     serves: ClassVar[Serves] = Serves(
         measures=("displacement", "velocity", "acceleration"),

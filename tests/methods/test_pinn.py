@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares, minimize
 
-from bench import Channel, Force, InitialState, Prior, Problem, Record, Status, System, Units, simulate
+from bench import Channel, Force, InitialState, InputError, Prior, Problem, Record, Status, System, Units, simulate
 from bench.problem import Measures
 from bench.systems import SDOF, Chain, Duffing
 from methods.collocation import Collocation
@@ -431,3 +431,19 @@ def test_a_batch_on_a_gpu_is_the_fits_on_the_processor(kind: type[PhysicsInforme
         here = kind().identify(problem, np.random.default_rng(i)).parameters
         sd = np.sqrt(np.diag(here.covariance))  # type: ignore[union-attr,arg-type]
         assert np.all(np.abs(here.mean - there[i].parameters.mean) < 1e-2 * sd)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("kind", "setting", "value"),
+    [
+        (PINN, "batch", 0),
+        (PINN, "slack", -1.0),
+        (PINN, "width", 1),
+        (PINN, "adam_rate", float("nan")),
+        (Collocation, "members", 1),
+        (Collocation, "degree", 2),
+    ],
+)
+def test_a_setting_that_makes_no_sense_is_one_line(kind: type[PhysicsInformed], setting: str, value: float) -> None:
+    with pytest.raises(InputError, match=f"method.{setting}"):
+        kind(**{setting: value})
