@@ -55,7 +55,8 @@ def calibration(levels: np.ndarray) -> Calibration:
     mean, sd = float(z.mean()), float(z.std(ddof=1))
     tail = stats.chi2.cdf((n - 1) * sd**2, n - 1)
     uniform = float(stats.kstest(levels, "uniform").pvalue)
-    biased, spread, shape = holm([stats.ttest_1samp(z, 0.0).pvalue, 2.0 * min(tail, 1.0 - tail), uniform]) < LEVEL
+    t = abs(mean) / max(sd / np.sqrt(n), 1e-12)
+    biased, spread, shape = holm([2.0 * stats.t.sf(t, n - 1), 2.0 * min(tail, 1.0 - tail), uniform]) < LEVEL
     words = []
     if spread:
         words.append("too sure" if sd > 1.0 else "too wide")
