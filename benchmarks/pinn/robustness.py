@@ -49,15 +49,15 @@ def systems(replicates: int, advance: Advance) -> Part:
         for system in ("chain2", "duffing"):
             for told in ("known", "unknown"):
                 cell = scenario(system=system, snr=30, initial_state=told)
-                found = compare(make_method(name, {}), cell, replicates, bound=True)
+                # no oracle here: for a nonlinear system it takes longer than the fit
+                found = compare(make_method(name, {}), cell, replicates, bound=True, oracle=False)
                 worst = int(np.argmax(found.over_bound))
                 worst_name = found.names[worst].removesuffix("_error_pct")
                 ok = f"{replicates - found.failed}/{replicates}"
                 excess = [f"{found.over_bound[0]:.2f}", f"{found.over_bound[worst]:.2f} ({worst_name})"]
-                rest = [f"{found.over_oracle.max():.2f}", f"{found.seconds:.2f}", ok]
-                rows.append([name, system, told, *excess, *rest])
+                rows.append([name, system, told, *excess, f"{found.seconds:.2f}", ok])
                 advance(replicates)
-    columns = ["method", "system", "start", "rmse / bound", "largest excess", "largest / oracle", "CPU s a fit", "ok"]
+    columns = ["method", "system", "start", "rmse / bound", "largest excess", "CPU s a fit", "ok"]
     text = f"{replicates} data sets each, seed {SEED}; excess is the root mean square error over the bound."
     return Part("systems", "Two masses, and a nonlinear spring", text, columns, rows)
 
