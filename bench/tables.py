@@ -26,6 +26,7 @@ from bench.compare import Comparison, against_best
 from bench.config import choices, expand, jobs_to_cells
 from bench.errors import InputError
 from bench.reference import REFERENCES
+from bench.registry import load_method
 from bench.statistics import RESAMPLES
 from bench.store import Store, StoredCell
 from bench.verdict import judge
@@ -58,7 +59,8 @@ is maximum a posteriori started at the truth, *prior* the nominal values without
 and c/m only: m, and what follows from it, is decided by the prior. All 95 % intervals are in the CSV. A failed
 replicate counts as an infinite error in medians; the excess is over the successful ones. Bold: the method of least
 median error, and all that cannot be told from it on the same data (Wilcoxon's signed-rank test, Holm's adjustment, 5
-%) or are less than 2 % from it, unless gross errors now and then double its excess."""
+%) or are less than 2 % from it, unless gross errors now and then double its excess. Told: what a method uses beyond
+the data; *start* where it is known, *prior* natively, or *after*, by one step that all such methods share."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +196,7 @@ def markdown(table: int, title: str, data: pd.DataFrame, found: Sequence[Entry])
     for told in dict.fromkeys(data.initial_state):
         parts.append(f"## Initial state {told}")
         comparisons = ranked(found, told)
-        panel = _panel(table, data[data.initial_state == told], comparisons)
+        panel = _panel(table, data[data.initial_state == told], comparisons, told_classes(found))
         parts.append(tabulate(*panel, tablefmt="github", disable_numparse=True))
         parts.append(_resolved(comparisons))
     parts.append("## The paper's numbers")
@@ -239,7 +241,23 @@ def _resolved(ranking: Ranking) -> str:
     )
 
 
-def _panel(table: int, data: pd.DataFrame, ranking: Ranking) -> tuple[list[list[str]], list[str]]:
+def told_classes(found: Sequence[Entry]) -> dict[str, str]:
+    """By label, what a method was told beyond the data: the start where it is known, and the prior.
+
+    ``prior after``: it returns the identifiable groups only, and the shared step combines them with the prior.
+    """
+    classes = {"oracle": "truth as start", "prior": "prior only"}
+    for entry in found:
+        if entry.cell.method not in REFERENCES:
+            card = load_method(entry.cell.method).card
+            start = "start, " if card.start == "used when known" else ""
+            classes[entry.cell.label] = start + ("prior" if card.scale == "native" else "prior after")
+    return classes
+
+
+def _panel(
+    table: int, data: pd.DataFrame, ranking: Ranking, classes: Mapping[str, str]
+) -> tuple[list[list[str]], list[str]]:
     first = {4: "set", 5: "SNR (dB)"}.get(table)
     rows: list[list[str]] = []
     for (row, method), lines in data.groupby(["row", "method"], sort=False):
@@ -253,11 +271,11 @@ def _panel(table: int, data: pd.DataFrame, ranking: Ranking) -> tuple[list[list[
         n = by_metric.n.iloc[0]
         ok = "" if method == "bound" else f"{by_metric.n_ok.iloc[0]:.0f}/{n:.0f}" if n else "not run"
         head = [str(row)] if first else []
-        rows.append([*head, TITLES.get(str(method), str(method)), *cells, ok])
+        rows.append([*head, TITLES.get(str(method), str(method)), *cells, classes.get(str(method), ""), ok])
         if method == "bound":
             shares = [f"{100 * by_metric.prior_share.get(metric, math.nan):.0f} %" for metric in METRICS]
-            rows.append([*head, "of it from the prior", *("-" if s == "nan %" else s for s in shares), ""])
-    return rows, [*([first] if first else []), "method", *HEADINGS, "ok"]
+            rows.append([*head, "of it from the prior", *("-" if s == "nan %" else s for s in shares), "", ""])
+    return rows, [*([first] if first else []), "method", *HEADINGS, "told", "ok"]
 
 
 def _excesses(data: pd.DataFrame, row: Any, metric: str) -> dict[str, float]:
@@ -328,7 +346,7 @@ def latex(table: int, title: str, data: pd.DataFrame, found: Sequence[Entry]) ->
     """Both panels as LaTeX (booktabs), for an article."""
     parts = []
     for told in dict.fromkeys(data.initial_state):
-        rows, headers = _panel(table, data[data.initial_state == told], ranked(found, told))
+        rows, headers = _panel(table, data[data.initial_state == told], ranked(found, told), told_classes(found))
         body = tabulate(rows, headers, tablefmt="latex_booktabs", disable_numparse=True)
         for plain, escaped in (("×", r"$\times$"), ("é", r"\'e")):
             body = body.replace(plain, escaped)
