@@ -96,8 +96,8 @@ def page(folder: Path) -> str:
 
 
 MACHINE = (
-    "with `peers=` and `peer_python=` for the rivals' times. Times are wall-clock on one core of the machine that ran "
-    "it; compare them within one part only."
+    "with `peers=` and `peer_python=` for the rivals' times. The rivals' part is timed by the clock on one core, the "
+    "others in processor seconds; compare times within one part only."
 )
 
 

@@ -174,5 +174,6 @@ def _ratios(found: list[Rival], seconds: float) -> list[str]:
     ratios = []
     for name in ("naive PyTorch", "DeepXDE"):
         own = [rival.seconds for rival in found if rival.name == name]
-        ratios.append(f"{statistics.median(own) / seconds:.3g} times as long" if own else "not run")
+        ratio = statistics.median(own) / seconds if own else np.nan
+        ratios.append("not run" if np.isnan(ratio) else f"{ratio:,.0f} ×" if ratio >= 10 else f"{ratio:.2g} ×")
     return ratios
