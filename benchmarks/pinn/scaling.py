@@ -16,7 +16,7 @@ from methods.pinn.method import PINN
 Advance = Callable[[int], object]
 COLLOCATIONS = (100, 200, 400, 1000, 2000)
 MASSES = (1, 2, 3, 4)
-CYCLES = (2, 5, 10, 20, 30, 45)
+CYCLES = (2, 5, 10, 20, 30)
 PER_CYCLE = 5
 """Samples a cycle where the horizon grows."""
 COUNT = 2 * (len(COLLOCATIONS) + len(MASSES) + len(CYCLES))
