@@ -1,7 +1,7 @@
 """Whether stated uncertainties hold: the table of ``experiment=calibration``, from its stored rows.
 
-For every method, noise and start, how often the intervals
-of k/m and c/m held the truth, how its normal scores are spread, and the share of the displacement inside the band.
+For every method, noise and start: how often the intervals of k/m and c/m held the truth, how its normal scores are
+spread, and the share of the displacement inside the band.
 """
 
 from __future__ import annotations

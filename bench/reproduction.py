@@ -20,6 +20,7 @@ import pandas as pd
 from scipy import stats
 from tabulate import tabulate
 
+from bench import tables
 from bench.cell import Cell
 from bench.cli import number, read_folders
 from bench.compare import LEVEL, holm
@@ -30,7 +31,6 @@ from bench.scenario import PriorSpec, Scenario
 from bench.store import Store, StoredCell
 from bench.tables import HEADINGS, METRICS, TITLES, entries, errors_of, paper_numbers, paper_value
 from bench.truth import closed_form
-from bench.verdict import judge
 
 TABLES = (2, 3, 4, 5)
 JUDGED = ("pinn", "ls", "rls", "ddnn")
@@ -132,9 +132,7 @@ def judged(place: Printed, method: str, stored: Mapping[Place, StoredCell]) -> J
     if own is None or oracle is None:
         return None
     errors = errors_of(own, place.metric)
-    excess = own.summary[place.metric]["excess"]
-    share = own.prior_share.get(place.metric.removesuffix("_error_pct"), 0.0) / max(excess**2, 1.0)
-    text = judge(place.value, errors, errors_of(oracle, place.metric), share).text
+    text = tables.judged(place.value, own, oracle, place.metric).text
     finite = errors[np.isfinite(errors)]
     p = float(stats.ttest_1samp(finite, place.value).pvalue) if finite.size > 1 else 1.0
     return Judged(text, float(np.median(errors)), p)

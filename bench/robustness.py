@@ -20,7 +20,7 @@ from bench.cell import Cell
 from bench.cli import number
 from bench.statistics import RESAMPLES
 from bench.store import Store, StoredCell
-from bench.tables import TITLES, described_cells, excess_text
+from bench.tables import TITLES, described_cells, errors_of, excess_text
 
 COLUMNS = (
     "disturbance", "size", "system", "initial_state", "snr_db", "method", "metric", "excess", "excess_undisturbed",
@@ -98,7 +98,7 @@ def _lines(pair: Pair) -> Iterable[dict[str, Any]]:
     for metric, _ in PANELS:
         middle, low, high = (math.nan,) * 3
         if stored and plain:
-            middle, low, high = ratio(_errors(stored, metric), _errors(plain, metric))
+            middle, low, high = ratio(errors_of(stored, metric), errors_of(plain, metric))
         yield {
             **head, "metric": metric, "excess": _value(stored, metric, "excess"),
             "excess_undisturbed": _value(plain, metric, "excess"),
@@ -118,10 +118,6 @@ def _covered(stored: StoredCell | None, metric: str) -> float:
     if not metric.endswith("_error_pct"):
         return math.nan
     return _value(stored, metric.replace("_error_pct", "_coverage_95"), "mean")
-
-
-def _errors(stored: StoredCell, metric: str) -> np.ndarray:
-    return np.array([row.scores.get(metric, math.inf) for row in stored.rows])
 
 
 def markdown(experiment: str, title: str, data: pd.DataFrame) -> str:

@@ -29,7 +29,7 @@ from bench.reference import REFERENCES
 from bench.registry import load_method
 from bench.statistics import RESAMPLES
 from bench.store import Store, StoredCell
-from bench.verdict import judge
+from bench.verdict import Verdict, judge
 
 COLUMNS = (
     "table", "row", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high",
@@ -182,12 +182,15 @@ def errors_of(stored: StoredCell, metric: str) -> np.ndarray:
 def _verdict(paper: float, stored: StoredCell, oracle: StoredCell | None, metric: str) -> str:
     if math.isnan(paper):
         return ""
-    if oracle is None:
-        return "no oracle stored"
+    return judged(paper, stored, oracle, metric).text if oracle else "no oracle stored"
+
+
+def judged(paper: float, stored: StoredCell, oracle: StoredCell, metric: str) -> Verdict:
+    """The verdict of a cell on a printed number."""
     # the prior's part of this method's own mean square error: a method that is far off is so for other reasons
     excess = stored.summary[metric]["excess"]
     share = stored.prior_share.get(metric.removesuffix("_error_pct"), 0.0) / max(excess**2, 1.0)
-    return judge(paper, errors_of(stored, metric), errors_of(oracle, metric), share).text
+    return judge(paper, errors_of(stored, metric), errors_of(oracle, metric), share)
 
 
 def markdown(table: int, title: str, data: pd.DataFrame, found: Sequence[Entry]) -> str:

@@ -81,13 +81,8 @@ def _primal(residuals: Residuals, state: State, deviations: Tensor) -> tuple[Ten
     """In the space of the unknowns: the inverse of JᵀJ, with the coefficients' precision added."""
     linear = residuals.linearise(state, deviations)
     parts, _ = residuals.split_flat(state.z)
-    n_z, n_w = residuals.n_z, residuals.n_coefficients
-    matrix = state.rows.new_zeros(residuals.n_fits, n_z, n_z)
-    size = state.rows.new_zeros(residuals.n_fits)
-    for _, j in residuals.jacobian_parts(state, linear):
-        matrix.baddbmm_(j.mT, j)
-        if j.shape[1]:
-            size = torch.maximum(size, (j * j).sum(2).amax(1))
+    n_w = residuals.n_coefficients
+    matrix, _, size = residuals.normal_equations(state, linear)
     matrix.diagonal(dim1=1, dim2=2)[:, :n_w] += PRECISION * size[:, None]
     scale = matrix.diagonal(dim1=1, dim2=2).rsqrt()
     whole = torch.linalg.pinv(matrix * scale[:, :, None] * scale[:, None], hermitian=True, rtol=1e-14)

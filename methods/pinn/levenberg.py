@@ -86,16 +86,8 @@ class PrimalEquations:
     """The damped normal equations in the space of the unknowns."""
 
     def __init__(self, residuals: Residuals, state: State, deviations: Tensor) -> None:
-        n = residuals.n_z
-        self.matrix = state.rows.new_zeros(residuals.n_fits, n, n)
-        self.gradient = state.rows.new_zeros(residuals.n_fits, n)
-        self.size = state.rows.new_zeros(residuals.n_fits)
         linear = residuals.linearise(state, deviations)
-        for rows, j in residuals.jacobian_parts(state, linear):
-            self.matrix.baddbmm_(j.mT, j)
-            self.gradient += (state.rows[:, None, rows] @ j)[:, 0]
-            if j.shape[1]:
-                self.size = torch.maximum(self.size, (j * j).sum(2).amax(1))
+        self.matrix, self.gradient, self.size = residuals.normal_equations(state, linear)
 
     def solve(self, damping: Tensor) -> tuple[Tensor, Tensor]:
         """As :meth:`DualEquations.solve`: the promise is ``hᵀ (μ h + Jᵀ r) / 2`` for the step h."""

@@ -18,7 +18,7 @@ many samples, and nothing else in common.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import cast
@@ -437,10 +437,13 @@ class Residuals:
             at += block.n_rows
         return torch.cat([*parts, (dual[:, None] @ linear.columns)[:, 0]], 1)
 
-    def jacobian_parts(self, state: State, linear: Linear) -> list[tuple[slice, Tensor]]:
-        """J itself, (B, n, n_z) at a time, with the rows that each part holds; the rows of the prior come last."""
+    def jacobian_parts(self, state: State, linear: Linear) -> Iterator[tuple[slice, Tensor]]:
+        """J itself, (B, n, n_z) at a time, with the rows that each part holds; the rows of the prior come last.
+
+        One part is held at a time, so that J never stands in memory whole.
+        """
         step = max(1, CHUNK // (self.n_fits * self.n_z))
-        found, at, column = [], 0, 0
+        at, column = 0, 0
         for block, ansatz, tape, own in zip(self.blocks, self.ansatzes, state.tapes, linear.adjoints, strict=True):
             for first in range(0, block.n_rows, step):
                 rows = slice(first, min(first + step, block.n_rows))
@@ -448,12 +451,23 @@ class Residuals:
                 part = self._empty_rows(rows.stop - rows.start)
                 part[..., column : column + ansatz.count] = ansatz.jacobian(tape, own, block.points, rows)
                 part[..., self.n_coefficients :] = linear.columns[:, place]
-                found.append((place, part))
+                yield place, part
             at += block.n_rows
             column += ansatz.count
         part = self._empty_rows(self.n_rows - at)
         part[..., self.n_coefficients :] = linear.columns[:, at:]
-        return [*found, (slice(at, self.n_rows), part)]
+        yield slice(at, self.n_rows), part
+
+    def normal_equations(self, state: State, linear: Linear) -> tuple[Tensor, Tensor, Tensor]:
+        """``JᵀJ`` (B, n_z, n_z), ``Jᵀ r`` (B, n_z) and the largest squared row of J (B,)."""
+        matrix = self.log_fixed.new_zeros(self.n_fits, self.n_z, self.n_z)
+        gradient, size = torch.zeros_like(state.z), self.log_fixed.new_zeros(self.n_fits)
+        for rows, j in self.jacobian_parts(state, linear):
+            matrix.baddbmm_(j.mT, j)
+            gradient += (state.rows[:, None, rows] @ j)[:, 0]
+            if j.shape[1]:
+                size = torch.maximum(size, (j * j).sum(2).amax(1))
+        return matrix, gradient, size
 
     def _empty_rows(self, n: int) -> Tensor:
         return torch.zeros(self.n_fits, n, self.n_z, dtype=torch.float64, device=self.device)
