@@ -1,5 +1,6 @@
 """The harness: problems, bounds, scores, tables. This face is the contract that methods import; it loads none."""
 
+from bench.checkpoint import report
 from bench.errors import InputError
 from bench.estimate import Belief, Cost, Draws, Estimate, Marginal, Normal, Reconstruction, Status
 from bench.identifier import Card, Identifier, Serves
@@ -42,6 +43,7 @@ __all__ = [
     "measurements",
     "numpy_ops",
     "regression_columns",
+    "report",
     "rk4_step",
     "simulate",
     "state_matrix",

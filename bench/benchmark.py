@@ -13,13 +13,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tabulate import tabulate
-from tqdm import tqdm
 
 from bench.bound import bound_identity, load_bounds
 from bench.cell import Cell
 from bench.config import expand, jobs_to_cells
 from bench.errors import InputError
-from bench.runner import run_cells
+from bench.launch import complete
+from bench.runner import Limits
 from bench.store import Store
 
 EXPERIMENTS = ("table3", "table4", "table5")
@@ -58,10 +58,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         for label in dict.fromkeys(cell.label for cell in cells):
             own = [cell for cell in cells if cell.label == label]
             fits = sum(cell.replicates for cell in own)
-            with tqdm(total=fits, unit="fit", desc=label, file=sys.stderr, leave=False) as bar:
-                started = time.perf_counter()
-                results = run_cells(own, store, workers, lambda cell, n, stored, bar=bar: bar.update(n))  # type: ignore[misc]
-                seconds = time.perf_counter() - started
+            started = time.perf_counter()
+            complete(own, store, Limits(workers))
+            seconds = time.perf_counter() - started
+            results = [found for cell in own if (found := store.load(cell.identity))]
             cpu = sorted(row.cpu_s for result in results for row in result.rows)
             wanted = sum(full[_place(c)] for c in own)
             whole = seconds * wanted / fits

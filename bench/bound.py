@@ -25,6 +25,7 @@ from typing import Any, cast
 import numpy as np
 
 from bench.errors import InputError
+from bench.mainless import without_main
 from bench.mechanics import rk4_step
 from bench.problem import Force
 from bench.scenario import Scenario
@@ -294,7 +295,8 @@ def load_bounds(wanted: Sequence[tuple[Scenario, int]], folder: Path) -> list[Bo
         folder.mkdir(parents=True, exist_ok=True)
         jobs = [(scenario, seed, path) for path, (scenario, seed) in missing.items()]
         process = multiprocessing.get_context("spawn").Process(target=_compute_to_files, args=(jobs,))
-        process.start()
+        with without_main():
+            process.start()
         process.join()
         if process.exitcode != 0:
             raise RuntimeError(f"the computation of {len(jobs)} bound(s) failed (exit {process.exitcode})")

@@ -1,4 +1,8 @@
-"""A cell: one scenario, one method with its settings, so many replicates of a seed; known by what it computes."""
+"""A cell: one scenario, one method with its settings, so many replicates of a seed; known by what it computes.
+
+The identity is that of the question: it names the cell's file. What answers it, the code and the packages, is the
+cell's version (:mod:`bench.version`): a stored answer of another version is stale.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +10,19 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from bench.scenario import Scenario
+from bench.version import Version, method_version
 
-FORMAT = 1
+FORMAT = 2
 """Raised when scores change their meaning, so that older rows are not taken for new ones."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """``settings`` are all settings of the method, defaults included; ``label`` is what tables call the variant.
-
-    ``timeout_s`` limits one replicate.
-    """
+    """``settings`` are all settings of the method, defaults included; ``label`` is what tables call the variant."""
 
     scenario: Scenario
     method: str
@@ -27,7 +30,6 @@ class Cell:
     replicates: int
     seed: int
     label: str
-    timeout_s: float = 600.0
 
     def description(self) -> dict[str, Any]:
         """What is computed, by name: this and nothing else decides the identity."""
@@ -37,7 +39,6 @@ class Cell:
             "settings": dict(self.settings),
             "replicates": self.replicates,
             "seed": self.seed,
-            "timeout_s": float(self.timeout_s),
             "data": self.scenario.data_identity(),
             "told": self.scenario.told_identity(),
             "dense": self.scenario.dense,
@@ -45,7 +46,12 @@ class Cell:
         }
 
     @property
+    def version(self) -> Version:
+        """What would compute the cell now."""
+        return method_version(self.method)
+
+    @cached_property
     def identity(self) -> str:
-        """Hash of the description: not of labels, machine or place."""
+        """Hash of the description: not of labels, limits, machine or place."""
         text = json.dumps(self.description(), sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:20]

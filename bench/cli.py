@@ -26,14 +26,17 @@ fields (defaults in brackets):
   disturbance    [none] {disturbances}
   replicates     [20] data sets      seed [0]      timeout_s [600] per replicate
   store          [results/rows] where finished cells are kept and found again
-  format         [table] table, json      workers [one a core]
+  format         [table] table, json      workers [one a core]      memory_mb [4096] per fit
+  retry          [none] failed, or statuses: try stored replicates again that failed
+  dry_run        [false] list the cells, why each would run, and how long it may take
   data           a CSV with columns t, x and optionally a force
   nominal.<p>, start   what is stated of a measured system (with prior=, initial_state=known)
   experiment     {experiments}
   method.<setting>, system.<field>, disturbance.size    any setting of a method, any field of a system
+  hydra/launcher [local] ray, submitit_slurm (extras ray, slurm)    cells_per_job [20]    hydra.launcher.<option>
 
 options: -m, --multirun   --cfg (print the configuration, run nothing)   --version   -h, --help
-tables from the stored cells: python -m bench.tables
+what is stored, failed, stale, missing: python -m bench.status    tables: python -m bench.tables
 what the data of a scenario can tell: python -m bench.identifiability system=chain2 snr=10"""
 
 SHOWN = ("rmse", "rmse_simulated", "rmse_forecast")
@@ -69,9 +72,10 @@ def _main(arguments: list[str]) -> int:
 
         print(__version__)
         return 0
-    from bench.config import expand
+    from bench.config import expand, of_launcher
 
-    jobs = expand(overrides, bool(flags & {"-m", "--multirun"}))
+    launcher = [text for text in overrides if of_launcher(text)]
+    jobs = expand([text for text in overrides if text not in launcher], bool(flags & {"-m", "--multirun"}))
     if "--cfg" in flags:
         for job in jobs:
             print(job.config.model_dump_json(indent=2))
@@ -83,7 +87,7 @@ def _main(arguments: list[str]) -> int:
         if len(jobs) > 1:
             raise InputError("data", jobs[0].config.data, "one record and one method at a time")
         return _identify(jobs[0])
-    return _run(jobs)
+    return _run(jobs, launcher)
 
 
 def _usage() -> str:
@@ -95,38 +99,100 @@ def _usage() -> str:
     return USAGE.format(**names)
 
 
-def _run(jobs: Sequence[Any]) -> int:
-    from tqdm import tqdm
-
+def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
     from bench.config import jobs_to_cells
-    from bench.runner import run_cells
+    from bench.launch import Launch, Sweep, launch
+    from bench.plan import plan, read_retry
+    from bench.runner import Limits
     from bench.store import Store
 
-    cells = jobs_to_cells(jobs)
     config = jobs[0].config
+    retry = read_retry(config.retry)
+    cells = jobs_to_cells(jobs)
     store = Store(config.store)
+    if config.dry_run:
+        print(listing(plan(cells, store, retry), store, config.workers or os.cpu_count() or 1))
+        return 0
     store.prepare()
-    workers = config.workers or os.cpu_count() or 1
-    total = sum(cell.replicates for cell in {cell.identity: cell for cell in cells}.values())
-    with tqdm(total=total, unit="fit", file=sys.stderr, dynamic_ncols=True, mininterval=0.2) as bar:
-
-        def progress(cell: Any, n: int, stored: bool) -> None:
-            bar.initial += n if stored else 0  # the rate, and so the time left, is that of fits made now
-            bar.set_description(f"{cell.label} {cell.scenario.snr_db:g} dB")
-            bar.update(n)
-
-        bar.set_description("bounds")
-        results = run_cells(cells, store, workers, progress)
+    limits = Limits(config.workers or os.cpu_count() or 1, config.timeout_s, config.memory_mb)
+    sweep = Sweep(tuple(cells), store, limits, retry)
+    planned = plan(cells, store, retry)
+    if config.format == "table" and len(jobs) > 1:
+        print(f"bench: {_counted(planned)}", file=sys.stderr)
+    launch(planned, sweep, Launch(tuple(launcher), config.cells_per_job))
+    results = [store.load(cell.identity) for cell in cells]
     for job, cell, result in zip(jobs, cells, results, strict=True):
         if config.format == "json":
             print(json.dumps(_as_json(job, cell, result), allow_nan=False))
-        elif len(jobs) == 1:
+        elif len(jobs) == 1 and result is not None:
             print(_cell_table(cell, result))
     if config.format == "table":
         if len(jobs) > 1:
             print(_sweep_table(cells, results))
-        print(f"rows: {store.folder}" + (f"/{results[0].identity}.json" if len(results) == 1 else ""))
-    return 0
+        print(f"rows: {store.folder}" + (f"/{cells[0].identity}.json" if len(cells) == 1 else ""))
+    return _said_of_failures(cells, results, store)
+
+
+def _counted(planned: Sequence[Any]) -> str:
+    """How many of a plan's cells are there already, and why the others are to be computed."""
+    counts: dict[str, int] = {}
+    for one in planned:
+        state = f"{one.state.value}{'' if one.run or one.state.value == 'done' else ' (kept; retry=failed)'}"
+        counts[state] = counts.get(state, 0) + 1
+    return f"{len(planned)} cells: " + ", ".join(f"{n} {state}" for state, n in counts.items())
+
+
+def listing(planned: Sequence[Any], store: Any, workers: int) -> str:
+    """A plan as a table, with an estimate of the time from what stored cells of each method took."""
+    from tabulate import tabulate
+
+    from bench.durations import fit_seconds
+
+    seconds, total, unknown, rows = fit_seconds(store), 0.0, set(), []
+    for one in planned:
+        cell, scenario = one.cell, one.cell.scenario
+        each = seconds.get(cell.label)
+        takes = "" if not one.run else "?" if each is None else f"{each * cell.replicates:.1f}"
+        if one.run and each is None:
+            unknown.add(cell.label)
+        total += each * cell.replicates if one.run and each is not None else 0.0
+        what = f"{scenario.label} {scenario.snr_db:g} dB {scenario.told}"
+        rows.append([cell.identity[:8], cell.label, what, cell.replicates, one.state.value, takes, one.why[:60]])
+    table = tabulate(rows, headers=["cell", "method", "scenario", "fits", "state", "s", "why"], disable_numparse=True)
+    wanted = [one for one in planned if one.run]
+    lines = [table, "", f"{_counted(planned)}; {len(wanted)} to run"]
+    if wanted:
+        about = f"about {duration(total / workers)} on {workers} worker(s), as stored cells of the same methods took"
+        lines.append(about + (f"; nothing known of {', '.join(sorted(unknown))}" if unknown else ""))
+    return "\n".join(lines)
+
+
+def duration(seconds: float) -> str:
+    """A time in the unit that suits it."""
+    for size, unit in ((86400.0, "d"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= 1.5 * size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.0f} s"
+
+
+def _said_of_failures(cells: Sequence[Any], results: Sequence[Any], store: Any) -> int:
+    """Say on the error stream what failed, once a kind, and where the tracebacks are; the exit status, 0 or 1.
+
+    1 where a cell is not there at all: what ran elsewhere may be lost with its node.
+    """
+    kinds: dict[tuple[str, str, str], list[str]] = {}
+    lost = [cell for cell, result in zip(cells, results, strict=True) if result is None]
+    for cell, result in zip(cells, results, strict=True):
+        for (status, message), n in (_failures(result) if result is not None else {}).items():
+            kinds.setdefault((cell.label, status, message), []).extend([cell.identity] * n)
+    if len(cells) > 1:
+        for (label, status, message), found in kinds.items():
+            errors = store.errors(found[0])
+            where = f" (traceback: {errors})" if errors.exists() else ""
+            print(f"bench: {label}: {len(found)} x {status}: {message}{where}", file=sys.stderr)
+    if lost:
+        print(f"bench: {len(lost)} cells were not computed; the same command computes them", file=sys.stderr)
+    return 1 if lost else 0
 
 
 def _finite(value: float) -> float | None:
@@ -135,7 +201,10 @@ def _finite(value: float) -> float | None:
 
 def _as_json(job: Any, cell: Any, result: Any) -> dict[str, Any]:
     keys = ("mean", "median", "ci_low", "ci_high", "bound", "excess")
+    if result is None:
+        return {"cell": cell.identity, "method": cell.label, "status": "missing"}
     return {
+        "cell": cell.identity,
         "method": cell.label,
         "system": cell.scenario.label,
         "snr": cell.scenario.snr_db,
@@ -229,6 +298,8 @@ def _sweep_table(cells: Sequence[Any], results: Sequence[Any]) -> str:
     rows = []
     disturbed = any(cell.scenario.disturbance for cell in cells)
     for cell, result in zip(cells, results, strict=True):
+        if result is None:
+            continue
         group = cell.scenario.make_system().groups[0].name
         error, rmse = (result.summary.get(name, {}) for name in (f"{group}_error_pct", "rmse"))
         values = [number(part.get(key, math.nan)) for part in (error, rmse) for key in ("median", "excess")]
@@ -236,7 +307,7 @@ def _sweep_table(cells: Sequence[Any], results: Sequence[Any]) -> str:
         scenario = cell.scenario
         by = [_disturbance(scenario)] if disturbed else []
         rows.append([cell.label, scenario.label, f"{scenario.snr_db:g}", scenario.told, *by, ok, *values])
-    name = results[0].cell["system"] and cells[0].scenario.make_system().groups[0].name.replace("_over_", "/")
+    name = cells[0].scenario.make_system().groups[0].name.replace("_over_", "/")
     by = ["disturbance"] if disturbed else []
     headers = ["method", "system", "dB", "start", *by, "ok", f"{name} %", "excess", "RMSE m", "excess"]
     return tabulate(rows, headers=headers, disable_numparse=True)
@@ -247,7 +318,7 @@ def _identify(job: Any) -> int:
 
     from bench.measured import identify_record, report
 
-    problem, outcome = identify_record(job, job.config.timeout_s)
+    problem, outcome = identify_record(job)
     result = {"method": job.label, "data": str(job.config.data), **report(problem, outcome)}
     if job.config.format == "json":
         print(json.dumps(_nulls(result), allow_nan=False))

@@ -98,6 +98,10 @@ class Config(_Strict):
     format: Literal["table", "json"]
     workers: Annotated[int, Field(ge=1, le=1024)] | None
     timeout_s: Positive
+    memory_mb: Annotated[float, Field(allow_inf_nan=False, ge=100)]
+    retry: str
+    dry_run: bool
+    cells_per_job: Annotated[int, Field(ge=1)]
     data: Path | None
     nominal: dict[str, Positive]
     start: list[Finite] | None
@@ -167,7 +171,6 @@ class Job:
             replicates=config.replicates,
             seed=config.seed,
             label=self.label,
-            timeout_s=config.timeout_s,
         )
 
 
@@ -177,6 +180,11 @@ def choices(group: str) -> list[str]:
     folder = files("conf").joinpath(group)
     found = [entry.name[: -len(".yaml")] for entry in folder.iterdir() if entry.name.endswith(".yaml")]
     return sorted({*found, *(method_names() if group == "method" else ())})
+
+
+def of_launcher(text: str) -> bool:
+    """Whether an override is one of Hydra's own: ``hydra/launcher=ray``, ``hydra.launcher.partition=debug``."""
+    return text.lstrip("+~").startswith(("hydra/", "hydra."))
 
 
 def read_overrides(texts: Sequence[str]) -> dict[str, list[Any]]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtr, ndtri, stdtr, stdtrit
 
 from bench.problem import InitialState, Units
 from bench.systems import LENGTH, Quantity, System
@@ -51,18 +52,23 @@ class Marginal:
         return float(low), float(high)
 
 
+def standard_quantile(levels: Any, dof: float | None) -> Any:
+    """Quantiles of the standard normal, or of Student's t with ``dof`` degrees of freedom."""
+    return ndtri(levels) if dof is None else stdtrit(dof, levels)
+
+
 def _normal_marginal(value: float, mean: float, sd: float, dof: float | None, log: bool) -> Marginal:
     """Normal, or Student's t with ``dof`` degrees of freedom, in the quantity or in its logarithm."""
-    unit = stats.norm() if dof is None else stats.t(dof)
 
     def ppf(levels: np.ndarray) -> np.ndarray:
-        z = unit.ppf(levels)
+        z = standard_quantile(levels, dof)
         with np.errstate(over="ignore"):
-            return np.exp(mean + sd * z) if log else mean + sd * z
+            return np.asarray(np.exp(mean + sd * z) if log else mean + sd * z)
 
     def cdf(true: float) -> float:
         with np.errstate(over="ignore"):
-            return float(unit.cdf(((np.log(true) if log else true) - mean) / np.maximum(sd, 1e-300)))
+            z = ((np.log(true) if log else true) - mean) / np.maximum(sd, 1e-300)
+        return float(ndtr(z) if dof is None else stdtr(dof, z))
 
     return Marginal(value, ppf, cdf)
 

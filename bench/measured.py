@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.alone import Outcome, fit_alone
 from bench.combine import combine_with_prior
 from bench.config import Job
 from bench.errors import InputError
@@ -19,11 +20,10 @@ from bench.prior import Prior
 from bench.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Record
 from bench.reference import REFERENCES
 from bench.registry import make_method, missing_package
-from bench.runner import MethodFit
+from bench.runner import Limits
 from bench.score import point_parameters
 from bench.simulate import fitted_start, measurements
 from bench.systems import SDOF, System, make_system
-from bench.workers import Outcome, Task, perform, single_threaded
 
 UNITS = {
     "s": ("t", 1.0), "ms": ("t", 1e-3), "m": ("x", 1.0), "cm": ("x", 1e-2), "mm": ("x", 1e-3), "um": ("x", 1e-6),
@@ -142,21 +142,18 @@ def _prior(job: Job, system: System) -> Prior | None:
     )
 
 
-def identify_record(job: Job, timeout_s: float) -> tuple[Problem, Outcome]:
+def identify_record(job: Job) -> tuple[Problem, Outcome]:
     """Identify the record of a job with its method, in a process of its own."""
-    single_threaded()
     name = job.config.method["name"]
     if name in REFERENCES:
         raise InputError("method", name, "it needs the truth, which a measured record does not have; choose a method")
     problem = measured_problem(job)
     lacking = missing_package(name)
     if lacking:
-        return problem, Outcome(0, None, Status.MISSING_DEPENDENCY, lacking)
-    fit = MethodFit(make_method(name, job.settings()))
-    rng = np.random.default_rng(job.config.seed)
-    task = Task("record", (0,), fit, (problem,), (rng,), timeout_s)
-    _, outcomes = next(iter(perform([task], 1)))
-    return problem, outcomes[0]
+        return problem, Outcome(None, Status.MISSING_DEPENDENCY, lacking)
+    method, rng = make_method(name, job.settings()), np.random.default_rng(job.config.seed)
+    limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
+    return problem, fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
 
 
 def report(problem: Problem, outcome: Outcome) -> dict[str, Any]:

@@ -26,7 +26,8 @@ from bench.cli import number, read_folders
 from bench.compare import LEVEL, holm
 from bench.config import expand, jobs_to_cells
 from bench.errors import InputError
-from bench.runner import run_cells
+from bench.launch import complete
+from bench.runner import Limits
 from bench.scenario import PriorSpec, Scenario
 from bench.store import Store, StoredCell
 from bench.tables import HEADINGS, METRICS, TITLES, entries, errors_of, paper_numbers, paper_value
@@ -265,16 +266,9 @@ def _numbers(data: pd.DataFrame, first: str) -> str:
 
 def load(cells: Mapping[str, Mapping[Place, Cell]], store: Store) -> dict[str, dict[Place, StoredCell]]:
     """Run what is missing, with a progress bar, and return all stored cells."""
-    from tqdm import tqdm
-
     wanted = list({c.identity: c for own in cells.values() for c in own.values()}.values())
-    with tqdm(total=sum(c.replicates for c in wanted), unit="fit", file=sys.stderr, dynamic_ncols=True) as bar:
-
-        def progress(cell: Cell, n: int, stored: bool) -> None:
-            bar.initial += n if stored else 0
-            bar.update(n)
-
-        results = run_cells(wanted, store, os.cpu_count() or 1, progress)
+    complete(wanted, store, Limits(os.cpu_count() or 1))
+    results = [found for cell in wanted if (found := store.load(cell.identity))]
     by_identity = {cell.identity: result for cell, result in zip(wanted, results, strict=True)}
     return {name: {place: by_identity[c.identity] for place, c in own.items()} for name, own in cells.items()}
 

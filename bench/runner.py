@@ -1,231 +1,366 @@
-"""From cells to stored rows: make the replicates, have them fitted elsewhere, score them here, store each cell whole.
+"""A run: every cell that is wanted becomes a stored row, whatever its method does.
 
-The process that scores is the only one that holds both a truth and an estimate; a fit sees problems alone.
+Each slot pairs a judge, which knows the truth, with the process of one method, which does not, and passes bytes between
+them. A slot ends what hangs, dies or grows too large, and records it; a cell is stored the moment it is complete.
 """
 
 from __future__ import annotations
 
-import os
-import platform
+import pickle
+import queue
+import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 
-from bench.bound import Bound, load_bounds
+from bench import fitter, judge
+from bench.bound import load_bounds
 from bench.cell import Cell
-from bench.combine import combine_with_prior
-from bench.estimate import Estimate, Status
-from bench.identifier import Identifier
-from bench.problem import Problem
+from bench.claims import Claims
+from bench.errors import InputError
+from bench.estimate import Status
+from bench.judge import Failure, Scored
+from bench.plan import FAILURES, Planned, State
+from bench.processes import READY_S, Child, Children, Died
+from bench.provenance import provenance
 from bench.reference import REFERENCES
-from bench.registry import make_method, missing_package
-from bench.scenario import METHOD
-from bench.score import score
-from bench.statistics import summarise
-from bench.store import Row, Store, StoredCell
-from bench.truth import Truth
-from bench.workers import Outcome, Task, perform, single_threaded
+from bench.registry import load_method, make_method, missing_package
+from bench.row import Row
+from bench.store import Store
 
 LARGEST_TASK = 5
-PACKAGES = ("numpy", "scipy", "jax", "torch", "casadi", "pysindy", "emcee", "vibration-bench")
+"""Replicates that a method gets at once, at most: what is lost, and tried again one by one, when a process dies."""
+SCORING_S = 120.0
+"""Limit of the harness's own work on one replicate."""
+WRITE_ATTEMPTS = 5
+WAIT_S = 0.5
 
-
-Progress = Callable[[Cell, int, bool], None]
-
-
-@dataclass(frozen=True)
-class ReferenceFit:
-    """A reference row as a worker runs it: its payloads are pairs of problem and truth."""
-
-    name: str
-
-    def __call__(
-        self, payloads: Sequence[tuple[Problem, Truth]], rngs: Sequence[np.random.Generator]
-    ) -> list[Estimate]:
-        return [REFERENCES[self.name](problem, truth) for problem, truth in payloads]
+Progress = Callable[[Cell, int], None]
 
 
 @dataclass(frozen=True)
-class MethodFit:
-    """A method as a worker runs it, past its own objection to a problem."""
+class Limits:
+    """``timeout_s`` and ``memory_mb`` hold for one replicate's fit; ``preload`` names packages imported once."""
 
-    method: Identifier
-
-    def __call__(self, payloads: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        objections = [self.method.objection(problem) for problem in payloads]
-        taken = [i for i, objection in enumerate(objections) if objection is None]
-        found = self.method.identify_many([payloads[i] for i in taken], [rngs[i] for i in taken]) if taken else []
-        answers = dict(zip(taken, found, strict=True))
-        return [
-            answers[i] if objection is None else Estimate.failed(payloads[i].system, Status.UNSUPPORTED, objection)
-            for i, objection in enumerate(objections)
-        ]
+    workers: int = 1
+    timeout_s: float = 600.0
+    memory_mb: float = 4096.0
+    preload: tuple[str, ...] = ()
 
 
 @dataclass
-class _Pending:
-    """A cell under way: its replicates, its bound, the rows so far."""
+class _Work:
+    """A cell under way."""
 
     cell: Cell
-    bound: Bound
-    pairs: list[tuple[Problem, Truth]]
-    rows: list[Row]
-    started: float
+    fit: bytes
+    requires: tuple[str, ...]
+    pending: deque[tuple[int, ...]]
+    stamp: int
+    rows: list[Row] = field(default_factory=list)
+    tracebacks: dict[int, str] = field(default_factory=dict)
+    arrays: dict[str, np.ndarray] = field(default_factory=dict)
+    started: float = 0.0
+    under_way: int = 0
+    taken: bool = False
+
+    @property
+    def complete(self) -> bool:
+        return len(self.rows) == self.cell.replicates
+
+    def errors(self) -> str:
+        """The tracebacks of all failed replicates, in order."""
+        parts = [f"replicate {i}\n{text.rstrip()}\n" for i, text in sorted(self.tracebacks.items()) if text.strip()]
+        return "\n".join(parts)
 
 
-def run_cells(
-    cells: Sequence[Cell], store: Store, workers: int, on_progress: Progress = lambda cell, n, stored: None
-) -> list[StoredCell]:
-    """Run what the store lacks of the cells, store each as it is done, and return all of them in order.
+def run_cells(planned: Sequence[Planned], store: Store, limits: Limits, on_progress: Progress | None = None) -> None:
+    """Compute and store the cells of a plan that are to be run.
 
-    ``on_progress(cell, n, stored)`` is called when ``n`` more replicates of a cell are done, or were found stored.
+    ``on_progress(cell, n)`` is called when ``n`` more replicates of a cell are done. Raises InputError where the store
+    can no longer be written; all that was stored stays.
     """
-    single_threaded()
-    done: dict[str, StoredCell] = {}
-    missing: dict[str, Cell] = {}
-    for cell in cells:
-        stored = store.load(cell.identity)
-        if stored is None or _can_now_run(stored):
-            missing.setdefault(cell.identity, cell)
-        else:
-            done[cell.identity] = stored
-            on_progress(cell, cell.replicates, True)
-    todo = list(missing.values())
-    bounds = load_bounds([(cell.scenario, cell.seed) for cell in todo], store.bounds) if todo else []
-    # cells of one method go together, in workers of their own: memory peaks then belong to that method
-    for method in dict.fromkeys(cell.method for cell in todo):
-        group = [(cell, bound) for cell, bound in zip(todo, bounds, strict=True) if cell.method == method]
-        for stored in _run_group(group, store, workers, on_progress):
-            done[stored.identity] = stored
-    return [done[cell.identity] for cell in cells]
+    wanted = [one for one in planned if one.run]
+    if not wanted:
+        return
+    load_bounds([(one.cell.scenario, one.cell.seed) for one in wanted], store.bounds)
+    board = Board([_work(one, store, limits.workers) for one in wanted], store)
+    children = Children([name for name in limits.preload if _needed(name, wanted)])
+    slots = [Slot(board, children, limits) for _ in range(max(1, min(limits.workers, board.batches)))]
+    try:
+        for slot in slots:
+            slot.start()
+        while any(slot.is_alive() for slot in slots) or not board.events.empty():
+            try:
+                event = board.events.get(timeout=0.2)
+            except queue.Empty:
+                continue
+            if isinstance(event, BaseException):
+                raise event
+            if on_progress is not None:
+                on_progress(*event)
+    finally:
+        board.stop()
+        children.close()
+        board.claims.release_all()
 
 
-def _can_now_run(stored: StoredCell) -> bool:
-    """Whether a cell was stored for want of a package that is there now."""
-    return stored.status is Status.MISSING_DEPENDENCY and missing_package(stored.cell["method"]) is None
+def _needed(package: str, wanted: Sequence[Planned]) -> bool:
+    methods = {one.cell.method for one in wanted} - set(REFERENCES)
+    return any(package in load_method(name).requires for name in methods) and find_spec(package) is not None
 
 
-def _run_group(
-    group: Sequence[tuple[Cell, Bound]], store: Store, workers: int, on_progress: Progress
-) -> list[StoredCell]:
-    pending: dict[str, _Pending] = {}
-    tasks: list[Task] = []
-    results = []
-    for cell, bound in group:
-        pairs = cell.scenario.replicates(cell.seed, cell.replicates)
-        state = _Pending(cell, bound, pairs, [], time.perf_counter())
-        pending[cell.identity] = state
-        lacking = missing_package(cell.method)
-        if lacking:
-            state.rows = [Row(i, Status.MISSING_DEPENDENCY, lacking) for i in range(cell.replicates)]
-            on_progress(cell, cell.replicates, False)
-            results.append(_finish(pending.pop(cell.identity), store))
-        else:
-            tasks += _tasks(cell, pairs, workers)
-    for task, outcomes in perform(tasks, workers):
-        state = pending[task.key]
-        state.rows += [_row(outcome, state.pairs[outcome.replicate]) for outcome in outcomes]
-        on_progress(state.cell, len(outcomes), False)
-        if len(state.rows) == state.cell.replicates:
-            results.append(_finish(pending.pop(task.key), store))
-    return results
-
-
-def _tasks(cell: Cell, pairs: Sequence[tuple[Problem, Truth]], workers: int) -> list[Task]:
+def _work(planned: Planned, store: Store, workers: int) -> _Work:
+    """The replicates to be fitted: all of them, or those that failed where a cell is tried again."""
+    cell = planned.cell
+    requires: tuple[str, ...] = ()
     if cell.method in REFERENCES:
-        fit: Any = ReferenceFit(cell.method)
-        payloads: list[Any] = list(pairs)
+        fit: Any = fitter.ReferenceFit(cell.method)
     else:
-        fit = MethodFit(make_method(cell.method, dict(cell.settings)))
-        payloads = [problem for problem, _ in pairs]
-    name = int.from_bytes(cell.method.encode(), "big") % 2**32
-    rngs = [cell.scenario.stream(METHOD, cell.seed, i, name) for i in range(len(pairs))]
-    size = max(1, min(LARGEST_TASK, len(pairs) // (4 * workers)))
-    return [
-        Task(
-            key=cell.identity,
-            replicates=tuple(range(i, min(i + size, len(pairs)))),
-            fit=fit,
-            payloads=tuple(payloads[i : i + size]),
-            rngs=tuple(rngs[i : i + size]),
-            timeout_s=cell.timeout_s,
-        )
-        for i in range(0, len(pairs), size)
-    ]
+        method = make_method(cell.method, dict(cell.settings))
+        requires, fit = method.requires, fitter.MethodFit(method)
+    work = _Work(cell, pickle.dumps(fit), requires, deque(), _stamp(store, cell))
+    todo = list(range(cell.replicates))
+    if planned.state is State.FAILED:
+        todo = _keep_good(work, store)
+    lacking = missing_package(cell.method)
+    if lacking:
+        work.rows = [Row(i, Status.MISSING_DEPENDENCY, lacking) for i in range(cell.replicates)]
+        return work
+    size = max(1, min(LARGEST_TASK, cell.replicates // (4 * workers)))
+    work.pending.extend(tuple(todo[i : i + size]) for i in range(0, len(todo), size))
+    return work
 
 
-def _row(outcome: Outcome, pair: tuple[Problem, Truth]) -> Row:
-    """The scored row of one replicate."""
-    problem, truth = pair
-    status, message, scores, evaluations = outcome.status, outcome.message, {}, 0
-    if outcome.estimate is not None:
-        evaluations = outcome.estimate.cost.evaluations
+def _keep_good(work: _Work, store: Store) -> list[int]:
+    """Take over the rows of a stored cell that did not fail; returns the replicates that did."""
+    stored = store.load(work.cell.identity)
+    retried = FAILURES | {Status.MISSING_DEPENDENCY}
+    work.rows = [row for row in stored.rows if row.status not in retried] if stored else []
+    work.arrays = store.arrays(stored) if stored else {}
+    kept = {row.replicate for row in work.rows}
+    return [i for i in range(work.cell.replicates) if i not in kept]
+
+
+class Board:
+    """What is to be done, shared by the slots: each call is one step under a lock."""
+
+    def __init__(self, works: Sequence[_Work], store: Store) -> None:
+        self.store, self.claims = store, Claims(store.claims)
+        self.events: queue.Queue[Any] = queue.Queue()
+        self.batches = sum(max(1, len(work.pending)) for work in works)
+        self._works = deque(works)
+        self._open: list[_Work] = []
+        self._lock = threading.Lock()
+        self._stopped = threading.Event()
+
+    @property
+    def stopped(self) -> bool:
+        return self._stopped.is_set()
+
+    def stop(self) -> None:
+        self._stopped.set()
+
+    def take(self, last: _Work | None) -> tuple[_Work, tuple[int, ...]] | None:
+        """The next replicates, of the same cell if it has any; none of them where only storing is left; None at the
+        end. A cell of one slot is shared with others only when no cell is left that nobody works on."""
+        while not self._stopped.is_set():
+            with self._lock:
+                if last is not None and last.pending:
+                    return self._hand_out(last)
+                work = self._claimed() or max(self._open, key=lambda one: len(one.pending), default=None)
+                if work is not None and (work.pending or (work.complete and not work.taken)):
+                    return self._hand_out(work)
+                if not self._works:
+                    return None
+            self._stopped.wait(WAIT_S)  # for cells that another run has claimed
+        return None
+
+    def _claimed(self) -> _Work | None:
+        """The next cell that nobody works on; one that another run has stored meanwhile is done."""
+        for _ in range(len(self._works)):
+            work = self._works.popleft()
+            if not self.claims.take(work.cell.identity):
+                self._works.append(work)
+                continue
+            if self._stored_meanwhile(work):
+                self.claims.release(work.cell.identity)
+                self.events.put((work.cell, work.cell.replicates - len(work.rows)))
+                continue
+            work.started = time.time()
+            self._open.append(work)
+            return work
+        return None
+
+    def _stored_meanwhile(self, work: _Work) -> bool:
+        cell = work.cell
+        if _stamp(self.store, cell) == work.stamp:
+            return False
+        stored = self.store.load(cell.identity)
+        return stored is not None and stored.version.get("digest") == cell.version.digest
+
+    def _hand_out(self, work: _Work) -> tuple[_Work, tuple[int, ...]]:
+        if not work.pending:
+            work.taken = True
+            return work, ()
+        work.under_way += 1
+        return work, work.pending.popleft()
+
+    def split(self, work: _Work, replicates: Sequence[int]) -> None:
+        """Have replicates tried again one by one."""
+        with self._lock:
+            work.under_way -= 1
+            work.pending.extendleft((replicate,) for replicate in reversed(replicates))
+
+    def add(self, work: _Work, scored: Sequence[Scored]) -> bool:
+        """Note rows; True where the cell is complete, and is then this slot's to store."""
+        with self._lock:
+            work.under_way -= 1
+            for one in scored:
+                work.rows.append(one.row)
+                work.arrays.update(one.arrays)
+                if one.traceback:
+                    work.tracebacks[one.row.replicate] = one.traceback
+            self.events.put((work.cell, len(scored)))
+            complete = work.complete and not work.taken
+            work.taken = work.taken or complete
+            return complete
+
+    def stored(self, work: _Work) -> None:
+        with self._lock:
+            self._open.remove(work)
+            self.claims.release(work.cell.identity)
+
+
+def _stamp(store: Store, cell: Cell) -> int:
+    """When the stored cell was written; 0 where there is none."""
+    try:
+        return store.path(cell.identity).stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+class _Stopped(Exception):
+    """The run is over: what its own end did to a process is nobody's failure."""
+
+
+class Slot(threading.Thread):
+    """One judge and one method's process at a time; a fresh one for every cell."""
+
+    def __init__(self, board: Board, children: Children, limits: Limits) -> None:
+        super().__init__(daemon=True)
+        self.board, self.children, self.limits = board, children, limits
+        self.judge: Child | None = None
+        self.fitter: Child | None = None
+
+    def run(self) -> None:
+        work: _Work | None = None
         try:
-            with np.errstate(all="ignore"):
-                estimate = combine_with_prior(outcome.estimate, problem.prior).checked()
-                scores = score(estimate, problem, truth)
-            status, message = estimate.status, estimate.message
-        except Exception as error:  # names, shapes or a reconstruction that the contract does not allow
-            text = f"the estimate cannot be scored: {type(error).__name__}: {error}"
-            status, message = Status.INVALID, " ".join(text.split())[:300]
-        if status is Status.OK:
-            scores["realised_snr_db"] = truth.realised_snr_db
-    return Row(
-        replicate=outcome.replicate,
-        status=status,
-        message=message,
-        scores=scores,
-        wall_s=outcome.wall_s,
-        cpu_s=outcome.cpu_s,
-        peak_memory_mb=outcome.peak_memory_mb,
-        evaluations=evaluations,
-    )
+            while (taken := self.board.take(work)) is not None:
+                if taken[0] is not work:
+                    self._retire_fitter()
+                work, replicates = taken
+                scored = self._done(work, replicates) if replicates else None
+                if not replicates or (scored is not None and self.board.add(work, scored)):
+                    self._store(work)
+        except _Stopped:
+            pass
+        except BaseException as error:
+            self.board.events.put(error)
+        finally:
+            self._retire_fitter()
 
-
-def _finish(state: _Pending, store: Store) -> StoredCell:
-    rows = tuple(sorted(state.rows, key=lambda row: row.replicate))
-    cell, truth = state.cell, state.pairs[0][1]
-    described = {
-        **cell.description(),
-        "label": cell.label,
-        "system": cell.scenario.label,
-        "snr_db": cell.scenario.snr_db,
-        "initial_state": cell.scenario.told,
-        "sigma": list(truth.sigma),
-        "sigma_over_peak": truth.sigma_over_peak,
-    }
-    stored = StoredCell(
-        identity=cell.identity,
-        cell=described,
-        rows=rows,
-        summary={name: asdict(summary) for name, summary in summarise(rows, state.bound).items()},
-        prior_share=state.bound.prior_share,
-        identifiable=state.bound.identifiable,
-        wall_s=time.perf_counter() - state.started,
-        provenance=provenance(),
-    )
-    store.save(stored)
-    return store.load(cell.identity) or stored  # as stored, so that a second run prints the very same
-
-
-@cache
-def provenance() -> dict[str, Any]:
-    """Versions and machine, for every stored cell."""
-    found = {}
-    for package in PACKAGES:
+    def _done(self, work: _Work, replicates: tuple[int, ...]) -> list[Scored] | None:
+        """The rows of some replicates; None where they are to be tried again one by one."""
+        timeout_s, n = self.limits.timeout_s, len(replicates)
+        started = time.monotonic()
         try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return {
-        "python": platform.python_version(),
-        "packages": found,
-        "machine": platform.machine(),
-        "cores": os.cpu_count(),
-        "threads_per_fit": 1,
-    }
+            task: bytes = self._ask("open", work.cell, work.fit, replicates, timeout_s, limit_s=SCORING_S * n)
+            answers = self._fit(work, task, n)
+            if isinstance(answers, bytes):
+                return self._ask("score", work.cell, answers, limit_s=SCORING_S * n)  # type: ignore[no-any-return]
+            failure = answers
+        except Died as died:  # the judge: what it was given to score was too much for it
+            self._go_on()
+            failure = Failure(Status.INVALID, f"its scoring was ended: {died.message}", died.log)
+        if n > 1:
+            self.board.split(work, replicates)
+            return None
+        failure = _at(failure, time.monotonic() - started)
+        try:
+            return self._ask("fail", work.cell, replicates[0], failure, limit_s=SCORING_S)  # type: ignore[no-any-return]
+        except Died:
+            self._go_on()
+            return [Scored(Row(replicates[0], failure.status, failure.message), failure.log)]
+
+    def _fit(self, work: _Work, task: bytes, n: int) -> bytes | Failure:
+        """The packed answers of a method, or why there are none."""
+        memory = self.limits.memory_mb
+        best: bytes | None = None
+        deadline = 0.0
+        try:
+            if self.fitter is None:
+                self.fitter = self.children.start(fitter.serve, work.requires, memory)
+                self.fitter.receive(READY_S)
+            self.fitter.send(task)
+            limit = self.limits.timeout_s * n
+            deadline = time.monotonic() + limit
+            while True:
+                message = self.fitter.receive(max(0.0, deadline - time.monotonic()), memory)
+                if message[:1] == b"d":
+                    return message[1:]
+                best = message[1:]
+        except Died as died:
+            self._go_on()
+            self.fitter = None
+            message_text = died.message
+            if died.reason == "timeout":
+                message_text = f"stopped after the limit of {self.limits.timeout_s:g} s"
+            return Failure(Status(died.reason), message_text, died.log, best=best if n == 1 else None)
+
+    def _ask(self, request: str, *arguments: Any, limit_s: float) -> Any:
+        if self.judge is None:
+            self.judge = self.children.start(judge.serve)
+            self.judge.receive(READY_S)
+        self.judge.send(pickle.dumps((request, *arguments)))
+        try:
+            return pickle.loads(self.judge.receive(limit_s))
+        except Died:
+            self.judge = None
+            raise
+
+    def _store(self, work: _Work) -> None:
+        limits = self.limits
+        version = work.cell.version
+        come = provenance(version, limits.workers, limits.timeout_s, limits.memory_mb, work.started)
+        arguments = (work.cell, self.board.store, work.rows, work.arrays, work.errors(), version.as_json(), come)
+        problem = ""
+        for _ in range(WRITE_ATTEMPTS):
+            try:
+                problem = self._ask("finish", *arguments, limit_s=SCORING_S)
+                break
+            except Died as died:
+                self._go_on()
+                problem = died.message
+        if problem:
+            remedy = f"cannot be written ({problem}); what is stored stays, make room and run the same command again"
+            raise InputError("store", self.board.store.path(work.cell.identity), remedy)
+        self.board.stored(work)
+
+    def _go_on(self) -> None:
+        if self.board.stopped:
+            raise _Stopped
+
+    def _retire_fitter(self) -> None:
+        if self.fitter is not None:
+            self.fitter.retire()
+            self.fitter = None
+
+
+def _at(failure: Failure, wall_s: float) -> Failure:
+    return Failure(failure.status, failure.message, failure.log, wall_s, failure.best)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -197,11 +197,16 @@ class Scenario:
 
     def replicates(self, seed: int, n: int) -> list[tuple[Problem, Truth]]:
         """The first ``n`` replicates of a seed: the same noise and nominal values for every method."""
+        make = self.maker(seed)
+        return [make(i) for i in range(n)]
+
+    def maker(self, seed: int) -> Callable[[int], tuple[Problem, Truth]]:
+        """What makes any one replicate of a seed, by its number; what all share is computed once, here."""
         if self.truth_drawn:
-            return [self._drawn(seed, i) for i in range(n)]
+            return lambda i: self._drawn(seed, i)
         clean, dense = self._response(self.times, seed), self._response(self.dense_times, seed)
         forecast, sigma = self._response(self.forecast_times, seed), self.sigmas(seed)
-        return [self._replicate(seed, i, clean, dense, forecast, sigma) for i in range(n)]
+        return lambda i: self._replicate(seed, i, clean, dense, forecast, sigma)
 
     def _drawn(self, seed: int, index: int) -> tuple[Problem, Truth]:
         """A replicate whose truth is drawn around the nominal values, which are this scenario's parameters."""

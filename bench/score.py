@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy import stats
 
-from bench.estimate import Estimate, Marginal, Normal, Status
+from bench.estimate import Estimate, Marginal, Normal, Status, standard_quantile
 from bench.problem import Problem
 from bench.simulate import fitted_start, simulate
 from bench.systems import Quantity
@@ -22,10 +21,11 @@ QUANTILES = (np.arange(200) + 0.5) / 200
 def score(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, float]:
     """Named scores; a score that this estimate cannot have is absent. Failed estimates have none.
 
-    ``<quantity>_error_pct`` (absolute relative error, %), ``<quantity>_coverage_50`` etc. (1 if the interval holds the
-    truth, else 0), ``<quantity>_pit`` (the belief's level at the truth, uniform over replicates if it is calibrated:
-    probability integral transform), ``<quantity>_interval_score_pct`` (95 %) and ``<quantity>_crps_pct`` relative to
-    the truth, in %; ``rmse`` (of the reconstruction), ``rmse_simulated``, ``rmse_forecast`` (m), over all DOFs;
+    ``<quantity>_error_pct`` (absolute relative error, %), ``<quantity>_ratio`` (the value over the true one),
+    ``<quantity>_coverage_50`` etc. (1 if the interval holds the truth, else 0), ``<quantity>_pit`` (the belief's level
+    at the truth, uniform over replicates if it is calibrated: probability integral transform),
+    ``<quantity>_interval_score_pct`` (95 %) and ``<quantity>_crps_pct`` relative to the truth, in %;
+    ``rmse`` (of the reconstruction), ``rmse_simulated``, ``rmse_forecast`` (m), over all DOFs;
     ``band_inside_50`` etc.: the share of the record where the displacement lies in the method's own band.
     """
     if estimate.status is not Status.OK:
@@ -40,7 +40,8 @@ def score(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, float
 
 def _quantity_scores(quantity: Quantity, marginal: Marginal, true: float) -> dict[str, float]:
     name = quantity.name
-    scores = {f"{name}_error_pct": 100.0 * abs(marginal.value - true) / true}
+    ratio = marginal.value / true
+    scores = {f"{name}_error_pct": 100.0 * abs(ratio - 1.0), f"{name}_ratio": ratio}
     if marginal.ppf is None or marginal.cdf is None:
         return scores
     scores[f"{name}_pit"] = marginal.cdf(true)
@@ -102,10 +103,11 @@ def _band_scores(estimate: Estimate, truth: Truth) -> dict[str, float]:
     if not estimate.bands or not estimate.reconstructions:
         return {}
     dof = estimate.belief.dof if isinstance(estimate.belief, Normal) else None
-    unit = stats.norm() if dof is None else stats.t(dof)
     sd = estimate.bands[0](truth.dense_times)
     off = np.abs(estimate.reconstructions[0](truth.dense_times) - truth.dense_displacement)
-    return {f"band_inside_{round(100 * v)}": float(np.mean(off <= unit.ppf(0.5 + v / 2) * sd)) for v in LEVELS}
+    return {
+        f"band_inside_{round(100 * v)}": float(np.mean(off <= standard_quantile(0.5 + v / 2, dof) * sd)) for v in LEVELS
+    }
 
 
 def _rms(error: np.ndarray) -> float:

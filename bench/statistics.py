@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri, stdtrit
 
 from bench.bound import Bound
 from bench.estimate import Status
-from bench.store import Row
+from bench.row import Row
 
 RESAMPLES = 2000
+Z95 = float(ndtri(0.975))
 ALWAYS = ("rmse", "rmse_simulated", "rmse_forecast")
 
 
@@ -44,7 +45,8 @@ def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Summary]:
     """A summary of every metric that any replicate has, plus the metrics every cell has (NaN where none succeeded)."""
     bounds = metric_bounds(bound)
     ok = [row for row in rows if row.status is Status.OK]
-    names = list(dict.fromkeys([*(n for row in ok for n in row.scores), *(n for n in bounds if not ok), *ALWAYS]))
+    own = (name for row in ok for name in row.scores if not name.endswith("_ratio"))
+    names = list(dict.fromkeys([*own, *(name for name in bounds if not ok), *ALWAYS]))
     index = np.random.default_rng(0).integers(0, len(rows), (RESAMPLES, len(rows)))
     result = {}
     for name in names:
@@ -81,7 +83,7 @@ def _share(values: np.ndarray) -> Summary:
     if values.size < 2:
         only = float(values[0]) if values.size else nan
         return Summary(only, only, nan, nan, nan, nan, int(values.size))
-    half = float(stats.t.ppf(0.975, values.size - 1) * stats.sem(values))
+    half = float(stdtrit(values.size - 1, 0.975) * values.std(ddof=1) / np.sqrt(values.size))
     mean = float(values.mean())
     return Summary(mean, float(np.median(values)), mean - half, mean + half, nan, nan, int(values.size))
 
@@ -90,5 +92,12 @@ def _coverage(hits: np.ndarray) -> Summary:
     nan = float("nan")
     if not hits.size:
         return Summary(nan, nan, nan, nan, nan, nan, 0)
-    interval = stats.binomtest(int(hits.sum()), hits.size).proportion_ci(method="wilson")
-    return Summary(float(hits.mean()), float(np.median(hits)), interval.low, interval.high, nan, nan, int(hits.size))
+    low, high = wilson_interval(int(hits.sum()), hits.size)
+    return Summary(float(hits.mean()), float(np.median(hits)), low, high, nan, nan, int(hits.size))
+
+
+def wilson_interval(k: int, n: int) -> tuple[float, float]:
+    """95 % interval of a fraction, ``k`` of ``n`` seen (E. B. Wilson, J. Am. Stat. Assoc. 22:209, 1927)."""
+    z2 = Z95**2
+    half = Z95 * np.sqrt(k * (n - k) / n + z2 / 4)
+    return max(0.0, float((k + z2 / 2 - half) / (n + z2))), min(1.0, float((k + z2 / 2 + half) / (n + z2)))

@@ -1,42 +1,44 @@
-"""The store: one JSON file a cell, written whole or not at all, named by the hash of what it computes."""
+"""The store: one JSON file a cell, written whole or not at all, named by the hash of the question it answers.
+
+Beside it lie, written first, the arrays of one of its replicates (``.npz``) and the tracebacks of those that failed
+(``.errors.txt``).
+"""
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import io
 import json
 import math
 import os
+import threading
+import time
+import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bench.errors import InputError
 from bench.estimate import Status
+from bench.row import Row
 
-FORMAT = 1
+FORMAT = 2
 DIGITS = 6
-
-
-@dataclass(frozen=True)
-class Row:
-    """One replicate of one cell: what became of it, its scores, and what it took.
-
-    ``wall_s`` and ``cpu_s`` are those of the fit alone, ``peak_memory_mb`` the peak of the process that did it.
-    """
-
-    replicate: int
-    status: Status
-    message: str = ""
-    scores: Mapping[str, float] = field(default_factory=dict)
-    wall_s: float = math.nan
-    cpu_s: float = math.nan
-    peak_memory_mb: float = math.nan
-    evaluations: int = 0
+ABANDONED_S = 3600.0
+"""Age at which a temporary file has no writer any more."""
+PLAIN = ("replicate", "message", "wall_s", "cpu_s", "peak_memory_mb", "evaluations", "data")
 
 
 @dataclass(frozen=True)
 class StoredCell:
-    """What a cell's file holds: its full description, its rows, and the summary of every metric."""
+    """What a cell's file holds: its full description, its rows, the summary of every metric, and whence they come.
+
+    ``wall_s`` is the time of all fits together, ``version`` what computed it, ``arrays`` the file beside it.
+    """
 
     identity: str
     cell: dict[str, Any]
@@ -45,7 +47,9 @@ class StoredCell:
     prior_share: dict[str, float]
     identifiable: dict[str, bool]
     wall_s: float
-    provenance: dict[str, Any]
+    provenance: dict[str, Any] = field(default_factory=dict)
+    version: dict[str, Any] = field(default_factory=dict)
+    arrays: str = ""
 
     @property
     def n_ok(self) -> int:
@@ -76,10 +80,9 @@ def _number(value: Any) -> float:
 def _columns(rows: Sequence[Row]) -> dict[str, Any]:
     """Rows as columns: smaller files, and one list a metric (null where a replicate lacks it)."""
     names = list(dict.fromkeys(name for row in rows for name in row.scores))
-    plain = ("replicate", "message", "wall_s", "cpu_s", "peak_memory_mb", "evaluations")
     return {
         "status": [row.status.value for row in rows],
-        **{key: [getattr(row, key) for row in rows] for key in plain},
+        **{key: [getattr(row, key) for row in rows] for key in PLAIN},
         "scores": {name: [row.scores.get(name) for row in rows] for name in names},
     }
 
@@ -96,9 +99,44 @@ def _rows(columns: Mapping[str, Any]) -> tuple[Row, ...]:
             cpu_s=_number(columns["cpu_s"][i]),
             peak_memory_mb=_number(columns["peak_memory_mb"][i]),
             evaluations=columns["evaluations"][i],
+            data=columns["data"][i],
         )
         for i, status in enumerate(columns["status"])
     )
+
+
+def _cell_file(cell: StoredCell) -> bytes:
+    content = {
+        "format": FORMAT,
+        "identity": cell.identity,
+        "cell": cell.cell,
+        "status": cell.status.value,
+        "n_ok": cell.n_ok,
+        "n": len(cell.rows),
+        "wall_s": cell.wall_s,
+        "version": cell.version,
+        "arrays": cell.arrays,
+        "summary": cell.summary,
+        "prior_share": cell.prior_share,
+        "identifiable": cell.identifiable,
+        "provenance": cell.provenance,
+        "rows": _columns(cell.rows),
+    }
+    exact = _to_json(cell.cell, 17)  # what was computed, as opposed to what came out, is kept to the last digit
+    text = json.dumps({**_to_json(content), "cell": exact}, ensure_ascii=False, separators=(",", ":"))
+    return f"{text}\n".encode()
+
+
+def _arrays_file(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """A compressed npz whose bytes depend on the arrays alone (the usual writer puts the time into it)."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in sorted(arrays):
+            values = np.asarray(arrays[name])
+            item = io.BytesIO()
+            np.lib.format.write_array(item, values.astype("f4") if values.dtype == float else values)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), item.getvalue(), zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()
 
 
 class Store:
@@ -111,6 +149,16 @@ class Store:
     def bounds(self) -> Path:
         return self.folder / "bounds"
 
+    @property
+    def view(self) -> Path:
+        """Folder of the collected view (:mod:`bench.view`)."""
+        return self.folder / "view"
+
+    @property
+    def claims(self) -> Path:
+        """Folder of the claims of runs under way (:mod:`bench.claims`)."""
+        return self.folder / "claims"
+
     def prepare(self) -> None:
         """Make the folder and check that it can be written; raises InputError before anything runs."""
         try:
@@ -121,6 +169,10 @@ class Store:
         except OSError as error:
             reason = f"cannot be written ({error.strerror}); name another folder"
             raise InputError("store", self.folder, reason) from None
+        for left in self.folder.glob("*.tmp"):  # of writers that were killed
+            with contextlib.suppress(OSError):
+                if time.time() - left.stat().st_mtime > ABANDONED_S:
+                    left.unlink()
 
     def path(self, identity: str) -> Path:
         return self.folder / f"{identity}.json"
@@ -130,41 +182,73 @@ class Store:
         path = self.path(identity)
         return self._read(path) if path.exists() else None
 
-    def save(self, cell: StoredCell) -> None:
-        """Write a cell whole: to a temporary file, flushed to disk, then renamed."""
-        content = {
-            "format": FORMAT,
-            "identity": cell.identity,
-            "cell": cell.cell,
-            "status": cell.status.value,
-            "n_ok": cell.n_ok,
-            "n": len(cell.rows),
-            "wall_s": cell.wall_s,
-            "summary": cell.summary,
-            "prior_share": cell.prior_share,
-            "identifiable": cell.identifiable,
-            "provenance": cell.provenance,
-            "rows": _columns(cell.rows),
-        }
-        path = self.path(cell.identity)
-        temporary = path.with_suffix(f".{os.getpid()}.tmp")
-        with temporary.open("w", encoding="utf-8") as file:
-            exact = _to_json(cell.cell, 17)  # what was computed, as opposed to what came out, is kept to the last digit
-            json.dump({**_to_json(content), "cell": exact}, file, ensure_ascii=False, separators=(",", ":"))
-            file.write("\n")
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+    def save(
+        self, cell: StoredCell, arrays: Mapping[str, np.ndarray] | None = None, tracebacks: str = ""
+    ) -> StoredCell:
+        """Write a cell whole, in the place of any before it: what it refers to first, itself last, in one step.
+
+        Returns the cell with the name of its arrays. Raises OSError where there is no room; what was there then stays.
+        """
+        content = _arrays_file(arrays) if arrays else b""
+        name = f"{cell.identity}.{hashlib.sha256(content).hexdigest()[:8]}.npz" if content else ""
+        stored = replace(cell, arrays=name)
+        if content and not (self.folder / name).exists():
+            self._write(self.folder / name, content)
+        before = self._arrays_before(cell.identity)
+        errors = self.errors(cell.identity)
+        if tracebacks:
+            self._write(errors, tracebacks.encode())
+        self._write(self.path(cell.identity), _cell_file(stored))
+        if not tracebacks:
+            errors.unlink(missing_ok=True)
+        if before and before != name:
+            (self.folder / before).unlink(missing_ok=True)
+        return stored
+
+    def _arrays_before(self, identity: str) -> str:
+        with contextlib.suppress(InputError):
+            before = self.load(identity)
+            return before.arrays if before else ""
+        return ""
+
+    def errors(self, identity: str) -> Path:
+        """Where the tracebacks of a cell's failed replicates are."""
+        return self.folder / f"{identity}.errors.txt"
+
+    def arrays(self, cell: StoredCell) -> dict[str, np.ndarray]:
+        """The arrays kept of one replicate; none where the cell has none."""
+        if not cell.arrays:
+            return {}
+        with np.load(self.folder / cell.arrays, allow_pickle=False) as found:
+            return {name: found[name] for name in found.files}
+
+    def _write(self, path: Path, content: bytes) -> None:
+        """To a temporary file, flushed to disk, then renamed."""
+        temporary = path.with_name(f"{path.name}.{os.getpid()}.{threading.get_ident()}.tmp")
+        try:
+            with temporary.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        except OSError:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise
+
+    def identities(self) -> list[str]:
+        """The names of all stored cells, in order."""
+        return sorted(entry.name[: -len(".json")] for entry in os.scandir(self.folder) if entry.name.endswith(".json"))
 
     def __iter__(self) -> Iterator[StoredCell]:
-        for path in sorted(self.folder.glob("*.json")):
-            yield self._read(path)
+        for identity in self.identities():
+            yield self._read(self.path(identity))
 
     def _read(self, path: Path) -> StoredCell:
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
             if content["format"] != FORMAT:
-                remedy = f"format {content['format']}, this version reads {FORMAT}; move it away"
+                remedy = f"a cell of format {content['format']}, this version reads {FORMAT}; move it away"
                 raise InputError("store", path, remedy)
             if content["identity"] != path.stem:
                 raise InputError("store", path, f"it holds the cell {content['identity']}; move it away")
@@ -177,6 +261,8 @@ class Store:
                 identifiable=content["identifiable"],
                 wall_s=_number(content["wall_s"]),
                 provenance=content["provenance"],
+                version=content["version"],
+                arrays=content["arrays"],
             )
         except InputError:
             raise

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -13,8 +15,12 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import pytest  # noqa: E402
 
+from bench import registry  # noqa: E402
 from bench.bound import load_bounds  # noqa: E402
+from bench.registry import load_method  # noqa: E402
 from bench.scenario import PriorSpec, Scenario  # noqa: E402
+from bench.store import Store  # noqa: E402
+from bench.version import method_version  # noqa: E402
 
 REPOSITORY = Path(__file__).parents[1]
 
@@ -33,6 +39,39 @@ def bounds_folder(reference: Scenario, tmp_path_factory: pytest.TempPathFactory)
     folder = tmp_path_factory.mktemp("bounds")
     load_bounds([(reference, 0)], folder)
     return folder
+
+
+Plugins = Callable[..., None]
+StoreFactory = Callable[[], Store]
+
+
+@pytest.fixture
+def plugins(monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugins]:
+    """Register test doubles of ``misbehaving`` as an installed package would: ``plugins("Wrong", "Draw")``."""
+    cached = (load_method, method_version)
+
+    def register(*names: str) -> None:
+        ours = {n.lower(): EntryPoint(name=n.lower(), value=f"misbehaving:{n}", group="bench.methods") for n in names}
+        monkeypatch.setattr(registry, "registered", lambda: ours)
+        for function in cached:
+            function.cache_clear()
+
+    yield register
+    for function in cached:
+        function.cache_clear()
+
+
+@pytest.fixture
+def new_store(tmp_path_factory: pytest.TempPathFactory, bounds_folder: Path) -> StoreFactory:
+    """Makes empty stores that hold the bound of the reference scenario."""
+
+    def make() -> Store:
+        store = Store(tmp_path_factory.mktemp("store") / "rows")
+        store.prepare()
+        shutil.copytree(bounds_folder, store.bounds)
+        return store
+
+    return make
 
 
 Python = Callable[..., "subprocess.CompletedProcess[str]"]

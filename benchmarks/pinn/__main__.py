@@ -18,8 +18,8 @@ from tqdm import tqdm
 
 from bench.config import expand, jobs_to_cells
 from bench.errors import InputError
+from bench.processes import single_threaded
 from bench.store import Store
-from bench.workers import single_threaded
 from benchmarks.pinn.common import Part
 
 PARTS = ("rivals", "memory", "accuracy", "systems", "initialisations", "starting_values", "loss", "scaling")

@@ -114,7 +114,7 @@ def _k_over_m(method: PhysicsInformed, task: Task) -> float:
 
 MEMORY = """
 import resource, numpy as np, torch
-from bench.workers import single_threaded
+from bench.processes import single_threaded
 single_threaded()
 from bench import Channel, InitialState, Prior, Problem, Record
 from bench.systems import SDOF

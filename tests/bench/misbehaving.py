@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
+import pathlib
 import pickle
 import pickletools
+import re
 import signal
+import subprocess
+import sys
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from bench import Card, Cost, Estimate, Identifier, Normal, Problem, Serves
+from bench import Card, Cost, Estimate, Identifier, Normal, Problem, Serves, report
 
 CARD = Card("a test double", "not used", "groups", "simulated", "none", "tests")
 LEAKS = ("Truth", "Scenario", "PriorSpec", "Cell", "Bound")
@@ -62,6 +66,23 @@ class RaisingReconstruction:
         raise ValueError("no reconstruction here")
 
 
+@dataclass(frozen=True)
+class Endless:
+    """A reconstruction that never comes back."""
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        time.sleep(600)
+        return times[None]
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """A reconstruction of the wrong shape."""
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        return np.zeros(3)
+
+
 def misbehave(kind: str, problem: Problem) -> Any:
     """Go wrong as ``kind`` says, or answer."""
     good = answer(problem)
@@ -75,6 +96,30 @@ def misbehave(kind: str, problem: Problem) -> Any:
         time.sleep(600)
     if kind == "memory":
         raise MemoryError
+    if kind == "system_exit":
+        raise SystemExit(4)
+    if kind == "segfault":
+        ctypes.string_at(0)
+    if kind == "huge":
+        np.ones(10**12)
+    if kind == "grow":
+        kept = []
+        while True:  # in steps that each fit, and touched, so that they count
+            kept.append(bytearray(os.urandom(1 << 20)) * 8)
+    if kind == "hang":
+        re.match("(a+)+$", "a" * 60 + "b")  # no other thread of this process gets a turn
+    if kind == "recursion":
+        return misbehave(kind, problem)
+    if kind == "close":
+        os.closerange(3, 256)
+    if kind == "none":
+        return None
+    if kind == "orphan":
+        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)  # left behind"])
+    if kind == "slow_reconstruction":
+        return Estimate(problem.system, groups=good.groups, reconstructions=(Endless(),))
+    if kind == "wrong_shape":
+        return Estimate(problem.system, groups=good.groups, reconstructions=(Scalar(),))
     if kind == "type":
         return 42.0
     if kind == "nan":
@@ -97,14 +142,6 @@ def misbehave(kind: str, problem: Problem) -> Any:
 
 
 @dataclass(frozen=True)
-class FitByName:
-    """A worker's fit whose payloads are pairs: how to misbehave, and the problem."""
-
-    def __call__(self, payloads: Sequence[tuple[str, Problem]], rngs: Sequence[np.random.Generator]) -> Any:
-        return [misbehave(kind, problem) for kind, problem in payloads]
-
-
-@dataclass(frozen=True)
 class Wrong(Identifier):
     """A registered method that goes wrong as its setting says."""
 
@@ -115,6 +152,21 @@ class Wrong(Identifier):
 
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         return misbehave(self.kind, problem)  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class Anytime(Identifier):
+    """Reports an answer, a better one, and then hangs."""
+
+    card: ClassVar[Card] = CARD
+    serves: ClassVar[Serves] = Serves()
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        for value in (1.0, 8.0):
+            time.sleep(0.4)
+            report(problem, lambda value=value: answer(problem, value))  # type: ignore[misc]
+        time.sleep(600)
+        return answer(problem)
 
 
 @dataclass(frozen=True)
@@ -140,6 +192,41 @@ class Spy(Identifier):
         given = [leak for leak in LEAKS if leak in text]
         alive = sorted({type(o).__name__ for o in gc.get_objects()} & set(LEAKS))
         return answer(problem, message=f"given {given} alive {alive} saw {type(problem).__name__}")
+
+
+@dataclass(frozen=True)
+class Sometimes(Identifier):
+    """Is killed by one replicate in twenty, until a file says that it is mended."""
+
+    folder: str = ""
+
+    card: ClassVar[Card] = CARD
+    serves: ClassVar[Serves] = Serves()
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        folder = pathlib.Path(self.folder)
+        marked = folder / "victim"
+        mine = repr(problem.records[0].channels[0].values[:3])
+        if not marked.exists():
+            marked.write_text(mine)
+        if marked.read_text() == mine and not (folder / "mended").exists():
+            os.kill(os.getpid(), signal.SIGKILL)
+        return answer(problem)
+
+
+@dataclass(frozen=True)
+class Marks(Identifier):
+    """Leaves a file each time it is run."""
+
+    folder: str = ""
+
+    card: ClassVar[Card] = CARD
+    serves: ClassVar[Serves] = Serves()
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        (pathlib.Path(self.folder) / f"mark-{os.getpid()}-{time.time_ns()}").touch()
+        time.sleep(0.1)
+        return answer(problem)
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
-from dataclasses import replace
+import time
+from dataclasses import asdict, replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -13,13 +15,15 @@ import misbehaving
 import numpy as np
 import pytest
 
-from bench import Status, registry, runner
-from bench.bound import Bound
+from bench import InputError, Status, registry, runner
+from bench.bound import Bound, bound_identity
 from bench.cell import Cell
+from bench.plan import plan
 from bench.registry import default_settings, load_method, make_method, missing_package
-from bench.runner import run_cells
+from bench.runner import Limits, run_cells
 from bench.scenario import ForceSpec, Scenario
 from bench.store import Store, StoredCell
+from bench.version import method_version
 
 PLUGINS = {
     name: EntryPoint(name=name.lower(), value=f"misbehaving:{name}", group="bench.methods")
@@ -32,9 +36,11 @@ def _plugins(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Register the test doubles as an installed package would."""
     ours = {point.name: point for point in PLUGINS.values()}
     monkeypatch.setattr(registry, "registered", lambda: ours)
-    load_method.cache_clear()
+    for cached in (load_method, method_version):
+        cached.cache_clear()
     yield
-    load_method.cache_clear()
+    for cached in (load_method, method_version):
+        cached.cache_clear()
 
 
 @pytest.fixture
@@ -49,16 +55,26 @@ def store(tmp_path: Path, bounds_folder: Path) -> Store:
 def any_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     """A bound that says nothing, where a test is not about bounds and its scenarios are many."""
     empty = Bound(("m", "c", "k"), {"m": math.inf}, {"m": False}, {"m": 0.0}, 0.1, 0.1, ())
-    monkeypatch.setattr(runner, "load_bounds", lambda wanted, folder: [empty] * len(wanted))
+
+    def write(wanted: Any, folder: Path) -> None:
+        for scenario, seed in wanted:
+            (folder / f"{bound_identity(scenario, seed)}.bound").write_text(json.dumps(asdict(empty)))
+
+    monkeypatch.setattr(runner, "load_bounds", write)
 
 
 def a_cell(scenario: Scenario, method: str, replicates: int = 3, seed: int = 0, **settings: Any) -> Cell:
     known = {} if method in ("oracle", "prior") else default_settings(method)
-    return Cell(scenario, method, {**known, **settings}, replicates, seed, method, timeout_s=60.0)
+    return Cell(scenario, method, {**known, **settings}, replicates, seed, method)
 
 
-def run(store: Store, *cells: Cell, workers: int = 2) -> list[StoredCell]:
-    return run_cells(cells, store, workers)
+def run(
+    store: Store, *cells: Cell, workers: int = 2, retry: Any = (), timeout_s: float = 60.0, memory_mb: float = 2000.0
+) -> list[StoredCell]:
+    run_cells(plan(cells, store, retry), store, Limits(workers, timeout_s, memory_mb))
+    found = [store.load(cell.identity) for cell in cells]
+    assert all(found)
+    return [cell for cell in found if cell]
 
 
 def test_a_method_never_meets_the_truth(reference: Scenario, store: Store) -> None:
@@ -146,14 +162,10 @@ def test_a_finished_cell_is_found_and_not_computed_again(
     def never(*arguments: Any, **options: Any) -> Any:
         raise AssertionError("computed again")
 
-    for name in ("perform", "load_bounds"):
-        monkeypatch.setattr(runner, name, never)
-    told: list[tuple[str, int, bool]] = []
-    (second,) = run_cells([cell], store, 1, lambda cell, n, stored: told.append((cell.label, n, stored)))
-    assert second.rows == store.load(cell.identity).rows  # type: ignore[union-attr]
+    monkeypatch.setattr(runner, "Children", never)
+    (second,) = run(store, cell)
     assert store.path(cell.identity).stat().st_mtime_ns == stamp
-    assert told == [("prior", 3, True)]
-    assert first.identity == second.identity
+    assert second.rows == first.rows
 
 
 def test_a_sweep_computes_only_what_is_missing_and_keeps_the_order(
@@ -161,37 +173,29 @@ def test_a_sweep_computes_only_what_is_missing_and_keeps_the_order(
 ) -> None:
     cells = [a_cell(replace(reference, snr_db=snr), "prior", 2) for snr in (40.0, 20.0, 10.0)]
     run(store, cells[1])
-    computed: list[str] = []
-    real = runner.perform
-
-    def spied(tasks: Any, workers: int, *more: Any) -> Any:
-        computed.extend(task.key for task in tasks)
-        return real(tasks, workers, *more)
-
-    monkeypatch.setattr(runner, "perform", spied)
-    results = run(store, *cells, cells[0])  # a cell asked for twice is computed once
-    assert set(computed) == {cells[0].identity, cells[2].identity}
+    states = [(one.state.value, one.run) for one in plan([*cells, cells[0]], store)]
+    assert states == [("missing", True), ("done", False), ("missing", True)]  # asked for twice is computed once
+    stamp = store.path(cells[1].identity).stat().st_mtime_ns
+    results = run(store, *cells, cells[0])
+    assert store.path(cells[1].identity).stat().st_mtime_ns == stamp
     assert [result.identity for result in results] == [cell.identity for cell in [*cells, cells[0]]]
 
 
-def test_a_cell_is_stored_as_soon_as_it_is_done(
-    reference: Scenario, store: Store, any_bound: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A stop in the middle loses no finished cell: here the second method's group is interrupted."""
-    cells = [a_cell(reference, "prior", 2), a_cell(reference, "oracle", 2)]
-    real, calls = runner.perform, []
+def test_a_cell_is_stored_as_soon_as_it_is_done(reference: Scenario, store: Store, any_bound: None) -> None:
+    """A stop in the middle loses no finished cell, and leaves neither a half one nor a process."""
+    cells = [a_cell(reference, "prior", 2), a_cell(reference, "wrong", 2, kind="sleep")]
 
-    def interrupted(tasks: Any, workers: int, *more: Any) -> Any:
-        calls.append(1)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        return real(tasks, workers, *more)
+    def stop(cell: Cell, n: int) -> None:
+        deadline = time.monotonic() + 60
+        while store.load(cells[0].identity) is None and time.monotonic() < deadline:
+            time.sleep(0.05)
+        raise KeyboardInterrupt
 
-    monkeypatch.setattr(runner, "perform", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        run(store, *cells)
+        run_cells(plan(cells, store), store, Limits(1), stop)
     assert store.load(cells[0].identity) is not None
     assert store.load(cells[1].identity) is None
+    assert list(store.claims.iterdir()) == []
 
 
 def test_the_oracle_attains_the_bound(reference: Scenario, store: Store) -> None:
@@ -228,22 +232,19 @@ def test_what_a_stored_cell_says_of_itself(reference: Scenario, store: Store) ->
     assert cell.cell["method"] == "prior"
     assert cell.cell["data"]["parameters"] == {"m": 1.0, "c": 0.4, "k": 8.0}
     assert cell.cell["sigma"] == pytest.approx(reference.sigmas(0).tolist())
-    assert {"python", "packages", "cores"} <= set(cell.provenance)
+    assert {"python", "packages", "cores", "commit", "dirty", "started", "limits", "data"} <= set(cell.provenance)
+    assert cell.version["digest"] == a_cell(reference, "prior", 2).version.digest
     assert cell.provenance["packages"]["numpy"] == np.__version__
 
 
 @pytest.mark.parametrize("name", ["notamethod", "missing", "unknown"])
 def test_an_entry_point_that_is_no_method_is_said_in_one_line(name: str) -> None:
-    from bench import InputError
-
     with pytest.raises(InputError, match=f"method={name}") as caught:
         load_method(name)
     assert len(str(caught.value).splitlines()) == 1
 
 
 def test_settings_are_validated_by_their_types() -> None:
-    from bench import InputError
-
     assert default_settings("exact") == {"k_over_m": 9.0, "c_over_m": 0.5}
     made = make_method("exact", {"k_over_m": "7"})
     assert made == misbehaving.Exact(k_over_m=7.0)

@@ -1,0 +1,53 @@
+"""One problem and one method in a process of its own, without a store or a truth: a measured record."""
+
+from __future__ import annotations
+
+import pickle
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench import fitter
+from bench.answer import rebuilt, unpack
+from bench.estimate import Estimate, Status
+from bench.identifier import Identifier
+from bench.problem import Problem
+from bench.processes import READY_S, Children, Died
+from bench.runner import Limits
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What became of a fit: an estimate (maybe a failed one) and what it took, or why there is none."""
+
+    estimate: Estimate | None
+    status: Status
+    message: str
+    wall_s: float = float("nan")
+
+
+def fit_alone(
+    method: Identifier, problem: Problem, times: np.ndarray, rng: np.random.Generator, limits: Limits
+) -> Outcome:
+    """Fit, within the limits; the estimate's functions of time are known at ``times`` (s) afterwards."""
+    fit = pickle.dumps(fitter.MethodFit(method))
+    task = fitter.Task(fit, (0,), (problem,), (rng,), (times,), limits.timeout_s)
+    children = Children()
+    started = time.perf_counter()
+    try:
+        child = children.start(fitter.serve, method.requires, limits.memory_mb)
+        child.receive(READY_S)
+        child.send(pickle.dumps(task))
+        message = b"b"
+        while message[:1] == b"b":  # reports on the way
+            message = child.receive(limits.timeout_s, limits.memory_mb)
+    except Died as died:
+        return Outcome(None, Status(died.reason), died.message, time.perf_counter() - started)
+    finally:
+        children.close()
+    (outcome,) = unpack(message[1:])
+    if "answer" not in outcome:
+        return Outcome(None, Status(outcome["status"]), outcome["message"])
+    estimate = rebuilt(outcome["answer"], problem.system).checked()
+    return Outcome(estimate, estimate.status, estimate.message, outcome["wall_s"])

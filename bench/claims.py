@@ -1,0 +1,60 @@
+"""Claims: several runs on one store do not compute the same cell at the same time.
+
+A claim is a locked file. The system lets go of it when its holder ends, however that happens; where the file system
+knows no locks, cells may be computed twice, and are still stored once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+from pathlib import Path
+
+
+class Claims:
+    """Claims of one run, as files of a folder that all runs on the store see."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._held: dict[str, int] = {}
+
+    def take(self, identity: str) -> bool:
+        """Claim a cell; False where another run has it."""
+        if identity in self._held:
+            return True
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / f"{identity}.claim"
+        while True:
+            handle = os.open(path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o666)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                os.close(handle)
+                return False
+            except OSError:  # no locks here
+                self._held[identity] = handle
+                return True
+            if _still_there(path, handle):
+                self._held[identity] = handle
+                return True
+            os.close(handle)  # its holder let go, and removed it, between the two lines above
+
+    def release(self, identity: str) -> None:
+        """Give a cell back; the file goes while it is still locked, so that nobody locks one that is going."""
+        handle = self._held.pop(identity, None)
+        if handle is not None:
+            with contextlib.suppress(OSError):
+                (self.folder / f"{identity}.claim").unlink()
+            os.close(handle)
+
+    def release_all(self) -> None:
+        for identity in list(self._held):
+            self.release(identity)
+
+
+def _still_there(path: Path, handle: int) -> bool:
+    try:
+        return os.path.samestat(os.stat(path), os.fstat(handle))
+    except OSError:
+        return False

@@ -1,0 +1,94 @@
+"""What of a sweep is there already, and what has to be computed, and why."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from bench import view
+from bench.cell import Cell
+from bench.errors import InputError
+from bench.estimate import Status
+from bench.registry import missing_package
+from bench.store import Store
+from bench.version import method_version
+
+FAILURES = frozenset(Status) - {Status.OK, Status.UNSUPPORTED, Status.MISSING_DEPENDENCY}
+"""What ``retry=failed`` tries again; a method that cannot take a problem will not be able to the next time either."""
+
+
+class State(StrEnum):
+    """Where a cell stands."""
+
+    DONE = "done"
+    MISSING = "missing"
+    STALE = "stale"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A cell, where it stands and why; ``run`` says whether it is to be computed."""
+
+    cell: Cell
+    state: State
+    why: str
+    run: bool
+
+
+def read_retry(text: str) -> frozenset[Status]:
+    """The statuses that a command line wants tried again: ``none``, ``failed`` for all, or some by name."""
+    if text == "none":
+        return frozenset()
+    if text == "failed":
+        return FAILURES
+    names = [part.strip() for part in text.split(",")]
+    if not set(names) <= FAILURES:
+        raise InputError("retry", text, f"none, failed, or of: {', '.join(sorted(FAILURES))}")
+    return frozenset(Status(name) for name in names)
+
+
+def plan(cells: Sequence[Cell], store: Store, retry: Collection[Status] = ()) -> list[Planned]:
+    """Every cell once, in order. Raises InputError where the file of one of them is damaged or foreign."""
+    unique = {cell.identity: cell for cell in cells}
+    lines = view.cells(store, ("problem", "version", "statuses"))
+    lines = lines[lines.index.isin(unique)]
+    stored = dict(zip(lines.index, lines.itertuples(index=False), strict=True))
+    reasons = Reasons(store)
+    return [_planned(cell, stored.get(identity), reasons, retry) for identity, cell in unique.items()]
+
+
+def _planned(cell: Cell, stored: Any, reasons: Reasons, retry: Collection[Status]) -> Planned:
+    if stored is None:
+        return Planned(cell, State.MISSING, "not computed yet", True)
+    if stored.problem:
+        reasons.store.load(cell.identity)  # says it
+    if stored.version != cell.version.digest:
+        return Planned(cell, State.STALE, reasons(cell.identity, cell.method, stored.version), True)
+    counts = {Status(name): n for name, n in json.loads(stored.statuses).items()}
+    if Status.MISSING_DEPENDENCY in counts:
+        lacking = missing_package(cell.method)
+        return Planned(cell, State.FAILED, lacking or "its package is installed now", lacking is None)
+    failed = {status: n for status, n in counts.items() if status in FAILURES}
+    if failed:
+        why = ", ".join(f"{n} of {cell.replicates} {status}" for status, n in failed.items())
+        return Planned(cell, State.FAILED, why, bool(set(failed) & set(retry)))
+    return Planned(cell, State.DONE, "", False)
+
+
+class Reasons:
+    """What has changed since stored cells were computed; each version is looked up once."""
+
+    def __init__(self, store: Store) -> None:
+        self.store = store
+        self._known: dict[tuple[str, str], str] = {}
+
+    def __call__(self, identity: str, method: str, digest: str) -> str:
+        if (method, digest) not in self._known:
+            stored = self.store.load(identity)
+            changed = method_version(method).changed_since(stored.version) if stored else "it is gone"
+            self._known[method, digest] = changed
+        return self._known[method, digest]

@@ -1,0 +1,1 @@
+"""The launcher of this benchmark for Hydra."""
