@@ -1,0 +1,124 @@
+"""``python -m bench.status``: what is stored, failed, stale and missing, and why; reads only, computes nothing.
+
+Alone it describes a store; with the fields of a sweep (``experiment=table3``, ``method=ls,pinn snr=20,10``) it says how
+far that sweep is.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+from tabulate import tabulate
+
+from bench import view
+from bench.errors import InputError
+from bench.plan import FAILURES, Reasons, State
+from bench.registry import method_names
+from bench.store import Store
+from bench.version import method_version
+
+USAGE = "usage: python -m bench.status [store=results/rows] [experiment=table3 | any field of a sweep]\n\n"
+MOST_REASONS = 3
+
+
+def states(store: Store) -> pd.DataFrame:
+    """One line a stored cell: ``label``, ``replicates``, ``wall_s``, ``state`` and ``why``, indexed by identity."""
+    columns = ("problem", "method", "label", "statuses", "version", "replicates", "wall_s")
+    found = view.cells(store, columns)
+    reasons, known = Reasons(store), set(method_names())
+    current = {name: method_version(name).digest for name in set(found["method"].dropna()) & known}
+    kinds = found[["problem", "method", "statuses", "version"]].fillna("")
+    decided: dict[tuple[str, ...], tuple[str, str]] = {}
+    for identity, kind in zip(found.index, kinds.itertuples(index=False, name=None), strict=True):
+        if kind not in decided:
+            decided[kind] = _state(str(identity), *kind, current, reasons)
+    pairs = [decided[kind] for kind in kinds.itertuples(index=False, name=None)]
+    return found.assign(state=[state for state, _ in pairs], why=[why for _, why in pairs])
+
+
+def _state(
+    identity: str, problem: str, method: str, statuses: str, version: str, current: dict[str, str], reasons: Reasons
+) -> tuple[str, str]:
+    if problem:
+        return "damaged", problem
+    if method not in current:
+        return "foreign", f"no method {method} is installed here"
+    if version != current[method]:
+        return State.STALE.value, reasons(identity, method, version)
+    failed = {name: n for name, n in json.loads(statuses).items() if name in {s.value for s in FAILURES}}
+    if failed:
+        return State.FAILED.value, ", ".join(sorted(failed))
+    return State.DONE.value, ""
+
+
+def store_page(store: Store) -> str:
+    """The store by method and state, and the reasons of what is not done."""
+    found = states(store)
+    if found.empty:
+        return f"{store.folder}: no cells"
+    labels = found["label"].fillna("?")
+    counts = found.groupby([labels, "state"]).size().unstack(fill_value=0)
+    order = [name for name in (*(s.value for s in State), "foreign", "damaged") if name in counts]
+    spent = found.groupby(labels)["wall_s"].sum()
+    fits = found.groupby(labels)["replicates"].sum()
+    rows = [
+        [label, *(int(counts.loc[label, name]) or "" for name in order), int(fits[label]), f"{spent[label]:.0f}"]
+        for label in counts.index
+    ]
+    table = tabulate(rows, headers=["method", *order, "fits", "fit s"], disable_numparse=True)
+    total = Counter(found["state"])
+    lines = [table, "", f"{store.folder}: {len(found)} cells: " + ", ".join(f"{n} {s}" for s, n in total.items())]
+    return "\n".join([*lines, *_reasons(found)])
+
+
+def _reasons(found: pd.DataFrame) -> list[str]:
+    lines = []
+    for state in ("stale", "failed", "foreign", "damaged"):
+        own = found[found["state"] == state]
+        for why, n in Counter(own["why"]).most_common(MOST_REASONS):
+            labels = ", ".join(sorted(set(own.loc[own["why"] == why, "label"].dropna()))[:6])
+            lines.append(f"  {state}: {n} x {_short(why)}" + (f" ({labels})" if labels else ""))
+    return lines
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 160 else f"{text[:157]}..."
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the page; exit status 2 for bad input."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if {"-h", "--help"} & set(arguments):
+        print(USAGE + str(__doc__))
+        return 0
+    try:
+        fields = [argument for argument in arguments if not argument.startswith("store=")]
+        given = [argument.partition("=")[2] for argument in arguments if argument.startswith("store=")]
+        store = Store(Path(given[-1] if given else "results/rows"))
+        if not store.folder.is_dir():
+            raise InputError("store", store.folder, "there is no such folder; run a sweep first, or name another")
+        print(sweep_page(fields, store) if fields else store_page(store))
+    except InputError as error:
+        print(f"bench.status: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def sweep_page(fields: Sequence[str], store: Store) -> str:
+    """A sweep's cells: done, failed, stale, missing, and why."""
+    from bench.cli import listing
+    from bench.config import expand, jobs_to_cells
+    from bench.plan import plan
+
+    cells = jobs_to_cells(expand(fields, multirun=True))
+    return listing(plan(cells, store), store, os.cpu_count() or 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
