@@ -15,6 +15,7 @@ import itertools
 import json
 import multiprocessing
 import os
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -32,6 +33,8 @@ from bench.scenario import Scenario
 from bench.simulate import interval_ends, longest_step
 from bench.systems import Ops, Quantity, System
 
+UNWRITABLE = 74
+"""Exit status of the process that computes bounds where it cannot store them."""
 REFINE = 12
 """Integration steps per step that plain simulation would take."""
 RANK_TOLERANCE = 1e-9
@@ -280,8 +283,11 @@ def _compute_to_files(jobs: Sequence[tuple[Scenario, int, Path]]) -> None:
     for scenario, seed, path in jobs:
         text = json.dumps(asdict(compute_bound(scenario, seed)))
         temporary = path.with_suffix(f".{os.getpid()}.tmp")
-        temporary.write_text(text)
-        os.replace(temporary, path)
+        try:
+            temporary.write_text(text)
+            os.replace(temporary, path)
+        except OSError:
+            sys.exit(UNWRITABLE)
 
 
 def load_bounds(wanted: Sequence[tuple[Scenario, int]], folder: Path) -> list[Bound]:
@@ -298,6 +304,8 @@ def load_bounds(wanted: Sequence[tuple[Scenario, int]], folder: Path) -> list[Bo
         with without_main():
             process.start()
         process.join()
+        if process.exitcode == UNWRITABLE:
+            raise InputError("store", folder, "the bounds cannot be written; make room, or name another folder")
         if process.exitcode != 0:
             raise RuntimeError(f"the computation of {len(jobs)} bound(s) failed (exit {process.exitcode})")
     return [_from_file(path) for path in paths]

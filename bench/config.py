@@ -326,7 +326,7 @@ def _composed(overrides: tuple[tuple[str, str], ...]) -> str:
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
-    _register_methods()
+    register_methods()
     # nominal starts out empty: its fields are added, all others must be there
     texts = [f"{'++' if key.startswith('nominal.') else ''}{key}={value}" for key, value in overrides]
     try:
@@ -341,7 +341,7 @@ def _composed(overrides: tuple[tuple[str, str], ...]) -> str:
 
 
 @cache
-def _register_methods() -> None:
+def register_methods() -> None:
     """Give Hydra a configuration for every registered method: its settings with their defaults."""
     from hydra.core.config_store import ConfigStore
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
@@ -57,7 +58,7 @@ class Failure:
 
 
 def serve(connection: Connection) -> None:
-    """Do what the run asks, one request after another; the answers are pickled."""
+    """Do what the run asks, one request after another; the answers, or what went wrong, are pickled."""
     judge = Judge()
     requests: dict[str, Callable[..., Any]] = {
         "open": judge.open,
@@ -68,7 +69,11 @@ def serve(connection: Connection) -> None:
     connection.send_bytes(b"ready")
     while True:
         request, *arguments = pickle.loads(connection.recv_bytes())
-        connection.send_bytes(pickle.dumps(requests[request](*arguments)))
+        try:
+            answer = True, requests[request](*arguments)
+        except Exception as error:
+            answer = False, (" ".join(f"{type(error).__name__}: {error}".split())[:300], traceback.format_exc())
+        connection.send_bytes(pickle.dumps(answer))
 
 
 class Judge:

@@ -61,10 +61,13 @@ def launch(planned: Sequence[Planned], sweep: Sweep, how: Launch) -> None:
         return
     folder = (sweep.store.folder / "launches" / uuid.uuid4().hex[:12]).resolve()
     with _launcher(folder, how, sweep.limits.workers) as launcher:
-        folder.mkdir(parents=True)
+        store = Store(sweep.store.folder.resolve())
         try:
-            store = Store(sweep.store.folder.resolve())
+            folder.mkdir(parents=True)
             (folder / "cells").write_bytes(pickle.dumps(replace(sweep, cells=wanted, store=store)))
+        except OSError as error:
+            raise InputError("store", store.folder, f"cannot be written ({error.strerror}); make room") from None
+        try:
             size = len(wanted) if how.launcher == "local" else how.cells_per_job
             jobs = [
                 [f"sweep={_quoted(folder)}", f"first={i}", f"last={min(i + size, len(wanted))}"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import faulthandler
+import itertools
 import multiprocessing
 import os
 import signal
@@ -56,6 +57,7 @@ class Children:
         )
         self.folder = tempfile.TemporaryDirectory(prefix="vibration-bench-", ignore_cleanup_errors=True)
         self.lifeline, self._alive = self.context.Pipe(duplex=False)
+        self.numbers = itertools.count()
         self._all: set[Child] = set()
         self._lock = threading.Lock()
         self.closed = False
@@ -90,12 +92,12 @@ class Child:
 
     def __init__(self, children: Children, serve: Callable[..., None], arguments: Sequence[Any]) -> None:
         self._children = children
-        handle, log = tempfile.mkstemp(suffix=".log", dir=children.folder.name)
-        os.close(handle)
-        self.log_path = Path(log)
+        self.log_path = Path(children.folder.name) / f"{next(children.numbers)}.log"
         self.connection, theirs = children.context.Pipe()
         self.process = children.context.Process(
-            target=serve_child, args=(serve, theirs, children.lifeline, log, tuple(arguments)), daemon=True
+            target=serve_child,
+            args=(serve, theirs, children.lifeline, str(self.log_path), tuple(arguments)),
+            daemon=True,
         )
         self.process.start()
         theirs.close()
@@ -184,7 +186,7 @@ def serve_child(
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError):
         os.setsid()
-    file = os.open(log, os.O_WRONLY | os.O_APPEND)
+    file = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
     for stream in (1, 2):  # whatever a library prints must not mix with results and progress
         os.dup2(file, stream)
     faulthandler.enable(file=2)

@@ -38,6 +38,7 @@ LARGEST_TASK = 5
 SCORING_S = 120.0
 """Limit of the harness's own work on one replicate."""
 WRITE_ATTEMPTS = 5
+JUDGE_ATTEMPTS = 3
 WAIT_S = 0.5
 
 Progress = Callable[[Cell, int], None]
@@ -249,6 +250,14 @@ class _Stopped(Exception):
     """The run is over: what its own end did to a process is nobody's failure."""
 
 
+class _JudgeError(Exception):
+    """The judge raised: a bug of the harness, or of a system."""
+
+    def __init__(self, message: str, log: str) -> None:
+        super().__init__(f"{message}\n{log}")
+        self.message, self.log = message, log
+
+
 class Slot(threading.Thread):
     """One judge and one method's process at a time; a fresh one for every cell."""
 
@@ -277,29 +286,33 @@ class Slot(threading.Thread):
 
     def _done(self, work: _Work, replicates: tuple[int, ...]) -> list[Scored] | None:
         """The rows of some replicates; None where they are to be tried again one by one."""
-        timeout_s, n = self.limits.timeout_s, len(replicates)
-        started = time.monotonic()
-        try:
-            task: bytes = self._ask("open", work.cell, work.fit, replicates, timeout_s, limit_s=SCORING_S * n)
-            answers = self._fit(work, task, n)
-            if isinstance(answers, bytes):
-                return self._ask("score", work.cell, answers, limit_s=SCORING_S * n)  # type: ignore[no-any-return]
-            failure = answers
-        except Died as died:  # the judge: what it was given to score was too much for it
-            self._go_on()
-            failure = Failure(Status.INVALID, f"its scoring was ended: {died.message}", died.log)
+        n, started = len(replicates), time.monotonic()
+        for attempt in range(JUDGE_ATTEMPTS):
+            try:
+                answers = self._answers(work, replicates)
+                if isinstance(answers, bytes):
+                    return self._ask("score", work.cell, answers, limit_s=SCORING_S * n)  # type: ignore[no-any-return]
+                failure = answers
+                break
+            except (Died, _JudgeError) as error:  # of the judge; that somebody ended it is not the method's doing
+                self._go_on()
+                failure = Failure(Status.INVALID, f"its data or its scores failed: {error.message}", error.log)
+                if isinstance(error, _JudgeError) or attempt + 1 == JUDGE_ATTEMPTS:
+                    break
         if n > 1:
             self.board.split(work, replicates)
             return None
         failure = _at(failure, time.monotonic() - started)
         try:
             return self._ask("fail", work.cell, replicates[0], failure, limit_s=SCORING_S)  # type: ignore[no-any-return]
-        except Died:
+        except (Died, _JudgeError):
             self._go_on()
             return [Scored(Row(replicates[0], failure.status, failure.message), failure.log)]
 
-    def _fit(self, work: _Work, task: bytes, n: int) -> bytes | Failure:
+    def _answers(self, work: _Work, replicates: tuple[int, ...]) -> bytes | Failure:
         """The packed answers of a method, or why there are none."""
+        n = len(replicates)
+        task: bytes = self._ask("open", work.cell, work.fit, replicates, self.limits.timeout_s, limit_s=SCORING_S * n)
         memory = self.limits.memory_mb
         best: bytes | None = None
         deadline = 0.0
@@ -329,10 +342,13 @@ class Slot(threading.Thread):
             self.judge.receive(READY_S)
         self.judge.send(pickle.dumps((request, *arguments)))
         try:
-            return pickle.loads(self.judge.receive(limit_s))
+            good, answer = pickle.loads(self.judge.receive(limit_s))
         except Died:
             self.judge = None
             raise
+        if not good:
+            raise _JudgeError(*answer)
+        return answer
 
     def _store(self, work: _Work) -> None:
         limits = self.limits

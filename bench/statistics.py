@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -62,16 +63,16 @@ def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Summary]:
 
 def _error(values: np.ndarray, index: np.ndarray, bound: float) -> Summary:
     good = values[np.isfinite(values)]
-    medians = np.median(values[index], axis=1) if np.isfinite(values).all() else _medians_with_failures(values[index])
-    low, high = np.quantile(medians, [0.025, 0.975], method="inverted_cdf")
+    medians = np.sort(_medians(values[index]))
+    low, high = medians[math.ceil(0.025 * RESAMPLES) - 1], medians[math.ceil(0.975 * RESAMPLES) - 1]
     excess = float(np.sqrt(np.mean(good**2)) / bound) if good.size and np.isfinite(bound) and bound > 0 else np.nan
     mean = float(np.mean(values)) if good.size == values.size else float("inf")
-    median = float(_medians_with_failures(values[None])[0])
+    median = float(_medians(values[None])[0])
     return Summary(mean, median, float(low), float(high), bound, excess, int(good.size))
 
 
-def _medians_with_failures(values: np.ndarray) -> np.ndarray:
-    """Row medians where some values are infinite: a mean of a number and infinity is infinity, never NaN."""
+def _medians(values: np.ndarray) -> np.ndarray:
+    """Row medians, of which some values may be infinite: a mean of a number and infinity is infinity, never NaN."""
     ordered = np.sort(values, axis=1)
     n = ordered.shape[1]
     return np.asarray(0.5 * (ordered[:, (n - 1) // 2] + ordered[:, n // 2]))

@@ -37,14 +37,13 @@ def states(store: Store) -> pd.DataFrame:
     decided: dict[tuple[str, ...], tuple[str, str]] = {}
     for identity, kind in zip(found.index, kinds.itertuples(index=False, name=None), strict=True):
         if kind not in decided:
-            decided[kind] = _state(str(identity), *kind, current, reasons)
+            decided[kind] = _state(str(identity), kind, current, reasons)
     pairs = [decided[kind] for kind in kinds.itertuples(index=False, name=None)]
     return found.assign(state=[state for state, _ in pairs], why=[why for _, why in pairs])
 
 
-def _state(
-    identity: str, problem: str, method: str, statuses: str, version: str, current: dict[str, str], reasons: Reasons
-) -> tuple[str, str]:
+def _state(identity: str, kind: tuple[str, ...], current: dict[str, str], reasons: Reasons) -> tuple[str, str]:
+    problem, method, statuses, version = kind
     if problem:
         return "damaged", problem
     if method not in current:

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Any
 
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
 import pytest  # noqa: E402
 
-from bench import registry  # noqa: E402
-from bench.bound import load_bounds  # noqa: E402
+from bench import benchmark, registry, runner  # noqa: E402
+from bench.bound import Bound, bound_identity, load_bounds  # noqa: E402
 from bench.registry import load_method  # noqa: E402
 from bench.scenario import PriorSpec, Scenario  # noqa: E402
 from bench.store import Store  # noqa: E402
@@ -72,6 +76,20 @@ def new_store(tmp_path_factory: pytest.TempPathFactory, bounds_folder: Path) -> 
         return store
 
     return make
+
+
+@pytest.fixture
+def any_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bound that says nothing, where a test is not about bounds and its scenarios are many."""
+    empty = Bound(("m", "c", "k"), {"m": math.inf}, {"m": False}, {"m": 0.0}, 0.1, 0.1, ())
+
+    def write(wanted: Any, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        for scenario, seed in wanted:
+            (folder / f"{bound_identity(scenario, seed)}.bound").write_text(json.dumps(asdict(empty)))
+
+    for module in (runner, benchmark):
+        monkeypatch.setattr(module, "load_bounds", write)
 
 
 Python = Callable[..., "subprocess.CompletedProcess[str]"]

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import pytest
 
-from bench import benchmark, config, runner
-from bench.bound import Bound
+from bench import benchmark, config
 
 
 @pytest.fixture(autouse=True)
-def _small(monkeypatch: pytest.MonkeyPatch) -> None:
+def _small(monkeypatch: pytest.MonkeyPatch, any_bound: None) -> None:
     """Tables of two methods at one noise level, four replicates, and bounds that say nothing."""
     sweep = {"method": ["prior", "oracle"], "snr": [20], "initial_state": ["known"]}
     described: dict[str, Any] = {"sweep": sweep, "replicates": 4, "table": {"number": 3, "title": "T"}}
     monkeypatch.setattr(config, "_experiment", lambda name: described if name else {})
-    empty = Bound(("m", "c", "k"), {"m": math.inf}, {"m": False}, {"m": 0.0}, 0.1, 0.1, ())
-    for module in (benchmark, runner):
-        monkeypatch.setattr(module, "load_bounds", lambda wanted, folder: [empty] * len(wanted))
 
 
 def lines(out: str) -> dict[str, list[str]]:

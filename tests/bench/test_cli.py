@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import shutil
 from collections.abc import Callable
@@ -13,7 +12,6 @@ from typing import Any
 import pytest
 
 from bench import runner
-from bench.bound import Bound
 from bench.cli import main, number
 from bench.store import Store
 
@@ -30,7 +28,11 @@ def store(tmp_path: Path, bounds_folder: Path) -> Path:
 
 def snapshot(folder: Path) -> dict[str, tuple[int, bytes]]:
     """Every file below a folder with its time of change and content."""
-    return {str(p): (p.stat().st_mtime_ns, p.read_bytes()) for p in sorted(folder.rglob("*")) if p.is_file()}
+    return {
+        str(p): (p.stat().st_mtime_ns, p.read_bytes())
+        for p in sorted(folder.rglob("*"))
+        if p.is_file() and p.parent.name != "view"
+    }
 
 
 BAD: dict[str, tuple[str, str, str]] = {
@@ -154,10 +156,8 @@ def test_json_is_one_object_with_the_documented_keys(store: Path, capsys: pytest
 
 
 def test_json_of_a_failed_cell_has_nulls_and_a_message(
-    store: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    store: Path, capsys: pytest.CaptureFixture[str], any_bound: None
 ) -> None:
-    empty = Bound(("m", "c", "k"), {"m": math.inf}, {"m": False}, {"m": 0.0}, 0.1, 0.1, ())
-    monkeypatch.setattr(runner, "load_bounds", lambda wanted, folder: [empty] * len(wanted))
     arguments = ["method=prior", "prior=none", "replicates=2", "workers=1", "format=json", f"store={store}"]
     assert main(arguments) == 0
     result = json.loads(capsys.readouterr().out, parse_constant=no_constants)
@@ -178,7 +178,7 @@ def test_a_finished_cell_is_answered_from_the_store(
     def never(*arguments: Any, **options: Any) -> Any:
         raise AssertionError("computed again")
 
-    for name in ("perform", "load_bounds"):
+    for name in ("Children", "load_bounds"):
         monkeypatch.setattr(runner, name, never)
     assert main([*arguments, "snr=20.0", "workers=2"]) == 0
     assert capsys.readouterr().out == first
@@ -220,7 +220,7 @@ def test_an_interrupt_is_one_line_and_status_130(
     def interrupted(*arguments: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(runner, "perform", interrupted)
+    monkeypatch.setattr(runner, "Children", interrupted)
     assert main(["method=prior", "replicates=2", f"store={store}"]) == 130
     assert "interrupted; finished cells are kept" in capsys.readouterr().err
     assert list(Store(store)) == []

@@ -22,7 +22,7 @@ def test_the_defaults_are_the_protocols(reference: Scenario) -> None:
     scenario = cell.scenario
     assert scenario.data_identity() == reference.data_identity()
     assert scenario.told_identity() == reference.told_identity()
-    assert (cell.replicates, cell.seed, cell.timeout_s, cell.settings) == (20, 0, 600.0, {})
+    assert (cell.replicates, cell.seed, cell.settings) == (20, 0, {})
     assert (scenario.samples, scenario.duration, scenario.dense, scenario.forecast) == (25, 10.0, 1000, 10.0)
 
 
@@ -48,7 +48,7 @@ def test_numbers_written_differently_are_one_cell() -> None:
 
 @pytest.mark.parametrize(
     "change",
-    ["snr=11", "seed=1", "replicates=21", "initial_state=unknown", "prior=handbook", "prior=none", "timeout_s=5",
+    ["snr=11", "seed=1", "replicates=21", "initial_state=unknown", "prior=handbook", "prior=none",
      "system.samples=26", "system.parameters.k=9", "system=table4_1", "method=prior",
      "disturbance=bias", "disturbance=outliers"],
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Methods that crash, hang, grow or are killed, in one sweep with good ones: every cell a row, the good ones untouched."""
+"""Methods that crash, hang, grow or are killed, in one sweep with good ones: every cell a row, the good untouched."""
 
 from __future__ import annotations
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shutil
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ import numpy as np
 import pytest
 
 from bench import InputError, Status, registry, runner
-from bench.bound import Bound, bound_identity
 from bench.cell import Cell
 from bench.plan import plan
 from bench.registry import default_settings, load_method, make_method, missing_package
@@ -49,18 +47,6 @@ def store(tmp_path: Path, bounds_folder: Path) -> Store:
     store.prepare()
     shutil.copytree(bounds_folder, store.bounds)
     return store
-
-
-@pytest.fixture
-def any_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A bound that says nothing, where a test is not about bounds and its scenarios are many."""
-    empty = Bound(("m", "c", "k"), {"m": math.inf}, {"m": False}, {"m": 0.0}, 0.1, 0.1, ())
-
-    def write(wanted: Any, folder: Path) -> None:
-        for scenario, seed in wanted:
-            (folder / f"{bound_identity(scenario, seed)}.bound").write_text(json.dumps(asdict(empty)))
-
-    monkeypatch.setattr(runner, "load_bounds", write)
 
 
 def a_cell(scenario: Scenario, method: str, replicates: int = 3, seed: int = 0, **settings: Any) -> Cell:

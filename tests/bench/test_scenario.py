@@ -273,7 +273,6 @@ def test_a_cell_is_known_by_what_it_computes() -> None:
         replace(cell, settings={"a": 2}),
         replace(cell, replicates=21),
         replace(cell, seed=1),
-        replace(cell, timeout_s=1.0),
         replace(cell, scenario=replace(BASE, told="unknown")),
         replace(cell, scenario=replace(BASE, prior=None)),
         replace(cell, scenario=replace(BASE, snr_db=21.0)),
