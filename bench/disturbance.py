@@ -16,7 +16,6 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.signal import lfilter
 
 from bench.errors import InputError
 from bench.problem import Force, InitialState
@@ -125,6 +124,8 @@ class Coloured(Disturbance):
     def noise(self, base: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         gain = np.sqrt(1.0 - self.size**2)
         # the filter's state is set so that the first value is the first base value, not gain times it
+        from scipy.signal import lfilter  # a second to import, and few need it
+
         return np.asarray(lfilter([gain], [1.0, -self.size], base, axis=1, zi=(1.0 - gain) * base[:, :1])[0])
 
 

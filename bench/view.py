@@ -34,7 +34,7 @@ STATISTICS = ("mean", "median", "ci_low", "ci_high", "bound", "excess")
 LISTS = {"metric": pa.list_(pa.string()), **{name: pa.list_(pa.float64()) for name in STATISTICS}}
 SCHEMA = pa.schema({**PLAIN, **LISTS})
 MOST_PARTS = 8
-BATCH = 20_000
+BATCH = 5_000
 """Cells read before a part is written: bounds the memory of a first collection."""
 
 
