@@ -26,7 +26,7 @@ fitted, ``sum H P H' / R``: the fixed point of the EM step of R. H. Shumway, D. 
 
 **First belief.** Log-parameters: the prior. Without one: the best start of the scan of :mod:`methods.spectral`, and
 ``open_sd`` about it; in free vibration the gauge mass is then 1 and the answer is the groups. A start that is not told:
-rest, with a standard deviation of ``START`` times the size of the data (times the fastest rate for velocities).
+rest, with a standard deviation of ``START`` times the largest displacement (times the fastest rate for velocities).
 """
 
 from __future__ import annotations
@@ -58,7 +58,8 @@ from methods.spectral import LOG_LIMIT, SIGMA_FLOOR, OutputError, candidates, es
 
 LEVELS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Standard deviations of the noise tried in the first pass, over the root mean square of each channel."""
-START = 5.0
+START = 3.0
+"""Standard deviation of an untold start, in largest displacements of the data (and fastest rates)."""
 STEP = 0.15
 """Integration step in radians of the fastest rate: the natural frequency is then off by 4 parts in a million."""
 MAX_STEPS = 400
@@ -225,7 +226,8 @@ class Joint:
         if record.initial_state is not None:
             mean[:n], mean[n : 2 * n] = record.initial_state.displacement, record.initial_state.velocity
         else:
-            variance[:n], variance[n : 2 * n] = START**2, (START * self.speed) ** 2
+            sd = START * amplitude(self.model, self.speed)
+            variance[:n], variance[n : 2 * n] = sd**2, (sd * self.speed) ** 2
         return mean, variance
 
     def first(self) -> tuple[np.ndarray, np.ndarray]:
@@ -259,22 +261,37 @@ def fastest_rate(model: OutputError, logs: np.ndarray) -> float:
 
     Raises _Lost where it is not finite.
     """
+    slow = _rate(model, logs, 0.0, 0.0)
+    size = amplitude(model, slow)
+    return max(slow, _rate(model, logs, size, size * slow))
+
+
+def amplitude(model: OutputError, rate: float) -> float:
+    """The largest displacement that the sensors show, velocities over the rate and accelerations over its square."""
+    order = {"displacement": 0, "velocity": 1, "acceleration": 2}
+    least = min(order[c.measures] for _, c in model.channels)
+    sizes = [
+        float(np.max(np.abs(c.values - c.offset * np.median(c.values)))) / max(rate, 1.0) ** least
+        for _, c in model.channels
+        if order[c.measures] == least and c.n
+    ]
+    return max(sizes, default=0.0) or 1.0
+
+
+def _rate(model: OutputError, logs: np.ndarray, displacement: float, velocity: float) -> float:
+    """The largest rate about one state; hidden states are taken to be of a displacement's size."""
     system = model.system
     p = {name: float(value) for name, value in model.parameters(logs).items()}
-    d = 2 * system.n_dof + system.n_hidden
-    found = 0.0
-    for level in (0.0, 1.0):
-        # as many states as there are coordinates, each moved in one of them
-        state = np.full((d, 2 * d), level) + 1e-5 * np.concatenate([np.eye(d), -np.eye(d)], axis=1)
-        rates = state_rate(system, p, list(state), [0.0] * system.n_dof, OPS)
-        rows = np.stack([np.broadcast_to(rate, (2 * d,)) for rate in rates])
-        slopes = (rows[:, :d] - rows[:, d:]) / 2e-5
-        if not np.all(np.isfinite(slopes)):
-            raise _Lost(
-                "the parameters left the range in which the motion is finite; give a prior nearer to the system"
-            )
-        found = max(found, float(np.max(np.abs(np.linalg.eigvals(slopes)))))
-    return found
+    n, d = system.n_dof, 2 * system.n_dof + system.n_hidden
+    level = np.array([displacement] * n + [velocity] * n + [displacement] * system.n_hidden)
+    # as many states as there are coordinates, each moved in one of them, to both sides
+    state = level[:, None] + 1e-5 * np.concatenate([np.eye(d), -np.eye(d)], axis=1)
+    rates = state_rate(system, p, list(state), [0.0] * n, OPS)
+    rows = np.stack([np.broadcast_to(rate, (2 * d,)) for rate in rates])
+    slopes = (rows[:, :d] - rows[:, d:]) / 2e-5
+    if not np.all(np.isfinite(slopes)):
+        raise _Lost("the parameters left the range in which the motion is finite; give a prior nearer to the system")
+    return float(np.max(np.abs(np.linalg.eigvals(slopes))))
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ reconstruction is the mean response over draws: of all curves the one of least e
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -146,7 +147,12 @@ class MCMC(Identifier):
             return Estimate.failed(model.system, Status.DIVERGED, sentence, cost)
         flat = paths.reshape(-1, paths.shape[-1])
         kept = flat[np.linspace(0, len(flat) - 1, min(self.draws, len(flat))).astype(int)]
-        return _estimate(posterior, kept, health, cost, self.curves)
+        traces = {
+            "r_hat": np.array([health.r_hat]),
+            "effective_sample_size": np.array([health.effective]),
+            "autocorrelation_time": np.array([health.time]),
+        }
+        return estimate_from_draws(posterior, kept, traces, cost, self.curves)
 
     def _ensemble(self, posterior: Posterior, proposal: Proposal, rng: np.random.Generator) -> Ensemble:
         walkers = 2 * max(self.walkers // 2, posterior.size + 1)
@@ -345,8 +351,10 @@ class MeanResponse:
         return np.asarray(simulate(self.system, self.parameters, start, times, self.forces).displacement.mean(axis=1))
 
 
-def _estimate(posterior: Posterior, phi: np.ndarray, health: Health, cost: Cost, curves: int) -> Estimate:
-    """The answer from draws of phi (n, size), in the units of the model's problem."""
+def estimate_from_draws(
+    posterior: Posterior, phi: np.ndarray, traces: Mapping[str, np.ndarray], cost: Cost, curves: int
+) -> Estimate:
+    """The answer from draws of phi (n, size), in the units of the model's problem; its mode is added to the traces."""
     model = posterior.model
     system, theta = model.system, phi[:, : model.size]
     p, starts = model.parameters(theta), model.starts(theta)
@@ -376,10 +384,5 @@ def _estimate(posterior: Posterior, phi: np.ndarray, health: Health, cost: Cost,
         initial_states=tuple(states),
         offsets=tuple(map(float, np.median(model.offsets(theta), axis=0))),
         cost=cost,
-        traces={
-            "mode": np.log([float(value) for value in model.parameters(posterior.mode).values()]),
-            "r_hat": np.array([health.r_hat]),
-            "effective_sample_size": np.array([health.effective]),
-            "autocorrelation_time": np.array([health.time]),
-        },
+        traces={"mode": np.log([float(value) for value in model.parameters(posterior.mode).values()]), **traces},
     )
