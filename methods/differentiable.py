@@ -23,8 +23,8 @@ from typing import Any, cast
 import numpy as np
 
 from bench import Ops, System, acceleration, rk4_step, state_rate
-from methods import filtering
-from methods.filtering import Chain, Joint, fastest_rate
+from methods import joint as joint_model
+from methods.joint import Chain, Joint, fastest_rate
 from methods.mcmc import NOISE_SD, Posterior
 
 STEP = 0.3
@@ -72,7 +72,7 @@ def prepare(posterior: Posterior) -> tuple[Layout, Data]:
     speed = RATE_RATIO ** np.ceil(np.log(fastest_rate(model, logs)) / np.log(RATE_RATIO))
     joint = Joint(model, logs, np.zeros(k), np.zeros(k), speed)
     # a linear system needs steps at the samples of a force only
-    chain = Chain.of(joint, 1e-9 if system.linear else filtering.STEP / STEP)
+    chain = Chain.of(joint, 1e-9 if system.linear else joint_model.STEP / STEP)
     bounds = [*chain.first_of, chain.nodes]
     tables = [_table(chain, first, last) for first, last in itertools.pairwise(bounds)]
     longest = max(float(np.max(table["gaps"])) for table in tables)

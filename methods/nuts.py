@@ -30,6 +30,7 @@ import numpy as np
 
 from bench import Card, Cost, Estimate, Identifier, InputError, Problem, Serves, Status
 from methods.differentiable import Layout, log_density, prepare
+from methods.joint import Lost
 from methods.mcmc import MODE_MARGIN, Posterior, Proposal, estimate_from_draws
 from methods.pinn.physics import rounded
 from methods.spectral import OutputError, screened, silent
@@ -100,7 +101,10 @@ class NUTS(Identifier):
         if proposal is None:
             sentence = "the data leave a parameter open; give more samples, a known force or a prior"
             return Estimate.failed(model.system, Status.DIVERGED, sentence)
-        phi, health, steps = self._chains(posterior, proposal, rng)
+        try:
+            phi, health, steps = self._chains(posterior, proposal, rng)
+        except Lost as reason:
+            return Estimate.failed(model.system, Status.DIVERGED, str(reason))
         cost = Cost(evaluations=steps, iterations=phi.shape[0] * (self.warmup + phi.shape[1]))
         if not health.converged(self):
             return Estimate.failed(model.system, Status.DIVERGED, health.sentence(), cost)

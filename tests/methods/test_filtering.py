@@ -16,8 +16,9 @@ from bench.simulate import measurements, simulate
 from bench.systems import SDOF, Chain, Dimension, Duffing, Parameter
 from bench.truth import closed_form
 from methods.ekf import EKF, tangent
-from methods.filtering import Chain as Nodes
-from methods.filtering import Settings, filtered, first_belief
+from methods.filtering import filtered
+from methods.joint import Chain as Nodes
+from methods.joint import first_belief
 from methods.output_error import SingleShooting
 from methods.spectral import OutputError
 from methods.ukf import UKF, regression
@@ -74,9 +75,7 @@ def test_with_known_parameters_it_is_least_squares(rule, times: np.ndarray) -> N
     p = {"m": 1.0, "c": 4.0, "k": 900.0}
     y = closed_form(p, 1.0, 3.0, times) + 0.2 * np.random.default_rng(2).standard_normal(times.size)
     sure = Prior(p, dict.fromkeys(p, 1e-9))
-    joint = first_belief(
-        OutputError(Problem(SDOF(), (Record((Channel(times, y),)),), sure)), Settings(1, 1e-4, 0.0, 1.0)
-    )
+    joint = first_belief(OutputError(Problem(SDOF(), (Record((Channel(times, y),)),), sure)), 0.0, 1.0)
     found = filtered(joint, Nodes.of(joint, 3.0), rule, np.array([[0.2]]))
     columns = np.stack([closed_form(p, 1.0, 0.0, times), closed_form(p, 0.0, 1.0, times)], axis=1)
     inverse = np.linalg.inv(columns.T @ columns / 0.2**2 + np.diag(1.0 / np.diag(joint.first()[1])[:2]))
