@@ -48,6 +48,8 @@ TITLES = {
     "collocation_bootstrap": "Spline collocation, bootstrap", "output_error": "Output error, one cold start",
     "matrix_pencil": "Matrix pencil", "log_decrement": "Logarithmic decrement", "ls": "LS, finite differences",
     "ls_spline": "LS, smoothing spline", "rls": "RLS", "sindy": "SINDy", "ddnn": "DDNN",
+    "ekf": "Extended Kalman filter", "ukf": "Unscented Kalman filter", "era": "Eigensystem realisation",
+    "nuts": "Bayesian NUTS",
 }  # fmt: skip
 PAPER_METHODS = {"ls": "ls", "rls": "rls", "ddnn": "ddnn", "pinn_adam": "pinn", "pinn": "pinn"}
 """Which of the paper's methods a method of ours is compared with."""

@@ -16,7 +16,13 @@ rank-normalised draws and of their distances from the median (A. Vehtari et al.,
 integrated autocorrelation time (emcee's estimate, A. Sokal's window), and the effective sample size that it implies.
 A chain that has not converged is extended; one that never does is a failure with a sentence.
 
-Linear systems only: stepping through a nonlinear response for all walkers works, but takes minutes a fit.
+The response of a nonlinear system is integrated step by step, which takes about as long for many walkers as for few:
+it has ``STEPPED`` times the walkers, in blocks of half the length.
+
+Walkers that propose from each other mix ever more slowly as the unknowns grow beyond some ten (D. Huijser et al.,
+arXiv:1509.02230). Here most moves do not, but where the posterior is far from its Laplace approximation little else is
+left. The autocorrelation time against the length of the chain tells, and the sentence of a failure says so and names
+the way out, a sampler with gradients.
 
 The point value of a quantity is that of least expected squared relative error (:class:`bench.Draws`); the
 reconstruction is the mean response over draws: of all curves the one of least expected square error.
@@ -24,6 +30,7 @@ reconstruction is the mean response over draws: of all curves the one of least e
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -53,6 +60,9 @@ NOISE_CENTRE = float(np.log(0.1))
 NOISE_SD = 3.0
 PRIORLESS_SD = 3.0
 """Standard deviation of the log-parameters where the problem has no prior."""
+STEPPED = 4
+MANY = 10
+"""Unknowns beyond which slow mixing is put down to their number."""
 MODE_MARGIN = 25.0
 """A mode joins the proposal while minus twice its log-posterior is within this of the best."""
 
@@ -127,30 +137,36 @@ class MCMC(Identifier):
         if proposal is None:
             sentence = "the data leave a parameter open; give more samples, a known force or a prior"
             return Estimate.failed(model.system, Status.DIVERGED, sentence)
-        chains = [self._ensemble(posterior, proposal, rng) for _ in range(self.ensembles)]
-        steps = self.burn
+        many, few = (1, 1) if model.system.linear else (STEPPED, 2)
+        burn, block = -(-self.burn // few), -(-self.block // few)
+        walkers = 2 * max(many * self.walkers // 2, posterior.size + 1)
+        chains = [self._ensemble(posterior, proposal, walkers, burn, rng) for _ in range(self.ensembles)]
+        steps = burn
         for _ in range(self.blocks):
             for chain in chains:
-                chain(self.block)
-            steps += self.block
+                chain(block)
+            steps += block
             paths = np.stack([chain.path() for chain in chains])
             health = Health.of(paths)
             if health.converged(self, paths.shape[1]):
                 break
         cost = Cost(evaluations=posterior.calls, iterations=steps * self.ensembles)
         if not health.converged(self, paths.shape[1]):
-            sentence = (
-                f"the chains have not converged (R-hat {health.r_hat:.3f}, effective draws {health.effective:.0f}, "
-                f"autocorrelation {health.time:.0f} steps): raise blocks, or give more data or a narrower prior"
-            )
+            sentence = health.sentence(self, paths.shape[1], posterior.size)
             return Estimate.failed(model.system, Status.DIVERGED, sentence, cost)
         flat = paths.reshape(-1, paths.shape[-1])
         kept = flat[np.linspace(0, len(flat) - 1, min(self.draws, len(flat))).astype(int)]
-        return _estimate(posterior, kept, health, cost, self.curves)
+        traces = {
+            "r_hat": np.array([health.r_hat]),
+            "effective_sample_size": np.array([health.effective]),
+            "autocorrelation_time": np.array([health.time]),
+        }
+        return estimate_from_draws(posterior, kept, traces, cost, self.curves)
 
-    def _ensemble(self, posterior: Posterior, proposal: Proposal, rng: np.random.Generator) -> Ensemble:
-        walkers = 2 * max(self.walkers // 2, posterior.size + 1)
-        return Ensemble(posterior, proposal, walkers, self.burn, self.independent, int(rng.integers(2**31)))
+    def _ensemble(
+        self, posterior: Posterior, proposal: Proposal, walkers: int, burn: int, rng: np.random.Generator
+    ) -> Ensemble:
+        return Ensemble(posterior, proposal, walkers, burn, self.independent, int(rng.integers(2**31)))
 
 
 class Posterior:
@@ -300,6 +316,17 @@ class Health:
             and steps >= settings.autocorrelations * self.time
         )
 
+    def sentence(self, settings: MCMC, steps: int, unknowns: int) -> str:
+        """Why chains of ``steps`` steps are not believed, and what to do."""
+        said = (
+            f"the chains have not converged (R-hat {self.r_hat:.3f}, effective draws {self.effective:.0f}, "
+            f"autocorrelation time {self.time:.0f} of {steps} steps"
+        )
+        said += ", too long to be trusted)" if steps < settings.autocorrelations * self.time else ")"
+        if unknowns > MANY:
+            return f"{said}: walkers mix slowly among {unknowns} unknowns; take a sampler with gradients (nuts)"
+        return f"{said}: raise blocks, or give more data or a narrower prior"
+
 
 def rank_r_hat(paths: np.ndarray) -> float:
     """The largest rank-normalised split R-hat over the unknowns, of chains (ensembles, steps, walkers, size).
@@ -345,8 +372,10 @@ class MeanResponse:
         return np.asarray(simulate(self.system, self.parameters, start, times, self.forces).displacement.mean(axis=1))
 
 
-def _estimate(posterior: Posterior, phi: np.ndarray, health: Health, cost: Cost, curves: int) -> Estimate:
-    """The answer from draws of phi (n, size), in the units of the model's problem."""
+def estimate_from_draws(
+    posterior: Posterior, phi: np.ndarray, traces: Mapping[str, np.ndarray], cost: Cost, curves: int
+) -> Estimate:
+    """The answer from draws of phi (n, size), in the units of the model's problem; its mode is added to the traces."""
     model = posterior.model
     system, theta = model.system, phi[:, : model.size]
     p, starts = model.parameters(theta), model.starts(theta)
@@ -376,10 +405,5 @@ def _estimate(posterior: Posterior, phi: np.ndarray, health: Health, cost: Cost,
         initial_states=tuple(states),
         offsets=tuple(map(float, np.median(model.offsets(theta), axis=0))),
         cost=cost,
-        traces={
-            "mode": np.log([float(value) for value in model.parameters(posterior.mode).values()]),
-            "r_hat": np.array([health.r_hat]),
-            "effective_sample_size": np.array([health.effective]),
-            "autocorrelation_time": np.array([health.time]),
-        },
+        traces={"mode": np.log([float(value) for value in model.parameters(posterior.mode).values()]), **traces},
     )

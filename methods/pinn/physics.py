@@ -255,7 +255,7 @@ class Task:
 
     def __init__(self, problem: Problem, rng: np.random.Generator) -> None:
         self.problem, self.rng, self.units = problem, rng, problem.natural_units()
-        self.scaled = _rounded(problem.expressed_in(self.units))
+        self.scaled = rounded(problem.expressed_in(self.units))
         waves, self.reference = scan(self.scaled, self.scaled.system.n_dof)
         self.guesses = _starts(waves, self.scaled.system.n_dof)
         self.fits: list[Fit] = []
@@ -303,11 +303,12 @@ def _measured(response: Function, times: np.ndarray, measures: str, duration: fl
     return response(times)
 
 
-def _rounded(problem: Problem) -> Problem:
+def rounded(problem: Problem) -> Problem:
     """The problem (in natural units) with every number to ten digits.
 
-    Thousands of steps of Adam and L-BFGS magnify the last bit of the data to a hundredth of a standard error. Rounded
-    like this, a record in other units is the same record to the last bit, and so is the answer.
+    Thousands of steps of Adam and L-BFGS magnify the last bit of the data to a hundredth of a standard error, and a
+    gradient sampler's path magnifies it to other draws. Rounded like this, a record in other units is the same record
+    to the last bit, and so is the answer.
     """
 
     def same(values: np.ndarray) -> np.ndarray:

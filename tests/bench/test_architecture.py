@@ -14,7 +14,7 @@ from conftest import REPOSITORY
 
 import bench
 
-HEAVY = {"torch", "casadi", "pysindy", "emcee"}
+HEAVY = {"torch", "casadi", "pysindy", "emcee", "blackjax"}
 BENCH = sorted((REPOSITORY / "bench").rglob("*.py"))
 METHODS = sorted((REPOSITORY / "methods").rglob("*.py"))
 

@@ -14,7 +14,7 @@ from bench.simulate import simulate
 from bench.systems import SDOF, Chain
 
 pytest.importorskip("emcee")
-from methods.mcmc import MCMC, NOISE_SD, rank_r_hat
+from methods.mcmc import MCMC, NOISE_SD, Health, rank_r_hat
 
 NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
 TRUE = {"m": 1.3, "c": 0.6, "k": 9.0}
@@ -107,6 +107,52 @@ def test_a_chain_that_is_too_short_is_a_failure_with_a_sentence() -> None:
     assert estimate.status is Status.DIVERGED
     assert "not converged" in estimate.message
     assert "R-hat" in estimate.message
+
+
+def test_the_autocorrelation_time_is_that_of_the_process() -> None:
+    """Walkers that are first-order autoregressive, ``x' = a x + e``, have the time ``(1 + a) / (1 - a)``."""
+    rng, a, steps = np.random.default_rng(0), 0.8, 1500
+    path = np.empty((2, steps, 20, 2))
+    path[:, 0] = rng.standard_normal((2, 20, 2))
+    for i in range(1, steps):
+        path[:, i] = a * path[:, i - 1] + np.sqrt(1 - a * a) * rng.standard_normal((2, 20, 2))
+    health = Health.of(path)
+    assert health.time == pytest.approx(9.0, rel=0.15)
+    assert health.effective == pytest.approx(2 * steps * 20 / 9.0, rel=0.15)
+    assert health.converged(MCMC(), steps)
+    # as good an R-hat, but too short against its autocorrelation time
+    short = Health(1.0, 1000.0, 9.0)
+    assert not short.converged(MCMC(), 100)
+    assert "9 of 100 steps, too long" in short.sentence(MCMC(), 100, 5)
+    assert "nuts" not in short.sentence(MCMC(), 100, 5)
+    assert "20 unknowns" in short.sentence(MCMC(), 100, 20)
+
+
+def test_walkers_that_move_by_each_other_alone_do_not_mix_among_many_unknowns() -> None:
+    """Four masses, 24 unknowns: without independent moves the autocorrelation time outgrows the chain."""
+    n = range(1, 5)
+    parameters = {f"m{i}": 1.0 for i in n} | {f"c{i}": 0.2 for i in n} | {f"k{i}": 10.0 for i in n}
+    start = ((1.0, 0.0, 0.0, 0.0), (0.0,) * 4)
+    made = scenario(
+        20.0, system="chain", options={"n": 4}, parameters=parameters, initial=start, samples=40, told="unknown"
+    )
+    estimate = sample(made.replicates(0, 1)[0][0], independent=0.0, blocks=4)
+    assert estimate.status is Status.DIVERGED
+    assert "autocorrelation time" in estimate.message
+    assert "24 unknowns" in estimate.message
+
+
+def test_a_nonlinear_system_is_sampled() -> None:
+    """A Duffing oscillator over two cycles; the groups lie in the 99.9 % intervals."""
+    parameters = {"m": 1.2, "c": 0.5, "k": 6.0, "k3": 4.0}
+    made = scenario(25.0, system="duffing", parameters=parameters, initial=((0.9,), (0.0,)), samples=25, duration=4.0)
+    problem, _ = made.replicates(0, 1)[0]
+    estimate = sample(problem)
+    for group in problem.system.groups:
+        marginal = estimate.marginal(group)
+        assert marginal is not None, estimate.message
+        low, high = marginal.interval(0.999)
+        assert low < group.value(parameters) < high
 
 
 def test_r_hat_tells_ensembles_apart() -> None:
