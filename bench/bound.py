@@ -4,18 +4,19 @@ The bound is the inverse of (Fisher information of the data at the truth + preci
 log-parameters (and the initial state, where it is not told). With Gaussian noise of unknown level the cross terms
 between level and parameters vanish (the expectation of the residual is zero), so estimating the level costs nothing.
 
-Sensitivities come from jax, through Runge-Kutta steps fine enough not to matter. It is computed once per scenario,
+Sensitivities come from jax: exactly, through matrix exponentials, for a linear system, through Runge-Kutta steps fine
+enough not to matter for others. It is computed once per scenario,
 in a process of its own, and cached.
 """
 
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
+import math
 import multiprocessing
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,10 +26,10 @@ from typing import Any, cast
 import numpy as np
 
 from bench.errors import InputError
-from bench.mechanics import rk4_step
+from bench.mechanics import rk4_step, state_rate
 from bench.problem import Force
 from bench.scenario import Scenario
-from bench.simulate import interval_ends, longest_step
+from bench.simulate import interval_polynomials, longest_step, merged_grid
 from bench.systems import Ops, Quantity, System
 
 REFINE = 12
@@ -77,22 +78,80 @@ def _steps(
     system: System, scenario: Scenario, forces: Sequence[Force], times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Step lengths (n,), forces at start, middle and end of each step (n, 3, n_dof), and where each time is reached."""
-    grid = np.unique(np.concatenate([[0.0], times, *[f.times[f.times <= times[-1]] for f in forces]]))
+    grid = merged_grid(times, forces)
     state = [np.array(part[i]) for part in scenario.initial for i in range(system.n_dof)]
     state += [np.array(0.0)] * system.n_hidden
     longest = longest_step(system, scenario.parameters, state) / REFINE
-    lengths, pushes, reached = [], [], [0]
-    for t0, t1 in itertools.pairwise(grid):
-        n = max(1, int(np.ceil((t1 - t0) / longest)))
-        ends = [(force.dof, *interval_ends(force, t0, t1)) for force in forces]
-        for j in range(n):
-            push = np.zeros((3, system.n_dof))
-            for dof, start, end in ends:
-                push[:, dof] += start + (end - start) * (j + np.array([0.0, 0.5, 1.0])) / n
-            lengths.append((t1 - t0) / n)
-            pushes.append(push)
-        reached.append(reached[-1] + n)
-    return np.array(lengths), np.array(pushes), np.array(reached)[np.searchsorted(grid, times)]
+    counts = np.maximum(1, np.ceil(np.diff(grid) / longest)).astype(int)
+    which = np.repeat(np.arange(counts.size), counts)
+    reached = np.concatenate([[0], np.cumsum(counts)])
+    parts = (np.arange(which.size) - reached[which])[:, None] + np.array([0.0, 0.5, 1.0])
+    parts /= counts[which, None]
+    coefficients = interval_polynomials(forces, grid, system.n_dof)[:, which]
+    pushes = sum(c[:, None] * parts[..., None] ** j for j, c in enumerate(coefficients))
+    return (np.diff(grid) / counts)[which], np.asarray(pushes), reached[np.searchsorted(grid, times)]
+
+
+def _by_steps(
+    scenario: Scenario, ops: Ops, forces: Sequence[Force], times: np.ndarray
+) -> Callable[[Mapping[str, Any], Any], Any]:
+    """The displacement, shape (n_dof, n_times), as a function of parameters and start, by Runge-Kutta steps."""
+    import jax
+    import jax.numpy as jnp
+
+    system = scenario.make_system()
+    n = system.n_dof
+    lengths, pushes, reached = _steps(system, scenario, forces, times)
+
+    def path(p: Mapping[str, Any], start: Any) -> Any:
+        def step(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
+            h, push = inputs
+            f = [[push[i, j] for j in range(n)] for i in range(3)]
+            new = jnp.stack(rk4_step(system, p, [state[i] for i in range(state.shape[0])], h, (f[0], f[1], f[2]), ops))
+            return new, new[:n]
+
+        _, after = jax.lax.scan(step, start, (jnp.asarray(lengths), jnp.asarray(pushes)))
+        return jnp.concatenate([start[None, :n], after])[reached].T
+
+    return path
+
+
+def _by_exponentials(
+    system: System, ops: Ops, forces: Sequence[Force], times: np.ndarray
+) -> Callable[[Mapping[str, Any], Any], Any]:
+    """The same of a linear system, exact: matrix exponentials of the state, the force and its derivatives.
+
+    See :func:`bench.simulate.matrix_exponential_response` for the formula; here jax differentiates it.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    n, grid = system.n_dof, merged_grid(times, forces)
+    pushes = interval_polynomials(forces, grid, n)
+    order, h = len(pushes), np.diff(grid)
+    factors = np.array([math.factorial(j) for j in range(order)])
+    given = np.moveaxis(factors[:, None, None] / h[:, None] ** np.arange(order)[:, None, None] * pushes, 0, 1)
+    tick = 1e-12 * max(grid[-1], 1e-300)
+    _, first, which = np.unique(np.round(h / tick), return_index=True, return_inverse=True)
+
+    def path(p: Mapping[str, Any], start: Any) -> Any:
+        def rate(state: Any, f: Any) -> Any:
+            return jnp.stack(state_rate(system, p, [state[i] for i in range(2 * n)], [f[i] for i in range(n)], ops))
+
+        a, b = jax.jacfwd(rate, (0, 1))(jnp.zeros(2 * n), jnp.zeros(n))
+        top = jnp.concatenate([a, b, jnp.zeros((2 * n, (order - 1) * n))], axis=1)
+        bottom = np.eye(order * n, (2 + order) * n, 3 * n)
+        growth = jax.vmap(jax.scipy.linalg.expm)(jnp.concatenate([top, bottom]) * h[first, None, None])[:, : 2 * n]
+
+        def step(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
+            j, push = inputs
+            new = growth[j] @ jnp.concatenate([state, push])
+            return new, new[:n]
+
+        _, after = jax.lax.scan(step, start, (jnp.asarray(which), jnp.asarray(given.reshape(h.size, -1))))
+        return jnp.concatenate([start[None, :n], after])[np.searchsorted(grid, times)].T
+
+    return path
 
 
 def sensitivities(scenario: Scenario, seed: int, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -105,21 +164,12 @@ def sensitivities(scenario: Scenario, seed: int, times: np.ndarray) -> tuple[np.
 
     jax.config.update("jax_enable_x64", True)
     system, ops = scenario.make_system(), _jax_ops()
-    n, names = system.n_dof, system.names
-    lengths, pushes, reached = _steps(system, scenario, scenario.forces(seed), times)
+    names, forces = system.names, scenario.forces(seed)
+    path = _by_exponentials(system, ops, forces, times) if system.linear else _by_steps(scenario, ops, forces, times)
 
     def response(theta: Any) -> Any:
         p = {name: jnp.exp(theta[i]) for i, name in enumerate(names)}
-        start = jnp.concatenate([theta[len(names) :], jnp.zeros(system.n_hidden)])
-
-        def step(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
-            h, push = inputs
-            f = [[push[i, j] for j in range(n)] for i in range(3)]
-            new = jnp.stack(rk4_step(system, p, [state[i] for i in range(state.shape[0])], h, (f[0], f[1], f[2]), ops))
-            return new, new[:n]
-
-        _, path = jax.lax.scan(step, start, (jnp.asarray(lengths), jnp.asarray(pushes)))
-        return jnp.concatenate([start[None, :n], path])[reached].T
+        return path(p, jnp.concatenate([theta[len(names) :], jnp.zeros(system.n_hidden)]))
 
     logs = np.log([scenario.parameters[name] for name in names])
     theta = jnp.asarray(np.concatenate([logs, scenario.start.displacement, scenario.start.velocity]))

@@ -7,16 +7,20 @@ estimate is :class:`bench.truth.Truth`, a type of its own.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from bench.errors import InputError
 from bench.prior import Prior, dimension_scale
 from bench.systems import FORCE, MEASURED, Dimension, System
 
 Measures = Literal["displacement", "velocity", "acceleration"]
-Hold = Literal["zero_order", "linear"]
+Hold = Literal["zero_order", "linear", "cubic"]
+DEGREES: dict[Hold, int] = {"zero_order": 1, "linear": 1, "cubic": 3}
+"""Degree of the polynomial that carries a force from one sample to the next (a step is carried as a line)."""
 MIN_SAMPLES = 3
 
 
@@ -99,7 +103,8 @@ class Channel:
 class Force:
     """A known force on one DOF: samples (N) at times (s), shape (n,), and how it runs between them.
 
-    ``zero_order`` holds each sample to the next time, ``linear`` joins them; it is zero outside its times.
+    ``zero_order`` holds each sample to the next time, ``linear`` joins them, ``cubic`` is the cubic spline through them
+    (not-a-knot: de Boor, A Practical Guide to Splines, chapter IV); it is zero outside its times.
     """
 
     times: np.ndarray
@@ -110,17 +115,28 @@ class Force:
     def __post_init__(self) -> None:
         object.__setattr__(self, "times", read_only(self.times, "force.times"))
         object.__setattr__(self, "values", read_only(self.values, "force.values"))
-        if self.hold not in ("zero_order", "linear"):
-            raise InputError("force.hold", self.hold, "one of zero_order, linear")
+        if self.hold not in DEGREES:
+            raise InputError("force.hold", self.hold, f"one of {', '.join(DEGREES)}")
         if self.times.size != self.values.size or self.times.size < 2:
             raise InputError("force.values", self.values.size, "at least two samples, as many as times")
         _increasing(self.times, "force.times")
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomial between samples."""
+        return DEGREES[self.hold]
+
+    @cached_property
+    def _spline(self) -> CubicSpline:
+        return CubicSpline(self.times, self.values)
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
         """The force (N) at the times, same shape."""
         times = np.asarray(times, float)
         if self.hold == "linear":
             inside = np.interp(times, self.times, self.values)
+        elif self.hold == "cubic":
+            inside = self._spline(times)
         else:
             inside = self.values[np.clip(np.searchsorted(self.times, times, "right") - 1, 0, self.times.size - 1)]
         return np.where((times < self.times[0]) | (times > self.times[-1]), 0.0, inside)
@@ -232,7 +248,8 @@ class Problem:
     def expressed_in(self, units: Units) -> Problem:
         """The same problem in other units: prior, initial state and forces converted too."""
         prior = self.prior.expressed_in(units.scales(self.system)) if self.prior else None
-        return Problem(self.system, tuple(r.expressed_in(units) for r in self.records), prior, self.name)
+        system = self.system.rescaled(units.of)
+        return Problem(system, tuple(r.expressed_in(units) for r in self.records), prior, self.name)
 
     def offsets_from(self, units: Units, offsets: tuple[float, ...] | None) -> tuple[float, ...] | None:
         """Sensor offsets found in ``units``, one a channel record by record, in the units of this problem."""
