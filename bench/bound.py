@@ -46,7 +46,8 @@ class Bound:
     ``relative_sd`` by quantity: the standard deviation of its logarithm, hence of its relative error to first order
     (inf where neither data nor prior tell it). ``identifiable`` by quantity: whether the data alone tell it.
     ``prior_share`` by quantity: the part of its variance that comes from the prior's error rather than the noise's.
-    ``rmse`` and ``rmse_forecast``: root mean square displacement error (m) over the record and over what follows it.
+    ``rmse`` and ``rmse_forecast``: root mean square displacement error (m) of the DOFs with a sensor, over the record
+    and over what follows it.
     ``null_space``: directions of the log-parameters, rows over ``names``, that the data cannot tell.
     """
 
@@ -238,7 +239,7 @@ def _orthogonal(directions: np.ndarray, exponents: Sequence[float]) -> bool:
 
 
 def information(scenario: Scenario, seed: int = 0, measured: Sequence[int] | None = None) -> Information:
-    """The information in displacements of the ``measured`` DOFs (all by default), at the truth, undisturbed."""
+    """The information in displacements of the ``measured`` DOFs (by default those of the scenario), undisturbed."""
     scenario = scenario.undisturbed
     _, gradient = sensitivities(scenario, seed, scenario.times)
     return _information(scenario, seed, gradient, measured)
@@ -251,8 +252,7 @@ def _information(
     system = scenario.make_system()
     free = len(system.names) if scenario.told == "known" else gradient.shape[2]
     scaled = gradient[..., :free] / scenario.sigmas(seed)[:, None, None]
-    if measured is not None:
-        scaled = scaled[list(measured)]
+    scaled = scaled[list(scenario.measured_dofs if measured is None else measured)]
     precision = np.zeros(free)
     if scenario.prior is not None:
         kinds = [scenario.prior.sd_by_kind[p.kind] for p in system.parameters]
@@ -272,7 +272,7 @@ def compute_bound(scenario: Scenario, seed: int = 0) -> Bound:
     told = _information(scenario, seed, gradient[:, np.searchsorted(times, scenario.times)])
 
     def rms(at: np.ndarray) -> float:
-        g = gradient[:, np.searchsorted(times, at), : len(told.precision)]
+        g = gradient[list(scenario.measured_dofs)][:, np.searchsorted(times, at), : len(told.precision)]
         return float(np.sqrt(np.mean(np.einsum("dti,ij,dtj->dt", g, told.covariance, g))))
 
     none = np.inf if scenario.truth_drawn else 1.0

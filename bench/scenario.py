@@ -13,12 +13,13 @@ import numpy as np
 
 from bench.disturbance import Disturbance
 from bench.errors import InputError
+from bench.excitation import ForceSpec
 from bench.prior import Prior, draw_prior, wrong_prior
-from bench.problem import MIN_SAMPLES, Channel, Force, Hold, InitialState, Problem, Record
+from bench.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Record
 from bench.systems import System, make_system
 from bench.truth import Truth, reference_response
 
-NOISE, NOMINAL, FORCE_AXIS, METHOD, DISTURBANCE = range(5)
+NOISE, NOMINAL, FORCE_AXIS, METHOD, DISTURBANCE, FORCE_NOISE = range(6)
 """Axes of the seed tree: what a random stream is for. Streams of different axes never meet."""
 
 
@@ -42,35 +43,13 @@ class PriorSpec:
 
 
 @dataclass(frozen=True)
-class ForceSpec:
-    """A known multisine force on one DOF: sine waves of equal amplitude, uniform random phases drawn per scenario.
-
-    ``amplitude`` (N) is the root mean square; frequencies (Hz) run from ``low_hz`` to ``high_hz`` in ``tones`` steps.
-    The force is sampled at ``samples`` uniform times and runs between them as ``hold`` says.
-    """
-
-    amplitude: float
-    low_hz: float
-    high_hz: float
-    tones: int = 10
-    samples: int = 201
-    hold: Hold = "linear"
-    dof: int = 0
-
-    def draw(self, duration: float, rng: np.random.Generator) -> Force:
-        times = np.linspace(0.0, duration, self.samples)
-        frequencies = np.linspace(self.low_hz, self.high_hz, self.tones)
-        phases = rng.uniform(0.0, 2 * np.pi, self.tones)
-        waves = np.sin(2 * np.pi * frequencies[:, None] * times + phases[:, None])
-        return Force(times, self.amplitude * np.sqrt(2.0 / self.tones) * waves.sum(0), self.hold, self.dof)
-
-
-@dataclass(frozen=True)
 class Scenario:
     """Everything that decides the data, and what is told of them; SI units.
 
     ``initial`` is the true displacement and velocity of each DOF at time 0, ``told`` whether a method knows it.
-    ``samples`` uniform displacement samples of every DOF over ``duration``, both ends included; noise at ``snr_db``.
+    ``samples`` uniform displacement samples of every ``measured`` DOF (from 0; None: all) over ``duration``, both ends
+    included; noise at ``snr_db``, DOF by DOF. Hidden states start at 0. Displacement errors and their bound are over
+    the measured DOFs: what is said of a mass without a sensor may be arbitrarily bad.
     ``disturbance`` breaks what methods assume of the data; noise draw, noise level, nominal values and bound stay those
     of the undisturbed scenario.
     """
@@ -89,6 +68,7 @@ class Scenario:
     forecast: float = 10.0
     label: str = ""
     disturbance: Disturbance | None = None
+    measured: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         system = self.make_system()
@@ -110,6 +90,17 @@ class Scenario:
             raise InputError("system.initial", list(map(list, self.initial)), "a start away from rest, or a force")
         if self.disturbance is not None:
             self.disturbance.check(self.duration, self.force is not None)
+        if self.measured is not None and (
+            not self.measured or sorted(set(self.measured) & set(range(system.n_dof))) != list(self.measured)
+        ):
+            remedy = f"DOFs with a sensor, increasing, of 0 to {system.n_dof - 1}"
+            raise InputError("system.measured", list(self.measured), remedy)
+        if self.force is not None:
+            if not 0 <= self.force.dof < system.n_dof:
+                raise InputError("system.force.dof", self.force.dof, f"one of 0 to {system.n_dof - 1}")
+            self.force.draw(
+                self.duration, np.random.default_rng(0)
+            )  # a shape that its samples cannot show is said here
 
     def make_system(self) -> System:
         return make_system(self.system, self.options)
@@ -118,7 +109,9 @@ class Scenario:
         """What decides the data, and nothing else: neither the label nor what is told of them."""
         disturbance = {"disturbance": self.disturbance.identity()} if self.disturbance else {}
         drawn = {"truth": "drawn"} if self.truth_drawn else {}
-        return self._undisturbed_identity() | disturbance | drawn
+        force = {"force": self.force.identity()} if self.force else {}
+        measured = {} if self.measured is None else {"measured": list(self.measured)}
+        return self._undisturbed_identity() | force | measured | disturbance | drawn
 
     def _undisturbed_identity(self) -> dict[str, Any]:
         return {
@@ -129,7 +122,7 @@ class Scenario:
             "snr_db": float(self.snr_db),
             "duration": float(self.duration),
             "samples": self.samples,
-            "force": vars(self.force) if self.force else None,
+            "force": self.force.identity(with_noise=False) if self.force else None,
         }
 
     def told_identity(self) -> dict[str, Any]:
@@ -144,7 +137,8 @@ class Scenario:
     def stream(self, axis: int, seed: int, replicate: int, *key: int) -> np.random.Generator:
         """The random stream of one axis, replicate and scenario; independent of every other.
 
-        A disturbed scenario has the streams of the undisturbed one: they differ by the disturbance alone.
+        A disturbed scenario has the streams of the undisturbed one: they differ by the disturbance alone. So do those
+        that differ in which DOFs are measured, or in how well the force is.
         """
         sequence = np.random.SeedSequence(seed, spawn_key=(axis, *self._key, replicate, *key))
         return np.random.default_rng(sequence)
@@ -184,11 +178,23 @@ class Scenario:
         """The initial state of the motion, which is what is told of it."""
         return InitialState(np.array(self.initial[0]), np.array(self.initial[1]))
 
+    @property
+    def measured_dofs(self) -> tuple[int, ...]:
+        """The DOFs that have a sensor."""
+        return tuple(range(len(self.initial[0]))) if self.measured is None else self.measured
+
     def forces(self, seed: int) -> tuple[Force, ...]:
-        """The known forces: one draw a scenario and seed, the same for every replicate and every noise level."""
+        """The forces that act: one draw a scenario and seed, the same for every replicate and every noise level."""
         if self.force is None:
             return ()
         return (self.force.draw(self.duration, replace(self, snr_db=0.0).stream(FORCE_AXIS, seed, 0)),)
+
+    def told_forces(self, seed: int, index: int) -> tuple[Force, ...]:
+        """The forces as a method is told them in one replicate, with the noise of their sensor."""
+        if self.force is None:
+            return ()
+        rng = self.stream(FORCE_NOISE, seed, index)
+        return tuple(self.force.told(force, rng) for force in self.forces(seed))
 
     def _response(self, times: np.ndarray, seed: int) -> np.ndarray:
         """True displacement at times of the record; its disturbance may say by what integrator, or how late."""
@@ -216,7 +222,7 @@ class Scenario:
         return replace(problem, prior=Prior(dict(self.parameters), drawn.log_sd)), truth
 
     def sigmas(self, seed: int) -> np.ndarray:
-        """Noise standard deviation of each channel (m): mean square of the clean samples over 10^(SNR/10)."""
+        """Noise standard deviation of each DOF's sensor (m): mean square of the clean samples over 10^(SNR/10)."""
         clean = self.undisturbed._response(self.times, seed)
         return np.asarray(np.sqrt(np.mean(clean**2, axis=1) / 10.0 ** (self.snr_db / 10.0)))
 
@@ -224,9 +230,11 @@ class Scenario:
         self, seed: int, index: int, clean: np.ndarray, dense: np.ndarray, forecast: np.ndarray, sigma: np.ndarray
     ) -> tuple[Problem, Truth]:
         system = self.make_system()
+        measured = list(self.measured_dofs)
         times, ideal, error = self._samples(seed, index, clean, sigma)
-        channels = tuple(Channel(times, values, dof=i) for i, values in enumerate(ideal + error))
-        record = Record(channels, self.forces(seed), self.start if self.told == "known" else None)
+        ideal, error, sigma = ideal[measured], error[measured], sigma[measured]
+        channels = tuple(Channel(times, values, dof=i) for i, values in zip(measured, ideal + error, strict=True))
+        record = Record(channels, self.told_forces(seed, index), self.start if self.told == "known" else None)
         problem = Problem(system, (record,), self.draw_prior(system, seed, index), name=self.label)
         truth = Truth(
             parameters=dict(self.parameters),
@@ -237,7 +245,8 @@ class Scenario:
             forecast_displacement=forecast,
             sigma=tuple(map(float, sigma)),
             realised_snr_db=float(10 * np.log10(np.sum(ideal**2) / np.sum(error**2))),
-            sigma_over_peak=float(np.max(sigma / np.max(np.abs(dense), axis=1))),
+            sigma_over_peak=float(np.max(sigma / np.max(np.abs(dense[measured]), axis=1))),
+            measured=self.measured,
         )
         return problem, truth
 

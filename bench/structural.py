@@ -95,6 +95,7 @@ def structure_of(scenario: Scenario, measured: Sequence[int] | None = None) -> S
     """
     forced = () if scenario.force is None else (scenario.force.dof,)
     start = scenario.initial if scenario.told == "known" else None
+    measured = scenario.measured_dofs if measured is None else measured
     return structure(scenario.make_system(), measured, scenario.told, forced, start)
 
 
