@@ -13,7 +13,7 @@ from operator import mul
 
 import numpy as np
 
-TOLERANCE = 3e-9
+TOLERANCE = 1e-9
 """Estimated local error of a component over the largest value that it has had; the true one is far below it."""
 MAX_STEPS = 40_000
 SHORTEST = 1e-10
@@ -43,24 +43,27 @@ ERROR = [41 / 840, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 41 / 840, -41 / 
 KINK = [272 / 840 / 20 * c for c in (0, 0, 0, 0, 0, -20, -6, -6, 15, 15, 0, 1, 1)]
 """What leaving out the middle stage would change, for Fehlberg's error is blind to a kink inside the step.
 
-The weights of order eight are those of the Newton-Cotes formula on seven points; the sixth difference of the rates is
-far above its error where they are smooth, but shows a kink of which it makes an error.
+The weights of order eight are those of the Newton-Cotes formula on seven points. The sixth difference of the rates is
+about the error that it makes of a kink, but far above its error where they are smooth: used where they are not.
 """
-_FINAL = (WEIGHTS, ERROR, KINK)
-
 Rate = Callable[[list[float], float], list[float]]
 """Time derivative of a state, component by component, at a time from the start of the interval (s)."""
 
 
 def integrate(
-    rate_over: Callable[[int], Rate], state: Sequence[float], grid: np.ndarray, wanted: np.ndarray, step: float
+    rate_over: Callable[[int], Rate],
+    state: Sequence[float],
+    grid: np.ndarray,
+    wanted: np.ndarray,
+    step: float,
+    smooth: bool = True,
 ) -> np.ndarray:
     """The states at the grid points numbered ``wanted``, shape (n_state, n_wanted), from ``state`` at the first.
 
-    ``rate_over(i)`` is the rate within interval i of the grid, where it is smooth but for kinks. ``step`` is the first
-    to be tried (s). NaN from where the motion diverges.
+    ``rate_over(i)`` is the rate within interval i of the grid; not ``smooth`` says that it has kinks there, as ``|v|``
+    has. ``step`` is the first to be tried (s). NaN from where the motion diverges.
     """
-    motion = _Motion(state)
+    motion = _Motion(state, smooth)
     path = np.full((len(state), wanted.size), np.nan)
     path[:, wanted == 0] = np.array(state)[:, None]
     shortest, taken, h = SHORTEST * float(grid[-1] - grid[0]), 0, step
@@ -86,7 +89,8 @@ def integrate(
 class _Motion:
     """The state of one motion, the largest values that it has had, and the step that was tried last."""
 
-    def __init__(self, state: Sequence[float]) -> None:
+    def __init__(self, state: Sequence[float], smooth: bool) -> None:
+        self.final = (WEIGHTS, ERROR) if smooth else (WEIGHTS, ERROR, KINK)
         self.state = self.new = list(state)
         self.scale = [abs(s) for s in state]
 
@@ -106,10 +110,10 @@ class _Motion:
                 own.append(value)
         size, new = 0.0, []
         for i, (s, own) in enumerate(zip(state, k, strict=True)):
-            change, error, kink = (h * sum(map(mul, weights, own)) for weights in _FINAL)
+            change, *errors = (h * sum(map(mul, weights, own)) for weights in self.final)
             new.append(s + change)
             scale = max(self.scale[i], abs(s + change), abs(h * own[0]))
-            size = max(size, (abs(error) + abs(kink)) / (TOLERANCE * scale + 1e-300))
+            size = max(size, sum(map(abs, errors)) / (TOLERANCE * scale + 1e-300))
         if not all(map(math.isfinite, (*new, size))):
             return math.inf
         if size <= 1.0:

@@ -249,7 +249,7 @@ def _alone(
         length, own = float(grid[i + 1] - grid[i]), pushes[:, i].T.tolist()
         return lambda s, at: state_rate(system, values, s, [_polynomial(c, at / length) for c in own], _float_ops)
 
-    return integrate(rate_over, [float(s) for s in state], grid, np.searchsorted(grid, times), first)
+    return integrate(rate_over, [float(s) for s in state], grid, np.searchsorted(grid, times), first, system.smooth)
 
 
 def _polynomial(coefficients: Sequence[float], part: float) -> float:

@@ -102,6 +102,9 @@ class System(ABC):
     affine_in_parameters: ClassVar[bool] = True
     """The residual is affine in the parameters, so it has regression columns."""
 
+    smooth: ClassVar[bool] = True
+    """Nothing in the equations bends suddenly, as a modulus or dry friction does; else integrated with more care."""
+
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:

@@ -34,6 +34,7 @@ class QuadraticDamping(System):
     """Linear and quadratic damping, ``m x'' + c x' + c2 |x'| x' + k x = f(t)``: a body that drags a fluid along."""
 
     name: ClassVar[str] = "quadratic_damping"
+    smooth: ClassVar[bool] = False
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -58,6 +59,7 @@ class Coulomb(System):
 
     smoothing_velocity: float = 0.01
     name: ClassVar[str] = "coulomb"
+    smooth: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if not 0 < self.smoothing_velocity < float("inf"):
@@ -138,6 +140,7 @@ class BoucWen(System):
 
     exponent: float = 1.0
     name: ClassVar[str] = "bouc_wen"
+    smooth: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.exponent < float("inf"):

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
 from bench import Channel, Force, InitialState, Record, fitted_start, measurements, simulate
-from bench.integrate import _FINAL, _ROWS, NODES
+from bench.integrate import _ROWS, ERROR, KINK, NODES, WEIGHTS
 from bench.systems import SDOF, BoucWen, Coulomb, Duffing, Pendulum, QuadraticDamping, System, VanDerPol
 from bench.truth import closed_form, reference_response
 
@@ -52,9 +52,9 @@ def test_the_undamped_pendulum_is_an_elliptic_sine_of_its_own_period(response: R
     k = ellipk(modulus)
     expected = 2 * length * np.arcsin(math.sin(theta / 2) * ellipj(k + w * TIMES, modulus)[0])
     found = response(Pendulum(), p, let_go(theta * length), TIMES, ())[0]
-    np.testing.assert_allclose(found, expected, atol=5e-9)
+    np.testing.assert_allclose(found, expected, atol=1e-8 * theta * length)
     after = response(Pendulum(), p, let_go(theta * length), np.array([0.0, 4 * k / w]), ())[0]
-    assert after[1] == pytest.approx(theta * length, rel=1e-9)
+    assert after[1] == pytest.approx(theta * length, rel=1e-8)
 
 
 @both
@@ -161,7 +161,7 @@ def test_work_done_is_energy_gained_and_dissipated(name: str, forces: tuple[Forc
 
 def test_the_integrators_table_meets_the_order_conditions_and_halving_the_step_gains_two_to_the_eighth() -> None:
     """Rows sum to their nodes, ``sum b c^j = 1/(j+1)`` to order eight, and the error weights sum to nothing."""
-    weights, error, kink = (np.array(row) for row in _FINAL)
+    weights, error, kink = (np.array(row) for row in (WEIGHTS, ERROR, KINK))
     nodes = np.array(NODES)
     for j in range(8):
         assert weights @ nodes**j == pytest.approx(1 / (j + 1), abs=1e-14)
