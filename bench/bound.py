@@ -94,13 +94,12 @@ def _steps(
 
 
 def _by_steps(
-    scenario: Scenario, ops: Ops, forces: Sequence[Force], times: np.ndarray
+    system: System, scenario: Scenario, ops: Ops, forces: Sequence[Force], times: np.ndarray
 ) -> Callable[[Mapping[str, Any], Any], Any]:
     """The displacement, shape (n_dof, n_times), as a function of parameters and start, by Runge-Kutta steps."""
     import jax
     import jax.numpy as jnp
 
-    system = scenario.make_system()
     n = system.n_dof
     lengths, pushes, reached = _steps(system, scenario, forces, times)
 
@@ -155,7 +154,7 @@ def _by_exponentials(
     return path
 
 
-def sensitivities(scenario: Scenario, seed: int, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def sensitivities(scenario: Scenario, seed: int, times: np.ndarray, record: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Displacement, shape (n_dof, n_times), and its derivatives (n_dof, n_times, n_parameters + 2 n_dof).
 
     Derivatives by the log-parameters, then by initial displacement and velocity of each DOF, at the truth.
@@ -164,9 +163,13 @@ def sensitivities(scenario: Scenario, seed: int, times: np.ndarray) -> tuple[np.
     import jax.numpy as jnp
 
     jax.config.update("jax_enable_x64", True)
-    system, ops = scenario.make_system(), _jax_ops()
+    system, ops = scenario.rigs()[record], _jax_ops()
     names, forces = system.names, scenario.forces(seed)
-    path = _by_exponentials(system, ops, forces, times) if system.linear else _by_steps(scenario, ops, forces, times)
+    path = (
+        _by_exponentials(system, ops, forces, times)
+        if system.linear
+        else _by_steps(system, scenario, ops, forces, times)
+    )
 
     def response(theta: Any) -> Any:
         p = {name: jnp.exp(theta[i]) for i, name in enumerate(names)}
@@ -248,16 +251,24 @@ def information(scenario: Scenario, seed: int = 0, measured: Sequence[int] | Non
 def _information(
     scenario: Scenario, seed: int, gradient: np.ndarray, measured: Sequence[int] | None = None
 ) -> Information:
-    """From the sensitivities at the samples, shape (n_dof, n_samples, n_parameters + 2 n_dof)."""
+    """From the sensitivities at the samples of the first record, shape (n_dof, n_samples, n_parameters + 2 n_dof).
+
+    Records add up; a start that is not told is each record's own.
+    """
     system = scenario.make_system()
-    free = len(system.names) if scenario.told == "known" else gradient.shape[2]
-    scaled = gradient[..., :free] / scenario.sigmas(seed)[:, None, None]
-    scaled = scaled[list(scenario.measured_dofs if measured is None else measured)]
-    precision = np.zeros(free)
+    n, own, records = len(system.names), 0 if scenario.told == "known" else 2 * system.n_dof, len(scenario.rigs())
+    dofs = list(scenario.measured_dofs if measured is None else measured)
+    data, precision = np.zeros((n + own * records, n + own * records)), np.zeros(n + own * records)
+    for record in range(records):
+        if record:
+            _, gradient = sensitivities(scenario, seed, scenario.times, record)
+        scaled = (gradient[..., : n + own] / scenario.sigmas(seed, record)[:, None, None])[dofs]
+        at = np.r_[:n, n + own * record : n + own * (record + 1)]
+        data[np.ix_(at, at)] += np.einsum("dti,dtj->ij", scaled, scaled)
     if scenario.prior is not None:
         kinds = [scenario.prior.sd_by_kind[p.kind] for p in system.parameters]
-        precision[: len(kinds)] = 1.0 / np.array(kinds) ** 2
-    return Information(system.names, np.einsum("dti,dtj->ij", scaled, scaled), precision)
+        precision[:n] = 1.0 / np.array(kinds) ** 2
+    return Information(system.names, data, precision)
 
 
 def compute_bound(scenario: Scenario, seed: int = 0) -> Bound:
@@ -273,7 +284,8 @@ def compute_bound(scenario: Scenario, seed: int = 0) -> Bound:
 
     def rms(at: np.ndarray) -> float:
         g = gradient[list(scenario.measured_dofs)][:, np.searchsorted(times, at), : len(told.precision)]
-        return float(np.sqrt(np.mean(np.einsum("dti,ij,dtj->dt", g, told.covariance, g))))
+        own = told.covariance[: g.shape[2], : g.shape[2]]  # the first record's, which is scored
+        return float(np.sqrt(np.mean(np.einsum("dti,ij,dtj->dt", g, own, g))))
 
     none = np.inf if scenario.truth_drawn else 1.0
     return Bound(

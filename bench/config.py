@@ -71,6 +71,8 @@ class SystemConfig(_Strict):
     force: ForceConfig | None
     measured: list[Annotated[int, Field(ge=0)]] | None = None
     """The DOFs (from 0) that have a sensor; null: all."""
+    added_mass: list[Finite] | None = None
+    """Known masses (kg, one a DOF) that a second record of the same rig carries; null: there is one record."""
     default_prior: Literal["nominal", "none"] = "nominal"
     """The prior of this scenario unless one is chosen: none where a force makes every parameter identifiable."""
 
@@ -168,6 +170,7 @@ class Job:
             label=system.label,
             disturbance=self.disturbance(),
             measured=None if system.measured is None else tuple(system.measured),
+            added_mass=None if system.added_mass is None else tuple(system.added_mass),
         )
         settings = {key: list(v) if isinstance(v, tuple) else v for key, v in self.settings().items()}
         return Cell(

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from bench.errors import InputError
 from bench.prior import Prior, dimension_scale
-from bench.systems import FORCE, MEASURED, Dimension, System
+from bench.systems import FORCE, MASS, MEASURED, Dimension, Loaded, System
 
 Measures = Literal["displacement", "velocity", "acceleration"]
 Hold = Literal["zero_order", "linear", "cubic"]
@@ -162,15 +162,23 @@ class InitialState:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One run of the rig: its channels, the known forces, and its state at time 0 where that is told."""
+    """One run of the rig: its channels, the known forces, and its state at time 0 where that is told.
+
+    ``added_mass``: known masses (kg, shape (n_dof,)) that the rig carried in this run, beside its own.
+    """
 
     channels: tuple[Channel, ...]
     forces: tuple[Force, ...] = ()
     initial_state: InitialState | None = None
+    added_mass: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", tuple(self.channels))
         object.__setattr__(self, "forces", tuple(self.forces))
+        if self.added_mass is not None:
+            object.__setattr__(self, "added_mass", read_only(self.added_mass, "added_mass"))
+            if np.any(self.added_mass < 0):
+                raise InputError("added_mass", list(self.added_mass), "no negative mass (kg)")
         n = sum(channel.n for channel in self.channels)
         if n < MIN_SAMPLES:
             raise InputError("samples", n, f"a record needs at least {MIN_SAMPLES}")
@@ -184,6 +192,10 @@ class Record:
     def n(self) -> int:
         """Number of samples over all channels."""
         return sum(channel.n for channel in self.channels)
+
+    def rig(self, system: System) -> System:
+        """The system as it was in this run: with the added masses in its equation of motion."""
+        return system if self.added_mass is None else Loaded(system, tuple(map(float, self.added_mass)))
 
     def force(self, times: np.ndarray, n_dof: int) -> list[np.ndarray]:
         """The known force (N) on each DOF at the times: ``n_dof`` arrays of the shape of ``times``."""
@@ -200,7 +212,8 @@ class Record:
         )
         forces = tuple(replace(f, times=f.times / units.time, values=f.values / units.of(FORCE)) for f in self.forces)
         start = self.initial_state.expressed_in(units) if self.initial_state else None
-        return Record(channels, forces, start)
+        added = None if self.added_mass is None else self.added_mass / units.of(MASS)
+        return Record(channels, forces, start, added)
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,6 +237,8 @@ class Problem:
             for dof in (*(c.dof for c in record.channels), *(f.dof for f in record.forces)):
                 if not 0 <= dof < n:
                     raise InputError("dof", dof, f"{self.system.name} has DOFs 0 to {n - 1}")
+            if record.added_mass is not None and record.added_mass.size != n:
+                raise InputError("added_mass", list(record.added_mass), f"one mass a DOF, {n} in all")
             start = record.initial_state
             if start is not None and (start.displacement.size != n or start.velocity.size != n):
                 raise InputError("initial_state", start.displacement.size, f"{self.system.name} has {n} DOF")
@@ -239,6 +254,11 @@ class Problem:
     def forced(self) -> bool:
         """Whether any known force acts."""
         return any(np.any(force.values != 0) for record in self.records for force in record.forces)
+
+    @property
+    def scale_told(self) -> bool:
+        """Whether the data tell the scale of the parameters: by a known force, or by a known mass in some record."""
+        return self.forced or any(np.any(r.added_mass > 0) for r in self.records if r.added_mass is not None)
 
     @property
     def start_known(self) -> bool:
@@ -262,7 +282,7 @@ class Problem:
         """Units in which data, time and prior mass are of order one, from the problem alone.
 
         Time: the longest record. Length: root mean square of the largest channel (integrated to a displacement by
-        the unit of time). Mass: the nominal value of the gauge mass, else from the force, else 1.
+        the unit of time). Mass: the nominal value of the gauge mass, else from the force, else an added mass, else 1.
         A method that works in these units gives the same answer whatever units its user measures in.
         """
         time = max(record.duration for record in self.records)
@@ -277,5 +297,6 @@ class Problem:
             mass = self.prior.nominal[self.system.gauge]
         else:
             pushes = [float(np.sqrt(np.mean(f.values**2))) for record in self.records for f in record.forces]
-            mass = max(pushes, default=0.0) * time**2 / length or 1.0
+            added = max((float(np.max(r.added_mass)) for r in self.records if r.added_mass is not None), default=0.0)
+            mass = max(pushes, default=0.0) * time**2 / length or added or 1.0
         return Units(mass, length, time)

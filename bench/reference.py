@@ -41,11 +41,11 @@ def oracle_estimate(problem: Problem, truth: Truth) -> Estimate:
     system, prior = problem.system, problem.prior
     n, names = system.n_dof, system.names
     unknown = [record for record in problem.records if record.initial_state is None]
-    p_data = (len(names) if problem.forced else len(system.groups)) + 2 * n * len(unknown)
+    p_data = (len(names) if problem.scale_told else len(system.groups)) + 2 * n * len(unknown)
     dof = max(problem.n - p_data, 1)
     size = float(np.max(np.abs(truth.dense_displacement)))
     scale = np.tile([*[size] * n, *[size / problem.records[0].duration] * n], len(unknown))
-    fixed_gauge = prior is None and not problem.forced
+    fixed_gauge = prior is None and not problem.scale_told
     free = [name for name in names if not (fixed_gauge and name == system.gauge)]
     y = np.concatenate([channel.values for record in problem.records for channel in record.channels])
     evaluations = 0
@@ -100,7 +100,9 @@ def oracle_estimate(problem: Problem, truth: Truth) -> Estimate:
     p, states = {name: float(value) for name, value in p.items()}, [InitialState(*start) for start in started]
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac)[: len(free), : len(free)]
     cost = Cost(evaluations=evaluations)
-    responses = tuple(SimulatedResponse(system, p, s, r.forces) for s, r in zip(states, problem.records, strict=True))
+    responses = tuple(
+        SimulatedResponse(r.rig(system), p, s, r.forces) for s, r in zip(states, problem.records, strict=True)
+    )
     common = {"reconstructions": responses, "initial_states": tuple(states), "cost": cost}
     if not fixed_gauge:
         belief = Normal(names, theta[: len(names)], covariance, log=True, dof=dof)

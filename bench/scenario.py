@@ -16,7 +16,7 @@ from bench.errors import InputError
 from bench.excitation import ForceSpec
 from bench.prior import Prior, draw_prior, wrong_prior
 from bench.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Record
-from bench.systems import System, make_system
+from bench.systems import Loaded, System, make_system
 from bench.truth import Truth, reference_response
 
 NOISE, NOMINAL, FORCE_AXIS, METHOD, DISTURBANCE, FORCE_NOISE = range(6)
@@ -42,6 +42,11 @@ class PriorSpec:
     draws: Literal["nominal", "truth"] = "nominal"
 
 
+def _later(record: int) -> tuple[int, ...]:
+    """The key of a record's random stream: none for the first, which is then as it is alone."""
+    return (record,) if record else ()
+
+
 @dataclass(frozen=True)
 class Scenario:
     """Everything that decides the data, and what is told of them; SI units.
@@ -50,6 +55,8 @@ class Scenario:
     ``samples`` uniform displacement samples of every ``measured`` DOF (from 0; None: all) over ``duration``, both ends
     included; noise at ``snr_db``, DOF by DOF. Hidden states start at 0. Displacement errors and their bound are over
     the measured DOFs: what is said of a mass without a sensor may be arbitrarily bad.
+    ``added_mass`` (kg, one a DOF) asks for a second record, of the rig with these known masses added, from the same
+    start under the same force; displacements are scored on the first.
     ``disturbance`` breaks what methods assume of the data; noise draw, noise level, nominal values and bound stay those
     of the undisturbed scenario.
     """
@@ -69,6 +76,7 @@ class Scenario:
     label: str = ""
     disturbance: Disturbance | None = None
     measured: tuple[int, ...] | None = None
+    added_mass: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         system = self.make_system()
@@ -95,6 +103,11 @@ class Scenario:
         ):
             remedy = f"DOFs with a sensor, increasing, of 0 to {system.n_dof - 1}"
             raise InputError("system.measured", list(self.measured), remedy)
+        if self.added_mass is not None and (
+            len(self.added_mass) != system.n_dof or min(self.added_mass) < 0 or not 0 < sum(self.added_mass) < np.inf
+        ):
+            remedy = f"{system.n_dof} mass(es) in kg, one a DOF, none negative and not all zero"
+            raise InputError("system.added_mass", list(self.added_mass), remedy)
         if self.force is not None:
             if not 0 <= self.force.dof < system.n_dof:
                 raise InputError("system.force.dof", self.force.dof, f"one of 0 to {system.n_dof - 1}")
@@ -110,7 +123,9 @@ class Scenario:
         disturbance = {"disturbance": self.disturbance.identity()} if self.disturbance else {}
         drawn = {"truth": "drawn"} if self.truth_drawn else {}
         force = {"force": self.force.identity()} if self.force else {}
-        measured = {} if self.measured is None else {"measured": list(self.measured)}
+        measured: dict[str, Any] = {} if self.measured is None else {"measured": list(self.measured)}
+        if self.added_mass is not None:
+            measured["added_mass"] = list(map(float, self.added_mass))
         return self._undisturbed_identity() | force | measured | disturbance | drawn
 
     def _undisturbed_identity(self) -> dict[str, Any]:
@@ -178,6 +193,11 @@ class Scenario:
         """The initial state of the motion, which is what is told of it."""
         return InitialState(np.array(self.initial[0]), np.array(self.initial[1]))
 
+    def rigs(self) -> tuple[System, ...]:
+        """The system of each record: as it is, and with the added mass where one is."""
+        system = self.make_system()
+        return (system,) if self.added_mass is None else (system, Loaded(system, tuple(map(float, self.added_mass))))
+
     @property
     def measured_dofs(self) -> tuple[int, ...]:
         """The DOFs that have a sensor."""
@@ -189,17 +209,17 @@ class Scenario:
             return ()
         return (self.force.draw(self.duration, replace(self, snr_db=0.0).stream(FORCE_AXIS, seed, 0)),)
 
-    def told_forces(self, seed: int, index: int) -> tuple[Force, ...]:
-        """The forces as a method is told them in one replicate, with the noise of their sensor."""
+    def told_forces(self, seed: int, index: int, record: int = 0) -> tuple[Force, ...]:
+        """The forces as a method is told them in one record of a replicate, with the noise of their sensor."""
         if self.force is None:
             return ()
-        rng = self.stream(FORCE_NOISE, seed, index)
+        rng = self.stream(FORCE_NOISE, seed, index, *_later(record))
         return tuple(self.force.told(force, rng) for force in self.forces(seed))
 
-    def _response(self, times: np.ndarray, seed: int) -> np.ndarray:
-        """True displacement at times of the record; its disturbance may say by what integrator, or how late."""
+    def _response(self, times: np.ndarray, seed: int, record: int = 0) -> np.ndarray:
+        """True displacement at times of a record; its disturbance may say by what integrator, or how late."""
         response = self.disturbance.response if self.disturbance else reference_response
-        return response(self.make_system(), self.parameters, self.start, times, self.forces(seed))
+        return response(self.rigs()[record], self.parameters, self.start, times, self.forces(seed))
 
     def replicates(self, seed: int, n: int) -> list[tuple[Problem, Truth]]:
         """The first ``n`` replicates of a seed: the same noise and nominal values for every method."""
@@ -221,9 +241,9 @@ class Scenario:
         problem, truth = own._replicate(seed, index, clean, dense, forecast, own.sigmas(seed))
         return replace(problem, prior=Prior(dict(self.parameters), drawn.log_sd)), truth
 
-    def sigmas(self, seed: int) -> np.ndarray:
+    def sigmas(self, seed: int, record: int = 0) -> np.ndarray:
         """Noise standard deviation of each DOF's sensor (m): mean square of the clean samples over 10^(SNR/10)."""
-        clean = self.undisturbed._response(self.times, seed)
+        clean = self.undisturbed._response(self.times, seed, record)
         return np.asarray(np.sqrt(np.mean(clean**2, axis=1) / 10.0 ** (self.snr_db / 10.0)))
 
     def _replicate(
@@ -231,11 +251,20 @@ class Scenario:
     ) -> tuple[Problem, Truth]:
         system = self.make_system()
         measured = list(self.measured_dofs)
-        times, ideal, error = self._samples(seed, index, clean, sigma)
-        ideal, error, sigma = ideal[measured], error[measured], sigma[measured]
-        channels = tuple(Channel(times, values, dof=i) for i, values in zip(measured, ideal + error, strict=True))
-        record = Record(channels, self.told_forces(seed, index), self.start if self.told == "known" else None)
-        problem = Problem(system, (record,), self.draw_prior(system, seed, index), name=self.label)
+        start = self.start if self.told == "known" else None
+        records, ideals, errors, levels = [], [], [], []
+        for number, rig in enumerate(self.rigs()):
+            if number:
+                clean, sigma = self._response(self.times, seed, number), self.sigmas(seed, number)
+            times, ideal, error = self._samples(seed, index, clean, sigma, number)
+            ideal, error = ideal[measured], error[measured]
+            channels = tuple(Channel(times, values, dof=i) for i, values in zip(measured, ideal + error, strict=True))
+            added = np.array(rig.added) if isinstance(rig, Loaded) else None
+            records.append(Record(channels, self.told_forces(seed, index, number), start, added))
+            ideals.append(ideal)
+            errors.append(error)
+            levels.append(sigma[measured])
+        problem = Problem(system, tuple(records), self.draw_prior(system, seed, index), name=self.label)
         truth = Truth(
             parameters=dict(self.parameters),
             initial_state=self._true_start,
@@ -243,24 +272,24 @@ class Scenario:
             dense_displacement=dense,
             forecast_times=self.forecast_times,
             forecast_displacement=forecast,
-            sigma=tuple(map(float, sigma)),
-            realised_snr_db=float(10 * np.log10(np.sum(ideal**2) / np.sum(error**2))),
-            sigma_over_peak=float(np.max(sigma / np.max(np.abs(dense[measured]), axis=1))),
+            sigma=tuple(map(float, np.concatenate(levels))),
+            realised_snr_db=float(10 * np.log10(np.sum(np.square(ideals)) / np.sum(np.square(errors)))),
+            sigma_over_peak=float(np.max(levels[0] / np.max(np.abs(dense[measured]), axis=1))),
             measured=self.measured,
         )
         return problem, truth
 
     def _samples(
-        self, seed: int, index: int, clean: np.ndarray, sigma: np.ndarray
+        self, seed: int, index: int, clean: np.ndarray, sigma: np.ndarray, record: int = 0
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Stated times, the true displacement at them, and what the samples are off by: noise and disturbance."""
-        base = self.stream(NOISE, seed, index).standard_normal(clean.shape)
+        base = self.stream(NOISE, seed, index, *_later(record)).standard_normal(clean.shape)
         if self.disturbance is None:
             return self.times, clean, sigma[:, None] * base
-        rng = self.stream(DISTURBANCE, seed, index)
+        rng = self.stream(DISTURBANCE, seed, index, *_later(record))
         stated, actual = self.disturbance.sampling(self.times, rng)
-        ideal = clean if stated is self.times else self._response(stated, seed)
-        taken = ideal if actual is stated else self._response(actual, seed)
+        ideal = clean if stated is self.times else self._response(stated, seed, record)
+        taken = ideal if actual is stated else self._response(actual, seed, record)
         rms = sigma * 10.0 ** (self.snr_db / 20.0)  # of the clean samples, by the definition of the SNR
         systematic = rms[:, None] * self.disturbance.reading_error(stated)
         return stated, ideal, taken - ideal + systematic + sigma[:, None] * self.disturbance.noise(base, rng)

@@ -88,7 +88,7 @@ def _displacement_scores(estimate: Estimate, problem: Problem, truth: Truth) -> 
     if p is not None:
         start = estimate.initial_states[0] if estimate.initial_states else fitted_start(problem.system, p, record)
         times = np.concatenate([truth.dense_times, truth.forecast_times])
-        response = simulate(problem.system, p, start, times, record.forces).displacement
+        response = simulate(record.rig(problem.system), p, start, times, record.forces).displacement
         n = truth.dense_times.size
         scores["rmse_simulated"] = _rms(truth.scored(response[:, :n] - truth.dense_displacement))
         scores["rmse_forecast"] = _rms(truth.scored(response[:, n:] - truth.forecast_displacement))

@@ -352,7 +352,8 @@ def measurements(
     system: System, p: Mapping[str, Any], start: InitialState | tuple[np.ndarray, np.ndarray], record: Record
 ) -> np.ndarray:
     """Ideal measurements of all channels of a record, channel after channel, shape (*sets, n_samples)."""
-    parts = [simulate(system, p, start, c.times, record.forces).measured(system, p, c, record) for c in record.channels]
+    rig = record.rig(system)
+    parts = [simulate(rig, p, start, c.times, record.forces).measured(rig, p, c, record) for c in record.channels]
     return np.concatenate(parts, axis=-1)
 
 

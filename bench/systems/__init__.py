@@ -23,6 +23,7 @@ from bench.systems.contract import (
     System,
 )
 from bench.systems.linear import SDOF, Chain, Matrices, RayleighChain
+from bench.systems.loaded import Loaded
 from bench.systems.nonlinear import BoucWen, Coulomb, Duffing, Pendulum, QuadraticDamping, VanDerPol
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
     "Dimension",
     "Duffing",
     "Kind",
+    "Loaded",
     "Matrices",
     "Ops",
     "Parameter",

@@ -90,7 +90,7 @@ def test_a_forced_system_has_no_prior_unless_one_is_chosen() -> None:
 def test_every_system_in_conf_makes_data(system: str) -> None:
     (cell,) = cells("method=oracle", f"system={system}")
     problem, _ = cell.scenario.replicates(0, 1)[0]
-    assert problem.n == cell.scenario.samples * len(cell.scenario.measured_dofs)
+    assert problem.n == cell.scenario.samples * len(cell.scenario.measured_dofs) * len(problem.records)
 
 
 @pytest.mark.parametrize("name", choices("disturbance"))
