@@ -112,6 +112,8 @@ def _by_modes(
         a = a.copy()
         diagonal = np.arange(a.shape[-1])
         a[..., diagonal, diagonal] += 1e-7 * np.linalg.norm(a, axis=(-2, -1))[..., None] * (diagonal - diagonal.mean())
+        if not np.all(np.isfinite(a)):  # the norm of what is nearly infinite
+            return np.full((2 * system.n_dof, *s0.shape[:-1], times.size), np.nan)
         rates, modes = np.linalg.eig(a)
     inverse = np.linalg.inv(modes.astype(complex))
     q0 = (inverse @ s0[..., None])[..., 0]
