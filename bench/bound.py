@@ -4,19 +4,20 @@ The bound is the inverse of (Fisher information of the data at the truth + preci
 log-parameters (and the initial state, where it is not told). With Gaussian noise of unknown level the cross terms
 between level and parameters vanish (the expectation of the residual is zero), so estimating the level costs nothing.
 
-Sensitivities come from jax, through Runge-Kutta steps fine enough not to matter. It is computed once per scenario,
+Sensitivities come from jax: exactly, through matrix exponentials, for a linear system, through Runge-Kutta steps fine
+enough not to matter for others. It is computed once per scenario,
 in a process of its own, and cached.
 """
 
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
+import math
 import multiprocessing
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -27,10 +28,10 @@ import numpy as np
 
 from bench.errors import InputError
 from bench.mainless import without_main
-from bench.mechanics import rk4_step
+from bench.mechanics import rk4_step, state_rate
 from bench.problem import Force
 from bench.scenario import Scenario
-from bench.simulate import interval_ends, longest_step
+from bench.simulate import interval_polynomials, longest_step, merged_grid
 from bench.systems import Ops, Quantity, System
 
 UNWRITABLE = 74
@@ -49,7 +50,8 @@ class Bound:
     ``relative_sd`` by quantity: the standard deviation of its logarithm, hence of its relative error to first order
     (inf where neither data nor prior tell it). ``identifiable`` by quantity: whether the data alone tell it.
     ``prior_share`` by quantity: the part of its variance that comes from the prior's error rather than the noise's.
-    ``rmse`` and ``rmse_forecast``: root mean square displacement error (m) over the record and over what follows it.
+    ``rmse`` and ``rmse_forecast``: root mean square displacement error (m) of the DOFs with a sensor, over the record
+    and over what follows it.
     ``null_space``: directions of the log-parameters, rows over ``names``, that the data cannot tell.
     """
 
@@ -81,25 +83,82 @@ def _steps(
     system: System, scenario: Scenario, forces: Sequence[Force], times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Step lengths (n,), forces at start, middle and end of each step (n, 3, n_dof), and where each time is reached."""
-    grid = np.unique(np.concatenate([[0.0], times, *[f.times[f.times <= times[-1]] for f in forces]]))
+    grid = merged_grid(times, forces)
     state = [np.array(part[i]) for part in scenario.initial for i in range(system.n_dof)]
     state += [np.array(0.0)] * system.n_hidden
     longest = longest_step(system, scenario.parameters, state) / REFINE
-    lengths, pushes, reached = [], [], [0]
-    for t0, t1 in itertools.pairwise(grid):
-        n = max(1, int(np.ceil((t1 - t0) / longest)))
-        ends = [(force.dof, *interval_ends(force, t0, t1)) for force in forces]
-        for j in range(n):
-            push = np.zeros((3, system.n_dof))
-            for dof, start, end in ends:
-                push[:, dof] += start + (end - start) * (j + np.array([0.0, 0.5, 1.0])) / n
-            lengths.append((t1 - t0) / n)
-            pushes.append(push)
-        reached.append(reached[-1] + n)
-    return np.array(lengths), np.array(pushes), np.array(reached)[np.searchsorted(grid, times)]
+    counts = np.maximum(1, np.ceil(np.diff(grid) / longest)).astype(int)
+    which = np.repeat(np.arange(counts.size), counts)
+    reached = np.concatenate([[0], np.cumsum(counts)])
+    parts = (np.arange(which.size) - reached[which])[:, None] + np.array([0.0, 0.5, 1.0])
+    parts /= counts[which, None]
+    coefficients = interval_polynomials(forces, grid, system.n_dof)[:, which]
+    pushes = sum(c[:, None] * parts[..., None] ** j for j, c in enumerate(coefficients))
+    return (np.diff(grid) / counts)[which], np.asarray(pushes), reached[np.searchsorted(grid, times)]
 
 
-def sensitivities(scenario: Scenario, seed: int, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _by_steps(
+    system: System, scenario: Scenario, ops: Ops, forces: Sequence[Force], times: np.ndarray
+) -> Callable[[Mapping[str, Any], Any], Any]:
+    """The displacement, shape (n_dof, n_times), as a function of parameters and start, by Runge-Kutta steps."""
+    import jax
+    import jax.numpy as jnp
+
+    n = system.n_dof
+    lengths, pushes, reached = _steps(system, scenario, forces, times)
+
+    def path(p: Mapping[str, Any], start: Any) -> Any:
+        def step(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
+            h, push = inputs
+            f = [[push[i, j] for j in range(n)] for i in range(3)]
+            new = jnp.stack(rk4_step(system, p, [state[i] for i in range(state.shape[0])], h, (f[0], f[1], f[2]), ops))
+            return new, new[:n]
+
+        _, after = jax.lax.scan(step, start, (jnp.asarray(lengths), jnp.asarray(pushes)))
+        return jnp.concatenate([start[None, :n], after])[reached].T
+
+    return path
+
+
+def _by_exponentials(
+    system: System, ops: Ops, forces: Sequence[Force], times: np.ndarray
+) -> Callable[[Mapping[str, Any], Any], Any]:
+    """The same of a linear system, exact: matrix exponentials of the state, the force and its derivatives.
+
+    See :func:`bench.simulate.matrix_exponential_response` for the formula; here jax differentiates it.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    n, grid = system.n_dof, merged_grid(times, forces)
+    pushes = interval_polynomials(forces, grid, n)
+    order, h = len(pushes), np.diff(grid)
+    factors = np.array([math.factorial(j) for j in range(order)])
+    given = np.moveaxis(factors[:, None, None] / h[:, None] ** np.arange(order)[:, None, None] * pushes, 0, 1)
+    tick = 1e-12 * max(grid[-1], 1e-300)
+    _, first, which = np.unique(np.round(h / tick), return_index=True, return_inverse=True)
+
+    def path(p: Mapping[str, Any], start: Any) -> Any:
+        def rate(state: Any, f: Any) -> Any:
+            return jnp.stack(state_rate(system, p, [state[i] for i in range(2 * n)], [f[i] for i in range(n)], ops))
+
+        a, b = jax.jacfwd(rate, (0, 1))(jnp.zeros(2 * n), jnp.zeros(n))
+        top = jnp.concatenate([a, b, jnp.zeros((2 * n, (order - 1) * n))], axis=1)
+        bottom = np.eye(order * n, (2 + order) * n, 3 * n)
+        growth = jax.vmap(jax.scipy.linalg.expm)(jnp.concatenate([top, bottom]) * h[first, None, None])[:, : 2 * n]
+
+        def step(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
+            j, push = inputs
+            new = growth[j] @ jnp.concatenate([state, push])
+            return new, new[:n]
+
+        _, after = jax.lax.scan(step, start, (jnp.asarray(which), jnp.asarray(given.reshape(h.size, -1))))
+        return jnp.concatenate([start[None, :n], after])[np.searchsorted(grid, times)].T
+
+    return path
+
+
+def sensitivities(scenario: Scenario, seed: int, times: np.ndarray, record: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Displacement, shape (n_dof, n_times), and its derivatives (n_dof, n_times, n_parameters + 2 n_dof).
 
     Derivatives by the log-parameters, then by initial displacement and velocity of each DOF, at the truth.
@@ -108,22 +167,17 @@ def sensitivities(scenario: Scenario, seed: int, times: np.ndarray) -> tuple[np.
     import jax.numpy as jnp
 
     jax.config.update("jax_enable_x64", True)
-    system, ops = scenario.make_system(), _jax_ops()
-    n, names = system.n_dof, system.names
-    lengths, pushes, reached = _steps(system, scenario, scenario.forces(seed), times)
+    system, ops = scenario.rigs()[record], _jax_ops()
+    names, forces = system.names, scenario.forces(seed)
+    path = (
+        _by_exponentials(system, ops, forces, times)
+        if system.linear
+        else _by_steps(system, scenario, ops, forces, times)
+    )
 
     def response(theta: Any) -> Any:
         p = {name: jnp.exp(theta[i]) for i, name in enumerate(names)}
-        start = jnp.concatenate([theta[len(names) :], jnp.zeros(system.n_hidden)])
-
-        def step(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
-            h, push = inputs
-            f = [[push[i, j] for j in range(n)] for i in range(3)]
-            new = jnp.stack(rk4_step(system, p, [state[i] for i in range(state.shape[0])], h, (f[0], f[1], f[2]), ops))
-            return new, new[:n]
-
-        _, path = jax.lax.scan(step, start, (jnp.asarray(lengths), jnp.asarray(pushes)))
-        return jnp.concatenate([start[None, :n], path])[reached].T
+        return path(p, jnp.concatenate([theta[len(names) :], jnp.zeros(system.n_hidden)]))
 
     logs = np.log([scenario.parameters[name] for name in names])
     theta = jnp.asarray(np.concatenate([logs, scenario.start.displacement, scenario.start.velocity]))
@@ -192,7 +246,7 @@ def _orthogonal(directions: np.ndarray, exponents: Sequence[float]) -> bool:
 
 
 def information(scenario: Scenario, seed: int = 0, measured: Sequence[int] | None = None) -> Information:
-    """The information in displacements of the ``measured`` DOFs (all by default), at the truth, undisturbed."""
+    """The information in displacements of the ``measured`` DOFs (by default those of the scenario), undisturbed."""
     scenario = scenario.undisturbed
     _, gradient = sensitivities(scenario, seed, scenario.times)
     return _information(scenario, seed, gradient, measured)
@@ -201,17 +255,24 @@ def information(scenario: Scenario, seed: int = 0, measured: Sequence[int] | Non
 def _information(
     scenario: Scenario, seed: int, gradient: np.ndarray, measured: Sequence[int] | None = None
 ) -> Information:
-    """From the sensitivities at the samples, shape (n_dof, n_samples, n_parameters + 2 n_dof)."""
+    """From the sensitivities at the samples of the first record, shape (n_dof, n_samples, n_parameters + 2 n_dof).
+
+    Records add up; a start that is not told is each record's own.
+    """
     system = scenario.make_system()
-    free = len(system.names) if scenario.told == "known" else gradient.shape[2]
-    scaled = gradient[..., :free] / scenario.sigmas(seed)[:, None, None]
-    if measured is not None:
-        scaled = scaled[list(measured)]
-    precision = np.zeros(free)
+    n, own, records = len(system.names), 0 if scenario.told == "known" else 2 * system.n_dof, len(scenario.rigs())
+    dofs = list(scenario.measured_dofs if measured is None else measured)
+    data, precision = np.zeros((n + own * records, n + own * records)), np.zeros(n + own * records)
+    for record in range(records):
+        if record:
+            _, gradient = sensitivities(scenario, seed, scenario.times, record)
+        scaled = (gradient[..., : n + own] / scenario.sigmas(seed, record)[:, None, None])[dofs]
+        at = np.r_[:n, n + own * record : n + own * (record + 1)]
+        data[np.ix_(at, at)] += np.einsum("dti,dtj->ij", scaled, scaled)
     if scenario.prior is not None:
         kinds = [scenario.prior.sd_by_kind[p.kind] for p in system.parameters]
-        precision[: len(kinds)] = 1.0 / np.array(kinds) ** 2
-    return Information(system.names, np.einsum("dti,dtj->ij", scaled, scaled), precision)
+        precision[:n] = 1.0 / np.array(kinds) ** 2
+    return Information(system.names, data, precision)
 
 
 def compute_bound(scenario: Scenario, seed: int = 0) -> Bound:
@@ -226,8 +287,9 @@ def compute_bound(scenario: Scenario, seed: int = 0) -> Bound:
     told = _information(scenario, seed, gradient[:, np.searchsorted(times, scenario.times)])
 
     def rms(at: np.ndarray) -> float:
-        g = gradient[:, np.searchsorted(times, at), : len(told.precision)]
-        return float(np.sqrt(np.mean(np.einsum("dti,ij,dtj->dt", g, told.covariance, g))))
+        g = gradient[list(scenario.measured_dofs)][:, np.searchsorted(times, at), : len(told.precision)]
+        own = told.covariance[: g.shape[2], : g.shape[2]]  # the first record's, which is scored
+        return float(np.sqrt(np.mean(np.einsum("dti,ij,dtj->dt", g, own, g))))
 
     none = np.inf if scenario.truth_drawn else 1.0
     return Bound(

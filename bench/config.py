@@ -17,6 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from bench.cell import Cell
 from bench.disturbance import Disturbance, make_disturbance
 from bench.errors import InputError
+from bench.excitation import Shape
+from bench.problem import Hold
 from bench.reference import REFERENCES
 from bench.registry import default_settings, load_method, make_method, method_names, registered
 from bench.scenario import ForceSpec, PriorSpec, Scenario
@@ -40,15 +42,20 @@ class InitialConfig(_Strict):
 
 
 class ForceConfig(_Strict):
-    """A known multisine force; see :class:`bench.scenario.ForceSpec`."""
+    """A known force; see :class:`bench.excitation.ForceSpec`."""
 
+    kind: Shape = "multisine"
     amplitude: Positive
-    low_hz: Positive
-    high_hz: Positive
+    low_hz: Positive | None = None
+    high_hz: Positive | None = None
     tones: Annotated[int, Field(ge=1)] = 10
     samples: Annotated[int, Field(ge=2)] = 201
-    hold: Literal["zero_order", "linear"] = "linear"
+    hold: Hold = "linear"
     dof: Annotated[int, Field(ge=0)] = 0
+    start_s: Annotated[float, Field(allow_inf_nan=False, ge=0)] = 0.0
+    length_s: Positive | None = None
+    file: str | None = None
+    noise_db: Finite | None = None
 
 
 class SystemConfig(_Strict):
@@ -62,6 +69,10 @@ class SystemConfig(_Strict):
     duration: Positive
     samples: Annotated[int, Field(ge=3, le=100_000)]
     force: ForceConfig | None
+    measured: list[Annotated[int, Field(ge=0)]] | None = None
+    """The DOFs (from 0) that have a sensor; null: all."""
+    added_mass: list[Finite] | None = None
+    """Known masses (kg, one a DOF) that a second record of the same rig carries; null: there is one record."""
     default_prior: Literal["nominal", "none"] = "nominal"
     """The prior of this scenario unless one is chosen: none where a force makes every parameter identifiable."""
 
@@ -162,6 +173,8 @@ class Job:
             options=dict(system.options),
             label=system.label,
             disturbance=self.disturbance(),
+            measured=None if system.measured is None else tuple(system.measured),
+            added_mass=None if system.added_mass is None else tuple(system.added_mass),
         )
         settings = {key: list(v) if isinstance(v, tuple) else v for key, v in self.settings().items()}
         return Cell(

@@ -267,6 +267,7 @@ class Estimate:
         starts = self.initial_states
         return replace(
             self,
+            system=self.system.rescaled(units.of),
             parameters=self.parameters.expressed_in(scale) if self.parameters is not None else None,
             groups=self.groups.expressed_in(scale) if self.groups is not None else None,
             reconstructions=tuple(_Rescaled(r, units.time, units.of(LENGTH)) for r in self.reconstructions),

@@ -113,7 +113,7 @@ def read_request(arguments: Sequence[str]) -> Request:
     job = expand([*overrides, "method=oracle"], multirun=False)[0]
     scenario = job.cell().scenario
     system = scenario.make_system()
-    measured = _dofs(own["measured"]) if "measured" in own else tuple(range(system.n_dof))
+    measured = _dofs(own["measured"]) if "measured" in own else scenario.measured_dofs
     check_dofs(system, measured)
     return Request(scenario, job.config.seed, measured, own["profile"] == "true", Path(own["out"]))
 

@@ -42,6 +42,7 @@ class Serves:
     nonlinear: bool = True
     hidden_states: bool = False
     free_without_prior: bool = True
+    added_mass: bool = False
 
 
 class Identifier(ABC):
@@ -85,6 +86,8 @@ class Identifier(ABC):
             "it cannot use a known force": problem.forced and not s.forced,
             f"it takes at most {s.max_dof} DOF": s.max_dof is not None and system.n_dof > s.max_dof,
             "it needs a linear system": not system.linear and not s.nonlinear,
+            "it cannot use a known added mass": any(r.added_mass is not None for r in problem.records)
+            and not s.added_mass,
             "it cannot estimate hidden states": system.n_hidden > 0 and not s.hidden_states,
         }
         return next((sentence for sentence, applies in checks.items() if applies), None)

@@ -7,16 +7,20 @@ estimate is :class:`bench.truth.Truth`, a type of its own.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from bench.errors import InputError
 from bench.prior import Prior, dimension_scale
-from bench.systems import FORCE, MEASURED, Dimension, System
+from bench.systems import FORCE, MASS, MEASURED, Dimension, Loaded, System
 
 Measures = Literal["displacement", "velocity", "acceleration"]
-Hold = Literal["zero_order", "linear"]
+Hold = Literal["zero_order", "linear", "cubic"]
+DEGREES: dict[Hold, int] = {"zero_order": 1, "linear": 1, "cubic": 3}
+"""Degree of the polynomial that carries a force from one sample to the next (a step is carried as a line)."""
 MIN_SAMPLES = 3
 
 
@@ -99,7 +103,8 @@ class Channel:
 class Force:
     """A known force on one DOF: samples (N) at times (s), shape (n,), and how it runs between them.
 
-    ``zero_order`` holds each sample to the next time, ``linear`` joins them; it is zero outside its times.
+    ``zero_order`` holds each sample to the next time, ``linear`` joins them, ``cubic`` is the cubic spline through them
+    (not-a-knot: de Boor, A Practical Guide to Splines, chapter IV); it is zero outside its times.
     """
 
     times: np.ndarray
@@ -110,17 +115,28 @@ class Force:
     def __post_init__(self) -> None:
         object.__setattr__(self, "times", read_only(self.times, "force.times"))
         object.__setattr__(self, "values", read_only(self.values, "force.values"))
-        if self.hold not in ("zero_order", "linear"):
-            raise InputError("force.hold", self.hold, "one of zero_order, linear")
+        if self.hold not in DEGREES:
+            raise InputError("force.hold", self.hold, f"one of {', '.join(DEGREES)}")
         if self.times.size != self.values.size or self.times.size < 2:
             raise InputError("force.values", self.values.size, "at least two samples, as many as times")
         _increasing(self.times, "force.times")
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomial between samples."""
+        return DEGREES[self.hold]
+
+    @cached_property
+    def _spline(self) -> CubicSpline:
+        return CubicSpline(self.times, self.values)
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
         """The force (N) at the times, same shape."""
         times = np.asarray(times, float)
         if self.hold == "linear":
             inside = np.interp(times, self.times, self.values)
+        elif self.hold == "cubic":
+            inside = self._spline(times)
         else:
             inside = self.values[np.clip(np.searchsorted(self.times, times, "right") - 1, 0, self.times.size - 1)]
         return np.where((times < self.times[0]) | (times > self.times[-1]), 0.0, inside)
@@ -146,15 +162,23 @@ class InitialState:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One run of the rig: its channels, the known forces, and its state at time 0 where that is told."""
+    """One run of the rig: its channels, the known forces, and its state at time 0 where that is told.
+
+    ``added_mass``: known masses (kg, shape (n_dof,)) that the rig carried in this run, beside its own.
+    """
 
     channels: tuple[Channel, ...]
     forces: tuple[Force, ...] = ()
     initial_state: InitialState | None = None
+    added_mass: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", tuple(self.channels))
         object.__setattr__(self, "forces", tuple(self.forces))
+        if self.added_mass is not None:
+            object.__setattr__(self, "added_mass", read_only(self.added_mass, "added_mass"))
+            if np.any(self.added_mass < 0):
+                raise InputError("added_mass", list(self.added_mass), "no negative mass (kg)")
         n = sum(channel.n for channel in self.channels)
         if n < MIN_SAMPLES:
             raise InputError("samples", n, f"a record needs at least {MIN_SAMPLES}")
@@ -168,6 +192,10 @@ class Record:
     def n(self) -> int:
         """Number of samples over all channels."""
         return sum(channel.n for channel in self.channels)
+
+    def rig(self, system: System) -> System:
+        """The system as it was in this run: with the added masses in its equation of motion."""
+        return system if self.added_mass is None else Loaded(system, tuple(map(float, self.added_mass)))
 
     def force(self, times: np.ndarray, n_dof: int) -> list[np.ndarray]:
         """The known force (N) on each DOF at the times: ``n_dof`` arrays of the shape of ``times``."""
@@ -184,7 +212,8 @@ class Record:
         )
         forces = tuple(replace(f, times=f.times / units.time, values=f.values / units.of(FORCE)) for f in self.forces)
         start = self.initial_state.expressed_in(units) if self.initial_state else None
-        return Record(channels, forces, start)
+        added = None if self.added_mass is None else self.added_mass / units.of(MASS)
+        return Record(channels, forces, start, added)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,6 +237,8 @@ class Problem:
             for dof in (*(c.dof for c in record.channels), *(f.dof for f in record.forces)):
                 if not 0 <= dof < n:
                     raise InputError("dof", dof, f"{self.system.name} has DOFs 0 to {n - 1}")
+            if record.added_mass is not None and record.added_mass.size != n:
+                raise InputError("added_mass", list(record.added_mass), f"one mass a DOF, {n} in all")
             start = record.initial_state
             if start is not None and (start.displacement.size != n or start.velocity.size != n):
                 raise InputError("initial_state", start.displacement.size, f"{self.system.name} has {n} DOF")
@@ -225,6 +256,11 @@ class Problem:
         return any(np.any(force.values != 0) for record in self.records for force in record.forces)
 
     @property
+    def scale_told(self) -> bool:
+        """Whether the data tell the scale of the parameters: by a known force, or by a known mass in some record."""
+        return self.forced or any(np.any(r.added_mass > 0) for r in self.records if r.added_mass is not None)
+
+    @property
     def start_known(self) -> bool:
         """Whether every record's initial state is told."""
         return all(record.initial_state is not None for record in self.records)
@@ -232,7 +268,8 @@ class Problem:
     def expressed_in(self, units: Units) -> Problem:
         """The same problem in other units: prior, initial state and forces converted too."""
         prior = self.prior.expressed_in(units.scales(self.system)) if self.prior else None
-        return Problem(self.system, tuple(r.expressed_in(units) for r in self.records), prior, self.name)
+        system = self.system.rescaled(units.of)
+        return Problem(system, tuple(r.expressed_in(units) for r in self.records), prior, self.name)
 
     def offsets_from(self, units: Units, offsets: tuple[float, ...] | None) -> tuple[float, ...] | None:
         """Sensor offsets found in ``units``, one a channel record by record, in the units of this problem."""
@@ -245,7 +282,7 @@ class Problem:
         """Units in which data, time and prior mass are of order one, from the problem alone.
 
         Time: the longest record. Length: root mean square of the largest channel (integrated to a displacement by
-        the unit of time). Mass: the nominal value of the gauge mass, else from the force, else 1.
+        the unit of time). Mass: the nominal value of the gauge mass, else from the force, else an added mass, else 1.
         A method that works in these units gives the same answer whatever units its user measures in.
         """
         time = max(record.duration for record in self.records)
@@ -260,5 +297,6 @@ class Problem:
             mass = self.prior.nominal[self.system.gauge]
         else:
             pushes = [float(np.sqrt(np.mean(f.values**2))) for record in self.records for f in record.forces]
-            mass = max(pushes, default=0.0) * time**2 / length or 1.0
+            added = max((float(np.max(r.added_mass)) for r in self.records if r.added_mass is not None), default=0.0)
+            mass = max(pushes, default=0.0) * time**2 / length or added or 1.0
         return Units(mass, length, time)

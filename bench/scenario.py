@@ -13,12 +13,13 @@ import numpy as np
 
 from bench.disturbance import Disturbance
 from bench.errors import InputError
+from bench.excitation import ForceSpec
 from bench.prior import Prior, draw_prior, wrong_prior
-from bench.problem import MIN_SAMPLES, Channel, Force, Hold, InitialState, Problem, Record
-from bench.systems import System, make_system
+from bench.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Record
+from bench.systems import Loaded, System, make_system
 from bench.truth import Truth, reference_response
 
-NOISE, NOMINAL, FORCE_AXIS, METHOD, DISTURBANCE = range(5)
+NOISE, NOMINAL, FORCE_AXIS, METHOD, DISTURBANCE, FORCE_NOISE = range(6)
 """Axes of the seed tree: what a random stream is for. Streams of different axes never meet."""
 
 
@@ -41,28 +42,9 @@ class PriorSpec:
     draws: Literal["nominal", "truth"] = "nominal"
 
 
-@dataclass(frozen=True)
-class ForceSpec:
-    """A known multisine force on one DOF: sine waves of equal amplitude, uniform random phases drawn per scenario.
-
-    ``amplitude`` (N) is the root mean square; frequencies (Hz) run from ``low_hz`` to ``high_hz`` in ``tones`` steps.
-    The force is sampled at ``samples`` uniform times and runs between them as ``hold`` says.
-    """
-
-    amplitude: float
-    low_hz: float
-    high_hz: float
-    tones: int = 10
-    samples: int = 201
-    hold: Hold = "linear"
-    dof: int = 0
-
-    def draw(self, duration: float, rng: np.random.Generator) -> Force:
-        times = np.linspace(0.0, duration, self.samples)
-        frequencies = np.linspace(self.low_hz, self.high_hz, self.tones)
-        phases = rng.uniform(0.0, 2 * np.pi, self.tones)
-        waves = np.sin(2 * np.pi * frequencies[:, None] * times + phases[:, None])
-        return Force(times, self.amplitude * np.sqrt(2.0 / self.tones) * waves.sum(0), self.hold, self.dof)
+def _later(record: int) -> tuple[int, ...]:
+    """The key of a record's random stream: none for the first, which is then as it is alone."""
+    return (record,) if record else ()
 
 
 @dataclass(frozen=True)
@@ -70,7 +52,11 @@ class Scenario:
     """Everything that decides the data, and what is told of them; SI units.
 
     ``initial`` is the true displacement and velocity of each DOF at time 0, ``told`` whether a method knows it.
-    ``samples`` uniform displacement samples of every DOF over ``duration``, both ends included; noise at ``snr_db``.
+    ``samples`` uniform displacement samples of every ``measured`` DOF (from 0; None: all) over ``duration``, both ends
+    included; noise at ``snr_db``, DOF by DOF. Hidden states start at 0. Displacement errors and their bound are over
+    the measured DOFs: what is said of a mass without a sensor may be arbitrarily bad.
+    ``added_mass`` (kg, one a DOF) asks for a second record, of the rig with these known masses added, from the same
+    start under the same force; displacements are scored on the first.
     ``disturbance`` breaks what methods assume of the data; noise draw, noise level, nominal values and bound stay those
     of the undisturbed scenario.
     """
@@ -89,6 +75,8 @@ class Scenario:
     forecast: float = 10.0
     label: str = ""
     disturbance: Disturbance | None = None
+    measured: tuple[int, ...] | None = None
+    added_mass: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         system = self.make_system()
@@ -110,6 +98,22 @@ class Scenario:
             raise InputError("system.initial", list(map(list, self.initial)), "a start away from rest, or a force")
         if self.disturbance is not None:
             self.disturbance.check(self.duration, self.force is not None)
+        if self.measured is not None and (
+            not self.measured or sorted(set(self.measured) & set(range(system.n_dof))) != list(self.measured)
+        ):
+            remedy = f"DOFs with a sensor, increasing, of 0 to {system.n_dof - 1}"
+            raise InputError("system.measured", list(self.measured), remedy)
+        if self.added_mass is not None and (
+            len(self.added_mass) != system.n_dof or min(self.added_mass) < 0 or not 0 < sum(self.added_mass) < np.inf
+        ):
+            remedy = f"{system.n_dof} mass(es) in kg, one a DOF, none negative and not all zero"
+            raise InputError("system.added_mass", list(self.added_mass), remedy)
+        if self.force is not None:
+            if not 0 <= self.force.dof < system.n_dof:
+                raise InputError("system.force.dof", self.force.dof, f"one of 0 to {system.n_dof - 1}")
+            self.force.draw(
+                self.duration, np.random.default_rng(0)
+            )  # a shape that its samples cannot show is said here
 
     def make_system(self) -> System:
         return make_system(self.system, self.options)
@@ -118,7 +122,11 @@ class Scenario:
         """What decides the data, and nothing else: neither the label nor what is told of them."""
         disturbance = {"disturbance": self.disturbance.identity()} if self.disturbance else {}
         drawn = {"truth": "drawn"} if self.truth_drawn else {}
-        return self._undisturbed_identity() | disturbance | drawn
+        force = {"force": self.force.identity()} if self.force else {}
+        measured: dict[str, Any] = {} if self.measured is None else {"measured": list(self.measured)}
+        if self.added_mass is not None:
+            measured["added_mass"] = list(map(float, self.added_mass))
+        return self._undisturbed_identity() | force | measured | disturbance | drawn
 
     def _undisturbed_identity(self) -> dict[str, Any]:
         return {
@@ -129,7 +137,7 @@ class Scenario:
             "snr_db": float(self.snr_db),
             "duration": float(self.duration),
             "samples": self.samples,
-            "force": vars(self.force) if self.force else None,
+            "force": self.force.identity(with_noise=False) if self.force else None,
         }
 
     def told_identity(self) -> dict[str, Any]:
@@ -144,7 +152,8 @@ class Scenario:
     def stream(self, axis: int, seed: int, replicate: int, *key: int) -> np.random.Generator:
         """The random stream of one axis, replicate and scenario; independent of every other.
 
-        A disturbed scenario has the streams of the undisturbed one: they differ by the disturbance alone.
+        A disturbed scenario has the streams of the undisturbed one: they differ by the disturbance alone. So do those
+        that differ in which DOFs are measured, or in how well the force is.
         """
         sequence = np.random.SeedSequence(seed, spawn_key=(axis, *self._key, replicate, *key))
         return np.random.default_rng(sequence)
@@ -184,16 +193,33 @@ class Scenario:
         """The initial state of the motion, which is what is told of it."""
         return InitialState(np.array(self.initial[0]), np.array(self.initial[1]))
 
+    def rigs(self) -> tuple[System, ...]:
+        """The system of each record: as it is, and with the added mass where one is."""
+        system = self.make_system()
+        return (system,) if self.added_mass is None else (system, Loaded(system, tuple(map(float, self.added_mass))))
+
+    @property
+    def measured_dofs(self) -> tuple[int, ...]:
+        """The DOFs that have a sensor."""
+        return tuple(range(len(self.initial[0]))) if self.measured is None else self.measured
+
     def forces(self, seed: int) -> tuple[Force, ...]:
-        """The known forces: one draw a scenario and seed, the same for every replicate and every noise level."""
+        """The forces that act: one draw a scenario and seed, the same for every replicate and every noise level."""
         if self.force is None:
             return ()
         return (self.force.draw(self.duration, replace(self, snr_db=0.0).stream(FORCE_AXIS, seed, 0)),)
 
-    def _response(self, times: np.ndarray, seed: int) -> np.ndarray:
-        """True displacement at times of the record; its disturbance may say by what integrator, or how late."""
+    def told_forces(self, seed: int, index: int, record: int = 0) -> tuple[Force, ...]:
+        """The forces as a method is told them in one record of a replicate, with the noise of their sensor."""
+        if self.force is None:
+            return ()
+        rng = self.stream(FORCE_NOISE, seed, index, *_later(record))
+        return tuple(self.force.told(force, rng) for force in self.forces(seed))
+
+    def _response(self, times: np.ndarray, seed: int, record: int = 0) -> np.ndarray:
+        """True displacement at times of a record; its disturbance may say by what integrator, or how late."""
         response = self.disturbance.response if self.disturbance else reference_response
-        return response(self.make_system(), self.parameters, self.start, times, self.forces(seed))
+        return response(self.rigs()[record], self.parameters, self.start, times, self.forces(seed))
 
     def replicates(self, seed: int, n: int) -> list[tuple[Problem, Truth]]:
         """The first ``n`` replicates of a seed: the same noise and nominal values for every method."""
@@ -220,19 +246,30 @@ class Scenario:
         problem, truth = own._replicate(seed, index, clean, dense, forecast, own.sigmas(seed))
         return replace(problem, prior=Prior(dict(self.parameters), drawn.log_sd)), truth
 
-    def sigmas(self, seed: int) -> np.ndarray:
-        """Noise standard deviation of each channel (m): mean square of the clean samples over 10^(SNR/10)."""
-        clean = self.undisturbed._response(self.times, seed)
+    def sigmas(self, seed: int, record: int = 0) -> np.ndarray:
+        """Noise standard deviation of each DOF's sensor (m): mean square of the clean samples over 10^(SNR/10)."""
+        clean = self.undisturbed._response(self.times, seed, record)
         return np.asarray(np.sqrt(np.mean(clean**2, axis=1) / 10.0 ** (self.snr_db / 10.0)))
 
     def _replicate(
         self, seed: int, index: int, clean: np.ndarray, dense: np.ndarray, forecast: np.ndarray, sigma: np.ndarray
     ) -> tuple[Problem, Truth]:
         system = self.make_system()
-        times, ideal, error = self._samples(seed, index, clean, sigma)
-        channels = tuple(Channel(times, values, dof=i) for i, values in enumerate(ideal + error))
-        record = Record(channels, self.forces(seed), self.start if self.told == "known" else None)
-        problem = Problem(system, (record,), self.draw_prior(system, seed, index), name=self.label)
+        measured = list(self.measured_dofs)
+        start = self.start if self.told == "known" else None
+        records, ideals, errors, levels = [], [], [], []
+        for number, rig in enumerate(self.rigs()):
+            if number:
+                clean, sigma = self._response(self.times, seed, number), self.sigmas(seed, number)
+            times, ideal, error = self._samples(seed, index, clean, sigma, number)
+            ideal, error = ideal[measured], error[measured]
+            channels = tuple(Channel(times, values, dof=i) for i, values in zip(measured, ideal + error, strict=True))
+            added = np.array(rig.added) if isinstance(rig, Loaded) else None
+            records.append(Record(channels, self.told_forces(seed, index, number), start, added))
+            ideals.append(ideal)
+            errors.append(error)
+            levels.append(sigma[measured])
+        problem = Problem(system, tuple(records), self.draw_prior(system, seed, index), name=self.label)
         truth = Truth(
             parameters=dict(self.parameters),
             initial_state=self._true_start,
@@ -240,23 +277,24 @@ class Scenario:
             dense_displacement=dense,
             forecast_times=self.forecast_times,
             forecast_displacement=forecast,
-            sigma=tuple(map(float, sigma)),
-            realised_snr_db=float(10 * np.log10(np.sum(ideal**2) / np.sum(error**2))),
-            sigma_over_peak=float(np.max(sigma / np.max(np.abs(dense), axis=1))),
+            sigma=tuple(map(float, np.concatenate(levels))),
+            realised_snr_db=float(10 * np.log10(np.sum(np.square(ideals)) / np.sum(np.square(errors)))),
+            sigma_over_peak=float(np.max(levels[0] / np.max(np.abs(dense[measured]), axis=1))),
+            measured=self.measured,
         )
         return problem, truth
 
     def _samples(
-        self, seed: int, index: int, clean: np.ndarray, sigma: np.ndarray
+        self, seed: int, index: int, clean: np.ndarray, sigma: np.ndarray, record: int = 0
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Stated times, the true displacement at them, and what the samples are off by: noise and disturbance."""
-        base = self.stream(NOISE, seed, index).standard_normal(clean.shape)
+        base = self.stream(NOISE, seed, index, *_later(record)).standard_normal(clean.shape)
         if self.disturbance is None:
             return self.times, clean, sigma[:, None] * base
-        rng = self.stream(DISTURBANCE, seed, index)
+        rng = self.stream(DISTURBANCE, seed, index, *_later(record))
         stated, actual = self.disturbance.sampling(self.times, rng)
-        ideal = clean if stated is self.times else self._response(stated, seed)
-        taken = ideal if actual is stated else self._response(actual, seed)
+        ideal = clean if stated is self.times else self._response(stated, seed, record)
+        taken = ideal if actual is stated else self._response(actual, seed, record)
         rms = sigma * 10.0 ** (self.snr_db / 20.0)  # of the clean samples, by the definition of the SNR
         systematic = rms[:, None] * self.disturbance.reading_error(stated)
         return stated, ideal, taken - ideal + systematic + sigma[:, None] * self.disturbance.noise(base, rng)

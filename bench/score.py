@@ -25,7 +25,7 @@ def score(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, float
     ``<quantity>_coverage_50`` etc. (1 if the interval holds the truth, else 0), ``<quantity>_pit`` (the belief's level
     at the truth, uniform over replicates if it is calibrated: probability integral transform),
     ``<quantity>_interval_score_pct`` (95 %) and ``<quantity>_crps_pct`` relative to the truth, in %;
-    ``rmse`` (of the reconstruction), ``rmse_simulated``, ``rmse_forecast`` (m), over all DOFs;
+    ``rmse`` (of the reconstruction), ``rmse_simulated``, ``rmse_forecast`` (m), over the DOFs with a sensor;
     ``band_inside_50`` etc.: the share of the record where the displacement lies in the method's own band.
     """
     if estimate.status is not Status.OK:
@@ -89,13 +89,14 @@ def _displacement_scores(estimate: Estimate, problem: Problem, truth: Truth) -> 
     if p is not None:
         start = estimate.initial_states[0] if estimate.initial_states else fitted_start(problem.system, p, record)
         times = np.concatenate([truth.dense_times, truth.forecast_times])
-        response = simulate(problem.system, p, start, times, record.forces).displacement
+        response = simulate(record.rig(problem.system), p, start, times, record.forces).displacement
         n = truth.dense_times.size
-        scores["rmse_simulated"] = _rms(response[:, :n] - truth.dense_displacement)
-        scores["rmse_forecast"] = _rms(response[:, n:] - truth.forecast_displacement)
+        scores["rmse_simulated"] = _rms(truth.scored(response[:, :n] - truth.dense_displacement))
+        scores["rmse_forecast"] = _rms(truth.scored(response[:, n:] - truth.forecast_displacement))
         scores["rmse"] = scores["rmse_simulated"]
     if estimate.reconstructions:
-        scores["rmse"] = _rms(estimate.reconstructions[0](truth.dense_times) - truth.dense_displacement)
+        error = estimate.reconstructions[0](truth.dense_times) - truth.dense_displacement
+        scores["rmse"] = _rms(truth.scored(error))
     return scores
 
 
@@ -103,11 +104,10 @@ def _band_scores(estimate: Estimate, truth: Truth) -> dict[str, float]:
     if not estimate.bands or not estimate.reconstructions:
         return {}
     dof = estimate.belief.dof if isinstance(estimate.belief, Normal) else None
-    sd = estimate.bands[0](truth.dense_times)
-    off = np.abs(estimate.reconstructions[0](truth.dense_times) - truth.dense_displacement)
-    return {
-        f"band_inside_{round(100 * v)}": float(np.mean(off <= standard_quantile(0.5 + v / 2, dof) * sd)) for v in LEVELS
-    }
+    sd = truth.scored(estimate.bands[0](truth.dense_times))
+    off = np.abs(truth.scored(estimate.reconstructions[0](truth.dense_times) - truth.dense_displacement))
+    quantiles = {v: float(standard_quantile(0.5 + v / 2, dof)) for v in LEVELS}
+    return {f"band_inside_{round(100 * v)}": float(np.mean(off <= quantiles[v] * sd)) for v in LEVELS}
 
 
 def _rms(error: np.ndarray) -> float:

@@ -142,6 +142,14 @@ def _sign(value: Any) -> int:
     return 1 if value > 0 else -1
 
 
+def _absolute(u: Series) -> Series:
+    """``|u|`` just after time 0: by the sign of the first coefficient that is not zero, whatever the parameters are."""
+    for row in u.c:
+        if np.any(row != 0):
+            return u * _sign(row[0])
+    return u
+
+
 def _grown(u: Series, first: np.ndarray, rate: Callable[[np.ndarray], np.ndarray]) -> Series:
     """The series h with ``h' = g u'`` and first coefficient ``first``; ``rate`` gives g's coefficients from h's."""
     h = first[None]
@@ -195,7 +203,7 @@ def series_ops(rng: random.Random) -> Ops:
         cos=lambda u: circle(u)[1],
         tanh=tanh,
         exp=exp,
-        abs=lambda u: u * _sign(u.c[0, 0]),
+        abs=_absolute,
         where=lambda condition, a, b: a if condition else b,
         solve=_solve,
     )

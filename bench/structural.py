@@ -93,8 +93,12 @@ def structure_of(scenario: Scenario, measured: Sequence[int] | None = None) -> S
 
     Raises InputError for a DOF it does not have.
     """
+    if scenario.added_mass is not None:
+        remedy = "the exact verdict is for one record; leave the added mass out"
+        raise InputError("system.added_mass", list(scenario.added_mass), remedy)
     forced = () if scenario.force is None else (scenario.force.dof,)
     start = scenario.initial if scenario.told == "known" else None
+    measured = scenario.measured_dofs if measured is None else measured
     return structure(scenario.make_system(), measured, scenario.told, forced, start)
 
 

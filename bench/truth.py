@@ -27,7 +27,7 @@ class Truth:
     ``dense_displacement`` has shape (n_dof, n_dense) on ``dense_times`` (s, over the record), ``forecast_displacement``
     likewise over what follows the record. ``sigma`` is the noise standard deviation of each channel (in its unit),
     ``realised_snr_db`` the SNR of all that the samples are off by, ``sigma_over_peak`` the noise over the largest
-    displacement.
+    displacement; ``measured`` the DOFs that have a sensor (None: all).
     """
 
     parameters: Mapping[str, float]
@@ -39,6 +39,11 @@ class Truth:
     sigma: tuple[float, ...]
     realised_snr_db: float
     sigma_over_peak: float
+    measured: tuple[int, ...] | None = None
+
+    def scored(self, displacement: np.ndarray) -> np.ndarray:
+        """Of displacements (n_dof, n), those of the DOFs with a sensor, which are scored."""
+        return displacement if self.measured is None else displacement[list(self.measured)]
 
 
 def reference_response(

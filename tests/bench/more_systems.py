@@ -47,6 +47,7 @@ class BoucWen(System):
     """``m x'' + c x' + k z = f`` with a hidden state, ``z' = v - 0.5 |v| z``: hysteresis of the simplest kind."""
 
     name: ClassVar[str] = "bouc_wen"
+    smooth: ClassVar[bool] = False
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

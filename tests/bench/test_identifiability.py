@@ -175,8 +175,11 @@ def test_hidden_states_and_motion_dependent_inertia_work_too() -> None:
     assert structure(BoucWen()).scalings == ((1, 1, 1),)
     assert structure(BoucWen(), forced=(0,)).rank == 3
     assert structure(Coupled()).scalings == ((1, 1, 1),)
-    at_rest = structure(BoucWen(), start=((1.0,), (0.0,)))  # |v| has no Taylor series at v = 0
-    assert not at_rest.at_start
+    at_rest = structure(BoucWen(), start=((1.0,), (0.0,)))  # its spring is z, which starts at 0: nothing ever moves
+    assert at_rest.at_start
+    assert at_rest.rank == 0
+    switching = structure(BoucWen(), None, "unknown", start=((1.0,), (0.0,)))  # |v| has no slope at v = 0
+    assert not switching.at_start
 
 
 def test_the_exact_derivatives_are_those_of_symbolic_lie_derivatives() -> None:

@@ -42,7 +42,7 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
     "unknown sensor": (lambda: Channel(T, X, measures="strain"), "displacement, velocity, acceleration"),  # type: ignore[arg-type]
     "two samples": (lambda: Record((Channel(T[:2], X[:2]),)), "at least 3"),
     "no channel": (lambda: Record(()), "at least 3"),
-    "unknown hold": (lambda: Force(T, X, "cubic"), "zero_order, linear"),  # type: ignore[arg-type]
+    "unknown hold": (lambda: Force(T, X, "quintic"), "zero_order, linear"),  # type: ignore[arg-type]
     "force of one sample": (lambda: Force([0.0], [1.0]), "at least two"),
     "force of unequal sizes": (lambda: Force(T, X[:4]), "as many as times"),
     "NaN in the force": (lambda: Force(T, [0, 0, 0, 0, NAN]), "force.values"),

@@ -236,6 +236,8 @@ def test_many_parameter_sets_at_once_are_the_sets_one_by_one(system, p, forces: 
 def test_a_response_that_diverges_is_not_an_error() -> None:
     motion = simulate(SDOF(), {"m": 1.0, "c": -400.0, "k": 1.0}, START, TIMES)
     assert not np.all(np.isfinite(motion.displacement))
+    huge = {"m": 1.0, "c": 1.0, "k": 1e200}  # the square of its entries is infinite
+    assert simulate(SDOF(), huge, START, TIMES, [a_force("linear")]).displacement.shape == (1, TIMES.size)
     motion = simulate(Duffing(), {"m": 1.0, "c": 0.1, "k": 1.0, "k3": -50.0}, START, TIMES)
     assert motion.displacement.shape == (1, TIMES.size)
 

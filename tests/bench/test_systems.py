@@ -224,7 +224,7 @@ def test_a_residual_with_its_own_ops_runs_where_numpy_does_not() -> None:
 
 @pytest.mark.parametrize(
     ("name", "options", "part"),
-    [("pendulum", {}, "chain, duffing, sdof"), ("chain", {"masses": 3}, "masses"), ("chain", {"n": 0}, "one mass")],
+    [("beam", {}, "chain, coulomb, duffing"), ("chain", {"masses": 3}, "masses"), ("chain", {"n": 0}, "one mass")],
 )
 def test_an_unknown_system_or_option_is_refused_with_its_name(name: str, options: dict[str, int], part: str) -> None:
     with pytest.raises(InputError, match=part):

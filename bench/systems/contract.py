@@ -10,13 +10,10 @@ No true value stands here: a system knows names, units and dimensions, never num
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Protocol
-
-from bench.errors import InputError
+from typing import Any, ClassVar, Literal, Protocol, Self
 
 Kind = Literal["mass", "damping", "stiffness", "other"]
 """What a parameter is; a prior's width is stated by kind."""
@@ -105,6 +102,9 @@ class System(ABC):
     affine_in_parameters: ClassVar[bool] = True
     """The residual is affine in the parameters, so it has regression columns."""
 
+    smooth: ClassVar[bool] = True
+    """Nothing in the equations bends suddenly, as a modulus or dry friction does; else integrated with more care."""
+
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
@@ -163,9 +163,13 @@ class System(ABC):
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """Everything that is scored: parameters, groups and modal quantities."""
+        """Everything that is scored, each once: parameters, groups (a parameter may be one) and modal quantities."""
         own = tuple(Quantity(p.name, p.unit, {p.name: 1.0}) for p in self.parameters)
-        return own + self.groups + self.modal
+        return own + tuple(group for group in self.groups if group.name not in self.names) + self.modal
+
+    def rescaled(self, scale: Callable[[Dimension], float]) -> Self:
+        """The same system in other units, of which ``scale`` says the size; itself unless an option has a dimension."""
+        return self
 
     def quantity(self, name: str) -> Quantity:
         """The scored quantity of that name."""
@@ -179,8 +183,8 @@ class System(ABC):
         return total
 
 
-def _over_gauge(parameters: Sequence[Parameter], gauge: str, units: Mapping[Kind, str]) -> tuple[Quantity, ...]:
-    """Every parameter but the gauge, divided by it."""
+def over_gauge(parameters: Sequence[Parameter], gauge: str, units: Mapping[Kind, str]) -> tuple[Quantity, ...]:
+    """Every parameter but the gauge, divided by it, with the unit of its kind."""
     return tuple(
         Quantity(f"{p.name}_over_{gauge}", units[p.kind], {p.name: 1.0, gauge: -1.0})
         for p in parameters
@@ -189,115 +193,3 @@ def _over_gauge(parameters: Sequence[Parameter], gauge: str, units: Mapping[Kind
 
 
 MASS, DAMPING, STIFFNESS = Dimension(1, 0, 0), Dimension(1, 0, -1), Dimension(1, 0, -2)
-
-
-@dataclass(frozen=True)
-class SDOF(System):
-    """Single degree of freedom, ``m x'' + c x' + k x = f(t)`` (the paper's equations 1 and A1).
-
-    Free vibration tells only k/m and c/m: (m, c, k) times any constant gives the same response.
-    """
-
-    name: ClassVar[str] = "sdof"
-    linear: ClassVar[bool] = True
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("m", "kg", "mass", MASS),
-            Parameter("c", "N·s/m", "damping", DAMPING),
-            Parameter("k", "N/m", "stiffness", STIFFNESS),
-        )
-
-    def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
-        return [p["m"] * a[0] + p["c"] * v[0] + p["k"] * x[0] - f[0]]
-
-    @property
-    def groups(self) -> tuple[Quantity, ...]:
-        return (
-            Quantity("k_over_m", "1/s²", {"k": 1.0, "m": -1.0}),
-            Quantity("c_over_m", "1/s", {"c": 1.0, "m": -1.0}),
-        )
-
-    @property
-    def modal(self) -> tuple[Quantity, ...]:
-        """``f_n = sqrt(k/m) / 2π`` and ``ζ = c / (2 sqrt(k m))``."""
-        return (
-            Quantity("natural_frequency", "Hz", {"k": 0.5, "m": -0.5}, 0.5 / math.pi),
-            Quantity("damping_ratio", "-", {"c": 1.0, "k": -0.5, "m": -0.5}, 0.5),
-        )
-
-
-@dataclass(frozen=True)
-class Chain(System):
-    """A chain of ``n`` masses, each tied to the one before (the first to the ground) by a spring and a damper.
-
-    ``m_i a_i + (force of link i) - (force of link i+1) = f_i`` with link force
-    ``c_i (v_i - v_{i-1}) + k_i (x_i - x_{i-1})`` and ``x_0 = 0``.
-    """
-
-    n: int = 2
-    name: ClassVar[str] = "chain"
-    linear: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        if self.n < 1:
-            raise InputError("system.n", self.n, "a chain needs at least one mass")
-
-    @property
-    def n_dof(self) -> int:
-        return self.n
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        numbers = range(1, self.n + 1)
-        return (
-            *(Parameter(f"m{i}", "kg", "mass", MASS) for i in numbers),
-            *(Parameter(f"c{i}", "N·s/m", "damping", DAMPING) for i in numbers),
-            *(Parameter(f"k{i}", "N/m", "stiffness", STIFFNESS) for i in numbers),
-        )
-
-    def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
-        link = [
-            p[f"c{i + 1}"] * (v[i] - v[i - 1] if i else v[i]) + p[f"k{i + 1}"] * (x[i] - x[i - 1] if i else x[i])
-            for i in range(self.n)
-        ]
-        return [
-            p[f"m{i + 1}"] * a[i] + link[i] - (link[i + 1] if i + 1 < self.n else 0.0) - f[i] for i in range(self.n)
-        ]
-
-    @property
-    def groups(self) -> tuple[Quantity, ...]:
-        return _over_gauge(self.parameters, "m1", {"mass": "-", "damping": "1/s", "stiffness": "1/s²", "other": "-"})
-
-
-@dataclass(frozen=True)
-class Duffing(System):
-    """Duffing oscillator with hardening spring, ``m x'' + c x' + k x + k3 x³ = f(t)``."""
-
-    name: ClassVar[str] = "duffing"
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (*SDOF().parameters, Parameter("k3", "N/m³", "stiffness", Dimension(1, -2, -2)))
-
-    def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
-        return [p["m"] * a[0] + p["c"] * v[0] + p["k"] * x[0] + p["k3"] * x[0] ** 3 - f[0]]
-
-    @property
-    def groups(self) -> tuple[Quantity, ...]:
-        return (*SDOF().groups, Quantity("k3_over_m", "1/(m²·s²)", {"k3": 1.0, "m": -1.0}))
-
-
-SYSTEMS: dict[str, type[System]] = {cls.name: cls for cls in (SDOF, Chain, Duffing)}
-"""Systems by the name that a configuration gives them."""
-
-
-def make_system(name: str, options: Mapping[str, Any]) -> System:
-    """The system called ``name`` with its structural options (the number of masses, say)."""
-    if name not in SYSTEMS:
-        raise InputError("system", name, f"known systems: {', '.join(sorted(SYSTEMS))}")
-    try:
-        return SYSTEMS[name](**options)
-    except TypeError as error:
-        raise InputError("system.options", dict(options), str(error)) from None
