@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Any
 
 from bench.scenario import Scenario
-from bench.version import Version, method_version
+from bench.version import Version, cell_version
 
 FORMAT = 2
 """Raised when scores change their meaning, so that older rows are not taken for new ones."""
@@ -48,7 +48,7 @@ class Cell:
     @property
     def version(self) -> Version:
         """What would compute the cell now."""
-        return method_version(self.method)
+        return cell_version(self.method, self.scenario.system)
 
     @cached_property
     def identity(self) -> str:

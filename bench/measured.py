@@ -23,7 +23,8 @@ from bench.registry import make_method, missing_package
 from bench.runner import Limits
 from bench.score import point_parameters
 from bench.simulate import fitted_start, measurements
-from bench.systems import SDOF, System, make_system
+from bench.systems import System, make_system
+from bench.systems.linear import SDOF
 
 UNITS = {
     "s": ("t", 1.0), "ms": ("t", 1e-3), "m": ("x", 1.0), "cm": ("x", 1e-2), "mm": ("x", 1e-3), "um": ("x", 1e-6),

@@ -14,7 +14,7 @@ from bench.errors import InputError
 from bench.estimate import Status
 from bench.registry import missing_package
 from bench.store import Store
-from bench.version import method_version
+from bench.version import cell_version
 
 FAILURES = frozenset(Status) - {Status.OK, Status.UNSUPPORTED, Status.MISSING_DEPENDENCY}
 """What ``retry=failed`` tries again; a method that cannot take a problem will not be able to the next time either."""
@@ -67,7 +67,9 @@ def _planned(cell: Cell, stored: Any, reasons: Reasons, retry: Collection[Status
     if stored.problem:
         reasons.store.load(cell.identity)  # says it
     if stored.version != cell.version.digest:
-        return Planned(cell, State.STALE, reasons(cell.identity, cell.method, stored.version), True)
+        return Planned(
+            cell, State.STALE, reasons(cell.identity, cell.method, cell.scenario.system, stored.version), True
+        )
     counts = {Status(name): n for name, n in json.loads(stored.statuses).items()}
     if Status.MISSING_DEPENDENCY in counts:
         lacking = missing_package(cell.method)
@@ -84,11 +86,11 @@ class Reasons:
 
     def __init__(self, store: Store) -> None:
         self.store = store
-        self._known: dict[tuple[str, str], str] = {}
+        self._known: dict[tuple[str, str, str], str] = {}
 
-    def __call__(self, identity: str, method: str, digest: str) -> str:
-        if (method, digest) not in self._known:
+    def __call__(self, identity: str, method: str, system: str, digest: str) -> str:
+        kind = method, system, digest
+        if kind not in self._known:
             stored = self.store.load(identity)
-            changed = method_version(method).changed_since(stored.version) if stored else "it is gone"
-            self._known[method, digest] = changed
-        return self._known[method, digest]
+            self._known[kind] = cell_version(method, system).changed_since(stored.version) if stored else "it is gone"
+        return self._known[kind]

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from bench.errors import InputError
 from bench.prior import Prior, dimension_scale
 from bench.systems import FORCE, MASS, MEASURED, Dimension, Loaded, System
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 Measures = Literal["displacement", "velocity", "acceleration"]
 Hold = Literal["zero_order", "linear", "cubic"]
@@ -128,6 +130,8 @@ class Force:
 
     @cached_property
     def _spline(self) -> CubicSpline:
+        from scipy.interpolate import CubicSpline  # slow to import, and few need it
+
         return CubicSpline(self.times, self.values)
 
     def __call__(self, times: np.ndarray) -> np.ndarray:

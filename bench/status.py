@@ -9,10 +9,10 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 from tabulate import tabulate
 
@@ -21,7 +21,7 @@ from bench.errors import InputError
 from bench.plan import FAILURES, Reasons, State
 from bench.registry import method_names
 from bench.store import Store
-from bench.version import method_version
+from bench.version import cell_version
 
 USAGE = "usage: python -m bench.status [store=results/rows] [experiment=table3 | any field of a sweep]\n\n"
 MOST_REASONS = 3
@@ -29,27 +29,24 @@ MOST_REASONS = 3
 
 def states(store: Store) -> pd.DataFrame:
     """One line a stored cell: ``label``, ``replicates``, ``wall_s``, ``state`` and ``why``, indexed by identity."""
-    columns = ("problem", "method", "label", "statuses", "version", "replicates", "wall_s")
+    columns = ("problem", "method", "kind", "label", "statuses", "version", "replicates", "wall_s")
     found = view.cells(store, columns)
-    reasons, known = Reasons(store), set(method_names())
-    current = {name: method_version(name).digest for name in set(found["method"].dropna()) & known}
-    kinds = found[["problem", "method", "statuses", "version"]].fillna("")
-    decided: dict[tuple[str, ...], tuple[str, str]] = {}
-    for identity, kind in zip(found.index, kinds.itertuples(index=False, name=None), strict=True):
-        if kind not in decided:
-            decided[kind] = _state(str(identity), kind, current, reasons)
-    pairs = [decided[kind] for kind in kinds.itertuples(index=False, name=None)]
-    return found.assign(state=[state for state, _ in pairs], why=[why for _, why in pairs])
+    reasons = Reasons(store)
+    kinds = found[["problem", "method", "kind", "statuses", "version"]].fillna("").astype(object)
+    state, why = np.empty(len(found), object), np.empty(len(found), object)
+    for kind, places in kinds.groupby(list(kinds.columns)).indices.items():
+        state[places], why[places] = _state(str(found.index[places[0]]), kind, reasons)
+    return found.assign(state=state, why=why)
 
 
-def _state(identity: str, kind: tuple[str, ...], current: dict[str, str], reasons: Reasons) -> tuple[str, str]:
-    problem, method, statuses, version = kind
+def _state(identity: str, kind: tuple[str, ...], reasons: Reasons) -> tuple[str, str]:
+    problem, method, system, statuses, version = kind
     if problem:
         return "damaged", problem
-    if method not in current:
+    if method not in method_names():
         return "foreign", f"no method {method} is installed here"
-    if version != current[method]:
-        return State.STALE.value, reasons(identity, method, version)
+    if version != cell_version(method, system).digest:
+        return State.STALE.value, reasons(identity, method, system, version)
     failed = {name: n for name, n in json.loads(statuses).items() if name in {s.value for s in FAILURES}}
     if failed:
         return State.FAILED.value, ", ".join(sorted(failed))
@@ -71,7 +68,7 @@ def store_page(store: Store) -> str:
         for label in counts.index
     ]
     table = tabulate(rows, headers=["method", *order, "fits", "fit s"], disable_numparse=True)
-    total = Counter(found["state"])
+    total = found["state"].value_counts()
     lines = [table, "", f"{store.folder}: {len(found)} cells: " + ", ".join(f"{n} {s}" for s, n in total.items())]
     return "\n".join([*lines, *_reasons(found)])
 
@@ -80,9 +77,9 @@ def _reasons(found: pd.DataFrame) -> list[str]:
     lines = []
     for state in ("stale", "failed", "foreign", "damaged"):
         own = found[found["state"] == state]
-        for why, n in Counter(own["why"]).most_common(MOST_REASONS):
+        for why, n in own["why"].value_counts().head(MOST_REASONS).items():
             labels = ", ".join(sorted(set(own.loc[own["why"] == why, "label"].dropna()))[:6])
-            lines.append(f"  {state}: {n} x {_short(why)}" + (f" ({labels})" if labels else ""))
+            lines.append(f"  {state}: {n} x {_short(str(why))}" + (f" ({labels})" if labels else ""))
     return lines
 
 

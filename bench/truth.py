@@ -17,7 +17,8 @@ from scipy.integrate import solve_ivp
 from bench.mechanics import numpy_ops, state_rate
 from bench.problem import Force, InitialState
 from bench.simulate import matrix_exponential_response
-from bench.systems import SDOF, System
+from bench.systems import System
+from bench.systems.linear import SDOF
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from typing import Any
 
 from bench import registry
 from bench.reference import REFERENCES
+from bench.systems import registered_systems
 
 HARNESS = "bench"
 SCORING = ("bench.scenario", "bench.combine", "bench.score", "bench.statistics", "bench.bound")
@@ -55,11 +56,12 @@ class Version:
 
 
 @cache
-def method_version(name: str) -> Version:
-    """The version of what computes the cells of a method or of a reference row."""
-    point = None if name in REFERENCES else registry.registered().get(name)
+def cell_version(method: str, system: str) -> Version:
+    """The version of what computes the cells of a method, or of a reference row, on a system."""
+    point = None if method in REFERENCES else registry.registered().get(method)
     own = ("bench.reference",) if point is None else (point.module,)
-    return version_of((*own, *SCORING))
+    physics = registered_systems().get(system)
+    return version_of((*own, *SCORING, *((physics.module,) if physics else ())))
 
 
 def version_of(modules: Iterable[str]) -> Version:

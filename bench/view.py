@@ -11,12 +11,13 @@ import json
 import os
 import uuid
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from bench.errors import InputError
@@ -24,14 +25,14 @@ from bench.store import Store, StoredCell
 
 PLAIN = {
     "identity": pa.string(), "mtime_ns": pa.int64(), "size": pa.int64(), "problem": pa.string(),
-    "method": pa.string(), "label": pa.string(), "system": pa.string(), "snr_db": pa.float64(),
+    "method": pa.string(), "label": pa.string(), "kind": pa.string(), "system": pa.string(), "snr_db": pa.float64(),
     "initial_state": pa.string(), "disturbance": pa.string(), "replicates": pa.int64(), "seed": pa.int64(),
     "n_ok": pa.int64(), "statuses": pa.string(), "version": pa.string(), "wall_s": pa.float64(),
     "cpu_s": pa.float64(), "peak_memory_mb": pa.float64(), "started": pa.string(), "commit": pa.string(),
-    "data": pa.string(),
+    "data": pa.string(), "metrics": pa.string(),
 }  # fmt: skip
 STATISTICS = ("mean", "median", "ci_low", "ci_high", "bound", "excess")
-LISTS = {"metric": pa.list_(pa.string()), **{name: pa.list_(pa.float64()) for name in STATISTICS}}
+LISTS = {name: pa.list_(pa.float64()) for name in STATISTICS}
 SCHEMA = pa.schema({**PLAIN, **LISTS})
 MOST_PARTS = 8
 BATCH = 5_000
@@ -42,39 +43,65 @@ def cells(store: Store, columns: Iterable[str] = tuple(PLAIN)) -> pd.DataFrame:
     """One line a stored cell, indexed by identity; ``columns`` of :data:`SCHEMA`.
 
     ``problem`` is empty, or says in one line why a file is not a cell; ``statuses`` is a JSON object of counts. The
-    lists ``metric``, ``median`` etc. run in parallel.
+    lists ``median`` etc. run in parallel with the names in ``metrics``, which blanks separate.
     """
     if not store.folder.is_dir():
         return pd.DataFrame(columns=list(columns)).rename_axis("identity")
-    there = _files(store)
-    known = _load(store, ("identity", "mtime_ns", "size"))
-    fresh = _unchanged(known, there)
+    wanted = list(dict.fromkeys(["identity", "mtime_ns", "size", *columns]))
+    there, found = _files(store), _load(store, wanted)
+    fresh = _current(found, there)
     changed = [name for name in there if name not in fresh]
     unsaved = []
     for i in range(0, len(changed), BATCH):
         part = pa.Table.from_pylist([_line(store, n, there[n]) for n in changed[i : i + BATCH]], SCHEMA)
         if not _write(store, part):
-            unsaved.append(part)
-    dead = len(known) > len(fresh)
-    if (dead and len(known) > 2 * len(fresh)) or len(_parts(store)) > MOST_PARTS:
+            unsaved.append(part.select(wanted))
+    if found.num_rows > 2 * len(fresh) + BATCH or len(_parts(store)) > MOST_PARTS:
         _compact(store, there)
-    wanted = list(dict.fromkeys(["identity", "mtime_ns", "size", *columns]))
-    frames = [_load(store, wanted), *(part.select(wanted).to_pandas() for part in unsaved)]
-    return _current(pd.concat(frames) if unsaved else frames[0], there)[
-        [name for name in columns if name != "identity"]
-    ]
+    if changed:
+        found = pa.concat_tables([_load(store, wanted), *unsaved])
+        fresh = _current(found, there)
+    lines = found.take(pa.array(fresh[name] for name in sorted(fresh))).to_pandas()
+    return lines.set_index("identity")[[name for name in columns if name != "identity"]]
 
 
 def summaries(store: Store, metrics: Sequence[str]) -> pd.DataFrame:
     """One line a cell and metric: the cell's plain columns and the statistics of the metrics asked for."""
-    found = cells(store, (*PLAIN, *LISTS))
-    wanted = found[found["problem"] == ""].reset_index()
-    lengths = wanted["metric"].map(len).to_numpy(dtype=int)
-    flat = {name: np.concatenate([np.asarray(v) for v in wanted[name]] or [np.empty(0)]) for name in LISTS}
-    chosen = np.isin(flat["metric"].astype(str), list(metrics))
-    row = np.repeat(np.arange(len(wanted)), lengths)[chosen]
-    plain = wanted.drop(columns=list(LISTS)).iloc[row].reset_index(drop=True)
-    return plain.assign(**{name: values[chosen] for name, values in flat.items()})
+    cells(store, ())  # brings the view up to date
+    there, pieces = _files(store), []
+    seen: set[str] = set()
+    for batch in _batches(store):
+        lines = {name: i for name, i in _current(batch, there).items() if name not in seen}
+        seen.update(lines)
+        own = batch.take(pa.array(list(lines.values()), pa.int64()))
+        pieces.append(_flat(own, metrics))
+    if not pieces:
+        return pd.DataFrame(columns=[*(name for name in PLAIN if name != "metrics"), "metric", *STATISTICS])
+    return pd.concat(pieces, ignore_index=True)
+
+
+def _batches(store: Store) -> Iterator[pa.Table]:
+    """The view a few thousand cells at a time; where it could not be written, the cells themselves."""
+    parts = _parts(store)
+    for part in parts:
+        for batch in pq.ParquetFile(part).iter_batches(batch_size=BATCH):
+            yield pa.Table.from_batches([batch]).cast(SCHEMA)
+    if not parts:
+        there = _files(store)
+        yield pa.Table.from_pylist([_line(store, name, there[name]) for name in there], SCHEMA)
+
+
+def _flat(batch: pa.Table, metrics: Sequence[str]) -> pd.DataFrame:
+    """The lines of some cells, one a metric."""
+    batch = batch.filter(pc.equal(batch["problem"], ""))
+    texts = batch["metrics"].to_pylist()
+    names = {text: np.array(text.split(), object) for text in set(texts)}
+    metric = np.concatenate([names[text] for text in texts] or [np.empty(0, object)])
+    chosen = np.isin(metric.astype(str), list(metrics))
+    row = np.repeat(np.arange(len(texts)), [len(names[text]) for text in texts])[chosen]
+    flat = {name: pc.list_flatten(batch[name]).to_numpy()[chosen] for name in STATISTICS}
+    plain = batch.drop_columns([*STATISTICS, "metrics"]).take(pa.array(row)).to_pandas()
+    return plain.assign(metric=metric[chosen], **flat)
 
 
 def _files(store: Store) -> dict[str, tuple[int, int]]:
@@ -95,26 +122,20 @@ def _parts(store: Store) -> list[str]:
     return []
 
 
-def _load(store: Store, columns: Sequence[str]) -> pd.DataFrame:
-    tables = []
+def _load(store: Store, columns: Sequence[str]) -> pa.Table:
+    tables = [pa.schema([SCHEMA.field(name) for name in columns]).empty_table()]
     for part in _parts(store):
         # a part that another reader has just merged away, or that a stranger put there, is read anew from the cells
         with contextlib.suppress(OSError, pa.ArrowException, KeyError):
-            tables.append(pq.read_table(part, columns=list(columns)))
-    if not tables:
-        return pd.DataFrame({name: pd.Series(dtype="object") for name in columns})
-    return pa.concat_tables(tables).to_pandas()
+            tables.append(pq.read_table(part, columns=list(columns)).cast(tables[0].schema))
+    return pa.concat_tables(tables)
 
 
-def _unchanged(known: pd.DataFrame, there: Mapping[str, tuple[int, int]]) -> set[str]:
-    lines = zip(known["identity"], known["mtime_ns"], known["size"], strict=True)
-    return {name for name, changed, size in lines if there.get(name) == (changed, size)}
-
-
-def _current(lines: pd.DataFrame, there: Mapping[str, tuple[int, int]]) -> pd.DataFrame:
-    stamps = zip(lines["identity"], lines["mtime_ns"], lines["size"], strict=True)
-    keep = [there.get(name) == (changed, size) for name, changed, size in stamps]
-    return lines[np.array(keep, bool)].drop_duplicates("identity").set_index("identity").sort_index()
+def _current(found: pa.Table, there: Mapping[str, tuple[int, int]]) -> dict[str, int]:
+    """The line of every cell whose file is as it was when that line was written."""
+    names, times, sizes = (found[name].to_pylist() for name in ("identity", "mtime_ns", "size"))
+    stamps = zip(names, zip(times, sizes, strict=True), strict=True)
+    return {name: i for i, (name, stamp) in enumerate(stamps) if there.get(name) == stamp}
 
 
 def _write(store: Store, part: pa.Table) -> bool:
@@ -135,15 +156,22 @@ def _write(store: Store, part: pa.Table) -> bool:
 
 
 def _compact(store: Store, there: Mapping[str, tuple[int, int]]) -> None:
-    """All parts in one; a reader that meets a part going reads those cells anew."""
+    """All parts in one, part by part; a reader that meets one going reads those cells anew."""
     parts = _parts(store)
+    seen: set[str] = set()
+    path = store.view / f"{uuid.uuid4().hex}.parquet"
+    temporary = path.with_suffix(".tmp")
     with contextlib.suppress(OSError, pa.ArrowException):
-        whole = pa.concat_tables([pq.read_table(part, schema=SCHEMA) for part in parts])
-        stamps = zip(*(whole[name].to_pylist() for name in ("identity", "mtime_ns", "size")), strict=True)
-        latest = {name: i for i, (name, changed, size) in enumerate(stamps) if there.get(name) == (changed, size)}
-        if _write(store, whole.take(sorted(latest.values()))):
+        with pq.ParquetWriter(temporary, SCHEMA, compression="zstd") as writer:
             for part in parts:
-                os.unlink(part)
+                table = pq.read_table(part, schema=SCHEMA)
+                lines = _current(table, there)
+                keep = [i for name, i in lines.items() if name not in seen]
+                seen.update(lines)
+                writer.write_table(table.take(keep))
+        os.replace(temporary, path)
+        for part in parts:
+            os.unlink(part)
 
 
 def _line(store: Store, identity: str, stamp: tuple[int, int]) -> dict[str, Any]:
@@ -173,6 +201,7 @@ def _described(cell: StoredCell) -> dict[str, Any]:
         "started": come.get("started"),
         "commit": come.get("commit"),
         "data": come.get("data"),
-        "metric": list(cell.summary),
+        "kind": what.get("data", {}).get("system"),
+        "metrics": " ".join(cell.summary),
         **{name: [summary.get(name) for summary in cell.summary.values()] for name in STATISTICS},
     }

@@ -24,7 +24,7 @@ from bench.bound import Bound, bound_identity, load_bounds  # noqa: E402
 from bench.registry import load_method  # noqa: E402
 from bench.scenario import PriorSpec, Scenario  # noqa: E402
 from bench.store import Store  # noqa: E402
-from bench.version import method_version  # noqa: E402
+from bench.version import cell_version  # noqa: E402
 
 REPOSITORY = Path(__file__).parents[1]
 
@@ -52,7 +52,7 @@ StoreFactory = Callable[[], Store]
 @pytest.fixture
 def plugins(monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugins]:
     """Register test doubles of ``misbehaving`` as an installed package would: ``plugins("Wrong", "Draw")``."""
-    cached = (load_method, method_version)
+    cached = (load_method, cell_version)
 
     def register(*names: str) -> None:
         ours = {n.lower(): EntryPoint(name=n.lower(), value=f"misbehaving:{n}", group="bench.methods") for n in names}

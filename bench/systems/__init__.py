@@ -1,8 +1,15 @@
-"""Vibrating systems, by the name that a configuration gives them; each is one residual (see ``contract``)."""
+"""Vibrating systems, by the name that a configuration gives them; each is one residual (see ``contract``).
+
+A system is registered by an entry point in the group ``bench.systems``, ours as anybody's; its module is imported when
+it is first asked for, so that a cell is computed by the code of its own system alone.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from bench.errors import InputError
@@ -22,9 +29,14 @@ from bench.systems.contract import (
     Quantity,
     System,
 )
-from bench.systems.linear import SDOF, Chain, Matrices, RayleighChain
 from bench.systems.loaded import Loaded
-from bench.systems.nonlinear import BoucWen, Coulomb, Duffing, Pendulum, QuadraticDamping, VanDerPol
+
+GROUP = "bench.systems"
+OURS = {
+    "linear": ("SDOF", "Chain", "Matrices", "RayleighChain"),
+    "nonlinear": ("BoucWen", "Coulomb", "Duffing", "Pendulum", "QuadraticDamping", "VanDerPol"),
+}
+"""Classes that can be imported from here, by their module."""
 
 __all__ = [
     "DAMPING",
@@ -32,42 +44,53 @@ __all__ = [
     "LENGTH",
     "MASS",
     "MEASURED",
-    "SDOF",
     "STIFFNESS",
-    "SYSTEMS",
     "Array",
-    "BoucWen",
-    "Chain",
     "Components",
-    "Coulomb",
     "Dimension",
-    "Duffing",
     "Kind",
     "Loaded",
-    "Matrices",
     "Ops",
     "Parameter",
-    "Pendulum",
-    "QuadraticDamping",
     "Quantity",
-    "RayleighChain",
     "System",
-    "VanDerPol",
+    "load_system",
     "make_system",
+    "registered_systems",
 ]
 
-SYSTEMS: dict[str, type[System]] = {
-    cls.name: cls
-    for cls in (SDOF, Chain, RayleighChain, Matrices, Duffing, QuadraticDamping, Coulomb, VanDerPol, Pendulum, BoucWen)
-}
-"""Systems by the name that a configuration gives them."""
+
+def __getattr__(name: str) -> Any:
+    """Our own systems' classes, from their modules, when they are asked for."""
+    for module, classes in OURS.items():
+        if name in classes:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__} has no attribute {name}")
+
+
+@cache
+def registered_systems() -> dict[str, EntryPoint]:
+    """Entry points by the name of the system; nothing is imported."""
+    return {point.name: point for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)}
+
+
+@cache
+def load_system(name: str) -> type[System]:
+    """The class behind a name; raises InputError for an unknown name or an entry point that does not load."""
+    if name not in registered_systems():
+        raise InputError("system", name, f"known systems: {', '.join(registered_systems())}")
+    try:
+        loaded = registered_systems()[name].load()
+    except Exception as error:
+        raise InputError("system", name, f"its entry point does not load ({type(error).__name__}: {error})") from None
+    if not (isinstance(loaded, type) and issubclass(loaded, System)):
+        raise InputError("system", name, "its entry point must name a subclass of bench.System")
+    return loaded
 
 
 def make_system(name: str, options: Mapping[str, Any]) -> System:
     """The system called ``name`` with its structural options (the number of masses, say)."""
-    if name not in SYSTEMS:
-        raise InputError("system", name, f"known systems: {', '.join(sorted(SYSTEMS))}")
     try:
-        return SYSTEMS[name](**options)
+        return load_system(name)(**options)
     except TypeError as error:
         raise InputError("system.options", dict(options), str(error)) from None

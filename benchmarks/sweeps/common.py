@@ -50,7 +50,7 @@ def cell_files(store: Path) -> list[str]:
 
 def csv(store: Path) -> str:
     """A table of all that was computed: every metric of every cell, as text."""
-    metrics = [name for names in view.cells(Store(store), ("metric",))["metric"] for name in names]
+    metrics = " ".join(view.cells(Store(store), ("metrics",))["metrics"]).split()
     table = view.summaries(Store(store), sorted(set(metrics)))
     keep = ["identity", "label", "system", "snr_db", "seed", "n_ok", "statuses", "data", "metric", *view.STATISTICS]
     return str(pd.DataFrame(table[keep]).sort_values(["identity", "metric"]).to_csv(index=False))

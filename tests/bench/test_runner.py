@@ -21,7 +21,7 @@ from bench.registry import default_settings, load_method, make_method, missing_p
 from bench.runner import Limits, run_cells
 from bench.scenario import ForceSpec, Scenario
 from bench.store import Store, StoredCell
-from bench.version import method_version
+from bench.version import cell_version
 
 PLUGINS = {
     name: EntryPoint(name=name.lower(), value=f"misbehaving:{name}", group="bench.methods")
@@ -34,10 +34,10 @@ def _plugins(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Register the test doubles as an installed package would."""
     ours = {point.name: point for point in PLUGINS.values()}
     monkeypatch.setattr(registry, "registered", lambda: ours)
-    for cached in (load_method, method_version):
+    for cached in (load_method, cell_version):
         cached.cache_clear()
     yield
-    for cached in (load_method, method_version):
+    for cached in (load_method, cell_version):
         cached.cache_clear()
 
 
