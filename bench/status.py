@@ -69,7 +69,7 @@ def store_page(store: Store) -> str:
     ]
     table = tabulate(rows, headers=["method", *order, "fits", "fit s"], disable_numparse=True)
     total = found["state"].value_counts()
-    lines = [table, "", f"{store.folder}: {len(found)} cells: " + ", ".join(f"{n} {s}" for s, n in total.items())]
+    lines = [table, "", f"{store.folder}: {len(found)} cells: " + ", ".join(f"{total[s]} {s}" for s in order)]
     return "\n".join([*lines, *_reasons(found)])
 
 

@@ -61,7 +61,7 @@ def cells(store: Store, columns: Iterable[str] = tuple(PLAIN)) -> pd.DataFrame:
     if changed:
         found = pa.concat_tables([_load(store, wanted), *unsaved])
         fresh = _current(found, there)
-    lines = found.take(pa.array(fresh[name] for name in sorted(fresh))).to_pandas()
+    lines = found.take(pa.array([fresh[name] for name in sorted(fresh)], pa.int64())).to_pandas()
     return lines.set_index("identity")[[name for name in columns if name != "identity"]]
 
 
@@ -106,7 +106,9 @@ def _flat(batch: pa.Table, metrics: Sequence[str]) -> pd.DataFrame:
 
 def _files(store: Store) -> dict[str, tuple[int, int]]:
     """Time of change and size of every cell's file, by identity."""
-    found = {}
+    found: dict[str, tuple[int, int]] = {}
+    if not store.folder.is_dir():
+        return found
     with os.scandir(store.folder) as entries:
         for entry in entries:
             if entry.name.endswith(".json"):
@@ -168,7 +170,7 @@ def _compact(store: Store, there: Mapping[str, tuple[int, int]]) -> None:
                 lines = _current(table, there)
                 keep = [i for name, i in lines.items() if name not in seen]
                 seen.update(lines)
-                writer.write_table(table.take(keep))
+                writer.write_table(table.take(pa.array(keep, pa.int64())))
         os.replace(temporary, path)
         for part in parts:
             os.unlink(part)
