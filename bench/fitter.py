@@ -201,12 +201,12 @@ def _limit_processor_time(seconds: float) -> None:
 class _Reporter:
     """Sends the best answer so far of each replicate, so that a fit that is ended can be scored as it stood."""
 
-    interval_s = 0.25
+    interval_s = 1.0
 
     def __init__(self, connection: Connection, task: Task) -> None:
         self.connection = connection
         self.places = {id(p): i for i, p in enumerate(task.payloads) if isinstance(p, Problem)}
-        self.task, self.last = task, dict.fromkeys(self.places.values(), -np.inf)
+        self.task, self.last = task, dict.fromkeys(self.places.values(), time.monotonic())
 
     def __call__(self, problem: Problem, estimate: Callable[[], Estimate]) -> None:
         i = self.places.get(id(problem))

@@ -77,7 +77,7 @@ def summaries(store: Store, metrics: Sequence[str]) -> pd.DataFrame:
         pieces.append(_flat(own, metrics))
     if not pieces:
         return pd.DataFrame(columns=[*(name for name in PLAIN if name != "metrics"), "metric", *STATISTICS])
-    return pd.concat(pieces, ignore_index=True)
+    return pd.concat(pieces).sort_values("identity", kind="stable", ignore_index=True)
 
 
 def _batches(store: Store) -> Iterator[pa.Table]:

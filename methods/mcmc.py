@@ -30,7 +30,7 @@ reconstruction is the mean response over draws: of all curves the one of least e
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -52,6 +52,8 @@ from bench import (
     Serves,
     Status,
     System,
+    Units,
+    report,
     simulate,
 )
 from methods.spectral import LOG_LIMIT, OutputError, screened, silent
@@ -117,16 +119,15 @@ class MCMC(Identifier):
             return Estimate.failed(
                 problem.system, Status.DIVERGED, "no sensor shows any motion; check the wiring or choose another record"
             )
-        model = OutputError(scaled)
         with np.errstate(all="ignore"):
-            estimate = self._sample(model, rng)
-        logs = estimate.traces.get("mode")
-        if logs is not None:
-            scales = np.log([units.scales(problem.system)[name] for name in problem.system.names])
-            estimate = replace(estimate, traces={**estimate.traces, "mode": logs + scales})
-        return replace(estimate, offsets=problem.offsets_from(units, estimate.offsets)).expressed_in(units.inverse)
+            estimate = self._sample(
+                OutputError(scaled), rng, lambda so_far: report(problem, lambda: _in_si(problem, units, so_far()))
+            )
+        return _in_si(problem, units, estimate)
 
-    def _sample(self, model: OutputError, rng: np.random.Generator) -> Estimate:
+    def _sample(
+        self, model: OutputError, rng: np.random.Generator, on_block: Callable[[Callable[[], Estimate]], None]
+    ) -> Estimate:
         modes = screened(model, n=3, rounds=3, iterations=12)
         if not modes:
             return Estimate.failed(
@@ -150,23 +151,36 @@ class MCMC(Identifier):
             health = Health.of(paths)
             if health.converged(self, paths.shape[1]):
                 break
+            on_block(lambda paths=paths: estimate_from_draws(posterior, self._kept(paths), {}, Cost(), self.curves))  # type: ignore[misc]
         cost = Cost(evaluations=posterior.calls, iterations=steps * self.ensembles)
         if not health.converged(self, paths.shape[1]):
             sentence = health.sentence(self, paths.shape[1], posterior.size)
             return Estimate.failed(model.system, Status.DIVERGED, sentence, cost)
-        flat = paths.reshape(-1, paths.shape[-1])
-        kept = flat[np.linspace(0, len(flat) - 1, min(self.draws, len(flat))).astype(int)]
         traces = {
             "r_hat": np.array([health.r_hat]),
             "effective_sample_size": np.array([health.effective]),
             "autocorrelation_time": np.array([health.time]),
         }
-        return estimate_from_draws(posterior, kept, traces, cost, self.curves)
+        return estimate_from_draws(posterior, self._kept(paths), traces, cost, self.curves)
+
+    def _kept(self, paths: np.ndarray) -> np.ndarray:
+        """So many draws of all chains, evenly spread over them."""
+        flat = paths.reshape(-1, paths.shape[-1])
+        return np.asarray(flat[np.linspace(0, len(flat) - 1, min(self.draws, len(flat))).astype(int)])
 
     def _ensemble(
         self, posterior: Posterior, proposal: Proposal, walkers: int, burn: int, rng: np.random.Generator
     ) -> Ensemble:
         return Ensemble(posterior, proposal, walkers, burn, self.independent, int(rng.integers(2**31)))
+
+
+def _in_si(problem: Problem, units: Units, estimate: Estimate) -> Estimate:
+    """An estimate in natural units in those of the problem, its traces too."""
+    logs = estimate.traces.get("mode")
+    if logs is not None:
+        scales = np.log([units.scales(problem.system)[name] for name in problem.system.names])
+        estimate = replace(estimate, traces={**estimate.traces, "mode": logs + scales})
+    return replace(estimate, offsets=problem.offsets_from(units, estimate.offsets)).expressed_in(units.inverse)
 
 
 class Posterior:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -67,6 +67,9 @@ class Fit:
     history: dict[str, np.ndarray] = field(default_factory=dict)
 
 
+Watch = Callable[[Callable[[], list[Fit]]], None]
+
+
 def cycles(problem: Problem, guess: Guess) -> float:
     """Oscillations in the longest record, of the fastest motion that matters."""
     plain = problem.system.linear and problem.system.n_dof == 1 and not problem.forced
@@ -127,8 +130,9 @@ class Attempt:
         guesses: Sequence[Guess],
         settings: PhysicsInformed,
         rngs: Sequence[np.random.Generator],
+        watch: Watch,
     ) -> None:
-        self.problems, self.settings = problems, settings
+        self.problems, self.settings, self.watch = problems, settings, watch
         first = problems[0]
         self.omega = np.array([guess.omega for guess in guesses])
         self.duration = np.array([max(record.duration for record in p.records) for p in problems])
@@ -222,6 +226,7 @@ class Attempt:
         who = everyone
         for _ in range(ROUNDS):
             change = self.run(self.residuals, 1.0, s.iterations, close, who)
+            self.watch(self.results)
             who = who[change >= SETTLED]
             if not who.size:
                 break
@@ -233,6 +238,7 @@ class Attempt:
         descent.adam(self.residuals, self.walk, deviations, adam_steps, adam_rate)
         for share in (1 / 3, 2 / 3):
             self.estimate_noise(self.residuals, deviations, everyone)
+            self.watch(self.results)
             deviations = self.residuals.deviations(self.spread())
             descent.lbfgs(self.residuals, self.walk, deviations, int(share * lbfgs_steps))
         self.estimate_noise(self.residuals, deviations, everyone)
@@ -323,10 +329,14 @@ def fit(
     guesses: Sequence[Guess],
     settings: PhysicsInformed,
     rngs: Sequence[np.random.Generator],
+    watch: Watch = lambda results: None,
 ) -> list[Fit]:
-    """One attempt at each problem from its starting guess; all are of one structure and one resolution."""
+    """One attempt at each problem from its starting guess; all are of one structure and one resolution.
+
+    ``watch`` is called between stages, with a function that gives the fits as they stand.
+    """
     with torch_threads(settings.threads), torch.no_grad():
-        attempt = Attempt(problems, guesses, settings, rngs)
+        attempt = Attempt(problems, guesses, settings, rngs, watch)
         attempt.record()
         settings.train(attempt)
         attempt.record()

@@ -20,13 +20,27 @@ N - p degrees of freedom, those of the ensemble with ``members`` - 1.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from bench import Cost, Estimate, Identifier, InitialState, InputError, Normal, Problem, Record, Serves, Status
+from bench import (
+    Cost,
+    Estimate,
+    Identifier,
+    InitialState,
+    InputError,
+    Normal,
+    Problem,
+    Record,
+    Serves,
+    Status,
+    report,
+)
 from methods.pinn.response import Band, Function
 from methods.pinn.spectral import Guess, scan
 
@@ -167,9 +181,15 @@ class PhysicsInformed(Identifier):
             for group in groups.values():
                 for at in range(0, len(group), self.batch):
                     own = group[at : at + self.batch]
-                    fits = engine.fit([t.scaled for t in own], [t.guesses[n] for t in own], self, [t.rng for t in own])
+                    problems, guesses = [t.scaled for t in own], [t.guesses[n] for t in own]
+                    fits = engine.fit(problems, guesses, self, [t.rng for t in own], partial(self._report, own))
                     for task, fit in zip(own, fits, strict=True):
                         task.fits.append(fit)
+
+    def _report(self, tasks: Sequence[Task], results: Callable[[], list[Fit]]) -> None:
+        """Say how far the fits have come."""
+        for i, task in enumerate(tasks):
+            report(task.problem, lambda i=i, task=task: self._estimate(task.with_fit(results()[i])))  # type: ignore[misc]
 
     def _resample(self, task: Task) -> None:
         """Spread of the parameters and of the response over an ensemble or a bootstrap, in place of the linearised."""
@@ -261,6 +281,12 @@ class Task:
         self.fits: list[Fit] = []
         self.members: list[Fit] = []
         self.offset_flags = [c.offset for record in problem.records for c in record.channels]
+
+    def with_fit(self, fit: Fit) -> Task:
+        """The same with one more attempt."""
+        other = copy(self)
+        other.fits = [*self.fits, fit]
+        return other
 
     def good(self, fit: Fit) -> bool:
         """Whether a fit leaves about as little as plain damped waves."""

@@ -163,7 +163,7 @@ class Anytime(Identifier):
 
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         for value in (1.0, 8.0):
-            time.sleep(0.4)
+            time.sleep(1.2)
             report(problem, lambda value=value: answer(problem, value))  # type: ignore[misc]
         time.sleep(600)
         return answer(problem)
