@@ -15,6 +15,7 @@ import itertools
 import json
 import multiprocessing
 import os
+import uuid
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -279,7 +280,7 @@ def bound_identity(scenario: Scenario, seed: int) -> str:
 def _compute_to_files(jobs: Sequence[tuple[Scenario, int, Path]]) -> None:
     for scenario, seed, path in jobs:
         text = json.dumps(asdict(compute_bound(scenario, seed)))
-        temporary = path.with_suffix(f".{os.getpid()}.tmp")
+        temporary = path.with_suffix(f".{uuid.uuid4().hex}.tmp")  # two machines can have the same process ids
         temporary.write_text(text)
         os.replace(temporary, path)
 

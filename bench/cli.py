@@ -101,7 +101,7 @@ def _usage() -> str:
 
 def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
     from bench.config import jobs_to_cells
-    from bench.launch import Launch, Sweep, launch
+    from bench.launch import Launch, launch
     from bench.plan import plan, read_retry
     from bench.runner import Limits
     from bench.store import Store
@@ -115,11 +115,10 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
         return 0
     store.prepare()
     limits = Limits(config.workers or os.cpu_count() or 1, config.timeout_s, config.memory_mb)
-    sweep = Sweep(tuple(cells), store, limits, retry)
     planned = plan(cells, store, retry)
     if config.format == "table" and len(jobs) > 1:
         print(f"bench: {_counted(planned)}", file=sys.stderr)
-    launch(planned, sweep, Launch(tuple(launcher), config.cells_per_job))
+    launch(planned, store, limits, Launch(tuple(launcher), config.cells_per_job))
     results = [store.load(cell.identity) for cell in cells]
     for job, cell, result in zip(jobs, cells, results, strict=True):
         if config.format == "json":
