@@ -173,6 +173,8 @@ def _launcher(folder: Path, how: Launch, workers: int) -> Any:
     from omegaconf.errors import OmegaConfBaseException
 
     own = [f"sweep={_quoted(folder)}", f"workers={workers if how.local else 'null'}"]
+    if how.launcher == "ray":  # its default for a Ray of its own is refused by a cluster that it joins
+        own.append("++hydra.launcher.ray.init.object_store_memory=null")
     state = Singleton.get_state()
     try:
         with initialize_config_module("conf", version_base="1.3", job_name="bench"):
