@@ -1,4 +1,4 @@
-"""A place of its own for a cluster's daemons: no network but loopback, and no process left behind.
+"""A place of its own for a cluster's daemons: no network but loopback, a name, and no process left behind.
 
 A Ray head listens on every interface whatever it is told, and daemons outlive the script that started them. In Linux
 namespaces of its own, the script sees one interface, and whatever it started ends with it.
@@ -16,12 +16,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 INSIDE = "VIBRATION_BENCH_APART"
-UNSHARE = ("unshare", "--net", "--pid", "--fork", "--kill-child", "--mount-proc")
+UNSHARE = ("unshare", "--net", "--uts", "--pid", "--fork", "--kill-child", "--mount-proc")
+
+NETWORK = "ip link set lo up && ip address add 192.0.2.1/32 dev lo"
+"""Loopback; with a second address, since Slurm looks names up only where there is one beside 127.0.0.1."""
 
 
 def why_not() -> str:
     """Why no such place can be made here; empty where one can."""
-    for tool in ("unshare", "ip"):
+    for tool in ("unshare", "ip", "hostname"):
         if shutil.which(tool) is None:
             return f"{tool} is not installed"
     tried = subprocess.run([*_unshare(), "true"], capture_output=True, text=True)
@@ -30,7 +33,7 @@ def why_not() -> str:
 
 def run_apart(module: str) -> int:
     """Run a module's main in such a place, with a temporary folder; returns its exit status."""
-    inside = f'ip link set lo up && exec "{sys.executable}" -m {module}'
+    inside = f'{NETWORK} && hostname localhost && exec "{sys.executable}" -m {module}'
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:  # removed when nobody is left who writes there
         environment = {**os.environ, INSIDE: folder, "OMP_NUM_THREADS": "1"}
         return subprocess.run([*_unshare(), "sh", "-c", inside], env=environment).returncode

@@ -12,7 +12,6 @@ import os
 import secrets
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -32,7 +31,7 @@ SLURM = ("hydra/launcher=submitit_slurm", "hydra.launcher.partition=debug", "hyd
 TOOLS = ("munged", "slurmctld", "slurmd", "sbatch", "srun", "squeue", "sinfo")
 CONFIGURATION = """
 ClusterName=bench
-SlurmctldHost={host}(127.0.0.1)
+SlurmctldHost=localhost
 SlurmctldPort=6917
 SlurmdPort=6918
 SlurmUser=root
@@ -55,7 +54,7 @@ SelectType=select/cons_tres
 SelectTypeParameters=CR_CPU
 ReturnToService=2
 SchedulerParameters=batch_sched_delay=1,sched_interval=5
-NodeName={host} NodeAddr=127.0.0.1 CPUs={cpus} State=UNKNOWN
+NodeName=localhost CPUs={cpus} State=UNKNOWN
 PartitionName=debug Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 """
 
@@ -100,7 +99,7 @@ def _start(folder: Path, daemons: list[subprocess.Popen[bytes]]) -> None:
         (folder / part).mkdir()
     cpus = os.cpu_count() or 1
     conf = folder / "slurm.conf"
-    conf.write_text(CONFIGURATION.format(folder=folder, host=socket.gethostname().partition(".")[0], cpus=cpus))
+    conf.write_text(CONFIGURATION.format(folder=folder, cpus=cpus))
     os.environ["SLURM_CONF"] = str(conf)
     munge = [f"--{kind}={folder}/munge.{kind.removesuffix('-file')}" for kind in ("key-file", "pid-file", "seed-file")]
     places = [f"--socket={folder}/munge.socket", f"--log-file={folder}/munge.log"]
