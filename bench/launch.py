@@ -40,6 +40,11 @@ class Job:
     store: Store
     limits: Limits
 
+    def part(self, planned: Sequence[Planned]) -> Job:
+        """A job of some of the cells."""
+        own = {one.cell.identity for one in planned} & self.before.keys()
+        return replace(self, planned=tuple(planned), before={name: self.before[name] for name in own})
+
     def left(self) -> list[Planned]:
         """Those that are still to be computed."""
         return [
@@ -134,11 +139,10 @@ def _rounds(launcher: Any, sweep: Job, folder: Path, how: Launch) -> None:
     n_jobs, left = 0, list(sweep.planned)
     while left:
         size = len(left) if how.local else how.cells_per_job
-        jobs = []
+        jobs: list[list[str]] = []
         for i in range(0, len(left), size):
-            job = replace(sweep, planned=tuple(left[i : i + size]))
             name = n_jobs + len(jobs)
-            (folder / f"{name}.job").write_bytes(pickle.dumps(job))
+            (folder / f"{name}.job").write_bytes(pickle.dumps(sweep.part(left[i : i + size])))
             jobs.append([f"sweep={_quoted(folder)}", f"job={name}"])
         try:
             returns = launcher.launch(jobs, n_jobs)
