@@ -1,4 +1,4 @@
-"""A sweep through Slurm, interrupted and taken up again: what is stored, and how often.
+"""A sweep through Slurm, interrupted and taken up again, or left without its driver: what is stored, and how often.
 
     python -m benchmarks.sweeps.slurm
 
@@ -17,6 +17,7 @@ import sys
 import time
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from tabulate import tabulate
 
@@ -81,7 +82,7 @@ def _inside(folder: Path) -> int:
     daemons: list[subprocess.Popen[bytes]] = []
     try:
         _start(folder, daemons)
-        return _try(Store(folder / "rows"))
+        return _try(folder)
     except (RuntimeError, TimeoutError) as error:
         logs = [path.read_text(errors="replace")[-1500:] for path in sorted(folder.glob("*.log"))]
         print(f"slurm: {error}", *logs, sep="\n", file=sys.stderr)
@@ -114,36 +115,44 @@ def _asked(*command: str) -> bytes:
     return subprocess.run(command, capture_output=True).stdout
 
 
-def _try(store: Store) -> int:
-    store.prepare()
-    journal = Journal(store.folder)
-    rows = []
-    for what, cut in (("run, interrupted", CELLS // 3), ("run again", None), ("and again", None)):
-        before, started = sum(journal.stored().values()), time.monotonic()
-        status = _run(store, journal, cut)
-        seconds = time.monotonic() - started
-        wait_for(lambda: not _asked("squeue", "-h").strip(), "an empty queue", 120)
-        drained = time.monotonic() - started - seconds
-        times = journal.stored()
-        rows.append([what, status, f"{seconds:.0f}", f"{drained:.1f}", sum(times.values()) - before, len(times)])
+def _try(folder: Path) -> int:
+    one, two = Store(folder / "rows"), Store(folder / "others")
+    journals = {}
+    for store in (one, two):
+        store.prepare()
+        journals[store.folder] = Journal(store.folder)
+    rows = [
+        _row("run, Ctrl-C for its driver", one, journals, signal.SIGINT),
+        _row("run again", one, journals),
+        _row("and again", one, journals),
+        _row("another store, kill -9 for the driver", two, journals, signal.SIGKILL),
+        _row("run again", two, journals),
+    ]
     headers = ["", "exit status", "s", "s until the queue was empty", "cells computed", "cells stored"]
     print(tabulate(rows, headers=headers))
-    here, twice = len(store.identities()), sum(n > 1 for n in journal.stored().values())
-    print(f"{here} of {CELLS} cells are in the store; {twice} were stored more than once")
-    good = here == CELLS and twice == 0 and rows[0][1] == 130 and [row[1] for row in rows[1:]] == [0, 0]
-    return 0 if good and rows[2][4] == 0 else 1
+    twice = sum(n > 1 for journal in journals.values() for n in journal.stored().values())
+    print(f"of 2 x {CELLS} cells {len(one.identities()) + len(two.identities())} are stored, {twice} more than once")
+    statuses, computed = [row[1] for row in rows], [row[4] for row in rows]
+    good = statuses == [130, 0, 0, -9, 0] and twice == 0 and computed[2] == computed[4] == 0
+    return 0 if good and [row[5] for row in rows[1:]] == [CELLS] * 4 else 1
 
 
-def _run(store: Store, journal: Journal, cut: int | None) -> int:
-    """One run, interrupted as by Ctrl-C once so many cells are stored; its exit status."""
+def _row(what: str, store: Store, journals: dict[Path, Journal], sent: signal.Signals | None = None) -> list[Any]:
+    """One run, its driver sent a signal once a third of the cells are stored; the queue then empties by itself."""
+    journal = journals[store.folder]
+    before, started = sum(journal.stored().values()), time.monotonic()
     command = [sys.executable, "-m", "bench", "-m", *SWEEP, f"store={store.folder}", *SLURM]
-    log = store.folder.parent / "driver.log"
-    with log.open("wb") as file:
+    with (store.folder.parent / "driver.log").open("wb") as file:
         driver = subprocess.Popen(command, stdout=file, stderr=file)
-    if cut is not None:
-        wait_for(lambda: len(journal.stored()) >= cut or driver.poll() is not None, f"{cut} cells", 300)
-        driver.send_signal(signal.SIGINT)
-    return driver.wait(timeout=600)
+    if sent is not None:
+        wait_for(lambda: 3 * len(journal.stored()) >= CELLS or driver.poll() is not None, "a third of the cells", 300)
+        driver.send_signal(sent)
+    status = driver.wait(timeout=600)
+    seconds = time.monotonic() - started
+    wait_for(lambda: not _asked("squeue", "-h").strip(), "an empty queue", 300)
+    drained = time.monotonic() - started - seconds
+    stored = journal.stored()
+    return [what, status, f"{seconds:.0f}", f"{drained:.0f}", sum(stored.values()) - before, len(stored)]
 
 
 if __name__ == "__main__":

@@ -58,17 +58,21 @@ def _run(store: Store, launcher: str, *more: str) -> int:
     return main(["-m", *SWEEP, f"store={store.folder}", f"hydra/launcher={launcher}", *more])
 
 
-@pytest.mark.parametrize("launcher", ["basic", "submitit_local"])
+@pytest.mark.parametrize(
+    ("launcher", "options", "cores"), [("basic", (), 1), ("submitit_local", ("hydra.launcher.cpus_per_task=2",), 2)]
+)
 def test_a_launcher_gives_the_rows_that_this_machine_gives(
-    launcher: str, cells: list[Cell], make_store: Callable[[], Store]
+    launcher: str, options: tuple[str, ...], cores: int, cells: list[Cell], make_store: Callable[[], Store]
 ) -> None:
-    pytest.importorskip("submitit")
+    if launcher == "submitit_local":
+        pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
     here, there = make_store(), make_store()
     assert _run(here, "local", "workers=1") == 0
-    assert _run(there, launcher, "cells_per_job=3") == 0  # two jobs, of three cells and of one
+    assert _run(there, launcher, "cells_per_job=3", *options) == 0  # two jobs, of three cells and of one
     rows = _outcomes(here, cells)
     assert None not in rows
     assert _outcomes(there, cells) == rows
+    assert {found.provenance["workers"] for found in there} == {cores}
     assert not (there.folder / "launches").exists()
 
 
