@@ -17,6 +17,7 @@ import math
 import multiprocessing
 import os
 import sys
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -344,7 +345,7 @@ def bound_identity(scenario: Scenario, seed: int) -> str:
 def _compute_to_files(jobs: Sequence[tuple[Scenario, int, Path]]) -> None:
     for scenario, seed, path in jobs:
         text = json.dumps(asdict(compute_bound(scenario, seed)))
-        temporary = path.with_suffix(f".{os.getpid()}.tmp")
+        temporary = path.with_suffix(f".{uuid.uuid4().hex}.tmp")  # two machines can have the same process ids
         try:
             temporary.write_text(text)
             os.replace(temporary, path)

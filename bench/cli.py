@@ -39,6 +39,8 @@ options: -m, --multirun   --cfg (print the configuration, run nothing)   --versi
 what is stored, failed, stale, missing: python -m bench.status    tables: python -m bench.tables
 what the data of a scenario can tell: python -m bench.identifiability system=chain2 snr=10"""
 
+MOST_LISTED = 100
+"""Cells of a sweep that are listed one by one."""
 SHOWN = ("rmse", "rmse_simulated", "rmse_forecast")
 
 
@@ -101,7 +103,7 @@ def _usage() -> str:
 
 def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
     from bench.config import jobs_to_cells
-    from bench.launch import Launch, Sweep, launch
+    from bench.launch import Launch, launch
     from bench.plan import plan, read_retry
     from bench.runner import Limits
     from bench.store import Store
@@ -115,22 +117,23 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
         return 0
     store.prepare()
     limits = Limits(config.workers or os.cpu_count() or 1, config.timeout_s, config.memory_mb)
-    sweep = Sweep(tuple(cells), store, limits, retry)
     planned = plan(cells, store, retry)
     if config.format == "table" and len(jobs) > 1:
         print(f"bench: {_counted(planned)}", file=sys.stderr)
-    launch(planned, sweep, Launch(tuple(launcher), config.cells_per_job))
-    results = [store.load(cell.identity) for cell in cells]
-    for job, cell, result in zip(jobs, cells, results, strict=True):
+    launch(planned, store, limits, Launch(tuple(launcher), config.cells_per_job))
+    closing = Closing(len(cells))
+    for job, cell in zip(jobs, cells, strict=True):
+        result = store.load(cell.identity)
+        closing.add(cell, result, store)
         if config.format == "json":
             print(json.dumps(_as_json(job, cell, result), allow_nan=False))
         elif len(jobs) == 1 and result is not None:
             print(_cell_table(cell, result))
     if config.format == "table":
         if len(jobs) > 1:
-            print(_sweep_table(cells, results))
+            print(closing.table())
         print(f"rows: {store.folder}" + (f"/{cells[0].identity}.json" if len(cells) == 1 else ""))
-    return _said_of_failures(cells, results, store)
+    return closing.said_of_failures()
 
 
 def _counted(planned: Sequence[Any]) -> str:
@@ -173,26 +176,6 @@ def duration(seconds: float) -> str:
         if seconds >= 1.5 * size:
             return f"{seconds / size:.1f} {unit}"
     return f"{seconds:.0f} s"
-
-
-def _said_of_failures(cells: Sequence[Any], results: Sequence[Any], store: Any) -> int:
-    """Say on the error stream what failed, once a kind, and where the tracebacks are; the exit status, 0 or 1.
-
-    1 where a cell is not there at all: what ran elsewhere may be lost with its node.
-    """
-    kinds: dict[tuple[str, str, str], list[str]] = {}
-    lost = [cell for cell, result in zip(cells, results, strict=True) if result is None]
-    for cell, result in zip(cells, results, strict=True):
-        for (status, message), n in (_failures(result) if result is not None else {}).items():
-            kinds.setdefault((cell.label, status, message), []).extend([cell.identity] * n)
-    if len(cells) > 1:
-        for (label, status, message), found in kinds.items():
-            errors = store.errors(found[0])
-            where = f" (traceback: {errors})" if errors.exists() else ""
-            print(f"bench: {label}: {len(found)} x {status}: {message}{where}", file=sys.stderr)
-    if lost:
-        print(f"bench: {len(lost)} cells were not computed; the same command computes them", file=sys.stderr)
-    return 1 if lost else 0
 
 
 def _finite(value: float) -> float | None:
@@ -292,25 +275,72 @@ def _failures(result: Any) -> dict[tuple[str, str], int]:
     return counts
 
 
-def _sweep_table(cells: Sequence[Any], results: Sequence[Any]) -> str:
-    from tabulate import tabulate
+class Closing:
+    """What is said at the end of a sweep, gathered cell by cell so that no more than a line of each is held.
 
-    rows = []
-    disturbed = any(cell.scenario.disturbance for cell in cells)
-    for cell, result in zip(cells, results, strict=True):
+    Up to :data:`MOST_LISTED` cells are listed; of more, one line stands for all that differ by seed or settings only,
+    with the medians over them.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.listed = n <= MOST_LISTED
+        self.lines: dict[tuple[Any, ...], list[tuple[int, int, list[float]]]] = {}
+        self.kinds: dict[tuple[str, str, str], tuple[int, Path]] = {}
+        self.lost = 0
+        self.group = ""
+
+    def add(self, cell: Any, result: Any, store: Any) -> None:
+        """One cell's result; None where there is none."""
         if result is None:
-            continue
-        group = cell.scenario.make_system().groups[0].name
-        error, rmse = (result.summary.get(name, {}) for name in (f"{group}_error_pct", "rmse"))
-        values = [number(part.get(key, math.nan)) for part in (error, rmse) for key in ("median", "excess")]
-        ok = f"{result.n_ok}/{len(result.rows)}"
+            self.lost += 1
+            return
         scenario = cell.scenario
-        by = [_disturbance(scenario)] if disturbed else []
-        rows.append([cell.label, scenario.label, f"{scenario.snr_db:g}", scenario.told, *by, ok, *values])
-    name = cells[0].scenario.make_system().groups[0].name.replace("_over_", "/")
-    by = ["disturbance"] if disturbed else []
-    headers = ["method", "system", "dB", "start", *by, "ok", f"{name} %", "excess", "RMSE m", "excess"]
-    return tabulate(rows, headers=headers, disable_numparse=True)
+        self.group = scenario.make_system().groups[0].name
+        parts = [result.summary.get(name, {}) for name in (f"{self.group}_error_pct", "rmse")]
+        values = [part.get(key, math.nan) for part in parts for key in ("median", "excess")]
+        key = (cell.label, scenario.label, f"{scenario.snr_db:g}", scenario.told, _disturbance(scenario))
+        own = self.lines.setdefault((*key, cell.identity) if self.listed else key, [])
+        own.append((result.n_ok, len(result.rows), values))
+        for (status, message), n in _failures(result).items():
+            kind = (cell.label, status, message)
+            before, path = self.kinds.get(kind, (0, store.errors(cell.identity)))
+            self.kinds[kind] = before + n, path
+
+    def table(self) -> str:
+        """The sweep as a table."""
+        from tabulate import tabulate
+
+        disturbed = any(key[4] != "none" for key in self.lines)
+        rows = []
+        for key, own in self.lines.items():
+            medians = [_median([values[i] for _, _, values in own]) for i in range(4)]
+            ok = f"{sum(n_ok for n_ok, _, _ in own)}/{sum(n for _, n, _ in own)}"
+            many = [] if self.listed else [len(own)]
+            rows.append([*key[: 5 if disturbed else 4], *many, ok, *map(number, medians)])
+        by = ["disturbance"] if disturbed else []
+        many = [] if self.listed else ["cells"]
+        name = self.group.replace("_over_", "/")
+        headers = ["method", "system", "dB", "start", *by, *many, "ok", f"{name} %", "excess", "RMSE m", "excess"]
+        return tabulate(rows, headers=headers, disable_numparse=True)
+
+    def said_of_failures(self) -> int:
+        """Say on the error stream what failed, once a kind, and where a traceback is; the exit status, 0 or 1.
+
+        1 where a cell is not there at all: what ran elsewhere may be lost with its node.
+        """
+        if len(self.lines) > 1:
+            for (label, status, message), (n, errors) in self.kinds.items():
+                where = f" (traceback: {errors})" if errors.exists() else ""
+                print(f"bench: {label}: {n} x {status}: {message}{where}", file=sys.stderr)
+        if self.lost:
+            print(f"bench: {self.lost} cells were not computed; the same command computes them", file=sys.stderr)
+        return 1 if self.lost else 0
+
+
+def _median(values: Sequence[float]) -> float:
+    """The median; NaNs, of which a metric that a cell lacks is one, are left out."""
+    found = sorted(value for value in values if not math.isnan(value))
+    return found[len(found) // 2] if found else math.nan
 
 
 def _identify(job: Any) -> int:

@@ -12,8 +12,8 @@ import io
 import json
 import math
 import os
-import threading
 import time
+import uuid
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -224,7 +224,7 @@ class Store:
 
     def _write(self, path: Path, content: bytes) -> None:
         """To a temporary file, flushed to disk, then renamed."""
-        temporary = path.with_name(f"{path.name}.{os.getpid()}.{threading.get_ident()}.tmp")
+        temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex}.tmp")  # two machines can have the same process ids
         try:
             with temporary.open("wb") as file:
                 file.write(content)

@@ -4,8 +4,8 @@ Every Hydra application of the environment imports this file, so it imports noth
 postponed annotations: Hydra reads the types of the configuration.)
 """
 
-from dataclasses import dataclass, field
-from typing import Any, List, Optional, Sequence  # noqa: UP035
+from dataclasses import dataclass
+from typing import Any, Optional, Sequence  # noqa: UP035
 
 from hydra.core.config_store import ConfigStore
 from hydra.core.utils import JobReturn, configure_log, filter_overrides, run_job
@@ -16,10 +16,9 @@ from omegaconf import DictConfig, open_dict
 
 @dataclass
 class LocalLauncherConfig:
-    """``preload``: packages that the server of all processes imports once, where a method of the sweep needs them."""
+    """``progress``: whether a bar over the fits is shown."""
 
     _target_: str = "hydra_plugins.vibration_bench.local_launcher.LocalLauncher"
-    preload: List[str] = field(default_factory=lambda: ["torch", "casadi", "pysindy", "emcee"])  # noqa: UP006
     progress: bool = True
 
 
@@ -29,8 +28,8 @@ ConfigStore.instance().store(group="hydra/launcher", name="local", node=LocalLau
 class LocalLauncher(Launcher):
     """Runs its jobs one after the other, since a job's cells share the machine's cores among themselves."""
 
-    def __init__(self, preload: Sequence[str], progress: bool) -> None:
-        self.preload, self.progress = tuple(preload), progress
+    def __init__(self, progress: bool) -> None:
+        self.progress = progress
         self.config: Optional[DictConfig] = None  # noqa: UP045
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
