@@ -315,8 +315,8 @@ class Closing:
         for key, own in self.lines.items():
             medians = [_median([values[i] for _, _, values in own]) for i in range(4)]
             ok = f"{sum(n_ok for n_ok, _, _ in own)}/{sum(n for _, n, _ in own)}"
-            many = [] if self.listed else [len(own)]
-            rows.append([*key[: 5 if disturbed else 4], *many, ok, *map(number, medians)])
+            cells = [] if self.listed else [str(len(own))]
+            rows.append([*key[: 5 if disturbed else 4], *cells, ok, *map(number, medians)])
         by = ["disturbance"] if disturbed else []
         many = [] if self.listed else ["cells"]
         name = self.group.replace("_over_", "/")

@@ -91,7 +91,7 @@ def launch(planned: Sequence[Planned], store: Store, limits: Limits, how: Launch
     folder = store.folder / "launches" / uuid.uuid4().hex[:12]
     again = [one.cell.identity for one in wanted if one.state is not State.MISSING]
     sweep = Job(wanted, {identity: _stamp(store, identity) for identity in again}, store, limits)
-    with _launcher(folder, how, limits.workers) as launcher:
+    with _launcher(folder, how) as launcher:
         try:
             with _watched(sweep, not how.local):
                 _rounds(launcher, sweep, folder, how)
@@ -144,13 +144,14 @@ def _cores(launcher: Any) -> int:
 def _rounds(launcher: Any, sweep: Job, folder: Path, how: Launch) -> None:
     """Launch what is left of a sweep, as long as a round brings anything."""
     n_jobs, left = 0, list(sweep.planned)
+    workers = sweep.limits.workers if how.local else "null"
     while left:
         size = len(left) if how.local else how.cells_per_job
         jobs: list[list[str]] = []
         for i in range(0, len(left), size):
             name = n_jobs + len(jobs)
             _write(folder / f"{name}.job", pickle.dumps(sweep.part(left[i : i + size])), sweep.store)
-            jobs.append([f"sweep={_quoted(folder)}", f"job={name}"])
+            jobs.append([f"sweep={_quoted(folder)}", f"job={name}", f"workers={workers}"])
         try:
             returns = launcher.launch(jobs, n_jobs)
             for done in returns:
@@ -172,7 +173,7 @@ def _rounds(launcher: Any, sweep: Job, folder: Path, how: Launch) -> None:
 
 
 @contextmanager
-def _launcher(folder: Path, how: Launch, workers: int) -> Any:
+def _launcher(folder: Path, how: Launch) -> Any:
     """The launcher, composed and set up by Hydra."""
     from hydra import initialize_config_module
     from hydra._internal.callbacks import Callbacks  # what Hydra's own multirun hands to its launchers
@@ -183,7 +184,7 @@ def _launcher(folder: Path, how: Launch, workers: int) -> Any:
     from hydra.types import HydraContext, RunMode
     from omegaconf.errors import OmegaConfBaseException
 
-    own = [f"sweep={_quoted(folder)}", f"workers={workers if how.local else 'null'}"]
+    own = [f"sweep={_quoted(folder)}"]
     if how.launcher == "ray":  # its default for a Ray of its own is refused by a cluster that it joins
         own.append("++hydra.launcher.ray.init.object_store_memory=null")
     state = Singleton.get_state()
