@@ -14,7 +14,7 @@ from bench.estimate import Estimate, Status
 from bench.identifier import Identifier
 from bench.problem import Problem
 from bench.processes import READY_S, Children, Died
-from bench.runner import Limits
+from bench.slots import Limits
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,8 @@ def fit_alone(
     children = Children()
     started = time.perf_counter()
     try:
-        child = children.start(fitter.serve, method.requires, limits.memory_mb)
+        child = children.start(fitter.serve)
+        child.send(fitter.set_up(method.requires, limits.memory_mb))
         child.receive(READY_S)
         child.send(pickle.dumps(task))
         message = b"b"

@@ -19,7 +19,7 @@ from bench.cell import Cell
 from bench.config import expand, jobs_to_cells
 from bench.errors import InputError
 from bench.launch import complete
-from bench.runner import Limits
+from bench.slots import Limits
 from bench.store import Store
 
 EXPERIMENTS = ("table3", "table4", "table5")

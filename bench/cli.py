@@ -105,7 +105,7 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
     from bench.config import jobs_to_cells
     from bench.launch import Launch, launch
     from bench.plan import plan, read_retry
-    from bench.runner import Limits
+    from bench.slots import Limits
     from bench.store import Store
 
     config = jobs[0].config

@@ -87,8 +87,9 @@ class Task:
         return Task(self.fit, self.replicates[own], self.payloads[own], self.rngs[own], self.times[own], self.timeout_s)
 
 
-def serve(connection: Connection, requires: Sequence[str], memory_mb: float | None) -> None:
-    """Fit task after task (bytes in, packed outcomes out) until nobody asks any more."""
+def serve(connection: Connection) -> None:
+    """Be told what to import and how much memory there is; then fit task after task until nobody asks any more."""
+    requires, memory_mb = pickle.loads(connection.recv_bytes())
     for package in requires:  # imported before the clock runs
         with contextlib.suppress(ImportError):
             importlib.import_module(package)
@@ -97,6 +98,11 @@ def serve(connection: Connection, requires: Sequence[str], memory_mb: float | No
     while True:
         content = connection.recv_bytes()
         connection.send_bytes(b"d" + pack(perform(content, connection)))
+
+
+def set_up(requires: Sequence[str], memory_mb: float | None) -> bytes:
+    """The first message to a fitter."""
+    return pickle.dumps((tuple(requires), memory_mb))
 
 
 def perform(content: bytes, connection: Connection | None = None) -> list[dict[str, Any]]:

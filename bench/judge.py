@@ -10,7 +10,7 @@ import hashlib
 import pickle
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -39,11 +39,13 @@ KEPT = 0
 
 @dataclass(frozen=True)
 class Scored:
-    """The row of one replicate, a traceback where it failed, and for one replicate the arrays worth keeping."""
+    """The row of one replicate, a traceback where it failed, for one replicate the arrays worth keeping, and ``facts``
+    of the data that all replicates share."""
 
     row: Row
     traceback: str = ""
     arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,6 @@ class Failure:
     status: Status
     message: str
     log: str = ""
-    wall_s: float = float("nan")
     best: bytes | None = None
 
 
@@ -106,16 +107,17 @@ class Judge:
 
     def score(self, cell: Cell, answers: bytes) -> list[Scored]:
         """The rows of what a method's process answered."""
-        return [self._scored(cell, outcome) for outcome in unpack(answers)]
+        scored = [self._scored(cell, outcome) for outcome in unpack(answers)]
+        return [replace(one, facts=facts(self._pair(cell, one.row.replicate)[1])) for one in scored]
 
-    def fail(self, cell: Cell, replicate: int, failure: Failure) -> list[Scored]:
+    def fail(self, cell: Cell, replicate: int, failure: Failure, wall_s: float) -> list[Scored]:
         """The row of a replicate without an answer; with a last report, the scores of that."""
-        data, scores = data_digest(self._pair(cell, replicate)[0]), {}
+        problem, truth = self._pair(cell, replicate)
+        scores: Mapping[str, float] = {}
         if failure.best is not None:
-            scored = self._scored(cell, unpack(failure.best))
-            scores = dict(scored.row.scores)
-        row = Row(replicate, failure.status, failure.message, scores, wall_s=failure.wall_s, data=data)
-        return [Scored(row, failure.log)]
+            scores = self._scored(cell, unpack(failure.best)).row.scores
+        row = Row(replicate, failure.status, failure.message, scores, wall_s=wall_s, data=data_digest(problem))
+        return [Scored(row, failure.log, facts=facts(truth))]
 
     def _scored(self, cell: Cell, outcome: Mapping[str, Any]) -> Scored:
         replicate = outcome["replicate"]
@@ -146,13 +148,13 @@ class Judge:
         folder: Store,
         rows: Sequence[Row],
         arrays: Mapping[str, np.ndarray],
+        known: Mapping[str, Any],
         tracebacks: str,
         version: dict[str, Any],
         provenance: Mapping[str, Any],
     ) -> str:
         """Summarise and store a cell; returns why it could not be written, or nothing."""
         ordered = tuple(sorted(rows, key=lambda row: row.replicate))
-        _, truth = self._pair(cell, 0)
         bound = load_bounds([(cell.scenario, cell.seed)], folder.bounds)[0]
         stored = StoredCell(
             identity=cell.identity,
@@ -162,8 +164,7 @@ class Judge:
                 "system": cell.scenario.label,
                 "snr_db": cell.scenario.snr_db,
                 "initial_state": cell.scenario.told,
-                "sigma": list(truth.sigma),
-                "sigma_over_peak": truth.sigma_over_peak,
+                **(known or facts(self._pair(cell, 0)[1])),
             },
             rows=ordered,
             summary={name: dict(vars(summary)) for name, summary in summarise(ordered, bound).items()},
@@ -178,6 +179,11 @@ class Judge:
         except OSError as error:
             return error.strerror or str(error)
         return ""
+
+
+def facts(truth: Truth) -> dict[str, Any]:
+    """What tables say of the data: the noise of each channel, and the noise over the largest displacement."""
+    return {"sigma": list(truth.sigma), "sigma_over_peak": truth.sigma_over_peak}
 
 
 def data_digest(problem: Problem) -> str:

@@ -23,7 +23,8 @@ from typing import Any
 from bench.cell import Cell
 from bench.errors import InputError
 from bench.plan import Planned, State, plan
-from bench.runner import Limits, run_cells
+from bench.runner import run_cells
+from bench.slots import Limits
 from bench.store import Store
 
 WATCH_S = 1.0

@@ -20,9 +20,9 @@ from bench.prior import Prior
 from bench.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Record
 from bench.reference import REFERENCES
 from bench.registry import make_method, missing_package
-from bench.runner import Limits
 from bench.score import point_parameters
 from bench.simulate import fitted_start, measurements
+from bench.slots import Limits
 from bench.systems import System, make_system
 from bench.systems.linear import SDOF
 

@@ -20,8 +20,8 @@ from bench.cell import Cell
 from bench.disturbance import make_disturbance
 from bench.errors import InputError
 from bench.launch import complete
-from bench.runner import Limits
 from bench.scenario import ForceSpec, PriorSpec, Scenario
+from bench.slots import Limits
 from bench.store import DIGITS, Store, StoredCell
 
 USAGE = "usage: python -m bench.reproduce <cell> [store=results/rows]\n\n"

@@ -27,8 +27,8 @@ from bench.compare import LEVEL, holm
 from bench.config import expand, jobs_to_cells
 from bench.errors import InputError
 from bench.launch import complete
-from bench.runner import Limits
 from bench.scenario import PriorSpec, Scenario
+from bench.slots import Limits
 from bench.store import Store, StoredCell
 from bench.tables import HEADINGS, METRICS, TITLES, entries, errors_of, paper_numbers, paper_value
 from bench.truth import closed_form

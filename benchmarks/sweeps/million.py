@@ -30,7 +30,8 @@ from bench.cell import Cell
 from bench.config import expand, jobs_to_cells
 from bench.launch import Job, Launch
 from bench.plan import plan
-from bench.runner import Limits, run_cells
+from bench.runner import run_cells
+from bench.slots import Limits
 from bench.store import Store, StoredCell
 
 MILLION = 1_000_000

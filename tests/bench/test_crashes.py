@@ -13,8 +13,9 @@ from bench import Status
 from bench.cell import Cell
 from bench.plan import FAILURES, State, plan, read_retry
 from bench.registry import default_settings
-from bench.runner import Limits, run_cells
+from bench.runner import run_cells
 from bench.scenario import Scenario
+from bench.slots import Limits
 from bench.store import Store
 
 KINDS = {

@@ -19,7 +19,7 @@ from bench.cli import main
 from bench.config import expand, jobs_to_cells
 from bench.launch import Job, Launch
 from bench.plan import plan
-from bench.runner import Limits
+from bench.slots import Limits
 from bench.store import Store
 
 SWEEP = ("method=ls,log_decrement", "seed=0,1", "replicates=3")

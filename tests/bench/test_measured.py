@@ -149,7 +149,7 @@ def test_what_is_missing_for_a_measured_record_is_named(
 @pytest.fixture
 def _exact(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Register the double that answers with the groups of its settings, and those that go wrong."""
-    caches = (config.choices, config._register_methods, config._composed, registry.load_method)
+    caches = (config.choices, config.register_methods, config._composed, registry.load_method)
     names = {"exact": "Exact", "wrong": "Wrong", "needy": "Needy"}
     ours = {name: EntryPoint(name, f"misbehaving:{attribute}", registry.GROUP) for name, attribute in names.items()}
     known = {**registry.registered(), **ours}

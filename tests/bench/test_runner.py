@@ -18,8 +18,9 @@ from bench import InputError, Status, registry, runner
 from bench.cell import Cell
 from bench.plan import plan
 from bench.registry import default_settings, load_method, make_method, missing_package
-from bench.runner import Limits, run_cells
+from bench.runner import run_cells
 from bench.scenario import ForceSpec, Scenario
+from bench.slots import Limits
 from bench.store import Store, StoredCell
 from bench.version import cell_version
 

@@ -11,8 +11,9 @@ from conftest import StoreFactory
 from bench import reproduce, status
 from bench.cell import Cell
 from bench.plan import plan
-from bench.runner import Limits, run_cells
+from bench.runner import run_cells
 from bench.scenario import Scenario
+from bench.slots import Limits
 from bench.store import Store
 
 
