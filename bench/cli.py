@@ -103,7 +103,7 @@ def _usage() -> str:
 
 def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
     from bench.config import jobs_to_cells
-    from bench.launch import Launch, launch
+    from bench.launch import Launch, launch, warm_up
     from bench.plan import plan, read_retry
     from bench.slots import Limits
     from bench.store import Store
@@ -116,11 +116,14 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
         print(listing(plan(cells, store, retry), store, config.workers or os.cpu_count() or 1))
         return 0
     store.prepare()
+    how = Launch(tuple(launcher), config.cells_per_job)
+    if how.local and not all(store.path(cell.identity).exists() for cell in cells):
+        warm_up({cell.method for cell in cells})
     limits = Limits(config.workers or os.cpu_count() or 1, config.timeout_s, config.memory_mb)
     planned = plan(cells, store, retry)
     if config.format == "table" and len(jobs) > 1:
         print(f"bench: {_counted(planned)}", file=sys.stderr)
-    launch(planned, store, limits, Launch(tuple(launcher), config.cells_per_job))
+    launch(planned, store, limits, how)
     closing = Closing(len(cells))
     for job, cell in zip(jobs, cells, strict=True):
         result = store.load(cell.identity)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from bench.answer import rebuilt, unpack
-from bench.bound import load_bounds
+from bench.bound import Bound, bound_identity, load_bounds
 from bench.cell import Cell
 from bench.combine import combine_with_prior
 from bench.estimate import Draws, Estimate, Status
@@ -83,6 +83,7 @@ class Judge:
     def __init__(self) -> None:
         self.cell: Cell | None = None
         self.pairs: dict[int, tuple[Problem, Truth]] = {}
+        self.bounds: dict[str, Bound] = {}
 
     def _pair(self, cell: Cell, replicate: int) -> tuple[Problem, Truth]:
         if self.cell is None or self.cell != cell:
@@ -118,6 +119,12 @@ class Judge:
             scores = self._scored(cell, unpack(failure.best)).row.scores
         row = Row(replicate, failure.status, failure.message, scores, wall_s=wall_s, data=data_digest(problem))
         return [Scored(row, failure.log, facts=facts(truth))]
+
+    def _bound(self, cell: Cell, folder: Store) -> Bound:
+        identity = bound_identity(cell.scenario, cell.seed)
+        if identity not in self.bounds:
+            self.bounds = {identity: load_bounds([(cell.scenario, cell.seed)], folder.bounds)[0]}
+        return self.bounds[identity]
 
     def _scored(self, cell: Cell, outcome: Mapping[str, Any]) -> Scored:
         replicate = outcome["replicate"]
@@ -155,7 +162,7 @@ class Judge:
     ) -> str:
         """Summarise and store a cell; returns why it could not be written, or nothing."""
         ordered = tuple(sorted(rows, key=lambda row: row.replicate))
-        bound = load_bounds([(cell.scenario, cell.seed)], folder.bounds)[0]
+        bound = self._bound(cell, folder)
         stored = StoredCell(
             identity=cell.identity,
             cell={

@@ -14,16 +14,18 @@ import sys
 import threading
 import time
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from bench.cell import Cell
 from bench.errors import InputError
 from bench.plan import Planned, State, plan
-from bench.runner import run_cells
+from bench.processes import start_server
+from bench.runner import needed, run_cells
 from bench.slots import Limits
 from bench.store import Store
 
@@ -105,6 +107,14 @@ def launch(planned: Sequence[Planned], store: Store, limits: Limits, how: Launch
 def complete(cells: Sequence[Cell], store: Store, limits: Limits) -> None:
     """Compute on this machine, with a progress bar, what the store lacks of some cells."""
     launch(plan(cells, store), store, limits, Launch())
+
+
+def warm_up(methods: Collection[str]) -> None:
+    """Have this machine's server of processes import what the methods need, while the caller goes on."""
+    from omegaconf import OmegaConf
+
+    content = OmegaConf.create(files("conf").joinpath("launch.yaml").read_text(encoding="utf-8"))
+    start_server(needed(list(content.preload), methods))
 
 
 def run_job(config: Any) -> dict[str, int]:

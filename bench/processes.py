@@ -17,6 +17,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
+from multiprocessing import forkserver
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,19 @@ class Died(Exception):
     def __init__(self, reason: str, message: str, log: str) -> None:
         super().__init__(message)
         self.reason, self.message, self.log = reason, message, log
+
+
+def start_server(preload: Sequence[str] = ()) -> Any:
+    """The context of the server that all children are started from; it imports while its starter goes on.
+
+    The first call decides what is preloaded; a later one changes nothing.
+    """
+    single_threaded()
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["bench.processes", "bench.fitter", "bench.judge", *preload, "bench.frozen"])
+    with without_main():
+        forkserver.ensure_running()
+    return context
 
 
 class Children:

@@ -58,18 +58,26 @@ def default_settings(name: str) -> dict[str, Any]:
 
 def make_method(name: str, settings: dict[str, Any]) -> Identifier:
     """An instance with validated settings; raises InputError that names the setting."""
-    from pydantic import TypeAdapter, ValidationError
+    from pydantic import ValidationError
 
     known = default_settings(name)
     for key in settings:
         if key not in known:
             raise InputError(f"method.{key}", settings[key], f"settings of {name}: {', '.join(known) or 'none'}")
     try:
-        return TypeAdapter(load_method(name)).validate_python(settings)
+        return _adapter(load_method(name)).validate_python(settings)  # type: ignore[no-any-return]
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         raise InputError(f"method.{where}", first["input"], first["msg"]) from None
+
+
+@cache
+def _adapter(method: type[Identifier]) -> Any:
+    """pydantic's validation of a method's settings, made once."""
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(method)
 
 
 def missing_package(name: str) -> str | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import queue
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from importlib.util import find_spec
 
 from bench.board import Board, work_of
@@ -32,7 +32,7 @@ def run_cells(planned: Sequence[Planned], store: Store, limits: Limits, on_progr
         return
     load_bounds([(one.cell.scenario, one.cell.seed) for one in wanted], store.bounds)
     board = Board([work_of(one, store, limits.workers) for one in wanted], store)
-    children = Children([name for name in limits.preload if _needed(name, wanted)])
+    children = Children(needed(limits.preload, {one.cell.method for one in wanted}))
     slots = [Slot(board, children, limits) for _ in range(max(1, min(limits.workers, board.batches)))]
     writers = [Writer(board, children, limits, slots) for _ in range(-(-len(slots) // SLOTS_A_WRITER))]
     hands: list[Hand] = [*slots, *writers]
@@ -54,7 +54,8 @@ def run_cells(planned: Sequence[Planned], store: Store, limits: Limits, on_progr
         board.claims.release_all()
 
 
-def _needed(package: str, wanted: Sequence[Planned]) -> bool:
-    """Whether a method of the run needs a package that is there."""
-    methods = {one.cell.method for one in wanted} - set(REFERENCES)
-    return any(package in load_method(name).requires for name in methods) and find_spec(package) is not None
+def needed(packages: Sequence[str], methods: Collection[str]) -> list[str]:
+    """Those of the packages that a method requires and that are there."""
+    own = set(methods) - set(REFERENCES)
+    required = {package for name in own for package in load_method(name).requires}
+    return [package for package in packages if package in required and find_spec(package) is not None]

@@ -135,7 +135,7 @@ def _arrays_file(arrays: Mapping[str, np.ndarray]) -> bytes:
             values = np.asarray(arrays[name])
             item = io.BytesIO()
             np.lib.format.write_array(item, values.astype("f4") if values.dtype == float else values)
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), item.getvalue(), zipfile.ZIP_DEFLATED)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), item.getvalue(), zipfile.ZIP_DEFLATED, 1)
     return buffer.getvalue()
 
 
