@@ -24,6 +24,8 @@ from bench.registry import default_settings, load_method, make_method, method_na
 from bench.scenario import ForceSpec, PriorSpec, Scenario
 
 GROUPS = ("method", "system", "prior", "disturbance", "experiment")
+COMPOSED = ("method", "system", "prior", "disturbance")
+"""Groups whose files Hydra composes."""
 OF_EXPERIMENTS = ("sweep", "also", "replicates_by_method", "table")
 """Fields that an experiment alone sets."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -311,7 +313,15 @@ def _job(chosen: Mapping[str, Any], experiment: Mapping[str, Any], explicit: fro
 
 
 def _compose(chosen: Mapping[str, Any]) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads(_composed(tuple((k, _literal(v)) for k, v in chosen.items())))
+    """The composed configuration; each group by itself, since none refers to another: a sum of compositions, which take
+    a tenth of a second, instead of a product."""
+    literals = {key: _literal(value) for key, value in chosen.items()}
+    rest = tuple((key, text) for key, text in literals.items() if key.split(".")[0] not in COMPOSED)
+    content: dict[str, Any] = json.loads(_composed(rest))
+    for group in COMPOSED:
+        own = tuple((key, text) for key, text in literals.items() if key.split(".")[0] == group)
+        if own:
+            content[group] = json.loads(_composed(own))[group]
     return content
 
 

@@ -25,6 +25,7 @@ from bench.cli import number, read_folders
 from bench.compare import Comparison, against_best
 from bench.config import choices, expand, jobs_to_cells
 from bench.errors import InputError
+from bench.plan import State, plan
 from bench.reference import REFERENCES
 from bench.registry import load_method
 from bench.statistics import RESAMPLES
@@ -395,11 +396,21 @@ def write_tables(store: Store, out: Path, experiments: Sequence[str]) -> list[Pa
         if not contents:
             print(f"{experiment}: no cells stored; run python -m bench -m experiment={experiment}", file=sys.stderr)
             continue
+        _say_stale(experiment, store)
         for name, content in contents.items():
             path = out / name
             path.write_text(content, encoding="utf-8")
             written.append(path)
     return written
+
+
+def _say_stale(experiment: str, store: Store) -> None:
+    """A line on the error stream where a table rests on cells that other code or packages computed."""
+    planned = plan(described_cells(experiment)[1], store)
+    stale = [one for one in planned if one.state is State.STALE]
+    if stale:
+        said = f"{len(stale)} of {len(planned)} cells are stale ({stale[0].why[:100]})"
+        print(f"{experiment}: {said}; python -m bench -m experiment={experiment} computes them again", file=sys.stderr)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
