@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
 import os
 import sys
 from collections.abc import Sequence
@@ -53,6 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"bench: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
+        for child in multiprocessing.active_children():  # one that computes bounds, say: nobody waits for it any more
+            child.kill()
         print("\nbench: interrupted; finished cells are kept, the same command goes on from here", file=sys.stderr)
         return 130
     except BrokenPipeError:

@@ -294,3 +294,29 @@ def test_an_installed_entry_point_alone_makes_a_method(tmp_path: Path, store: Pa
     assert done.returncode == 2
     assert done.stderr.startswith("bench: method=broken: its entry point does not load")
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_workers_and_limits_reach_the_run_and_stand_in_its_provenance(store: Path) -> None:
+    limits = ["workers=3", "timeout_s=50", "memory_mb=1500"]
+    assert main(["method=prior", "replicates=2", *limits, f"store={store}"]) == 0
+    (path,) = store.glob("*.json")
+    come = json.loads(path.read_text())["provenance"]
+    assert (come["workers"], come["limits"]) == (3, {"timeout_s": 50.0, "memory_mb": 1500.0})
+
+
+def test_a_dry_run_lists_the_cells_and_computes_nothing(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["-m", "method=prior,oracle", "replicates=2", "dry_run=true", f"store={store}"]) == 0
+    out = capsys.readouterr().out
+    assert "2 cells: 2 missing; 2 to run" in out
+    assert "nothing known of oracle, prior" in out
+    assert not store.exists() or not list(store.glob("*.json"))
+
+
+@pytest.mark.parametrize(
+    "bad", ["retry=sometimes", "memory_mb=1", "dry_run=maybe", "cells_per_job=0", "hydra/launcher=moon"]
+)
+def test_bad_fields_of_a_run_are_one_line(bad: str, store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["method=prior", "replicates=2", bad, f"store={store}"]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("bench:")]
+    assert len(lines) == 1
+    assert bad.partition("=")[0] in lines[0]
