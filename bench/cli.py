@@ -130,7 +130,8 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
     closing = Closing(len(cells))
     for job, cell in zip(jobs, cells, strict=True):
         result = store.load(cell.identity)
-        closing.add(cell, result, store)
+        if cell.identity not in closing.seen:  # a cell may stand in several tables
+            closing.add(cell, result, store)
         if config.format == "json":
             print(json.dumps(_as_json(job, cell, result), allow_nan=False))
         elif len(jobs) == 1 and result is not None:
@@ -292,11 +293,13 @@ class Closing:
         self.listed = n <= MOST_LISTED
         self.lines: dict[tuple[Any, ...], list[tuple[int, int, list[float]]]] = {}
         self.kinds: dict[tuple[str, str, str], tuple[int, Path]] = {}
+        self.seen: set[str] = set()
         self.lost = 0
         self.group = ""
 
     def add(self, cell: Any, result: Any, store: Any) -> None:
         """One cell's result; None where there is none."""
+        self.seen.add(cell.identity)
         if result is None:
             self.lost += 1
             return
