@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import queue
+import re
 import threading
 import time
 from collections import deque
@@ -29,6 +30,11 @@ LARGEST_TASK = 5
 WAIT_S = 0.5
 
 
+def without_places(text: str) -> str:
+    """A traceback whose files are named by folder and name alone: where a machine keeps them tells nobody anything."""
+    return re.sub(r'File "[^"]*?((?:[^"/\\]+[/\\]){0,1}[^"/\\]+)"', r'File "\1"', text)
+
+
 @dataclass
 class Work:
     """A cell under way."""
@@ -51,7 +57,7 @@ class Work:
     def errors(self) -> str:
         """The tracebacks of all failed replicates, in order."""
         parts = [f"replicate {i}\n{text.rstrip()}\n" for i, text in sorted(self.tracebacks.items()) if text.strip()]
-        return "\n".join(parts)
+        return without_places("\n".join(parts))
 
 
 def work_of(planned: Planned, store: Store, workers: int) -> Work:

@@ -10,6 +10,7 @@ import pytest
 from conftest import Plugins, StoreFactory
 
 from bench import Status
+from bench.board import without_places
 from bench.cell import Cell
 from bench.plan import FAILURES, State, plan, read_retry
 from bench.registry import default_settings
@@ -165,3 +166,10 @@ def test_two_runs_on_one_store_share_the_cells(
         run.join(120)
     assert len(list(tmp_path.glob("mark-*"))) == 12
     assert {one.state for one in plan(cells, store)} == {State.DONE}
+
+
+def test_a_traceback_says_nothing_of_where_the_machine_keeps_its_files() -> None:
+    text = (
+        'File "/home/someone/env/lib/scipy/linalg/_decomp.py", line 594, in eigh\nFile "C:\\a\\methods\\ls.py", line 1'
+    )
+    assert without_places(text) == 'File "linalg/_decomp.py", line 594, in eigh\nFile "methods\\ls.py", line 1'
