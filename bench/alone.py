@@ -13,7 +13,7 @@ from bench.answer import rebuilt, unpack
 from bench.estimate import Estimate, Status
 from bench.identifier import Identifier
 from bench.problem import Problem
-from bench.processes import READY_S, Children, Died
+from bench.processes import Children, Died
 from bench.slots import Limits
 
 
@@ -36,18 +36,13 @@ def fit_alone(
     children = Children()
     started = time.perf_counter()
     try:
-        child = children.start(fitter.serve)
-        child.send(fitter.set_up(method.requires, limits.memory_mb))
-        child.receive(READY_S)
-        child.send(pickle.dumps(task))
-        message = b"b"
-        while message[:1] == b"b":  # reports on the way
-            message = child.receive(limits.timeout_s, limits.memory_mb)
+        child = fitter.ready(children, None, method.requires, limits.memory_mb)
+        packed = fitter.answers(child, pickle.dumps(task), 1, limits.timeout_s, limits.memory_mb, lambda report: None)
     except Died as died:
         return Outcome(None, Status(died.reason), died.message, time.perf_counter() - started)
     finally:
         children.close()
-    (outcome,) = unpack(message[1:])
+    (outcome,) = unpack(packed)
     if "answer" not in outcome:
         return Outcome(None, Status(outcome["status"]), outcome["message"])
     estimate = rebuilt(outcome["answer"], problem.system).checked()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 import queue
-import re
 import threading
 import time
 from collections import deque
@@ -18,6 +17,7 @@ from bench import fitter
 from bench.cell import Cell
 from bench.claims import Claims
 from bench.estimate import Status
+from bench.failure import without_places
 from bench.judge import Scored
 from bench.plan import FAILURES, Planned, State
 from bench.reference import REFERENCES
@@ -28,11 +28,6 @@ from bench.store import Store
 LARGEST_TASK = 5
 """Replicates that a method gets at once, at most: what is lost, and tried again one by one, when a process dies."""
 WAIT_S = 0.5
-
-
-def without_places(text: str) -> str:
-    """A traceback whose files are named by folder and name alone: where a machine keeps them tells nobody anything."""
-    return re.sub(r'File "[^"]*?((?:[^"/\\]+[/\\]){0,1}[^"/\\]+)"', r'File "\1"', text)
 
 
 @dataclass
@@ -69,7 +64,7 @@ def work_of(planned: Planned, store: Store, workers: int) -> Work:
     else:
         method = make_method(cell.method, dict(cell.settings))
         requires, fit = method.requires, fitter.MethodFit(method)
-    work = Work(cell, pickle.dumps(fit), requires, deque(), stamp_of(store, cell))
+    work = Work(cell, pickle.dumps(fit), requires, deque(), store.stamp(cell.identity))
     todo = list(range(cell.replicates))
     if planned.state is State.FAILED:
         todo = _keep_good(work, store)
@@ -155,7 +150,7 @@ class Board:
 
     def _stored_meanwhile(self, work: Work) -> bool:
         cell = work.cell
-        if stamp_of(self.store, cell) == work.stamp:
+        if self.store.stamp(cell.identity) == work.stamp:
             return False
         stored = self.store.load(cell.identity)
         return stored is not None and stored.version.get("digest") == cell.version.digest
@@ -187,11 +182,3 @@ class Board:
         with self._lock:
             self._open.remove(work)
             self.claims.release(work.cell.identity)
-
-
-def stamp_of(store: Store, cell: Cell) -> int:
-    """When the stored cell was written; 0 where there is none."""
-    try:
-        return store.path(cell.identity).stat().st_mtime_ns
-    except OSError:
-        return 0

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-import multiprocessing
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import median_high
 from typing import Any
 
 from bench.errors import InputError
@@ -54,8 +54,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"bench: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        for child in multiprocessing.active_children():  # one that computes bounds, say: nobody waits for it any more
-            child.kill()
         print("\nbench: interrupted; finished cells are kept, the same command goes on from here", file=sys.stderr)
         return 130
     except BrokenPipeError:
@@ -322,7 +320,8 @@ class Closing:
         disturbed = any(key[4] != "none" for key in self.lines)
         rows = []
         for key, own in self.lines.items():
-            medians = [_median([values[i] for _, _, values in own]) for i in range(4)]
+            columns = ([v[i] for _, _, v in own if not math.isnan(v[i])] for i in range(4))  # NaN: a metric it lacks
+            medians = [median_high(column) if column else math.nan for column in columns]
             ok = f"{sum(n_ok for n_ok, _, _ in own)}/{sum(n for _, n, _ in own)}"
             cells = [] if self.listed else [str(len(own))]
             rows.append([*key[: 5 if disturbed else 4], *cells, ok, *map(number, medians)])
@@ -344,12 +343,6 @@ class Closing:
         if self.lost:
             print(f"bench: {self.lost} cells were not computed; the same command computes them", file=sys.stderr)
         return 1 if self.lost else 0
-
-
-def _median(values: Sequence[float]) -> float:
-    """The median; NaNs, of which a metric that a cell lacks is one, are left out."""
-    found = sorted(value for value in values if not math.isnan(value))
-    return found[len(found) // 2] if found else math.nan
 
 
 def _identify(job: Any) -> int:

@@ -24,8 +24,10 @@ import numpy as np
 from bench.answer import pack, plain
 from bench.checkpoint import listen
 from bench.estimate import Estimate, Status
+from bench.failure import one_line
 from bench.identifier import Identifier
 from bench.problem import Problem
+from bench.processes import READY_S, Child, Children, Died
 from bench.reference import REFERENCES
 from bench.truth import Truth
 
@@ -100,9 +102,31 @@ def serve(connection: Connection) -> None:
         connection.send_bytes(b"d" + pack(perform(content, connection)))
 
 
-def set_up(requires: Sequence[str], memory_mb: float | None) -> bytes:
-    """The first message to a fitter."""
-    return pickle.dumps((tuple(requires), memory_mb))
+def ready(children: Children, spare: Child | None, requires: Sequence[str], memory_mb: float | None) -> Child:
+    """A fitter that has imported what its method needs, from a spare process where there is one; raises Died."""
+    child = spare or children.start(serve)
+    child.send(pickle.dumps((tuple(requires), memory_mb)))
+    child.receive(READY_S)
+    return child
+
+
+def answers(
+    child: Child, task: bytes, n: int, timeout_s: float, memory_mb: float, on_report: Callable[[bytes], None]
+) -> bytes:
+    """The packed outcomes of a task of ``n`` replicates; raises Died, within ``n`` times the limit of one.
+
+    ``on_report`` gets what the fit reports on its way, packed.
+    """
+    child.send(task)
+    deadline = time.monotonic() + timeout_s * n
+    try:
+        while (message := child.receive(max(0.0, deadline - time.monotonic()), memory_mb))[:1] != b"d":
+            on_report(message[1:])
+    except Died as died:
+        if died.reason == "timeout":
+            died.message = f"stopped after the limit of {timeout_s:g} s"
+        raise
+    return message[1:]
 
 
 def perform(content: bytes, connection: Connection | None = None) -> list[dict[str, Any]]:
@@ -156,7 +180,7 @@ def _answer(estimate: Estimate, times: np.ndarray) -> dict[str, Any]:
             warnings.simplefilter("ignore")
             return {"answer": plain(estimate, times)}
     except Exception as error:
-        message = f"the estimate cannot be scored: {_one_line(error)}"
+        message = f"the estimate cannot be scored: {one_line(error)}"
         return {"status": Status.INVALID.value, "message": message, "traceback": traceback.format_exc()}
 
 
@@ -166,14 +190,10 @@ def _failure(replicate: int) -> dict[str, Any]:
     if isinstance(error, MemoryError):
         status, message = Status.OOM, "out of memory"
     else:
-        status, message = Status.CRASHED, _one_line(error)
+        status, message = Status.CRASHED, one_line(error)
     return {
         "replicate": replicate, "status": status.value, "message": message, "traceback": traceback.format_exc(),
     }  # fmt: skip
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())[:300]
 
 
 def _peak_memory_mb() -> float:

@@ -21,6 +21,7 @@ from bench.bound import Bound, bound_identity, load_bounds
 from bench.cell import Cell
 from bench.combine import combine_with_prior
 from bench.estimate import Draws, Estimate, Status
+from bench.failure import one_line
 from bench.fitter import Task
 from bench.problem import Problem
 from bench.reference import REFERENCES
@@ -73,7 +74,7 @@ def serve(connection: Connection) -> None:
         try:
             answer = True, requests[request](*arguments)
         except Exception as error:
-            answer = False, (" ".join(f"{type(error).__name__}: {error}".split())[:300], traceback.format_exc())
+            answer = False, (one_line(error), traceback.format_exc())
         connection.send_bytes(pickle.dumps(answer))
 
 
@@ -82,14 +83,15 @@ class Judge:
 
     def __init__(self) -> None:
         self.cell: Cell | None = None
+        self.make: Callable[[int], tuple[Problem, Truth]] | None = None
         self.pairs: dict[int, tuple[Problem, Truth]] = {}
         self.bounds: dict[str, Bound] = {}
 
     def _pair(self, cell: Cell, replicate: int) -> tuple[Problem, Truth]:
-        if self.cell is None or self.cell != cell:
-            self.cell, self.pairs, self._make = cell, {}, cell.scenario.maker(cell.seed)
+        if self.make is None or self.cell != cell:
+            self.cell, self.pairs, self.make = cell, {}, cell.scenario.maker(cell.seed)
         if replicate not in self.pairs:
-            self.pairs[replicate] = self._make(replicate)
+            self.pairs[replicate] = self.make(replicate)
         return self.pairs[replicate]
 
     def open(self, cell: Cell, fit: bytes, replicates: Sequence[int], timeout_s: float) -> bytes:
@@ -120,10 +122,10 @@ class Judge:
         row = Row(replicate, failure.status, failure.message, scores, wall_s=wall_s, data=data_digest(problem))
         return [Scored(row, failure.log, facts=facts(truth))]
 
-    def _bound(self, cell: Cell, folder: Store) -> Bound:
+    def _bound(self, cell: Cell, store: Store) -> Bound:
         identity = bound_identity(cell.scenario, cell.seed)
         if identity not in self.bounds:
-            self.bounds = {identity: load_bounds([(cell.scenario, cell.seed)], folder.bounds)[0]}
+            self.bounds = {identity: load_bounds([(cell.scenario, cell.seed)], store.bounds)[0]}
         return self.bounds[identity]
 
     def _scored(self, cell: Cell, outcome: Mapping[str, Any]) -> Scored:
@@ -141,8 +143,8 @@ class Judge:
                 estimate = combine_with_prior(estimate.checked(), problem.prior).checked()
                 scores = score(estimate, problem, truth)
         except Exception as error:  # names or shapes that the contract does not allow
-            text = " ".join(f"the estimate cannot be scored: {type(error).__name__}: {error}".split())[:300]
-            return Scored(Row(status=Status.INVALID, message=text, **common))
+            message = f"the estimate cannot be scored: {one_line(error)}"
+            return Scored(Row(status=Status.INVALID, message=message, **common))
         if estimate.status is not Status.OK:
             return Scored(Row(status=estimate.status, message=estimate.message, **common))
         scores["realised_snr_db"] = truth.realised_snr_db
@@ -152,7 +154,7 @@ class Judge:
     def finish(
         self,
         cell: Cell,
-        folder: Store,
+        store: Store,
         rows: Sequence[Row],
         arrays: Mapping[str, np.ndarray],
         known: Mapping[str, Any],
@@ -162,7 +164,7 @@ class Judge:
     ) -> str:
         """Summarise and store a cell; returns why it could not be written, or nothing."""
         ordered = tuple(sorted(rows, key=lambda row: row.replicate))
-        bound = self._bound(cell, folder)
+        bound = self._bound(cell, store)
         stored = StoredCell(
             identity=cell.identity,
             cell={
@@ -182,7 +184,7 @@ class Judge:
             provenance={**provenance, "data": combined_digest(ordered)},
         )
         try:
-            folder.save(stored, arrays, tracebacks)
+            store.save(stored, arrays, tracebacks)
         except OSError as error:
             return error.strerror or str(error)
         return ""

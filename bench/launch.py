@@ -23,6 +23,7 @@ from typing import Any
 
 from bench.cell import Cell
 from bench.errors import InputError
+from bench.failure import one_line
 from bench.plan import Planned, State, plan
 from bench.processes import start_server
 from bench.runner import needed, run_cells
@@ -51,9 +52,7 @@ class Job:
     def left(self) -> list[Planned]:
         """Those that are still to be computed."""
         return [
-            one
-            for one in self.planned
-            if _stamp(self.store, one.cell.identity) == self.before.get(one.cell.identity, 0)
+            one for one in self.planned if self.store.stamp(one.cell.identity) == self.before.get(one.cell.identity, 0)
         ]
 
 
@@ -93,7 +92,7 @@ def launch(planned: Sequence[Planned], store: Store, limits: Limits, how: Launch
     store = Store(store.folder.resolve())
     folder = store.folder / "launches" / uuid.uuid4().hex[:12]
     again = [one.cell.identity for one in wanted if one.state is not State.MISSING]
-    sweep = Job(wanted, {identity: _stamp(store, identity) for identity in again}, store, limits)
+    sweep = Job(wanted, {identity: store.stamp(identity) for identity in again}, store, limits)
     with _launcher(folder, how) as launcher:
         try:
             with _watched(sweep, not how.local):
@@ -171,7 +170,7 @@ def _rounds(launcher: Any, sweep: Job, folder: Path, how: Launch) -> None:
         except Exception as error:
             if how.local or isinstance(error, InputError):
                 raise
-            lost = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+            lost = one_line(error)
         n_jobs += len(jobs)
         before, left = len(left), _left(sweep, left)
         if not left:
@@ -291,14 +290,6 @@ def _left(sweep: Job, planned: Sequence[Planned]) -> list[Planned]:
     for one in planned:
         identity = one.cell.identity
         was = before.get(identity, 0)
-        if f"{identity}.json" not in there or (was and _stamp(sweep.store, identity) == was):
+        if f"{identity}.json" not in there or (was and sweep.store.stamp(identity) == was):
             found.append(one)
     return found
-
-
-def _stamp(store: Store, identity: str) -> int:
-    """When a stored cell was written; 0 where there is none."""
-    try:
-        return store.path(identity).stat().st_mtime_ns
-    except OSError:
-        return 0

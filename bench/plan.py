@@ -66,29 +66,33 @@ def _planned(cell: Cell, stored: Any, reasons: Reasons, retry: Collection[Status
         return Planned(cell, State.MISSING, "not computed yet", True)
     if stored.problem:
         reasons.store.load(cell.identity)  # says it
-    if stored.version != cell.version.digest:
-        return Planned(
-            cell, State.STALE, reasons(cell.identity, cell.method, cell.scenario.system, stored.version), True
-        )
-    counts = {Status(name): n for name, n in json.loads(stored.statuses).items()}
-    if Status.MISSING_DEPENDENCY in counts:
-        lacking = missing_package(cell.method)
-        return Planned(cell, State.FAILED, lacking or "its package is installed now", lacking is None)
-    failed = {status: n for status, n in counts.items() if status in FAILURES}
-    if failed:
-        why = ", ".join(f"{n} of {cell.replicates} {status}" for status, n in failed.items())
-        return Planned(cell, State.FAILED, why, bool(set(failed) & set(retry)))
-    return Planned(cell, State.DONE, "", False)
+    state, why = reasons.standing(cell.identity, cell.method, cell.scenario.system, stored.version, stored.statuses)
+    if state is State.FAILED:
+        counts = {Status(name) for name in json.loads(stored.statuses)}
+        installable = Status.MISSING_DEPENDENCY in counts and missing_package(cell.method) is None
+        return Planned(cell, state, why, installable or bool(counts & set(retry)))
+    return Planned(cell, state, why, state is State.STALE)
 
 
 class Reasons:
-    """What has changed since stored cells were computed; each version is looked up once."""
+    """Where stored cells stand, and what has changed since they were computed; each version is looked up once."""
 
     def __init__(self, store: Store) -> None:
         self.store = store
         self._known: dict[tuple[str, str, str], str] = {}
 
-    def __call__(self, identity: str, method: str, system: str, digest: str) -> str:
+    def standing(self, identity: str, method: str, system: str, digest: str, statuses: str) -> tuple[State, str]:
+        """The state of a stored cell, and why; ``statuses`` is a JSON object of counts."""
+        if digest != cell_version(method, system).digest:
+            return State.STALE, self._changed(identity, method, system, digest)
+        counts = {Status(name): n for name, n in json.loads(statuses).items()}
+        if Status.MISSING_DEPENDENCY in counts:
+            return State.FAILED, missing_package(method) or "its package is installed now"
+        total = sum(counts.values())
+        why = ", ".join(f"{n} of {total} {status}" for status, n in counts.items() if status in FAILURES)
+        return (State.FAILED, why) if why else (State.DONE, "")
+
+    def _changed(self, identity: str, method: str, system: str, digest: str) -> str:
         kind = method, system, digest
         if kind not in self._known:
             stored = self.store.load(identity)

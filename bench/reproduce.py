@@ -23,6 +23,7 @@ from bench.launch import complete
 from bench.scenario import ForceSpec, PriorSpec, Scenario
 from bench.slots import Limits
 from bench.store import DIGITS, Store, StoredCell
+from bench.version import Version
 
 USAGE = "usage: python -m bench.reproduce <cell> [store=results/rows]\n\n"
 TOLERANCE = 1e-3
@@ -107,18 +108,7 @@ def _relative(before: float, after: float) -> float:
 
 
 def _circumstances(old: StoredCell, new: StoredCell) -> list[str]:
-    modules, packages = old.version.get("modules", {}), old.version.get("packages", {})
-    now = new.version
-    lines = [
-        f"{name} changed"
-        for name in sorted({*modules, *now["modules"]})
-        if modules.get(name) != now["modules"].get(name)
-    ]
-    lines += [
-        f"{name} {packages.get(name)}, now {now['packages'].get(name)}"
-        for name in sorted({*packages, *now["packages"]})
-        if packages.get(name) != now["packages"].get(name)
-    ]
+    lines = Version(new.version["modules"], new.version["packages"]).changes(old.version)
     for field in ("python", "system", "processor"):
         before, after = old.provenance.get(field), new.provenance.get(field)
         if before != after:

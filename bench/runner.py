@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import queue
 from collections.abc import Callable, Collection, Sequence
 from importlib.util import find_spec
@@ -30,7 +31,7 @@ def run_cells(planned: Sequence[Planned], store: Store, limits: Limits, on_progr
     wanted = [one for one in planned if one.run]
     if not wanted:
         return
-    load_bounds([(one.cell.scenario, one.cell.seed) for one in wanted], store.bounds)
+    _make_bounds(wanted, store)
     board = Board([work_of(one, store, limits.workers) for one in wanted], store)
     children = Children(needed(limits.preload, {one.cell.method for one in wanted}))
     slots = [Slot(board, children, limits) for _ in range(max(1, min(limits.workers, board.batches)))]
@@ -52,6 +53,16 @@ def run_cells(planned: Sequence[Planned], store: Store, limits: Limits, on_progr
         board.stop()
         children.close()
         board.claims.release_all()
+
+
+def _make_bounds(wanted: Sequence[Planned], store: Store) -> None:
+    """The bounds of all cells, in the store; an interrupt does not wait for the process that computes them."""
+    try:
+        load_bounds([(one.cell.scenario, one.cell.seed) for one in wanted], store.bounds)
+    except KeyboardInterrupt:
+        for child in multiprocessing.active_children():
+            child.kill()
+        raise
 
 
 def needed(packages: Sequence[str], methods: Collection[str]) -> list[str]:

@@ -156,30 +156,17 @@ class Slot(Hand):
         """The packed answers of a method, or why there are none."""
         n, limits = len(replicates), self.limits
         task: bytes = self.ask("open", work.cell, work.fit, replicates, limits.timeout_s, limit_s=SCORING_S * n)
-        best: bytes | None = None
+        reports: list[bytes] = []
         try:
-            one = self._ready_fitter(work)
-            one.send(task)
-            deadline = time.monotonic() + limits.timeout_s * n
-            while True:
-                message = one.receive(max(0.0, deadline - time.monotonic()), limits.memory_mb)
-                if message[:1] == b"d":
-                    return message[1:]
-                best = message[1:]
+            if self.fitter is None:
+                spare, self.spare = self.spare, None
+                self.fitter = fitter.ready(self.children, spare, work.requires, limits.memory_mb)
+            return fitter.answers(self.fitter, task, n, limits.timeout_s, limits.memory_mb, reports.append)
         except Died as died:
             self.go_on()
             self.fitter = None
-            timeout = f"stopped after the limit of {limits.timeout_s:g} s"
-            message_text = timeout if died.reason == "timeout" else died.message
-            return Failure(Status(died.reason), message_text, died.log, best if n == 1 else None)
-
-    def _ready_fitter(self, work: Work) -> Child:
-        if self.fitter is None:
-            self.fitter = self.spare or self.children.start(fitter.serve)
-            self.spare = None
-            self.fitter.send(fitter.set_up(work.requires, self.limits.memory_mb))
-            self.fitter.receive(READY_S)
-        return self.fitter
+            best = reports[-1] if reports and n == 1 else None
+            return Failure(Status(died.reason), died.message, died.log, best)
 
     def _retire_fitter(self) -> None:
         if self.fitter is not None:

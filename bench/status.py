@@ -6,7 +6,6 @@ far that sweep is.
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Sequence
@@ -18,10 +17,9 @@ from tabulate import tabulate
 
 from bench import view
 from bench.errors import InputError
-from bench.plan import FAILURES, Reasons, State
+from bench.plan import Reasons, State
 from bench.registry import method_names
 from bench.store import Store
-from bench.version import cell_version
 
 USAGE = "usage: python -m bench.status [store=results/rows] [experiment=table3 | any field of a sweep]\n\n"
 MOST_REASONS = 3
@@ -45,12 +43,8 @@ def _state(identity: str, kind: tuple[str, ...], reasons: Reasons) -> tuple[str,
         return "damaged", problem
     if method not in method_names():
         return "foreign", f"no method {method} is installed here"
-    if version != cell_version(method, system).digest:
-        return State.STALE.value, reasons(identity, method, system, version)
-    failed = {name: n for name, n in json.loads(statuses).items() if name in {s.value for s in FAILURES}}
-    if failed:
-        return State.FAILED.value, ", ".join(sorted(failed))
-    return State.DONE.value, ""
+    state, why = reasons.standing(identity, method, system, version, statuses)
+    return state.value, why
 
 
 def store_page(store: Store) -> str:

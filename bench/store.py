@@ -177,6 +177,13 @@ class Store:
     def path(self, identity: str) -> Path:
         return self.folder / f"{identity}.json"
 
+    def stamp(self, identity: str) -> int:
+        """When a stored cell was written (ns); 0 where there is none."""
+        try:
+            return self.path(identity).stat().st_mtime_ns
+        except OSError:
+            return 0
+
     def load(self, identity: str) -> StoredCell | None:
         """The stored cell, or None; a damaged or foreign file raises InputError and is left alone."""
         path = self.path(identity)

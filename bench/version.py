@@ -43,8 +43,8 @@ class Version:
     def as_json(self) -> dict[str, Any]:
         return {"digest": self.digest, "modules": dict(self.modules), "packages": dict(self.packages)}
 
-    def changed_since(self, stored: Mapping[str, Any]) -> str:
-        """What differs from a stored version, in words; empty where nothing does."""
+    def changes(self, stored: Mapping[str, Any]) -> list[str]:
+        """What differs from a stored version, in words; nothing where nothing does."""
         modules, packages = stored.get("modules", {}), stored.get("packages", {})
         names = sorted({*modules, *self.modules})
         parts = [f"{name} changed" for name in names if modules.get(name) != self.modules.get(name)]
@@ -52,7 +52,11 @@ class Version:
             old, new = packages.get(name), self.packages.get(name)
             if old != new:
                 parts.append(f"{name} {old or 'absent'}, now {new or 'absent'}")
-        return ", ".join(parts)
+        return parts
+
+    def changed_since(self, stored: Mapping[str, Any]) -> str:
+        """The same in one line."""
+        return ", ".join(self.changes(stored))
 
 
 @cache

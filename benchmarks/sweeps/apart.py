@@ -31,18 +31,21 @@ def why_not() -> str:
     return "" if tried.returncode == 0 else f"no namespaces here ({tried.stderr.strip().splitlines()[-1]})"
 
 
-def run_apart(module: str) -> int:
-    """Run a module's main in such a place, with a temporary folder; returns its exit status."""
-    inside = f'{NETWORK} && hostname localhost && exec "{sys.executable}" -m {module}'
-    with tempfile.TemporaryDirectory(prefix="bench-") as folder:  # removed when nobody is left who writes there
-        environment = {**os.environ, INSIDE: folder, "OMP_NUM_THREADS": "1"}
-        return subprocess.run([*_unshare(), "sh", "-c", inside], env=environment).returncode
+def run_apart(module: str, why_not: str, inside: Callable[[Path], int]) -> int:
+    """Run ``inside`` with a temporary folder in such a place, by starting the module's main again there.
 
-
-def folder_apart() -> Path | None:
-    """The temporary folder, where this process runs in such a place; else None."""
-    name = os.environ.get(INSIDE)
-    return Path(name) if name else None
+    Returns its exit status; 0 after a line that says ``why_not``, where that is said.
+    """
+    folder = os.environ.get(INSIDE)
+    if folder:
+        return inside(Path(folder))
+    if why_not:
+        print(f"{module.rpartition('.')[2]}: skipped: {why_not}")
+        return 0
+    command = f'{NETWORK} && hostname localhost && exec "{sys.executable}" -m {module}'
+    with tempfile.TemporaryDirectory(prefix="bench-") as name:  # removed when nobody is left who writes there
+        environment = {**os.environ, INSIDE: name, "OMP_NUM_THREADS": "1"}
+        return subprocess.run([*_unshare(), "sh", "-c", command], env=environment).returncode
 
 
 def wait_for(condition: Callable[[], bool], what: str, limit_s: float) -> None:

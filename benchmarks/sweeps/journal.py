@@ -6,7 +6,6 @@ import contextlib
 import ctypes
 import os
 import struct
-import subprocess
 from collections import Counter
 from pathlib import Path
 
@@ -56,13 +55,3 @@ def held_claims(claims: Path) -> dict[str, int]:
             if inode in inodes:
                 held[inodes[inode]] = int(fields[4])
     return held
-
-
-def children_of(pid: int) -> list[int]:
-    """A process and all that it started."""
-    found = [pid]
-    listed = subprocess.run(["ps", "-eo", "pid=,ppid="], capture_output=True, text=True, check=True).stdout
-    pairs = [tuple(map(int, line.split())) for line in listed.splitlines()]
-    for parent in found:
-        found += [child for child, its_parent in pairs if its_parent == parent]
-    return found

@@ -17,11 +17,12 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
+import psutil
 from tabulate import tabulate
 
 from bench.store import Store
-from benchmarks.sweeps.apart import folder_apart, run_apart, wait_for, why_not
-from benchmarks.sweeps.journal import Journal, children_of, held_claims
+from benchmarks.sweeps.apart import run_apart, wait_for, why_not
+from benchmarks.sweeps.journal import Journal, held_claims
 
 SEEDS = 100
 SWEEP = ("method=ls,shooting", f"seed=range({SEEDS})", "replicates=2", "cells_per_job=5")
@@ -35,13 +36,7 @@ def main() -> int:
     """Run, or say in one line why not."""
     missing = next((name for name in ("ray", "hydra_plugins.hydra_ray_launcher") if find_spec(name) is None), "")
     reason = f"{missing} is not installed (pip install 'vibration-bench[ray]')" if missing else why_not()
-    folder = folder_apart()
-    if folder is not None:
-        return _inside(folder)
-    if reason:
-        print(f"ray_nodes: skipped: {reason}")
-        return 0
-    return run_apart("benchmarks.sweeps.ray_nodes")
+    return run_apart("benchmarks.sweeps.ray_nodes", reason, _inside)
 
 
 def _inside(folder: Path) -> int:
@@ -113,15 +108,20 @@ def _kill(store: Store, raylet: int, whole: bool) -> list[str]:
 
     def computing() -> bool:
         nonlocal claims
-        mine = set(children_of(raylet))
+        mine = _processes_of(raylet)
         claims = {cell: pid for cell, pid in held_claims(store.claims).items() if pid in mine}
         return bool(claims)
 
     wait_for(computing, "a cell under way", 120)
-    victims = children_of(raylet) if whole else [next(iter(claims.values()))]
+    victims = _processes_of(raylet) if whole else [next(iter(claims.values()))]
     for pid in victims:
         os.kill(pid, signal.SIGKILL)
     return [cell for cell, pid in claims.items() if pid in victims]
+
+
+def _processes_of(pid: int) -> list[int]:
+    """A process and all that it started."""
+    return [pid, *(child.pid for child in psutil.Process(pid).children(recursive=True))]
 
 
 def _tail(path: Path) -> str:

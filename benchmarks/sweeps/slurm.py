@@ -22,7 +22,7 @@ from typing import Any
 from tabulate import tabulate
 
 from bench.store import Store
-from benchmarks.sweeps.apart import folder_apart, run_apart, wait_for, why_not
+from benchmarks.sweeps.apart import run_apart, wait_for, why_not
 from benchmarks.sweeps.journal import Journal
 
 SEEDS = 10
@@ -69,13 +69,7 @@ def main() -> int:
         reason = "hydra-submitit-launcher is not installed (pip install 'vibration-bench[slurm]')"
     if not reason and os.geteuid() != 0:
         reason = "Slurm's daemons are started as root here"
-    folder = folder_apart()
-    if folder is not None:
-        return _inside(folder)
-    if reason:
-        print(f"slurm: skipped: {reason}")
-        return 0
-    return run_apart("benchmarks.sweeps.slurm")
+    return run_apart("benchmarks.sweeps.slurm", reason, _inside)
 
 
 def _inside(folder: Path) -> int:

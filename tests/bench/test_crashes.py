@@ -10,8 +10,8 @@ import pytest
 from conftest import Plugins, StoreFactory
 
 from bench import Status
-from bench.board import without_places
 from bench.cell import Cell
+from bench.failure import without_places
 from bench.plan import FAILURES, State, plan, read_retry
 from bench.registry import default_settings
 from bench.runner import run_cells
@@ -81,14 +81,19 @@ def test_every_kind_of_misbehaviour_is_a_row_and_good_cells_are_as_without_it(
     assert not left_behind(), "what a method starts ends with it"
 
 
-def test_one_bad_replicate_does_not_cost_the_others_of_its_cell(
-    reference: Scenario, plugins: Plugins, new_store: StoreFactory, tmp_path: Path
-) -> None:
-    """Replicates are handed out together; where the process dies they are tried again, one by one."""
+@pytest.fixture
+def once_killed(reference: Scenario, plugins: Plugins, new_store: StoreFactory, tmp_path: Path) -> tuple[Store, Cell]:
+    """A stored cell of 20 replicates, of which one was killed, until ``tmp_path`` has a file ``mended``."""
     plugins("Sometimes")
     store = new_store()
     cell = a_cell(reference, "sometimes", 20, folder=str(tmp_path))
     run_cells(plan([cell], store), store, Limits(1, 30.0, 1000.0))
+    return store, cell
+
+
+def test_one_bad_replicate_does_not_cost_the_others_of_its_cell(once_killed: tuple[Store, Cell]) -> None:
+    """Replicates are handed out together; where the process dies they are tried again, one by one."""
+    store, cell = once_killed
     stored = store.load(cell.identity)
     assert stored is not None
     statuses = [row.status for row in stored.rows]
@@ -97,13 +102,8 @@ def test_one_bad_replicate_does_not_cost_the_others_of_its_cell(
     assert [row.replicate for row in stored.rows] == list(range(20))
 
 
-def test_retry_computes_what_failed_and_keeps_the_rest(
-    reference: Scenario, plugins: Plugins, new_store: StoreFactory, tmp_path: Path
-) -> None:
-    plugins("Sometimes")
-    store = new_store()
-    cell = a_cell(reference, "sometimes", 20, folder=str(tmp_path))
-    run_cells(plan([cell], store), store, Limits(1, 30.0, 1000.0))
+def test_retry_computes_what_failed_and_keeps_the_rest(once_killed: tuple[Store, Cell], tmp_path: Path) -> None:
+    store, cell = once_killed
     (kept,) = plan([cell], store)
     assert (kept.state, kept.run) == (State.FAILED, False)
     assert kept.why == "1 of 20 killed"

@@ -6,15 +6,15 @@ import math
 import shutil
 import time
 from dataclasses import replace
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
 import misbehaving
 import numpy as np
 import pytest
+from conftest import Plugins, StoreFactory
 
-from bench import InputError, Status, registry, runner
+from bench import InputError, Status, runner
 from bench.cell import Cell
 from bench.plan import plan
 from bench.registry import default_settings, load_method, make_method, missing_package
@@ -22,32 +22,17 @@ from bench.runner import run_cells
 from bench.scenario import ForceSpec, Scenario
 from bench.slots import Limits
 from bench.store import Store, StoredCell
-from bench.version import cell_version
-
-PLUGINS = {
-    name: EntryPoint(name=name.lower(), value=f"misbehaving:{name}", group="bench.methods")
-    for name in ("Wrong", "Draw", "Spy", "Needy", "FreeOnly", "Exact", "NotAMethod", "Missing")
-}
 
 
 @pytest.fixture(autouse=True)
-def _plugins(monkeypatch: pytest.MonkeyPatch) -> Any:
+def _plugins(plugins: Plugins) -> None:
     """Register the test doubles as an installed package would."""
-    ours = {point.name: point for point in PLUGINS.values()}
-    monkeypatch.setattr(registry, "registered", lambda: ours)
-    for cached in (load_method, cell_version):
-        cached.cache_clear()
-    yield
-    for cached in (load_method, cell_version):
-        cached.cache_clear()
+    plugins("Wrong", "Draw", "Spy", "Needy", "FreeOnly", "Exact", "NotAMethod", "Missing")
 
 
 @pytest.fixture
-def store(tmp_path: Path, bounds_folder: Path) -> Store:
-    store = Store(tmp_path / "rows")
-    store.prepare()
-    shutil.copytree(bounds_folder, store.bounds)
-    return store
+def store(new_store: StoreFactory) -> Store:
+    return new_store()
 
 
 def a_cell(scenario: Scenario, method: str, replicates: int = 3, seed: int = 0, **settings: Any) -> Cell:

@@ -11,6 +11,7 @@ from conftest import StoreFactory
 from bench import reproduce, status
 from bench.cell import Cell
 from bench.plan import plan
+from bench.reproduce import stored_as_cell
 from bench.runner import run_cells
 from bench.scenario import Scenario
 from bench.slots import Limits
@@ -89,3 +90,18 @@ def test_a_cell_that_is_not_there_is_one_line(bad: list[str], store: Store, caps
     err = capsys.readouterr().err
     assert err.startswith("bench.reproduce: cell=")
     assert len(err.splitlines()) == 1
+
+
+def test_a_cell_that_lacked_its_package_is_no_more_done_in_the_store_s_page_than_in_a_sweep_s(store: Store) -> None:
+    """Where a stored cell stands is decided in one place; both pages must say the same of it."""
+    path = edit(store, "prior")
+    content = json.loads(path.read_text())
+    content["rows"]["status"] = ["missing_dependency", "missing_dependency"]
+    path.write_text(json.dumps(content))
+    (one,) = (
+        planned for planned in plan([stored_as_cell(cell) for cell in store], store) if planned.cell.label == "prior"
+    )
+    page = status.states(store)
+    assert one.state.value == "failed"
+    assert page.loc[one.cell.identity, "state"] == "failed"
+    assert page.loc[one.cell.identity, "why"] == one.why
