@@ -211,7 +211,8 @@ def markdown(table: int, title: str, data: pd.DataFrame, found: Sequence[Entry])
         f"quantiles as a single run, and likewise among means of as many ({RESAMPLES} resamples)."
     )
     parts.append(_paper_panel(data))
-    parts += _failure_notes(found)
+    notes = failure_notes(found)
+    parts += [f"## What failed\n\n{notes}"] if notes else []
     command = f"python -m bench -m experiment=table{table} && python -m bench.tables"
     parts.append(f"Regenerate: `{command}`")
     return "\n\n".join(parts) + "\n"
@@ -335,7 +336,8 @@ def _paper_panel(data: pd.DataFrame) -> str:
     return tabulate(rows, headers=headers, tablefmt="github", disable_numparse=True)
 
 
-def _failure_notes(found: Sequence[Entry]) -> list[str]:
+def failure_notes(found: Sequence[Entry]) -> str:
+    """What failed, how often and with what sentence, as a list; empty where nothing did."""
     notes: dict[str, int] = {}
     for entry in found:
         for row in entry.stored.rows if entry.stored else ():
@@ -345,24 +347,26 @@ def _failure_notes(found: Sequence[Entry]) -> list[str]:
     missing = sum(entry.stored is None for entry in found)
     lines = [f"- {n} × {text}" for text, n in notes.items()]
     lines += [f"- {missing} cells were not run"] if missing else []
-    return ["## What failed\n\n" + "\n".join(lines)] if lines else []
+    return "\n".join(lines)
 
 
 def latex(table: int, title: str, data: pd.DataFrame, found: Sequence[Entry]) -> str:
     """Both panels as LaTeX (booktabs), for an article."""
     parts = []
     for told in dict.fromkeys(data.initial_state):
-        rows, headers = _panel(table, data[data.initial_state == told], ranked(found, told), told_classes(found))
-        body = tabulate(rows, headers, tablefmt="latex_booktabs", disable_numparse=True)
-        for plain, escaped in (("×", r"$\times$"), ("é", r"\'e")):
-            body = body.replace(plain, escaped)
-        body = re.sub(r"\*\*(.+?)\*\*", r"\\textbf{\1}", body)
-        caption = f"{title} (initial state {told}). Median, and root mean square error over the Cram\\'er-Rao bound."
-        parts.append(
-            "\\begin{table}\n\\centering\n\\small\n"
-            f"\\caption{{{caption.replace('%', chr(92) + '%')}}}\n{body}\n\\end{{table}}\n"
-        )
+        panel = _panel(table, data[data.initial_state == told], ranked(found, told), told_classes(found))
+        caption = f"{title} (initial state {told}). Median, and root mean square error over the Cramér-Rao bound."
+        parts.append(latex_table(caption, *panel))
     return f"% needs the package booktabs\n% regenerate: python -m bench.tables\n{''.join(parts)}"
+
+
+def latex_table(caption: str, rows: Sequence[Sequence[str]], headers: Sequence[str]) -> str:
+    """One table of Markdown's cells as LaTeX."""
+    body = tabulate(rows, headers, tablefmt="latex_booktabs", disable_numparse=True)
+    body = re.sub(r"\*\*(.+?)\*\*", r"\\textbf{\1}", body.replace("×", r"$\times$").replace("é", r"\'e"))
+    for plain, escaped in (("é", r"\'e"), ("%", r"\%"), ("_", r"\_")):
+        caption = caption.replace(plain, escaped)
+    return f"\\begin{{table}}\n\\centering\n\\small\n\\caption{{{caption}}}\n{body}\n\\end{{table}}\n"
 
 
 def paper_table(experiment: str, store: Store) -> dict[str, str]:
@@ -383,8 +387,14 @@ def table_files(experiment: str, store: Store) -> dict[str, str]:
     from bench.calibration import calibration_table
     from bench.config import _experiment
     from bench.robustness import robustness_table  # here, since these build on this module
+    from bench.system_tables import system_table
 
-    forms = {"paper": paper_table, "robustness": robustness_table, "calibration": calibration_table}
+    forms = {
+        "paper": paper_table,
+        "robustness": robustness_table,
+        "calibration": calibration_table,
+        "systems": system_table,
+    }
     return forms[_experiment(experiment)["table"].get("form", "paper")](experiment, store)
 
 
