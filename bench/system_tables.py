@@ -49,18 +49,17 @@ MANY = 8
 """Parameters beyond which a panel of single parameters would not be read."""
 UNTOLD = 1.0
 """A relative standard deviation at the bound beyond which a quantity is practically not identifiable."""
-LEGEND = """Each panel is one system. Of each noise level: **told**, the pooled excess of the quantities that the data
-tell
-(the root mean square over replicates and quantities of error over Cramér-Rao bound: 1 is the best that an unbiased
-method can do); **RMSE**, the median displacement error (m) and after × its excess; **95 %**, the share of the 95 %
-intervals of all parameters that held the truth. With a known force, or a known added mass, the data tell every
-parameter, there is no prior, and the errors of m, c and k are true errors; in free vibration they tell ratios, and the
-prior (a weighed mass) tells the scale. The row *bound* gives the bound: pooled in percent, and of the RMSE. *oracle* is
-maximum a posteriori (without a prior: maximum likelihood) started at the truth. Excesses are over the successful
-replicates, *ok* of n; a failed one counts as an infinite error in medians and ranks. Bold: the method of least median
-error, and all that cannot be told from it on the same data (Wilcoxon's signed-rank test, Holm's adjustment, 5 %) or are
-less than 2 % from it, unless gross errors double its excess. A dash: the method states no interval. Time: processor
-time of the median fit. What a method cannot take is in the last lines of each panel."""
+LEGEND = """Each panel is one system. Of each noise level: **error**, the pooled excess of the quantities that the data tell
+(root mean square over replicates and quantities of error over Cramér-Rao bound: 1 is the best that an unbiased method
+can do); **RMSE**, the median displacement error (m) and after × its excess; **95 %**, the share of the 95 % intervals
+of all parameters that held the truth. With a known force, or a known added mass, the data tell every parameter, there
+is no prior, and the errors of m, c and k are true errors; in free vibration the data tell ratios, and the prior (a
+weighed mass) tells the scale. The row *bound* gives the bound: pooled in percent, and of the RMSE. *oracle* is maximum
+a posteriori (without a prior: maximum likelihood) started at the truth. Excesses are over the successful replicates,
+*ok* of n; a failed one counts as an infinite error in medians and ranks. Bold: the method of least median error, and
+all that cannot be told from it on the same data (Wilcoxon's signed-rank test, Holm's adjustment, 5 %) or are less than
+2 % from it, unless gross errors double its excess. A dash: the method states no interval. Time: processor time of the
+median fit. What a method cannot take is said below its panel."""
 
 
 @dataclass(frozen=True)
@@ -303,16 +302,23 @@ def _panel(panel: Panel, classes: Mapping[str, str]) -> tuple[list[list[str]], l
             entry = panel.at(method, level)
             stored = entry.stored if entry else None
             if stored is None or not stored.n_ok:
-                cells += [*([stored.status.value if stored else "not run"]), "-", "-"]
+                cells += [stored.status.value if stored else "not run", "", ""]
                 oks.append(f"0/{len(stored.rows)}" if stored else "-")
                 continue
             cells += _entry(panel, stored, method, level, ranking)
             oks.append(f"{stored.n_ok}/{len(stored.rows)}")
             times.append(_median(np.array([row.cpu_s for row in stored.rows if row.status is Status.OK])))
         time = f"{np.median(times):.2g}" if times and method not in REFERENCES else ""
-        rows.append([TITLES.get(method, method), *cells, time, classes.get(method, ""), _joined(oks)])
-    headers = [f"{level:g} dB {what}" for level in panel.levels for what in ("told", "RMSE (m)", "95 %")]
+        uses = _uses(classes.get(method, ""), panel.scenario) if times else ""
+        rows.append([TITLES.get(method, method), *cells, time, uses, _joined(oks)])
+    headers = [f"{level:g} dB {what}" for level in panel.levels for what in ("error", "RMSE (m)", "95 %")]
     return rows, ["method", *headers, "time (s)", "uses", "ok"]
+
+
+def _uses(classes: str, scenario: Scenario) -> str:
+    """What a method was told beyond the data, of what there was to tell here."""
+    there = {"start": scenario.told == "known", "prior": scenario.prior is not None}
+    return ", ".join(word for word in classes.split(", ") if there.get(word.split()[0] if word else "", True))
 
 
 def _joined(oks: Sequence[str]) -> str:
