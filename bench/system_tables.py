@@ -49,17 +49,17 @@ MANY = 8
 """Parameters beyond which a panel of single parameters would not be read."""
 UNTOLD = 1.0
 """A relative standard deviation at the bound beyond which a quantity is practically not identifiable."""
-LEGEND = """Each panel is one system. Of each noise level: **error**, the pooled excess of the quantities that the data tell
-(root mean square over replicates and quantities of error over Cramér-Rao bound: 1 is the best that an unbiased method
-can do); **RMSE**, the median displacement error (m) and after × its excess; **95 %**, the share of the 95 % intervals
-of all parameters that held the truth. With a known force, or a known added mass, the data tell every parameter, there
-is no prior, and the errors of m, c and k are true errors; in free vibration the data tell ratios, and the prior (a
-weighed mass) tells the scale. The row *bound* gives the bound: pooled in percent, and of the RMSE. *oracle* is maximum
-a posteriori (without a prior: maximum likelihood) started at the truth. Excesses are over the successful replicates,
-*ok* of n; a failed one counts as an infinite error in medians and ranks. Bold: the method of least median error, and
-all that cannot be told from it on the same data (Wilcoxon's signed-rank test, Holm's adjustment, 5 %) or are less than
-2 % from it, unless gross errors double its excess. A dash: the method states no interval. Time: processor time of the
-median fit. What a method cannot take is said below its panel."""
+LEGEND = """Each panel is one system. Of each noise level: **error**, the pooled excess of the quantities that the
+data tell (root mean square over replicates and quantities of error over Cramér-Rao bound: 1 is the best that an
+unbiased method can do); **RMSE**, the median displacement error (m) and after × its excess; **95 %**, the share of
+the 95 % intervals of all parameters that held the truth. With a known force, or a known added mass, the data tell
+every parameter, there is no prior, and the errors of m, c and k are true errors; in free vibration the data tell
+ratios, and the prior (a weighed mass) tells the scale. The row *bound* gives the bound: pooled in percent, and of the
+RMSE. *oracle* is maximum a posteriori (without a prior: maximum likelihood) started at the truth. Excesses are over
+the successful replicates, *ok* of n; a failed one counts as an infinite error in medians and ranks. Bold: the method
+of least median error, and all that cannot be told from it on the same data (Wilcoxon's signed-rank test, Holm's
+adjustment, 5 %) or are less than 2 % from it, unless gross errors double its excess. A dash: the method states no
+interval. Time: processor time of the median fit. What a method cannot take is said below its panel."""
 
 
 @dataclass(frozen=True)
