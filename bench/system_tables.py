@@ -76,7 +76,10 @@ class Panel:
 
     @property
     def methods(self) -> list[str]:
-        return list(dict.fromkeys(e.cell.label for e in self.entries))
+        """Labels, in the order of :data:`bench.tables.TITLES`, others last."""
+        order = {label: i for i, label in enumerate(TITLES)}
+        labels = dict.fromkeys(e.cell.label for e in self.entries)
+        return sorted(labels, key=lambda label: order.get(label, len(order)))
 
     def at(self, method: str, level: float) -> Entry | None:
         """The entry of a method at a noise level."""

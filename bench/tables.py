@@ -44,13 +44,12 @@ METRICS = ("k_over_m_error_pct", "c_over_m_error_pct", "rmse", "m_error_pct", "c
 HEADINGS = ("k/m error %", "c/m error %", "RMSE (m)", "m error %", "c error %", "k error %")
 TITLES = {
     "prior": "prior (no data)", "oracle": "oracle", "bound": "bound", "shooting": "Multiple shooting",
-    "mcmc": "Bayesian MCMC", "pinn": "PINN", "pinn_adam": "PINN (paper's training)",
+    "mcmc": "Bayesian MCMC", "nuts": "Bayesian NUTS", "pinn": "PINN", "pinn_adam": "PINN (paper's training)",
     "pinn_ensemble": "PINN, ensemble (paper's way)", "collocation": "Spline collocation",
     "collocation_bootstrap": "Spline collocation, bootstrap", "output_error": "Output error, one cold start",
     "matrix_pencil": "Matrix pencil", "log_decrement": "Logarithmic decrement", "ls": "LS, finite differences",
     "ls_spline": "LS, smoothing spline", "rls": "RLS", "sindy": "SINDy", "ddnn": "DDNN",
     "ekf": "Extended Kalman filter", "ukf": "Unscented Kalman filter", "era": "Eigensystem realisation",
-    "nuts": "Bayesian NUTS",
 }  # fmt: skip
 PAPER_METHODS = {"ls": "ls", "rls": "rls", "ddnn": "ddnn", "pinn_adam": "pinn", "pinn": "pinn"}
 """Which of the paper's methods a method of ours is compared with."""
