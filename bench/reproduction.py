@@ -22,11 +22,12 @@ from tabulate import tabulate
 
 from bench import tables
 from bench.cell import Cell
-from bench.cli import number, read_folders
+from bench.cli import read_folders
 from bench.compare import LEVEL, holm
 from bench.config import expand, jobs_to_cells
 from bench.errors import InputError
 from bench.launch import complete
+from bench.rounding import number
 from bench.scenario import PriorSpec, Scenario
 from bench.slots import Limits
 from bench.store import Store, StoredCell
