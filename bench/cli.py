@@ -13,7 +13,7 @@ from typing import Any
 from bench.errors import InputError
 
 USAGE = """usage: python -m bench method=<name> [field=value ...]        one cell
-       python -m bench -m method=a,b snr=40,20 [...]        a sweep over any fields
+       python -m bench -m method=a,b snr=40,20 [...]        a sweep of all of these
        python -m bench -m experiment=table3                 the cells of a table
        python -m bench method=<name> data=record.csv        a measured record
 
@@ -24,20 +24,32 @@ fields (defaults in brackets):
   initial_state  [known] known, unknown: whether the method is told the start
   prior          [nominal] {priors}
   disturbance    [none] {disturbances}
-  replicates     [20] data sets      seed [0]      timeout_s [600] per replicate
+  replicates     [20] data sets
+  seed           [0] of all random streams
+  timeout_s      [600] limit of one replicate
+  memory_mb      [4096] limit of one fit
+  workers        [one a core] processes that fit
   store          [results/rows] where finished cells are kept and found again
-  format         [table] table, json      workers [one a core]      memory_mb [4096] per fit
+  format         [table] table, json
   retry          [none] failed, or statuses: try stored replicates again that failed
   dry_run        [false] list the cells, why each would run, and how long it may take
   data           a CSV with columns t, x and optionally a force
-  nominal.<p>, start   what is stated of a measured system (with prior=, initial_state=known)
+  nominal.<p>    what is stated of a measured system (with prior=)
+  start          its displacement and velocity (with initial_state=known)
   experiment     {experiments}
-  method.<setting>, system.<field>, disturbance.size    any setting of a method, any field of a system
-  hydra/launcher [local] ray, submitit_slurm (extras ray, slurm)    cells_per_job [20]    hydra.launcher.<option>
+  method.<setting>, system.<field>, disturbance.size
+                 any setting of a method, any field of a system
+  hydra/launcher [local] ray, submitit_slurm (extras ray, slurm), with
+                 cells_per_job [20] and hydra.launcher.<option>
 
-options: -m, --multirun   --cfg (print the configuration, run nothing)   --version   -h, --help
-what is stored, failed, stale, missing: python -m bench.status    tables: python -m bench.tables
-what the data of a scenario can tell: python -m bench.identifiability system=chain2 snr=10"""
+options:
+  -m, --multirun   a sweep             --cfg        print the configuration
+  --version                            -h, --help   this page
+see also:
+  python -m bench.status               what is stored, failed, stale, missing
+  python -m bench.status experiment=table3 watch=true    follow a running sweep
+  python -m bench.tables               the tables, from what is stored
+  python -m bench.identifiability system=chain2 snr=10   what data can tell"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -54,7 +66,7 @@ def _main(arguments: list[str]) -> int:
     overrides = [argument for argument in arguments if argument not in flags]
     unknown = flags - {"-m", "--multirun", "-h", "--help", "--cfg", "--version"}
     if unknown:
-        raise InputError("option", sorted(unknown)[0], "options are -m, --cfg, --version, --help")
+        raise InputError("option", sorted(unknown)[0], _no_option(sorted(unknown)[0]))
     if flags & {"-h", "--help"} or not arguments:
         print(_usage())
         return 0 if arguments else 2
@@ -81,13 +93,22 @@ def _main(arguments: list[str]) -> int:
     return _run(jobs, launcher)
 
 
+def _no_option(text: str) -> str:
+    from bench.config import FIELDS
+
+    field = text.lstrip("-").partition("=")[0]
+    written = f"; a field has no dashes: {field}=<value>" if field in FIELDS else ""
+    return f"options are -m, --cfg, --version, --help{written}"
+
+
 def _usage() -> str:
     from bench.config import choices
+    from bench.terminal import wrapped
 
     names = {
         f"{group}s": ", ".join(choices(group)) for group in ("method", "system", "prior", "disturbance", "experiment")
     }
-    return USAGE.format(**names)
+    return "\n".join(wrapped(line, " " * 17) for line in USAGE.format(**names).splitlines())
 
 
 def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:

@@ -31,9 +31,11 @@ from bench.verdict import DECIDED_BY_PRIOR
 USAGE = """usage: python -m bench.identifiability [field=value ...]
 
 fields (defaults in brackets):
-  system, system.<field>, snr, initial_state, prior, seed    as for python -m bench
-  measured   [all] the DOFs whose displacement is measured, counted from 0: measured=[0]
-  profile    [false] true: profile likelihoods of one replicate, printed and drawn
+  system, system.<field>, snr, initial_state, prior, seed
+             as for python -m bench
+  measured   [all] the DOFs whose displacement is measured, counted from 0:
+             measured=[0]
+  profile    [false] true: profile likelihoods of one replicate, printed, drawn
   out        [results/figures] where the picture goes"""
 SCENARIO_FIELDS = ("system", "snr", "initial_state", "prior", "seed")
 OWN_FIELDS = ("measured", "profile", "out")

@@ -32,6 +32,7 @@ from bench.scenario import PriorSpec, Scenario
 from bench.slots import Limits
 from bench.store import Store, StoredCell
 from bench.tables import HEADINGS, METRICS, TITLES, entries, errors_of, paper_numbers, paper_value
+from bench.terminal import guarded
 from bench.truth import closed_form
 
 TABLES = (2, 3, 4, 5)
@@ -307,4 +308,4 @@ def write(data: pd.DataFrame, base: Mapping[Place, Cell], out: Path) -> list[Pat
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(guarded("bench.reproduction", main))

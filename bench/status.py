@@ -35,7 +35,7 @@ fields (defaults in brackets):
   watch          [false] true: follow the sweep while a run computes it, with a
                  look every 2 s; a number: with a look every so many seconds.
                  In place on a terminal, else a line a look. It ends when every
-                 cell is stored, or with Ctrl-C (exit status 130; the run goes on)
+                 cell is stored, or with Ctrl-C (status 130; the run goes on)
   experiment, method, ...    the sweep, as for python -m bench -m
 """
 OWN_FIELDS = ("store", "watch")
@@ -69,7 +69,7 @@ def store_page(store: Store) -> str:
     """The store by method and state, and the reasons of what is not done."""
     found = states(store)
     if found.empty:
-        return f"{store.folder}: no cells"
+        return f"{store.folder}: no cells yet; python -m bench method=ls computes a first one"
     labels = found["label"].fillna("?")
     counts = found.groupby([labels, "state"]).size().unstack(fill_value=0)
     order = [name for name in (*(s.value for s in State), "foreign", "damaged") if name in counts]
@@ -118,16 +118,20 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: Sequence[str]) -> int:
     fields = [argument for argument in arguments if argument.partition("=")[0] not in OWN_FIELDS]
     given = {key: value for key, _, value in (argument.partition("=") for argument in arguments) if key in OWN_FIELDS}
-    store, seconds = Store(Path(given.get("store") or "results/rows")), read_watch(given.get("watch", "false"))
+    if given.get("store") == "":
+        raise InputError("store", "", "name a folder")
+    store, seconds = Store(Path(given.get("store", "results/rows"))), read_watch(given.get("watch", "false"))
     if seconds and not fields:
         raise InputError("watch", given["watch"], "say what to follow: experiment=<name>, or the fields of the sweep")
+    sweep = _sweep(fields) if fields else None  # first, so that a misspelt field is said whatever the store is
     if not store.folder.is_dir():
         raise InputError("store", store.folder, "there is no such folder; run a sweep first, or name another")
-    if seconds:
-        cells, retry = _sweep(fields)
-        follow(Progress(cells, store, retry), seconds)
+    if sweep is None:
+        print(store_page(store))
+    elif seconds:
+        follow(Progress(sweep[0], store, sweep[1]), seconds)
     else:
-        print(sweep_page(fields, store) if fields else store_page(store))
+        print(listing(plan(sweep[0], store, sweep[1]), store, os.cpu_count() or 1))
     return 0
 
 
@@ -146,16 +150,11 @@ def read_watch(text: str) -> float:
 
 
 def _sweep(fields: Sequence[str]) -> tuple[list[Cell], frozenset[Status]]:
+    """The cells of a sweep, and the failures that it tries again."""
     from bench.config import expand, jobs_to_cells
 
     jobs = expand(fields, multirun=True)
     return jobs_to_cells(jobs), read_retry(jobs[0].config.retry)
-
-
-def sweep_page(fields: Sequence[str], store: Store) -> str:
-    """A sweep's cells: done, failed, stale, missing, and why."""
-    cells, retry = _sweep(fields)
-    return listing(plan(cells, store, retry), store, os.cpu_count() or 1)
 
 
 if __name__ == "__main__":

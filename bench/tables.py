@@ -31,6 +31,7 @@ from bench.registry import load_method
 from bench.rounding import excess_text, number
 from bench.statistics import RESAMPLES
 from bench.store import Store, StoredCell
+from bench.terminal import guarded
 from bench.verdict import Verdict, judge
 
 COLUMNS = (
@@ -435,4 +436,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(guarded("bench.tables", main))

@@ -32,7 +32,9 @@ def width(text: str) -> int:
 
 def wrapped(text: str, hanging: str = "  ", start: str = "") -> str:
     """A sentence on as many lines as it needs. Words stay whole unless one is longer than a line."""
-    return "\n".join(wcwidth.wrap(text, columns(), initial_indent=start, subsequent_indent=hanging) or [""])
+    return "\n".join(
+        wcwidth.wrap(text, columns(), initial_indent=start, subsequent_indent=hanging, break_on_hyphens=False) or [""]
+    )
 
 
 def clipped(text: str) -> str:
@@ -44,12 +46,12 @@ def clipped(text: str) -> str:
 def table(rows: Sequence[Sequence[str]], headers: Sequence[str], words: Collection[int] = (0,)) -> str:
     """A table no wider than the terminal: ``words`` are the columns of words, the others hold numbers.
 
-    Words stand on the left, and on several lines where the table would be too wide; numbers stand on the right and are
-    never broken, so a table of many numbers may still be wider than a narrow terminal.
+    Words stand on the left, and on several lines where the table would be too wide, as headings do; numbers stand on
+    the right and are never broken, so a table of many numbers may still be wider than a narrow terminal.
     """
     lines = [list(headers), *(list(row) for row in rows)]
     widths = _widths(lines, words)
-    lines = [[_cell(text, widths[i]) if i in words else text for i, text in enumerate(line)] for line in lines]
+    lines = [[_cell(text, widths[i]) for i, text in enumerate(line)] for line in lines]
     sides = ["left" if i in words else "right" for i in range(len(headers))]
     text = tabulate(lines, tablefmt="plain", disable_numparse=True, colalign=sides)
     shown = [line.rstrip() for line in text.splitlines()]
@@ -64,15 +66,17 @@ def _cell(text: str, places: int) -> str:
 
 
 def _widths(lines: Sequence[Sequence[str]], words: Collection[int]) -> list[int]:
-    """Places of every column; the widest columns of words give way until the table fits."""
-    widths = [max(width(line[i]) for line in lines) for i in range(len(lines[0]))]
+    """Places of every column; of a table too wide, headings of numbers give way first, then the widest words."""
+    every = range(len(lines[0]))
+    widths = [max(width(line[i]) for line in lines) for i in every]
+    numbers = [max((width(line[i]) for line in lines[1:]), default=0) for i in every]
+    longest = [max((width(word) for word in text.split()), default=0) for text in lines[0]]
+    least = [LEAST_COLUMN if i in words else max(numbers[i], longest[i]) for i in every]
     over = sum(widths) + GAP * (len(widths) - 1) - columns()
-    while over > 0:
-        widest = max(words, key=lambda i: widths[i], default=None)
-        if widest is None or widths[widest] <= LEAST_COLUMN:
-            break
-        widths[widest] -= 1
-        over -= 1
+    for chosen in ([i for i in every if i not in words], [i for i in every if i in words]):
+        while over > 0 and any(widths[i] > least[i] for i in chosen):
+            widths[max((i for i in chosen if widths[i] > least[i]), key=lambda i: widths[i])] -= 1
+            over -= 1
     return widths
 
 
