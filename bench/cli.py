@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.errors import InputError
+from bench.rounding import number as number  # for those who look for it here
 
 USAGE = """usage: python -m bench method=<name> [field=value ...]        one cell
        python -m bench -m method=a,b snr=40,20 [...]        a sweep of all of these

@@ -37,7 +37,9 @@ def listing(planned: Sequence[Planned], store: Store, workers: int) -> str:
     lines = [table(rows, headers, (0, 1, 2, 4, 6)), "", wrapped(f"{counted(planned)}; {len(wanted)} to run")]
     if wanted:
         about = f"about {duration(total / workers)} on {workers} worker(s), as stored cells of the same methods took"
-        lines.append(wrapped(about + (f"; nothing known of {', '.join(sorted(unknown))}" if unknown else "")))
+        lines.append(wrapped(about))
+    if unknown:
+        lines.append(wrapped(f"nothing known of {', '.join(sorted(unknown))}"))
     return "\n".join(lines)
 
 

@@ -72,7 +72,7 @@ def _score_row(stored: StoredCell, name: str, label: str) -> list[str]:
     coverage = stored.summary.get(f"{quantity}_coverage_95", {}).get("mean", math.nan)
     cover = "-" if math.isnan(coverage) or name in RMSES else f"{100 * coverage:.0f}"
     numbers = rounded(s["median"], s["ci_low"], s["ci_high"])
-    return [label + star, *numbers, number(s["bound"]), excess_text(s["excess"]), cover]
+    return [label + star, *numbers, number(s["bound"]), _excess(s["excess"]), cover]
 
 
 def _failures(stored: StoredCell) -> dict[tuple[str, str], int]:
@@ -140,15 +140,14 @@ class Closing:
             ok = f"{sum(n_ok for n_ok, _, _ in own)}/{sum(n for _, n, _ in own)}"
             head = [*key[: 5 if disturbed else 4], *([] if one_group else [self.groups[key]])]
             scores = [_median_and_excess([found[i] for _, _, found in own]) for i in range(2)]
-            cells = [
-                text for i in range(2) for text in (scores[i][0], MARK if key in marks[i] else "", scores[i][1])
-            ]  # a mark stands beside its median
-            rows.append([*head, *([] if self.listed else [str(len(own))]), ok, *cells])
+            cells = [_beside(*scores[i], key in marks[i], bool(marks[i])) for i in range(2)]
+            rows.append([*head, *([] if self.listed else [str(len(own))]), ok, *cells[0], *cells[1]])
         first = ["method", "system", "dB", "start", *(["disturbance"] if disturbed else [])]
         first += [] if one_group else ["group"]
         many = [] if self.listed else ["cells"]
         metric = f"{names[0]} %" if one_group else "error %"
-        headers = [*first, *many, "ok", metric, "", "excess", "RMSE m", "", "excess"]
+        metrics = [_beside(name, "excess", False, bool(marks[i])) for i, name in enumerate((metric, "RMSE m"))]
+        headers = [*first, *many, "ok", *metrics[0], *metrics[1]]
         text = table(rows, headers, [i for i in range(len(first)) if i != 2])
         if any(marks):
             legend = "least median error on the same data, or not told from it (Wilcoxon, Holm, 5 %; or 2 % apart)"
@@ -184,15 +183,25 @@ class Closing:
         return 1 if self.lost else 0
 
 
+def _beside(median: str, excess: str, marked: bool, any_marked: bool) -> list[str]:
+    """A metric's columns: its mark, where any row has one, stands between median and excess."""
+    return [median, *([MARK if marked else ""] if any_marked else []), excess]
+
+
+def _excess(value: float) -> str:
+    """An excess without a power of ten, which takes much room, unless it is huge."""
+    return f"{value:.0f}" if 1000 <= value < 1e6 else excess_text(value)
+
+
 def _median_and_excess(found: Sequence[Mapping[str, float]]) -> tuple[str, str]:
     """Of one cell the median, rounded to its interval; of several the medians over them. And the excess."""
     if len(found) == 1:
         s = found[0]
         ends = (s.get(key, math.nan) for key in ("median", "ci_low", "ci_high"))
-        return rounded(*ends)[0], excess_text(s.get("excess", math.nan))
+        return rounded(*ends)[0], _excess(s.get("excess", math.nan))
     values = [[s[key] for s in found if not math.isnan(s.get(key, math.nan))] for key in ("median", "excess")]
     median, excess = (median_high(own) if own else math.nan for own in values)
-    return number(median), excess_text(excess)
+    return number(median), _excess(excess)
 
 
 def record_page(label: str, data: Path, result: Mapping[str, Any], scale_is_free: bool) -> str:

@@ -203,7 +203,7 @@ def test_a_scenario_that_every_method_failed_has_no_best() -> None:
 
 def test_a_sweep_fits_and_names_each_system_s_own_group(terminal: int) -> None:
     fields = [
-        ("method=pinn", "method.starts=3", "system=chain2"),
+        ("method=pinn", "method.width=32", "system=chain2"),
         ("method=collocation_bootstrap", "disturbance=heavy_tails"),
         ("method=ls", "system=duffing"),
     ]

@@ -148,7 +148,7 @@ def numbers(text: str) -> list[int]:
 
 
 def test_a_running_sweep_is_followed_to_its_end(new_store: StoreFactory) -> None:
-    """Two processes, as in two terminals: the one that watches says no more cells than there are, and ends by itself."""
+    """Two processes, as in two terminals: the one that watches never counts down, and ends by itself."""
     store = new_store()
     fields = [*SWEEP, f"store={store.folder}"]
     sweep = subprocess.Popen(
