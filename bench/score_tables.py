@@ -24,6 +24,8 @@ MOST_LISTED = 100
 """Cells of a sweep that are listed one by one."""
 RMSES = {"rmse": "displacement RMSE m", "rmse_simulated": "simulated RMSE m", "rmse_forecast": "forecast RMSE m"}
 MARK = "+"
+COLUMNS = ("method", "system", "dB", "start", "disturbance")
+"""What a line of a sweep's table is about; what all lines share is said once above."""
 
 
 def readable(name: str) -> str:
@@ -131,24 +133,26 @@ class Closing:
 
     def table(self) -> str:
         """The sweep as a table."""
-        disturbed = any(key[4] != "none" for key in self.lines)
         marks = [self._leading(i) for i in range(2)]
         names = sorted(set(self.groups.values()))
-        one_group = len(names) == 1
+        varying = [i for i in range(1, 5) if len({key[i] for key in self.lines}) > 1]
+        by_group = len(names) > 1
         rows = []
         for key, own in self.lines.items():
             ok = f"{sum(n_ok for n_ok, _, _ in own)}/{sum(n for _, n, _ in own)}"
-            head = [*key[: 5 if disturbed else 4], *([] if one_group else [self.groups[key]])]
+            head = [key[0], *(key[i] for i in varying), *([self.groups[key]] if by_group else [])]
             scores = [_median_and_excess([found[i] for _, _, found in own]) for i in range(2)]
             cells = [_beside(*scores[i], key in marks[i], bool(marks[i])) for i in range(2)]
             rows.append([*head, *([] if self.listed else [str(len(own))]), ok, *cells[0], *cells[1]])
-        first = ["method", "system", "dB", "start", *(["disturbance"] if disturbed else [])]
-        first += [] if one_group else ["group"]
+        first = ["method", *(COLUMNS[i] for i in varying), *(["group"] if by_group else [])]
         many = [] if self.listed else ["cells"]
-        metric = f"{names[0]} %" if one_group else "error %"
-        metrics = [_beside(name, "excess", False, bool(marks[i])) for i, name in enumerate((metric, "RMSE m"))]
+        titles = ("error %" if by_group else f"{''.join(names)} %", "RMSE m")
+        metrics = [_beside(title, "excess", False, bool(marks[i])) for i, title in enumerate(titles)]
         headers = [*first, *many, "ok", *metrics[0], *metrics[1]]
-        text = table(rows, headers, [i for i in range(len(first)) if i != 2])
+        text = table(rows, headers, [i for i, name in enumerate(first) if name != "dB"])
+        shared = [f"{COLUMNS[i]} {key[i]}" for key in list(self.lines)[:1] for i in range(1, 5) if i not in varying]
+        if shared:
+            text = wrapped(f"every cell: {', '.join(shared)}") + "\n\n" + text
         if any(marks):
             legend = "least median error on the same data, or not told from it (Wilcoxon, Holm, 5 %; or 2 % apart)"
             text += "\n\n" + wrapped(f"{MARK} {legend}")

@@ -201,17 +201,29 @@ def test_a_scenario_that_every_method_failed_has_no_best() -> None:
     assert marked(text) == []
 
 
-def test_a_sweep_fits_and_names_each_system_s_own_group(terminal: int) -> None:
+def test_a_sweep_fits_and_names_each_system_s_own_group() -> None:
     fields = [
         ("method=pinn", "method.width=32", "system=chain2"),
         ("method=collocation_bootstrap", "disturbance=heavy_tails"),
-        ("method=ls", "system=duffing"),
+        ("method=ls", "system=duffing", "snr=40"),
     ]
     cells = [cell_of(*one) for one in fields]
     text = closing_of(*((cell, stored_of(cell, np.full(20, 123.456), 1234.5)) for cell in cells)).table()
-    assert widest(text) <= (80 if terminal == 80 else 73)  # numbers are never broken, so 60 may be too narrow
-    for cell in cells:
-        assert cell.scenario.make_system().groups[0].name.replace("_over_", "/").split("_")[0] in text
+    assert widest(text) <= 80
+    for group in ("m2/m1", "k/m"):
+        assert group in text.split()
+
+
+def test_a_sweep_says_once_what_all_its_cells_share(terminal: int) -> None:
+    cells = [cell_of(f"method={name}", f"snr={snr}") for name in ("ls", "collocation") for snr in (40, 20)]
+    text = closing_of(*((cell, stored_of(cell, np.linspace(1.0, 2.0, 20))) for cell in cells)).table()
+    assert widest(text) <= terminal
+    first, *lines = text.splitlines()
+    assert first == "every cell: system sdof, start known, disturbance none"
+    assert not any("sdof" in line for line in lines)
+    assert [line.split()[:2] for line in lines if "20/20" in line] == [
+        ["ls", "40"], ["ls", "20"], ["collocation", "40"], ["collocation", "20"]
+    ]  # fmt: skip
 
 
 def test_a_plan_fits(terminal: int, tmp_path: Path) -> None:
