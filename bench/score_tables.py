@@ -213,7 +213,7 @@ def record_page(label: str, data: Path, result: Mapping[str, Any], scale_is_free
 
     ``result`` is that of :func:`bench.measured.report`; ``scale_is_free`` where nothing tells masses from ratios.
     """
-    lines = [wrapped(f"{label} on {data}: {result['samples']} samples, {result['status']}")]
+    lines = [f"record: {data}", wrapped(f"{label}: {result['samples']} samples, {result['status']}")]
     if result["message"]:
         lines.append(wrapped(result["message"], "    ", "  "))
     if result["estimates"]:
