@@ -21,6 +21,7 @@ from bench.errors import InputError
 from bench.launch import complete
 from bench.slots import Limits
 from bench.store import Store
+from bench.terminal import guarded
 
 EXPERIMENTS = ("table3", "table4", "table5")
 
@@ -73,4 +74,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(guarded("bench.benchmark", main))

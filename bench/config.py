@@ -22,6 +22,7 @@ from bench.problem import Hold
 from bench.reference import REFERENCES
 from bench.registry import default_settings, load_method, make_method, method_names, registered
 from bench.scenario import ForceSpec, PriorSpec, Scenario
+from bench.suggest import did_you_mean
 
 GROUPS = ("method", "system", "prior", "disturbance", "experiment")
 COMPOSED = ("method", "system", "prior", "disturbance")
@@ -213,10 +214,11 @@ def read_overrides(texts: Sequence[str]) -> dict[str, list[Any]]:
         try:
             override = parser.parse_overrides([text])[0]
         except HydraException:
-            raise InputError("argument", repr(text), "write field=value, see --help") from None
+            raise InputError("argument", repr(text), _how_to_write(text)) from None
         key = override.get_key_element()
         if key.split(".")[0] not in FIELDS:
-            raise InputError(key, _after_equals(text), f"not a field; fields: {', '.join(FIELDS)}")
+            near = did_you_mean(key, FIELDS)
+            raise InputError(key, _after_equals(text), f"not a field; {near}fields: {', '.join(FIELDS)}")
         if key in values:
             raise InputError(key, _after_equals(text), "given twice; give it once")
         values[key] = _swept(override, key, text)
@@ -224,6 +226,14 @@ def read_overrides(texts: Sequence[str]) -> dict[str, list[Any]]:
             for value in values[key]:
                 _known_choice(key, value)
     return values
+
+
+def _how_to_write(text: str) -> str:
+    """What is wrong with an argument that is no ``field=value``."""
+    groups = [group for group in GROUPS if text in choices(group)]
+    if groups:
+        return f"did you mean {groups[0]}={text}? write field=value, see --help"
+    return "write field=value, without spaces or dashes, see --help"
 
 
 def _after_equals(text: str) -> str:
@@ -249,7 +259,7 @@ def _swept(override: Any, key: str, text: str) -> list[Any]:
 
 def _known_choice(group: str, value: Any) -> None:
     if value not in choices(group) and not (group == "experiment" and value is None):
-        raise InputError(group, value, f"known: {', '.join(choices(group))}")
+        raise InputError(group, value, f"{did_you_mean(value, choices(group))}known: {', '.join(choices(group))}")
     if group == "method" and value in registered():
         load_method(value)  # a broken entry point is said here
 
@@ -279,7 +289,8 @@ def _expand_sweep(
             _known_choice(group, value)
     swept = [key for key, values in sweep.items() if len(values) > 1]
     if swept and not multirun:
-        raise InputError(swept[0], ",".join(map(str, sweep[swept[0]])), "several values need -m")
+        remedy = "several values need -m: python -m bench -m ..."
+        raise InputError(swept[0], ",".join(map(str, sweep[swept[0]])), remedy)
     if "method" not in sweep:
         raise InputError("method", "", f"choose one: {', '.join(choices('method'))}")
     jobs = []
@@ -309,6 +320,8 @@ def _job(chosen: Mapping[str, Any], experiment: Mapping[str, Any], explicit: fro
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"] if part not in ("constrained-float", "constrained-int"))
         raise InputError(where, first["input"], first["msg"].lower()) from None
+    if not str(content["store"] or ""):
+        raise InputError("store", "", "name a folder")
     return Job(config, " ".join([label, *settings]), explicit)
 
 

@@ -13,6 +13,7 @@ from bench.errors import InputError
 from bench.estimate import Status
 from bench.store import Store
 from bench.tables import TITLES, Entry, entries, paper_numbers
+from bench.terminal import guarded
 
 STYLES = {
     "oracle": ("#7f7f7f", "D"), "shooting": ("#0072B2", "o"), "mcmc": ("#56B4E9", "v"), "pinn": ("#D55E00", "s"),
@@ -164,4 +165,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(guarded("bench.figures", main))

@@ -12,7 +12,6 @@ import itertools
 import json
 import math
 import sys
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,23 +19,26 @@ from pathlib import Path
 import numpy as np
 
 from bench.bound import Bound, Information, compute_bound, information
-from bench.cli import number
 from bench.errors import InputError
+from bench.rounding import number, rounded
 from bench.scenario import Scenario
+from bench.score_tables import readable
 from bench.structural import Structure, check_dofs, structure_of
 from bench.systems import Quantity
+from bench.terminal import guarded, table, wrapped
 from bench.verdict import DECIDED_BY_PRIOR
 
 USAGE = """usage: python -m bench.identifiability [field=value ...]
 
 fields (defaults in brackets):
-  system, system.<field>, snr, initial_state, prior, seed    as for python -m bench
-  measured   [all] the DOFs whose displacement is measured, counted from 0: measured=[0]
-  profile    [false] true: profile likelihoods of one replicate, printed and drawn
+  system, system.<field>, snr, initial_state, prior, seed
+             as for python -m bench
+  measured   [all] the DOFs whose displacement is measured, counted from 0:
+             measured=[0]
+  profile    [false] true: profile likelihoods of one replicate, printed, drawn
   out        [results/figures] where the picture goes"""
 SCENARIO_FIELDS = ("system", "snr", "initial_state", "prior", "seed")
 OWN_FIELDS = ("measured", "profile", "out")
-WIDTH = 100
 LISTED = 5
 
 FROM_DATA, WITH_PRIOR, BY_PRIOR = "from the data", "with the prior", "decided by the prior"
@@ -139,21 +141,17 @@ def report(request: Request, structure: Structure, told: Information, quantities
     lines = [
         f"{scenario.label}, {scenario.snr_db:g} dB, initial state {scenario.told}, prior {prior}",
         "",
-        _wrapped(f"Perfect displacement of DOF {dofs}, from {start}{force}, without a prior:"),
-        *(_wrapped(f"- {line}") for line in structure.sentences()),
+        wrapped(f"Perfect displacement of DOF {dofs}, from {start}{force}, without a prior:"),
+        *(wrapped(f"- {line}") for line in structure.sentences()),
         "",
         f"These {scenario.samples} samples over {scenario.duration:g} s:",
         "",
         _table(structure, told, quantities),
         "",
-        _wrapped(_condition(told, scenario.prior is not None)),
-        _wrapped(_strongest(structure, told, quantities)),
+        wrapped(_condition(told, scenario.prior is not None)),
+        wrapped(_strongest(structure, told, quantities)),
     ]
     return "\n".join(lines)
-
-
-def _wrapped(text: str) -> str:
-    return textwrap.fill(text, WIDTH, subsequent_indent="  ", break_long_words=False)
 
 
 def listed(structure: Structure, scenario: Scenario) -> list[Quantity]:
@@ -173,17 +171,15 @@ def _lines(
 
 
 def _table(structure: Structure, told: Information, quantities: Sequence[Quantity]) -> str:
-    from tabulate import tabulate
-
     lines = _lines(structure, told, quantities)
     rows = [
-        [name.replace("_over_", "/"), number(100 * sd) if math.isfinite(sd) else "-", f"{100 * share:.0f}", word]
+        [readable(name), number(100 * sd) if math.isfinite(sd) else "-", f"{100 * share:.0f}", word]
         for name, sd, share, word in lines
     ]
     used = {word for *_, word in lines}
-    notes = [_wrapped(f"{word}: {meaning}") for word, meaning in MEANING.items() if word in used]
+    notes = [wrapped(f"{word}: {meaning}") for word, meaning in MEANING.items() if word in used]
     headers = ["", "bound %", "prior's share %", "verdict"]
-    return "\n".join([tabulate(rows, headers, disable_numparse=True), "", *notes])
+    return "\n".join([table(rows, headers, (0, 3)), "", *notes])
 
 
 def _condition(told: Information, with_prior: bool) -> str:
@@ -204,15 +200,13 @@ def _strongest(structure: Structure, told: Information, quantities: Sequence[Qua
         own = list(structure.groups)
     matrix = correlations(told, own)
     pairs = sorted(itertools.combinations(range(len(own)), 2), key=lambda pair: -abs(matrix[pair]))[:LISTED]
-    names = [q.name.replace("_over_", "/") for q in own]
+    names = [readable(q.name) for q in own]
     told_pairs = [f"{names[i]} and {names[j]} {matrix[i, j]:+.2f}" for i, j in pairs]
     return "strongest correlations of the logarithms: " + ("; ".join(told_pairs) or "none")
 
 
 def _profile(request: Request, structure: Structure, told: Information) -> None:
     """Print the intervals of the profile likelihoods and write their picture."""
-    from tabulate import tabulate
-
     from bench.figures import save_figure
     from bench.profile import CAPTION, draw_profiles, profiles
     from bench.store import Store
@@ -225,20 +219,16 @@ def _profile(request: Request, structure: Structure, told: Information) -> None:
     found = profiles(scenario, structure, told, [*parameters, *groups.values()], request.seed, request.measured)
     rows = []
     for p in found:
-        estimate = number(p.estimate) if structure.identifiable(p.quantity) else "any"
-        rows.append([p.quantity.name.replace("_over_", "/"), estimate, *_ends(p.interval)])
+        estimate, low, high = rounded(p.estimate, *p.interval)
+        ends = [low if p.interval[0] > 0 else "open", high if math.isfinite(p.interval[1]) else "open"]
+        rows.append([readable(p.quantity.name), estimate if structure.identifiable(p.quantity) else "any", *ends])
     headers = [f"profile of replicate 0, seed {request.seed}", "estimate", "95 % low", "95 % high"]
-    print("\n" + tabulate(rows, headers, disable_numparse=True))
+    print("\n" + table(rows, headers))
     figure = draw_profiles(found, dict(scenario.parameters), scenario.draw_prior(system, request.seed, 0))
     name = f"profile_{scenario.label}"
     for path in save_figure(figure, request.out, name):
         print(path)
     (request.out / f"{name}.txt").write_text(CAPTION + "\n", encoding="utf-8")
-
-
-def _ends(interval: tuple[float, float]) -> list[str]:
-    low, high = interval
-    return [number(low) if low > 0 else "open", number(high) if math.isfinite(high) else "open"]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -247,6 +237,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if {"-h", "--help"} & set(arguments):
         print(USAGE)
         return 0
+    return guarded("bench.identifiability", lambda: _main(arguments))
+
+
+def _main(arguments: Sequence[str]) -> int:
     try:
         request = read_request(arguments)
         structure = structure_of(request.scenario, request.measured)
@@ -256,9 +250,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             _profile(request, structure, told)
     except ImportError:
         print("bench.identifiability: matplotlib is missing: pip install 'vibration-bench[figures]'", file=sys.stderr)
-        return 2
-    except InputError as error:
-        print(f"bench.identifiability: {error}", file=sys.stderr)
         return 2
     return 0
 

@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 from tabulate import tabulate
 
-from bench.cli import number
 from bench.compare import Errors, compare, profile
 from bench.reference import REFERENCES
+from bench.rounding import number
 from bench.store import Store
 from bench.tables import PRIMARY, TITLES, Entry, entries, errors_of
 

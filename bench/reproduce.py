@@ -23,6 +23,7 @@ from bench.launch import complete
 from bench.scenario import ForceSpec, PriorSpec, Scenario
 from bench.slots import Limits
 from bench.store import DIGITS, Store, StoredCell
+from bench.terminal import guarded
 from bench.version import Version
 
 USAGE = "usage: python -m bench.reproduce <cell> [store=results/rows]\n\n"
@@ -179,4 +180,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(guarded("bench.reproduce", main))

@@ -22,15 +22,17 @@ from tabulate import tabulate
 
 from bench import tables
 from bench.cell import Cell
-from bench.cli import number, read_folders
+from bench.cli import read_folders
 from bench.compare import LEVEL, holm
 from bench.config import expand, jobs_to_cells
 from bench.errors import InputError
 from bench.launch import complete
+from bench.rounding import number
 from bench.scenario import PriorSpec, Scenario
 from bench.slots import Limits
 from bench.store import Store, StoredCell
 from bench.tables import HEADINGS, METRICS, TITLES, entries, errors_of, paper_numbers, paper_value
+from bench.terminal import guarded
 from bench.truth import closed_form
 
 TABLES = (2, 3, 4, 5)
@@ -306,4 +308,4 @@ def write(data: pd.DataFrame, base: Mapping[Place, Cell], out: Path) -> list[Pat
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(guarded("bench.reproduction", main))

@@ -17,10 +17,10 @@ import pandas as pd
 from tabulate import tabulate
 
 from bench.cell import Cell
-from bench.cli import number
+from bench.rounding import excess_text, number
 from bench.statistics import RESAMPLES
 from bench.store import Store, StoredCell
-from bench.tables import TITLES, described_cells, errors_of, excess_text
+from bench.tables import TITLES, described_cells, errors_of
 
 COLUMNS = (
     "disturbance", "size", "system", "initial_state", "snr_db", "method", "metric", "excess", "excess_undisturbed",

@@ -1,11 +1,12 @@
 """``python -m bench.status``: what is stored, failed, stale and missing, and why; reads only, computes nothing.
 
 Alone it describes a store; with the fields of a sweep (``experiment=table3``, ``method=ls,pinn snr=20,10``) it says how
-far that sweep is.
+far that sweep is, and with ``watch=true`` follows it until it is done.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Sequence
@@ -13,16 +14,33 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from tabulate import tabulate
 
 from bench import view
+from bench.cell import Cell
 from bench.errors import InputError
-from bench.plan import Reasons, State
+from bench.estimate import Status
+from bench.listing import listing
+from bench.plan import Reasons, State, plan, read_retry
 from bench.registry import method_names
 from bench.store import Store
+from bench.terminal import guarded, table, wrapped
+from bench.watch import Progress, follow
 
-USAGE = "usage: python -m bench.status [store=results/rows] [experiment=table3 | any field of a sweep]\n\n"
+USAGE = """usage: python -m bench.status [store=<folder>]                         a store
+       python -m bench.status experiment=table3 [watch=true]          a sweep
+       python -m bench.status method=ls,pinn snr=40,20 [watch=10]     a sweep
+
+fields (defaults in brackets):
+  store          [results/rows] where cells are kept
+  watch          [false] true: follow the sweep while a run computes it, with a
+                 look every 2 s; a number: with a look every so many seconds.
+                 In place on a terminal, else a line a look. It ends when every
+                 cell is stored, or with Ctrl-C (status 130; the run goes on)
+  experiment, method, ...    the sweep, as for python -m bench -m
+"""
+OWN_FIELDS = ("store", "watch")
 MOST_REASONS = 3
+WATCH_S, SHORTEST_S, LONGEST_S = 2.0, 0.1, 3600.0
 
 
 def states(store: Store) -> pd.DataFrame:
@@ -51,19 +69,25 @@ def store_page(store: Store) -> str:
     """The store by method and state, and the reasons of what is not done."""
     found = states(store)
     if found.empty:
-        return f"{store.folder}: no cells"
+        return f"{store.folder}: no cells yet; python -m bench method=ls computes a first one"
     labels = found["label"].fillna("?")
     counts = found.groupby([labels, "state"]).size().unstack(fill_value=0)
     order = [name for name in (*(s.value for s in State), "foreign", "damaged") if name in counts]
     spent = found.groupby(labels)["wall_s"].sum()
     fits = found.groupby(labels)["replicates"].sum()
     rows = [
-        [label, *(int(counts.loc[label, name]) or "" for name in order), int(fits[label]), f"{spent[label]:.0f}"]
+        [
+            str(label),
+            *(str(int(counts.loc[label, name]) or "") for name in order),
+            str(int(fits[label])),
+            f"{spent[label]:.0f}",
+        ]
         for label in counts.index
     ]
-    table = tabulate(rows, headers=["method", *order, "fits", "fit s"], disable_numparse=True)
     total = found["state"].value_counts()
-    lines = [table, "", f"{store.folder}: {len(found)} cells: " + ", ".join(f"{total[s]} {s}" for s in order)]
+    headers = ["method", *order, "fits", "fit s"]
+    said = f"{len(found)} cells: " + ", ".join(f"{total[s]} {s}" for s in order)
+    lines = [table(rows, headers), "", wrapped(said), f"store: {store.folder}"]
     return "\n".join([*lines, *_reasons(found)])
 
 
@@ -73,7 +97,8 @@ def _reasons(found: pd.DataFrame) -> list[str]:
         own = found[found["state"] == state]
         for why, n in own["why"].value_counts().head(MOST_REASONS).items():
             labels = ", ".join(sorted(set(own.loc[own["why"] == why, "label"].dropna()))[:6])
-            lines.append(f"  {state}: {n} x {_short(str(why))}" + (f" ({labels})" if labels else ""))
+            said = f"{state}: {n} x {_short(str(why))}" + (f" ({labels})" if labels else "")
+            lines.append(wrapped(said, "    ", "  "))
     return lines
 
 
@@ -85,29 +110,51 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Print the page; exit status 2 for bad input."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     if {"-h", "--help"} & set(arguments):
-        print(USAGE + str(__doc__))
+        print(USAGE)
         return 0
-    try:
-        fields = [argument for argument in arguments if not argument.startswith("store=")]
-        given = [argument.partition("=")[2] for argument in arguments if argument.startswith("store=")]
-        store = Store(Path(given[-1] if given else "results/rows"))
-        if not store.folder.is_dir():
-            raise InputError("store", store.folder, "there is no such folder; run a sweep first, or name another")
-        print(sweep_page(fields, store) if fields else store_page(store))
-    except InputError as error:
-        print(f"bench.status: {error}", file=sys.stderr)
-        return 2
+    return guarded("bench.status", lambda: _main(arguments), "no longer watched; a run that is under way goes on")
+
+
+def _main(arguments: Sequence[str]) -> int:
+    fields = [argument for argument in arguments if argument.partition("=")[0] not in OWN_FIELDS]
+    given = {key: value for key, _, value in (argument.partition("=") for argument in arguments) if key in OWN_FIELDS}
+    if given.get("store") == "":
+        raise InputError("store", "", "name a folder")
+    store, seconds = Store(Path(given.get("store", "results/rows"))), read_watch(given.get("watch", "false"))
+    if seconds and not fields:
+        raise InputError("watch", given["watch"], "say what to follow: experiment=<name>, or the fields of the sweep")
+    sweep = _sweep(fields) if fields else None  # first, so that a misspelt field is said whatever the store is
+    if not store.folder.is_dir():
+        raise InputError("store", store.folder, "there is no such folder; run a sweep first, or name another")
+    if sweep is None:
+        print(store_page(store))
+    elif seconds:
+        follow(Progress(sweep[0], store, sweep[1]), seconds)
+    else:
+        print(listing(plan(sweep[0], store, sweep[1]), store, os.cpu_count() or 1))
     return 0
 
 
-def sweep_page(fields: Sequence[str], store: Store) -> str:
-    """A sweep's cells: done, failed, stale, missing, and why."""
-    from bench.cli import listing
-    from bench.config import expand, jobs_to_cells
-    from bench.plan import plan
+def read_watch(text: str) -> float:
+    """Seconds between two looks; 0 for none. Raises InputError."""
+    known = {"false": 0.0, "true": WATCH_S}
+    try:
+        seconds = known[text] if text in known else float(text)
+    except ValueError:
+        seconds = math.nan
+    if text not in known and not SHORTEST_S <= seconds <= LONGEST_S:
+        raise InputError(
+            "watch", text, f"true, false, or the seconds between two looks, {SHORTEST_S:g} to {LONGEST_S:g}"
+        )
+    return seconds
 
-    cells = jobs_to_cells(expand(fields, multirun=True))
-    return listing(plan(cells, store), store, os.cpu_count() or 1)
+
+def _sweep(fields: Sequence[str]) -> tuple[list[Cell], frozenset[Status]]:
+    """The cells of a sweep, and the failures that it tries again."""
+    from bench.config import expand, jobs_to_cells
+
+    jobs = expand(fields, multirun=True)
+    return jobs_to_cells(jobs), read_retry(jobs[0].config.retry)
 
 
 if __name__ == "__main__":

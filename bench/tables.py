@@ -21,15 +21,17 @@ import pandas as pd
 from tabulate import tabulate
 
 from bench.cell import Cell
-from bench.cli import number, read_folders
+from bench.cli import read_folders
 from bench.compare import Comparison, against_best
 from bench.config import choices, expand, jobs_to_cells
 from bench.errors import InputError
 from bench.plan import State, plan
 from bench.reference import REFERENCES
 from bench.registry import load_method
+from bench.rounding import excess_text, number
 from bench.statistics import RESAMPLES
 from bench.store import Store, StoredCell
+from bench.terminal import guarded
 from bench.verdict import Verdict, judge
 
 COLUMNS = (
@@ -271,7 +273,7 @@ def _panel(
         cells = [_entry(by_metric, metric, method == "bound") for metric in METRICS]
         excess = {metric: _excesses(data, row, metric) for metric in PRIMARY}
         cells = [
-            f"**{cell}**" if _leads(ranking.get((str(row), metric)), str(method), excess.get(metric, {})) else cell
+            f"**{cell}**" if leads(ranking.get((str(row), metric)), str(method), excess.get(metric, {})) else cell
             for cell, metric in zip(cells, METRICS, strict=True)
         ]
         n = by_metric.n.iloc[0]
@@ -289,7 +291,7 @@ def _excesses(data: pd.DataFrame, row: Any, metric: str) -> dict[str, float]:
     return dict(zip(own.method, own.excess, strict=True))
 
 
-def _leads(ranking: tuple[str, list[Comparison]] | None, method: str, excess: Mapping[str, float]) -> bool:
+def leads(ranking: tuple[str, list[Comparison]] | None, method: str, excess: Mapping[str, float]) -> bool:
     """Whether a method is the best of its row, or tied with it and free of the gross errors that ranks do not see."""
     if ranking is None:
         return False
@@ -310,11 +312,6 @@ def _entry(by_metric: pd.DataFrame, metric: str, is_bound: bool) -> str:
     # the paper's own reading is the known start; its numbers stand beside that panel only
     beside = math.isfinite(line.paper) and line.initial_state == "known"
     return f"{text} (paper {number(line.paper)})" if beside else text
-
-
-def excess_text(value: float) -> str:
-    """An excess as tables show it: two decimals, three digits where it is large."""
-    return f"{value:.2f}" if value < 10 else f"{value:.3g}"
 
 
 def _paper_panel(data: pd.DataFrame) -> str:
@@ -448,4 +445,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(guarded("bench.tables", main))

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from bench import runner
-from bench.cli import main, number
+from bench.cli import main
+from bench.rounding import number
 from bench.store import Store
 
 HEAVY = ("torch", "casadi", "pysindy", "emcee", "jax", "matplotlib")

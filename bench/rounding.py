@@ -1,0 +1,65 @@
+"""Numbers for reading: a value and its interval are rounded to what the interval says of the value."""
+
+from __future__ import annotations
+
+import math
+
+LARGEST, SMALLEST = 1e6, 1e-4
+"""What is as large as the first, or smaller than the second, is written with a power of ten."""
+
+
+def number(value: float) -> str:
+    """Three significant digits, or what stands for a number that is not there."""
+    if math.isnan(value):
+        return "-"
+    if math.isinf(value):
+        return "failed"
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.3e}"
+
+
+def excess_text(value: float) -> str:
+    """An excess as tables show it: two decimals, three digits where it is large."""
+    if math.isnan(value):
+        return "-"
+    return f"{value:.2f}" if value < 10 else f"{value:.3g}"
+
+
+def decimals(low: float, high: float) -> int | None:
+    """The decimals of two significant digits of half the interval's width; None where it has no width or no end.
+
+    They are negative where half the width is 100 or more. Two digits of an uncertainty are the usual rule (Guide to the
+    Expression of Uncertainty in Measurement, JCGM 100:2008, 7.2.6).
+    """
+    half = 0.5 * (high - low)
+    if not math.isfinite(half) or half <= 0:
+        return None
+    return 1 - int(f"{half:.1e}".partition("e")[2])  # 0.0996 is 0.10, so the exponent is that of the rounded number
+
+
+def rounded(value: float, low: float, high: float) -> tuple[str, str, str]:
+    """A value and the ends of its interval as text, all to the decimals that the interval's width decides.
+
+    Where the interval has no width or no end each has three significant digits, or says why it has none.
+    """
+    three = (value, low, high)
+    places = decimals(low, high)
+    if places is None:
+        return number(value), number(low), number(high)
+    largest = max(abs(one) for one in three if math.isfinite(one))
+    powers = not SMALLEST <= largest < LARGEST
+    texts = [_with_power(one, places) if powers else _plain(one, places) for one in three]
+    return texts[0], texts[1], texts[2]
+
+
+def _plain(value: float, places: int) -> str:
+    if not math.isfinite(value):
+        return number(value)
+    return f"{round(value, places) + 0.0:.{max(places, 0)}f}"  # adding zero: no "-0.0"
+
+
+def _with_power(value: float, places: int) -> str:
+    if not math.isfinite(value):
+        return number(value)
+    shown = round(value, places)
+    digits = 0 if shown == 0 else max(0, int(f"{shown:.16e}".partition("e")[2]) + places)
+    return f"{shown + 0.0:.{digits}e}"
