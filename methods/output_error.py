@@ -58,6 +58,7 @@ class SingleShooting(Identifier):
         several_channels=True,
         offsets=True,
         max_dof=None,
+        added_mass=True,
     )
 
     def __post_init__(self) -> None:
@@ -139,7 +140,7 @@ def _out_of_reach(model: OutputError, theta: np.ndarray) -> bool:
         return False
     p = {name: value[None] for name, value in model.parameters(theta).items()}
     return any(
-        bool(too_fast(model.system, p, np.concatenate([s.displacement, s.velocity]), c.times)[0])
+        bool(too_fast(record.rig(model.system), p, np.concatenate([s.displacement, s.velocity]), c.times)[0])
         for s, record in zip(_states(model, theta), model.problem.records, strict=True)
         for c in record.channels
         if c.n > 1
