@@ -13,7 +13,7 @@ Everything here expects a problem in its natural units (:meth:`bench.Problem.nat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -385,36 +385,43 @@ def _proportions(problem: Problem) -> tuple[float, ...]:
 def loaded_scan(problem: Problem, n: int) -> list[dict[str, float]]:
     """The starts of :func:`scan` where known masses were added in some records.
 
-    The records of each load are scanned as if their rig were plain, which tells ``r = k / (m + load)`` of each. The
-    lightest and the heaviest then tell the mass, ``m = (r2 load2 - r1 load1) / (r1 - r2)``; a pair of minima that
-    makes it negative is no start. Pairs are taken in the order of their common misfit. The masses of several degrees
-    of freedom are taken to share the load, as a first guess.
+    The records of each load are scanned as if their rig were plain; :func:`unloaded` tells the mass from the lightest
+    and the heaviest. Pairs of minima are taken in the order of their common misfit.
     """
-    by_load = _by_load(problem)
+    by_load = records_by_load(problem)
     loads = sorted(by_load)
-    kinds = {p.name: p.kind for p in problem.system.parameters}
-    gauge = problem.system.gauge
-    stiffness = next(name for name, kind in kinds.items() if kind == "stiffness")
-    shares = sum(b for b, kind in zip(_proportions(problem), kinds.values(), strict=True) if kind == "mass")
-
-    def unloaded(p: dict[str, float], mass: float) -> dict[str, float]:
-        whole = mass + loads[0] / shares
-        return {name: v / p[gauge] * (mass if kinds[name] == "mass" else whole) for name, v in p.items()}
-
     light = _minima(by_load[loads[0]], n, fixed_scale=False)
     heavy = _minima(by_load[loads[-1]], n, fixed_scale=False) if len(loads) > 1 else []
     pairs = []
     for misfit, p in light:
         for other, q in heavy:
-            r1, r2 = p[stiffness] / p[gauge], q[stiffness] / q[gauge]
-            mass = (r2 * loads[-1] - r1 * loads[0]) / (r1 - r2) if r1 != r2 else 0.0
-            if mass > 0:
-                pairs.append((misfit + other, unloaded(p, mass / shares)))
-    found = [p for _, p in sorted(pairs, key=lambda pair: pair[0])]
-    return found[:n] or [unloaded(p, 1.0) for _, p in light]
+            found = unloaded(problem, {loads[0]: p, loads[-1]: q})
+            if found is not None:
+                pairs.append((misfit + other, found))
+    return [p for _, p in sorted(pairs, key=lambda pair: pair[0])[:n]] or [p for _, p in light]
 
 
-def _by_load(problem: Problem) -> dict[float, Problem]:
+def unloaded(problem: Problem, by_load: Mapping[float, Mapping[str, float]]) -> dict[str, float] | None:
+    """Parameters of the rig from those that fit its records with each of two loads as if it were plain.
+
+    Each tells ``r = k / (m + load)``, so that ``m = (r2 load2 - r1 load1) / (r1 - r2)``; None where that is not
+    positive. Damping and stiffness over mass are the first one's. The masses of several degrees of freedom are taken
+    to share the load, as a first guess.
+    """
+    system = problem.system
+    (load1, p), (load2, q) = by_load.items()
+    kinds = {parameter.name: parameter.kind for parameter in system.parameters}
+    stiffness = next(name for name, kind in kinds.items() if kind == "stiffness")
+    r1, r2 = p[stiffness] / p[system.gauge], q[stiffness] / q[system.gauge]
+    shares = sum(p[name] / p[system.gauge] for name, kind in kinds.items() if kind == "mass")
+    mass = (r2 * load2 - r1 * load1) / (r1 - r2) / shares if r1 != r2 else 0.0
+    if not (np.isfinite(mass) and mass > 0):
+        return None
+    whole = mass + load1 / shares
+    return {name: float(v / p[system.gauge] * (mass if kinds[name] == "mass" else whole)) for name, v in p.items()}
+
+
+def records_by_load(problem: Problem) -> dict[float, Problem]:
     """The problem by the mass that was added in all, each part as if it had been on the plain rig."""
     parts: dict[float, list[Record]] = {}
     for record in problem.records:
