@@ -11,7 +11,7 @@ Objective: ``sum ((y - h) / sigma)² + sum ((log p - log nominal) / sd)²``. The
 parameters that the data decide, ``trace(H_data H^-1)``.
 
 Starts come from the data alone (:mod:`methods.spectral`): the separate minima of a scan over frequency and decay, a
-few output-error steps each; whatever could still win is solved by shooting, and the best objective is kept.
+few output-error steps each (on the first samples, where a record of a nonlinear system is long); whatever could still win is solved by shooting, and the best objective is kept.
 The covariance is the inverse of the Hessian reduced to the space that satisfies the constraints, with Student's t at
 ``N - p`` degrees of freedom. The programme is built once for a shape of problem and reused: data, times, forces,
 prior and noise are its parameters.
@@ -29,6 +29,7 @@ from scipy.sparse.linalg import splu
 
 from bench import (
     Card,
+    Channel,
     Cost,
     Estimate,
     Identifier,
@@ -49,6 +50,8 @@ from methods.spectral import OutputError, estimate_at, screened, silent
 
 SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
 MAX_SUBSTEPS = SUBSTEPS[-1]
+SCREENED = 300
+"""Samples of each channel on which the starts of a nonlinear system are compared."""
 POLISH = 3
 """Gauss-Newton steps in the reduced space after IPOPT, at most: they make the answer free of its tolerance."""
 
@@ -106,7 +109,7 @@ class Shooting(Identifier):
         return replace(estimate, offsets=problem.offsets_from(units, estimate.offsets)).expressed_in(units.inverse)
 
     def _solve(self, model: OutputError) -> Estimate:
-        found = screened(model, self.starts, rounds=1, iterations=self.screen_iterations)
+        found = screened(_head(model), self.starts, rounds=1, iterations=self.screen_iterations)
         if not found:
             return Estimate.failed(
                 model.system, Status.DIVERGED, "no start gave a finite response; give a prior nearer to the system"
@@ -180,6 +183,21 @@ class _Fit:
     sigma: np.ndarray = field(default_factory=lambda: np.ones(1))
     """Noise by channel as the residuals have it, without a floor."""
     profile: float = np.inf
+
+
+def _head(model: OutputError) -> OutputError:
+    """The first samples of long records of a nonlinear system, for the screening: ``theta`` means the same for them.
+
+    Its step-by-step simulations would outlast the shooting; linear responses are quick at any length.
+    """
+    if model.system.linear or all(c.n <= SCREENED for _, c in model.channels):
+        return model
+
+    def short(c: Channel) -> Channel:
+        return replace(c, times=c.times[:SCREENED], values=c.values[:SCREENED])
+
+    records = tuple(replace(r, channels=tuple(short(c) for c in r.channels)) for r in model.problem.records)
+    return OutputError(replace(model.problem, records=records))
 
 
 class _Plan:
