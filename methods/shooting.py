@@ -11,7 +11,8 @@ Objective: ``sum ((y - h) / sigma)² + sum ((log p - log nominal) / sd)²``. The
 parameters that the data decide, ``trace(H_data H^-1)``.
 
 Starts come from the data alone (:mod:`methods.spectral`): the separate minima of a scan over frequency and decay, a
-few output-error steps each (on the first samples, where a record of a nonlinear system is long); whatever could still win is solved by shooting, and the best objective is kept.
+few output-error steps each (on the first samples, where a record of a nonlinear system is long); whatever could still
+win is solved by shooting, and the best objective is kept.
 The covariance is the inverse of the Hessian reduced to the space that satisfies the constraints, with Student's t at
 ``N - p`` degrees of freedom. The programme is built once for a shape of problem and reused: data, times, forces,
 prior and noise are its parameters.
