@@ -43,12 +43,14 @@ Data = dict[str, Any]
 class Layout:
     """What decides the compiled code: the system, what is estimated, which records and sensors; hashable.
 
-    ``told`` by record: whether its start is. ``channels``: record, what is measured, DOF, and which of the offsets is
-    added, -1 for none. ``squarings`` of the matrix exponential.
+    ``rigs`` by record: the system that moved, with what was added to it. ``told`` by record: whether its start is.
+    ``channels``: record, what is measured, DOF, and which of the offsets is added, -1 for none. ``squarings`` of the
+    matrix exponential.
     """
 
     system: System
     free: tuple[str, ...]
+    rigs: tuple[System, ...]
     told: tuple[bool, ...]
     channels: tuple[tuple[int, str, int, int], ...]
     forced: bool
@@ -80,7 +82,8 @@ def prepare(posterior: Posterior) -> tuple[Layout, Data]:
     order = {channel: i for i, channel in enumerate(model.offset_channels)}
     channels = tuple((r, c.measures, c.dof, order.get(i, -1)) for i, (r, c) in enumerate(model.channels))
     told = tuple(record.initial_state is not None for record in records)
-    layout = Layout(system, model.free, told, channels, bool(np.any(chain.pushes)), squarings)
+    rigs = tuple(record.rig(system) for record in records)
+    layout = Layout(system, model.free, rigs, told, channels, bool(np.any(chain.pushes)), squarings)
     times = [np.unique(np.concatenate([[0.0], *[c.times for c in record.channels]])) for record in records]
     data: Data = {
         "tables": tables,
@@ -136,12 +139,12 @@ def log_density(layout: Layout, data: Data, phi: Any) -> Any:
     value -= 0.5 * jnp.sum(((log_sigma - data["noise_centre"]) / NOISE_SD) ** 2)
     p = {name: jnp.exp(phi[layout.free.index(name)]) if name in layout.free else 1.0 for name in layout.system.names}
     paths, at, told = [], k, iter(data["starts"])
-    for known, table in zip(layout.told, data["tables"], strict=True):
+    for rig, known, table in zip(layout.rigs, layout.told, data["tables"], strict=True):
         start = next(told) if known else phi[at : at + 2 * layout.system.n_dof]
         at += 0 if known else 2 * layout.system.n_dof
-        paths.append(_path(layout, p, start, table))
+        paths.append(_path(layout, rig, p, start, table))
     for i, (r, measures, dof, offset) in enumerate(layout.channels):
-        seen = _measured(layout.system, p, paths[r], data["tables"][r]["forces"], measures, dof)[data["at"][i]]
+        seen = _measured(layout.rigs[r], p, paths[r], data["tables"][r]["forces"], measures, dof)[data["at"][i]]
         shift = phi[layout.size - layout.offsets + offset] if offset >= 0 else 0.0
         left = (data["values"][i] - seen - shift) * jnp.exp(-log_sigma[i])
         value -= 0.5 * jnp.sum(left**2) + data["values"][i].size * log_sigma[i]
@@ -159,12 +162,12 @@ def _measured(system: System, p: Mapping[str, Any], path: Any, forces: Any, meas
     return acceleration(system, p, x, v, list(forces.T), z, jax_ops())[dof]
 
 
-def _path(layout: Layout, p: Mapping[str, Any], start: Any, table: Mapping[str, Any]) -> Any:
+def _path(layout: Layout, system: System, p: Mapping[str, Any], start: Any, table: Mapping[str, Any]) -> Any:
     """States ``[x, v, z]`` at the nodes of a record, (K, d)."""
     import jax
     import jax.numpy as jnp
 
-    system, ops = layout.system, jax_ops()
+    ops = jax_ops()
     n, first = system.n_dof, jnp.concatenate([jnp.asarray(start), jnp.zeros(system.n_hidden)])
 
     def runge_kutta(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -180,19 +183,19 @@ def _path(layout: Layout, p: Mapping[str, Any], start: Any, table: Mapping[str, 
         return new, new
 
     if system.linear:
-        carriers = _carriers(layout, p, table["gaps"])
+        carriers = _carriers(layout, system, p, table["gaps"])
         _, path = jax.lax.scan(exact, first, (table["h"], table["push"], table["which"]))
     else:
         _, path = jax.lax.scan(runge_kutta, first, (table["h"], table["push"]))
     return jnp.concatenate([first[None], path])[table["reached"]]
 
 
-def _carriers(layout: Layout, p: Mapping[str, Any], gaps: Any) -> Any:
+def _carriers(layout: Layout, system: System, p: Mapping[str, Any], gaps: Any) -> Any:
     """The upper rows of the matrix exponentials that carry ``[x, v]`` (and force and its slope) over each gap."""
     import jax
     import jax.numpy as jnp
 
-    system, n = layout.system, layout.system.n_dof
+    n = system.n_dof
     unit = np.eye(3 * n)
     # a linear residual: the rate at unit states and unit forces is the matrix, column by column
     columns = [

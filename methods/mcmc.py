@@ -107,6 +107,7 @@ class MCMC(Identifier):
         several_channels=True,
         offsets=True,
         max_dof=None,
+        added_mass=True,
     )
     requires: ClassVar[tuple[str, ...]] = ("emcee",)
     extra: ClassVar[str] = "mcmc"
@@ -403,7 +404,8 @@ def estimate_from_draws(
         else:
             x, v = start[0][:, few], start[1][:, few]
             states.append(InitialState(np.median(start[0], axis=1), np.median(start[1], axis=1)))
-        responses.append(MeanResponse(system, {n: value[few] for n, value in p.items()}, x, v, record.forces))
+        few_p = {name: value[few] for name, value in p.items()}
+        responses.append(MeanResponse(record.rig(system), few_p, x, v, record.forces))
     parameters = groups = None
     if len(model.free) == len(system.names):
         parameters = Draws(system.names, np.stack([p[name] for name in system.names], axis=1))

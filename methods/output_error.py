@@ -7,7 +7,9 @@ It has the same objective, noise estimate and covariance as multiple shooting (:
 
 What it lacks is on purpose, so that their gain shows: no scan for a start, no second start, no states between the
 samples. It starts at the prior's nominal values or, without a prior, at parameters of unit size in the natural units
-of the problem; the initial state at what fits the data best there. The misfit has one minimum for each half cycle that
+of the problem; the initial state at what fits the data best there. Where a known mass was added in some records and
+there is no prior, the records of the lightest and of the heaviest load are first fitted alone, each from that start:
+their two values of k over the whole mass tell the mass. The misfit has one minimum for each half cycle that
 the phase may slip over the record, and a start from more than about half a cycle away ends in one of the others. Such
 an end is reported as it stands, as it would be by an engineer who trusted the optimiser.
 
@@ -26,7 +28,7 @@ from scipy.optimize import least_squares
 
 from bench import Card, Cost, Estimate, Identifier, InitialState, InputError, Problem, Serves, Status
 from methods.regression import too_fast
-from methods.spectral import OutputError, estimate_at, silent
+from methods.spectral import OutputError, estimate_at, records_by_load, silent, unloaded
 
 POOR = 0.5
 """A response that leaves more than this part of the mean square of the data is said to be poor."""
@@ -58,6 +60,7 @@ class SingleShooting(Identifier):
         several_channels=True,
         offsets=True,
         max_dof=None,
+        added_mass=True,
     )
 
     def __post_init__(self) -> None:
@@ -78,12 +81,23 @@ class SingleShooting(Identifier):
         return replace(estimate, offsets=problem.offsets_from(units, estimate.offsets)).expressed_in(units.inverse)
 
     def _fitted(self, model: OutputError) -> Estimate:
-        theta = model.vector(cold_start(model.problem))
-        residuals, used = model.data - model.predict(theta), float(model.size)
-        evaluations, iterations = 1, 0
-        if not np.all(np.isfinite(residuals)) or _out_of_reach(model, theta):
+        start, spent = self._start(model.problem)
+        theta = model.vector(start)
+        if not np.all(np.isfinite(model.predict(theta))) or _out_of_reach(model, theta):
             sentence = "the response at the start values is not finite, or too fast; give a prior nearer to the system"
             return Estimate.failed(model.system, Status.DIVERGED, sentence)
+        found = self._settled(model, theta)
+        residuals, theta = found.residuals, found.theta
+        covariance = model.covariance(model.jacobian(theta)[1], model.noise(residuals, found.used, floor=0.0))
+        left = float(np.sum((residuals / model.rms[model.channel_of]) ** 2)) / model.data.size
+        message = _message(left, covariance is None, found.stopped)
+        cost = Cost(spent.evaluations + found.evaluations, spent.iterations + found.iterations)
+        return estimate_at(model, theta, covariance, found.used, cost, message)
+
+    def _settled(self, model: OutputError, theta: np.ndarray) -> _Found:
+        """Fit and noise in turn, from ``theta``."""
+        residuals, used = model.data - model.predict(theta), float(model.size)
+        evaluations, iterations, stopped = 1, 0, False
         sigma = model.noise(residuals, used)
         for _ in range(self.sigma_rounds):
             aim = _Objective(model, sigma)
@@ -91,13 +105,39 @@ class SingleShooting(Identifier):
             theta, residuals, used = fit.x, model.data - model.predict(fit.x), _used(fit.jac, model.data.size)
             evaluations += aim.evaluations + 1
             iterations += fit.njev
+            stopped = fit.status == 0
             before, sigma = sigma, model.noise(residuals, used)
             if np.max(np.abs(np.log(sigma / before))) < self.sigma_tolerance:
                 break
-        covariance = model.covariance(model.jacobian(theta)[1], model.noise(residuals, used, floor=0.0))
-        left = float(np.sum((residuals / model.rms[model.channel_of]) ** 2)) / model.data.size
-        message = _message(left, covariance is None, fit.status == 0)
-        return estimate_at(model, theta, covariance, used, Cost(evaluations, iterations), message)
+        return _Found(theta, residuals, used, stopped, evaluations, iterations)
+
+    def _start(self, problem: Problem) -> tuple[dict[str, float], Cost]:
+        """The cold start, and what it cost: nothing but where two loads tell the mass."""
+        parts = records_by_load(problem)
+        if problem.prior is not None or len(parts) == 1:
+            return cold_start(problem), Cost(0, 0)
+        alone, evaluations, iterations = {}, 0, 0
+        for load in (min(parts), max(parts)):
+            model = OutputError(parts[load])
+            theta = model.vector(cold_start(parts[load]))
+            if not np.all(np.isfinite(model.predict(theta))) or _out_of_reach(model, theta):
+                return cold_start(problem), Cost(evaluations, iterations)
+            found = self._settled(model, theta)
+            alone[load] = {name: float(value) for name, value in model.parameters(found.theta).items()}
+            evaluations, iterations = evaluations + found.evaluations, iterations + found.iterations
+        return unloaded(problem, alone) or cold_start(problem), Cost(evaluations, iterations)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Where a fit ended, the degrees of freedom that it ``used``, and what it took."""
+
+    theta: np.ndarray
+    residuals: np.ndarray
+    used: float
+    stopped: bool
+    evaluations: int
+    iterations: int
 
 
 def cold_start(problem: Problem) -> dict[str, float]:
@@ -139,7 +179,7 @@ def _out_of_reach(model: OutputError, theta: np.ndarray) -> bool:
         return False
     p = {name: value[None] for name, value in model.parameters(theta).items()}
     return any(
-        bool(too_fast(model.system, p, np.concatenate([s.displacement, s.velocity]), c.times)[0])
+        bool(too_fast(record.rig(model.system), p, np.concatenate([s.displacement, s.velocity]), c.times)[0])
         for s, record in zip(_states(model, theta), model.problem.records, strict=True)
         for c in record.channels
         if c.n > 1

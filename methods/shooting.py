@@ -11,7 +11,8 @@ Objective: ``sum ((y - h) / sigma)² + sum ((log p - log nominal) / sd)²``. The
 parameters that the data decide, ``trace(H_data H^-1)``.
 
 Starts come from the data alone (:mod:`methods.spectral`): the separate minima of a scan over frequency and decay, a
-few output-error steps each; whatever could still win is solved by shooting, and the best objective is kept.
+few output-error steps each (on the first samples, where a record of a nonlinear system is long); whatever could still
+win is solved by shooting, and the best objective is kept.
 The covariance is the inverse of the Hessian reduced to the space that satisfies the constraints, with Student's t at
 ``N - p`` degrees of freedom. The programme is built once for a shape of problem and reused: data, times, forces,
 prior and noise are its parameters.
@@ -29,6 +30,7 @@ from scipy.sparse.linalg import splu
 
 from bench import (
     Card,
+    Channel,
     Cost,
     Estimate,
     Identifier,
@@ -49,6 +51,8 @@ from methods.spectral import OutputError, estimate_at, screened, silent
 
 SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
 MAX_SUBSTEPS = SUBSTEPS[-1]
+SCREENED = 300
+"""Samples of each channel on which the starts of a nonlinear system are compared."""
 POLISH = 3
 """Gauss-Newton steps in the reduced space after IPOPT, at most: they make the answer free of its tolerance."""
 
@@ -87,6 +91,7 @@ class Shooting(Identifier):
         several_channels=True,
         offsets=True,
         max_dof=None,
+        added_mass=True,
     )
     requires: ClassVar[tuple[str, ...]] = ("casadi",)
     extra: ClassVar[str] = "casadi"
@@ -105,7 +110,7 @@ class Shooting(Identifier):
         return replace(estimate, offsets=problem.offsets_from(units, estimate.offsets)).expressed_in(units.inverse)
 
     def _solve(self, model: OutputError) -> Estimate:
-        found = screened(model, self.starts, rounds=1, iterations=self.screen_iterations)
+        found = screened(_head(model), self.starts, rounds=1, iterations=self.screen_iterations)
         if not found:
             return Estimate.failed(
                 model.system, Status.DIVERGED, "no start gave a finite response; give a prior nearer to the system"
@@ -181,8 +186,27 @@ class _Fit:
     profile: float = np.inf
 
 
+def _head(model: OutputError) -> OutputError:
+    """The first samples of long records of a nonlinear system, for the screening: ``theta`` means the same for them.
+
+    Its step-by-step simulations would outlast the shooting; linear responses are quick at any length.
+    """
+    if model.system.linear or all(c.n <= SCREENED for _, c in model.channels):
+        return model
+
+    def short(c: Channel) -> Channel:
+        return replace(c, times=c.times[:SCREENED], values=c.values[:SCREENED])
+
+    records = tuple(replace(r, channels=tuple(short(c) for c in r.channels)) for r in model.problem.records)
+    return OutputError(replace(model.problem, records=records))
+
+
 class _Plan:
-    """How a record is cut: the ``grid`` of cuts, the ``steps`` between them, the force on both sides of each step."""
+    """How a record is cut: the ``grid`` of cuts, the ``steps`` between them, the force over each of them.
+
+    ``forces`` ((degree + 1) * n_dof, steps): the coefficients of each DOF's force in powers of the part of the step
+    that has passed, the constants of all DOFs first; between its samples a force is such a polynomial.
+    """
 
     def __init__(self, system: System, record: Record) -> None:
         knots = [f.times[f.times < record.duration] for f in record.forces]
@@ -191,10 +215,12 @@ class _Plan:
         self.grid = grid[np.concatenate([[True], np.diff(grid) > 1e-11 * max(record.duration, 1e-300)])]
         self.steps = np.diff(self.grid)
         n = system.n_dof
+        self.degree = max((f.degree for f in record.forces), default=1)
         # sampled inside, since a held force jumps at the cuts
-        near = np.array(record.force(self.grid[:-1] + 0.25 * self.steps, n)).reshape(n, -1)
-        far = np.array(record.force(self.grid[:-1] + 0.75 * self.steps, n)).reshape(n, -1)
-        self.forces = np.concatenate([1.5 * near - 0.5 * far, 1.5 * far - 0.5 * near])
+        nodes = (np.arange(self.degree + 1) + 0.5) / (self.degree + 1)
+        sampled = np.array(record.force(self.grid[:-1] + nodes[:, None] * self.steps, n))
+        coefficients = np.einsum("ij,njk->ink", np.linalg.inv(np.vander(nodes, increasing=True)), sampled)
+        self.forces = coefficients.reshape(-1, self.steps.size)
         self.at = tuple(
             np.abs(self.grid[None] - c.times[:, None]).argmin(axis=1) if c.n else np.zeros(0, int)
             for c in record.channels
@@ -225,11 +251,12 @@ def _fastest(system: System, p: dict[str, np.ndarray], start: Any) -> float:
 class _Shape:
     """What a programme depends on; problems of one shape share it.
 
-    ``records``: by record, the number of cuts and the channels as (measures, dof, offset, cut of each sample).
+    ``records``: by record, the rig that moved, the number of cuts, the degree of the force between them, and the
+    channels as (measures, dof, offset, cut of each sample).
     """
 
     system: System
-    records: tuple[tuple[int, tuple[tuple[str, int, bool, tuple[int, ...]], ...]], ...]
+    records: tuple[tuple[System, int, int, tuple[tuple[str, int, bool, tuple[int, ...]], ...]], ...]
     substeps: int
     prior: bool
 
@@ -237,7 +264,9 @@ class _Shape:
     def of(model: OutputError, plans: tuple[_Plan, ...], substeps: int) -> _Shape:
         records = tuple(
             (
+                record.rig(model.system),
                 plan.grid.size,
+                plan.degree,
                 tuple(
                     (c.measures, c.dof, c.offset, tuple(map(int, at)))
                     for c, at in zip(record.channels, plan.at, strict=True)
@@ -269,23 +298,34 @@ def _casadi_ops() -> Ops:
     )
 
 
-def _interval(system: System, substeps: int) -> Any:
-    """The state after one interval: (state, log-parameters, length, forces at both ends) -> state."""
+def _interval(system: System, substeps: int, degree: int) -> Any:
+    """The state after one interval: (state, log-parameters, length, coefficients of the forces) -> state."""
     import casadi as ca
 
     n, ops = system.n_dof, _casadi_ops()
     state, logs = ca.SX.sym("s", 2 * n), ca.SX.sym("p", len(system.names))
-    length, forces = ca.SX.sym("h"), ca.SX.sym("f", 2 * n)
+    length, forces = ca.SX.sym("h"), ca.SX.sym("f", (degree + 1) * n)
     part, width = ca.SX.sym("part"), ca.SX.sym("width")
     p = {name: ca.exp(logs[i]) for i, name in enumerate(system.names)}
-    start, end = ca.vertsplit(forces)[:n], ca.vertsplit(forces)[n:]
-    at = [[a + (part + d * width) * (b - a) for a, b in zip(start, end, strict=True)] for d in (0.0, 0.5, 1.0)]
+    at = [_polynomial(forces, part + d * width, n) for d in (0.0, 0.5, 1.0)]
     after = rk4_step(system, p, ca.vertsplit(state), length * width, (at[0], at[1], at[2]), ops)
     step = ca.Function("step", [state, logs, length, forces, part, width], [ca.vertcat(*after)])
     now = state
     for j in range(substeps):
         now = step(now, logs, length, forces, j / substeps, 1.0 / substeps)
     return ca.Function("interval", [state, logs, length, forces], [now])
+
+
+def _polynomial(coefficients: Any, part: Any, n: int) -> list[Any]:
+    """The force on each DOF where ``part`` of an interval has passed, by Horner's rule."""
+    import casadi as ca
+
+    rows = ca.vertsplit(coefficients)
+    powers = [rows[i : i + n] for i in range(0, len(rows), n)]
+    total = powers[-1]
+    for lower in reversed(powers[:-1]):
+        total = [c + part * t for c, t in zip(lower, total, strict=True)]
+    return list(total)
 
 
 def _accelerations(system: System) -> Any:
@@ -311,12 +351,12 @@ def _programme(shape: _Shape, max_iterations: int) -> _Programme:
     import casadi as ca
 
     system, n = shape.system, shape.system.n_dof
-    interval, accelerations = _interval(system, shape.substeps), _accelerations(system)
     logs = ca.MX.sym("logs", len(system.names))
     offsets, states, given, misfits, joins = [], [], [], [], []
-    for cuts, channels in shape.records:
+    for rig, cuts, degree, channels in shape.records:
+        interval, accelerations = _interval(rig, shape.substeps, degree), _accelerations(rig)
         path = ca.MX.sym("path", 2 * n, cuts)
-        steps, forces = ca.MX.sym("steps", 1, cuts - 1), ca.MX.sym("forces", 2 * n, cuts - 1)
+        steps, forces = ca.MX.sym("steps", 1, cuts - 1), ca.MX.sym("forces", (degree + 1) * n, cuts - 1)
         states.append(path)
         given += [steps, forces]
         end = interval.map(cuts - 1)(path[:, :-1], ca.repmat(logs, 1, cuts - 1), steps, forces)
@@ -403,7 +443,7 @@ def _first_guess(model: OutputError, plans: tuple[_Plan, ...], theta: np.ndarray
     parts = [np.log(list(p.values())), offsets[list(model.offset_channels)]]
     number = 0
     for record, plan, start in zip(model.problem.records, plans, model.starts(theta), strict=True):
-        motion = simulate(model.system, p, start, plan.grid, record.forces)
+        motion = simulate(record.rig(model.system), p, start, plan.grid, record.forces)
         states = np.concatenate([motion.displacement, motion.velocity])
         for channel, at in zip(record.channels, plan.at, strict=True):
             if channel.measures == "displacement":

@@ -13,8 +13,8 @@ Everything here expects a problem in its natural units (:meth:`bench.Problem.nat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -55,7 +55,7 @@ SMALLEST = 0.02
 class OutputError:
     """Measured minus simulated, as a function of one vector ``theta``, vectorised over many of them.
 
-    ``theta`` holds the log-parameters (without the gauge mass, fixed at 1, in free vibration without a prior), then
+    ``theta`` holds the log-parameters (without the gauge mass, fixed at 1, where nothing tells the scale), then
     displacement and velocity at time 0 of each record whose start is unknown, then the unknown offsets.
     """
 
@@ -72,7 +72,7 @@ class OutputError:
     @cached_property
     def free(self) -> tuple[str, ...]:
         """Names of the estimated parameters."""
-        fixed = {self.system.gauge} if self.prior is None and not self.problem.forced else set()
+        fixed = {self.system.gauge} if self.prior is None and not self.problem.scale_told else set()
         return tuple(name for name in self.system.names if name not in fixed)
 
     @cached_property
@@ -279,7 +279,7 @@ def estimate_at(
         parameters=parameters,
         groups=groups,
         reconstructions=tuple(
-            SimulatedResponse(system, p, start, record.forces)
+            SimulatedResponse(record.rig(system), p, start, record.forces)
             for start, record in zip(starts, model.problem.records, strict=True)
         ),
         initial_states=starts,
@@ -328,10 +328,12 @@ def candidates(model: OutputError, n: int) -> list[dict[str, float]]:
     """Parameter sets to start from, in natural units: from the scan, the regression, and the prior's nominal values."""
     problem = model.problem
     with np.errstate(all="ignore"):
-        found = scan(problem, n) if problem.system.linear else []
-        if problem.system.n_dof > 1 or not problem.system.linear:
+        linear = problem.system.linear
+        loaded = any(record.added_mass is not None for record in problem.records)
+        found = (loaded_scan(problem, n) if loaded else scan(problem, n)) if linear else []
+        if problem.system.n_dof > 1 or not linear:
             found = regression_starts(problem) + found
-    if problem.prior is not None and (problem.system.n_dof > 1 or not problem.system.linear):
+    if problem.prior is not None and (problem.system.n_dof > 1 or not linear or loaded):
         found.append(dict(problem.prior.nominal))
     good = [p for p in found if all(np.isfinite(v) and v > 0 for v in p.values())]
     return good or [dict(problem.prior.nominal) if problem.prior else dict.fromkeys(problem.system.names, 1.0)]
@@ -346,28 +348,86 @@ def scan(problem: Problem, n: int) -> list[dict[str, float]]:
     All stiffnesses are raised together, and all dampings, from the prior's nominal proportions or from equal ones;
     for one degree of freedom that is the whole space.
     """
-    prior, names = problem.prior, problem.system.names
-    base = tuple(1.0 for _ in names)
-    if prior is not None and problem.system.n_dof > 1:
-        sizes = {"mass": prior.nominal[problem.system.gauge]}
-        for p in problem.system.parameters:
-            sizes.setdefault(p.kind, prior.nominal[p.name])
-        base = tuple(prior.nominal[p.name] / sizes[p.kind] for p in problem.system.parameters)
+    return [p for _, p in _minima(problem, n, problem.prior is not None)]
+
+
+def _minima(problem: Problem, n: int, fixed_scale: bool) -> list[tuple[float, dict[str, float]]]:
+    """Those minima and their misfits; ``fixed_scale`` says that the gauge is that of the problem's units."""
+    names, base = problem.system.names, _proportions(problem)
     misfit: np.ndarray | float = 0.0
     strength: np.ndarray | float = 0.0
     grid = np.zeros((0, 2))
     cycles = max(_most_cycles(record) for record in problem.records)
     for record in problem.records:
         grid, responses = _grid_responses(problem.system, base, _signature(record), cycles)
-        rss, scale = _projected(record, responses, fixed_scale=prior is not None)
+        rss, scale = _projected(record, responses, fixed_scale)
         misfit, strength = misfit + rss, strength + scale / len(problem.records)
     table, scales = np.reshape(misfit, (-1, len(DECAYS))), np.reshape(strength, (-1, len(DECAYS)))
     found = []
     for i, j in _separate_minima(table)[:n]:
         frequency, decay = grid[i * len(DECAYS) + j]
         levels = _by_kind(problem.system, base, np.array(frequency), np.array(decay))
-        found.append({name: float(levels[name] * max(scales[i, j], 1e-12)) for name in names})
+        found.append((table[i, j], {name: float(levels[name] * max(scales[i, j], 1e-12)) for name in names}))
     return found
+
+
+def _proportions(problem: Problem) -> tuple[float, ...]:
+    """The parameters over the first of their kind: as the prior has them, or all equal."""
+    prior, system = problem.prior, problem.system
+    if prior is None or system.n_dof == 1:
+        return tuple(1.0 for _ in system.names)
+    sizes = {"mass": prior.nominal[system.gauge]}
+    for p in system.parameters:
+        sizes.setdefault(p.kind, prior.nominal[p.name])
+    return tuple(prior.nominal[p.name] / sizes[p.kind] for p in system.parameters)
+
+
+def loaded_scan(problem: Problem, n: int) -> list[dict[str, float]]:
+    """The starts of :func:`scan` where known masses were added in some records.
+
+    The records of each load are scanned as if their rig were plain; :func:`unloaded` tells the mass from the lightest
+    and the heaviest. Pairs of minima are taken in the order of their common misfit.
+    """
+    by_load = records_by_load(problem)
+    loads = sorted(by_load)
+    light = _minima(by_load[loads[0]], n, fixed_scale=False)
+    heavy = _minima(by_load[loads[-1]], n, fixed_scale=False) if len(loads) > 1 else []
+    pairs = []
+    for misfit, p in light:
+        for other, q in heavy:
+            found = unloaded(problem, {loads[0]: p, loads[-1]: q})
+            if found is not None:
+                pairs.append((misfit + other, found))
+    return [p for _, p in sorted(pairs, key=lambda pair: pair[0])[:n]] or [p for _, p in light]
+
+
+def unloaded(problem: Problem, by_load: Mapping[float, Mapping[str, float]]) -> dict[str, float] | None:
+    """Parameters of the rig from those that fit its records with each of two loads as if it were plain.
+
+    Each tells ``r = k / (m + load)``, so that ``m = (r2 load2 - r1 load1) / (r1 - r2)``; None where that is not
+    positive. Damping and stiffness over mass are the first one's. The masses of several degrees of freedom are taken
+    to share the load, as a first guess.
+    """
+    system = problem.system
+    (load1, p), (load2, q) = by_load.items()
+    kinds = {parameter.name: parameter.kind for parameter in system.parameters}
+    stiffness = next(name for name, kind in kinds.items() if kind == "stiffness")
+    r1, r2 = p[stiffness] / p[system.gauge], q[stiffness] / q[system.gauge]
+    shares = sum(p[name] / p[system.gauge] for name, kind in kinds.items() if kind == "mass")
+    mass = (r2 * load2 - r1 * load1) / (r1 - r2) / shares if r1 != r2 else 0.0
+    if not (np.isfinite(mass) and mass > 0):
+        return None
+    whole = mass + load1 / shares
+    return {name: float(v / p[system.gauge] * (mass if kinds[name] == "mass" else whole)) for name, v in p.items()}
+
+
+def records_by_load(problem: Problem) -> dict[float, Problem]:
+    """The problem by the mass that was added in all, each part as if it had been on the plain rig."""
+    parts: dict[float, list[Record]] = {}
+    for record in problem.records:
+        load = 0.0 if record.added_mass is None else float(np.sum(record.added_mass))
+        parts.setdefault(load, []).append(replace(record, added_mass=None))
+    return {load: replace(problem, records=tuple(records)) for load, records in parts.items()}
 
 
 def _separate_minima(table: np.ndarray) -> list[tuple[int, int]]:
@@ -492,7 +552,8 @@ def regression_starts(problem: Problem) -> list[dict[str, float]]:
         blocks = [_smoothed(system, record, level) for record in problem.records]
         usable = [block for block in blocks if block is not None]
         if usable:
-            found.append(_regressed(problem, usable))
+            rigs = [r.rig(system) for r, block in zip(problem.records, blocks, strict=True) if block is not None]
+            found.append(_regressed(problem, rigs, usable))
     return found
 
 
@@ -569,13 +630,13 @@ def _left(channels: Sequence[Channel], rates: np.ndarray) -> float:
     return total
 
 
-def _regressed(problem: Problem, blocks: Sequence[Curves]) -> dict[str, float]:
-    """Non-negative least squares of the residual on the curves; gauge mass 1 where no force sets the scale."""
+def _regressed(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves]) -> dict[str, float]:
+    """Non-negative least squares of each rig's residual on its curves; gauge mass 1 where nothing sets the scale."""
     system = problem.system
-    parts = [regression_columns(system, *block) for block in blocks]
+    parts = [regression_columns(rig, *block) for rig, block in zip(rigs, blocks, strict=True)]
     columns, rest = np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])
     names = list(system.names)
-    fixed = {} if problem.forced and problem.prior is None else {system.gauge: 1.0}
+    fixed = {} if problem.scale_told and problem.prior is None else {system.gauge: 1.0}
     right = -rest - sum((columns[:, names.index(name)] * value for name, value in fixed.items()), np.zeros(len(rest)))
     free = [name for name in names if name not in fixed]
     sizes = {name: float(np.sqrt(np.mean(columns[:, names.index(name)] ** 2))) or 1.0 for name in names}

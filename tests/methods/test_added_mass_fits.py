@@ -1,0 +1,141 @@
+"""A known mass added in a second record of free vibration: the fits by simulation tell every parameter from it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from bench import Channel, Estimate, Identifier, InitialState, Problem, Record, Status, Units
+from bench.registry import make_method, missing_package
+from bench.systems import SDOF, Chain, System
+from bench.truth import closed_form
+from methods.spectral import OutputError, candidates, unloaded
+
+P = {"m": 1.3, "c": 0.6, "k": 9.0}
+ADDED = 0.7
+TIMES = np.linspace(0.0, 8.0, 25)
+TWO = {"m1": 1.2, "m2": 0.9, "c1": 0.25, "c2": 0.2, "k1": 7.0, "k2": 11.0}
+
+
+def clean() -> list[np.ndarray]:
+    """The two free responses, plain and loaded, in closed form."""
+    return [closed_form({**P, "m": P["m"] + a}, 0.8, 0.5, TIMES) for a in (0.0, ADDED)]
+
+
+def problem(sigma: float = 0.0, seed: int = 0, told: bool = False) -> Problem:
+    """Two records of the plant without a prior, noise of standard deviation ``sigma`` (m)."""
+    start = InitialState(np.array([0.8]), np.array([0.5])) if told else None
+    rng = np.random.default_rng(seed)
+    plain, loaded = (Channel(TIMES, y + sigma * rng.standard_normal(y.size)) for y in clean())
+    return Problem(SDOF(), (Record((plain,), (), start), Record((loaded,), (), start, np.array([ADDED]))))
+
+
+def method(name: str) -> Identifier:
+    lacking = missing_package(name)
+    if lacking:
+        pytest.skip(lacking)
+    return make_method(name, {})
+
+
+def values(estimate: Estimate, system: System) -> np.ndarray:
+    assert estimate.status is Status.OK, estimate.message
+    found = [estimate.marginal(system.quantity(name)) for name in system.names]
+    return np.array([f.value for f in found])  # type: ignore[union-attr]
+
+
+FITS = [("shooting", False), ("shooting", True), ("output_error", True)]
+"""Output error starts at a period of six records: with an untold start the phase slips, loads or none."""
+
+
+@pytest.mark.parametrize(("name", "told"), FITS)
+@pytest.mark.parametrize("units", [Units(), Units(mass=1e-3, length=1e-3, time=0.1)], ids=["SI", "other units"])
+def test_clean_records_give_mass_damping_and_stiffness(name: str, told: bool, units: Units) -> None:
+    given = problem(told=told).expressed_in(units)
+    found = values(method(name).identify(given, np.random.default_rng(0)).expressed_in(units.inverse), SDOF())
+    np.testing.assert_allclose(found, list(P.values()), rtol=1e-5)
+
+
+def standard_errors(sigma: float, told: bool) -> np.ndarray:
+    """Cramér-Rao bound on log m, log c, log k, starts told or not, by complex steps of the closed form."""
+    theta, rows = np.array([*np.log(list(P.values())), 0.8, 0.5, 0.8, 0.5]), []
+    for i in range(theta.size):
+        t = theta + 1e-30j * (np.arange(theta.size) == i)
+        m, c, k = np.exp(t[:3])
+        parts = []
+        for added, x0, v0 in ((0.0, t[3], t[4]), (ADDED, t[5], t[6])):
+            a = c / (2 * (m + added))
+            wd = np.sqrt(k / (m + added) - a * a)
+            parts.append(np.exp(-a * TIMES) * (x0 * np.cos(wd * TIMES) + (v0 + a * x0) / wd * np.sin(wd * TIMES)))
+        rows.append(np.imag(np.concatenate(parts)) / 1e-30)
+    slopes = np.array(rows[:3] if told else rows)
+    return np.sqrt(np.diag(np.linalg.inv(slopes @ slopes.T)))[:3] * sigma
+
+
+@pytest.mark.parametrize(("name", "told"), [*FITS, ("mcmc", False)])
+def test_the_uncertainty_is_that_of_the_closed_form(name: str, told: bool) -> None:
+    """43 degrees of freedom: the noise is known to 11 %, a width from draws to a few per cent more."""
+    sigma, given = 0.02, problem(0.02, 4, told)
+    estimate = method(name).identify(given, np.random.default_rng(1))
+    assert estimate.status is Status.OK, estimate.message
+    bounds = standard_errors(sigma, told)
+    for parameter, bound in zip(P, bounds, strict=True):
+        marginal = estimate.marginal(SDOF().quantity(parameter))
+        assert marginal is not None
+        low, high = np.log(marginal.interval(0.6827))
+        assert (high - low) / 2 == pytest.approx(bound, rel=0.4)
+        assert abs(math.log(marginal.value / P[parameter])) < 4 * bound
+
+
+def test_two_masses_with_one_of_them_loaded() -> None:
+    """Against the matrix exponential; the load is on the second mass alone, where the first guess shares it."""
+    pytest.importorskip("casadi")
+    records = []
+    for added in (0.0, 0.5):
+        mass = np.array([TWO["m1"], TWO["m2"] + added])
+        k = np.array([[TWO["k1"] + TWO["k2"], -TWO["k2"]], [-TWO["k2"], TWO["k2"]]])
+        c = np.array([[TWO["c1"] + TWO["c2"], -TWO["c2"]], [-TWO["c2"], TWO["c2"]]])
+        a = np.block([[np.zeros((2, 2)), np.eye(2)], [-k / mass[:, None], -c / mass[:, None]]])
+        x = np.array([expm(a * t) @ [0.5, -0.4, 0.0, 1.0] for t in TIMES]).T
+        load = np.array([0.0, added]) if added else None
+        records.append(Record((Channel(TIMES, x[0]), Channel(TIMES, x[1], dof=1)), added_mass=load))
+    found = method("shooting").identify(Problem(Chain(2), tuple(records)), np.random.default_rng(0))
+    np.testing.assert_allclose(values(found, Chain(2)), list(TWO.values()), rtol=1e-4)
+
+
+@pytest.mark.parametrize("loads", [(0.0, 0.7), (0.2, 0.7)])
+def test_two_loads_tell_the_mass(loads: tuple[float, float]) -> None:
+    """Each record alone tells k and c over the whole mass, here with that mass as the unit."""
+    alone = {a: {"m": 1.0, "c": P["c"] / (P["m"] + a), "k": P["k"] / (P["m"] + a)} for a in loads}
+    assert unloaded(problem(), alone) == pytest.approx(P)
+    assert unloaded(problem(), {a: alone[loads[0]] for a in loads}) is None
+
+
+def test_the_first_start_is_near() -> None:
+    scaled = problem(0.02).expressed_in(problem().natural_units())
+    start = candidates(OutputError(scaled), 3)[0]
+    units = problem().natural_units().scales(SDOF())
+    assert start["m"] * units["m"] == pytest.approx(P["m"], rel=0.5)
+    assert start["k"] / start["m"] * units["k"] / units["m"] == pytest.approx(P["k"] / P["m"], rel=0.2)
+
+
+def test_the_gradient_sampler_has_the_density_of_mcmc() -> None:
+    pytest.importorskip("blackjax")
+    import jax
+
+    from methods.differentiable import log_density, prepare
+    from methods.mcmc import Posterior
+
+    jax.config.update("jax_enable_x64", True)
+    given = problem(0.02)
+    model = OutputError(given.expressed_in(given.natural_units()))
+    mode = model.settle(model.vector(candidates(model, 2)[0]))
+    posterior = Posterior(model, mode)
+    layout, data = prepare(posterior)
+    points = np.append(mode, np.log(0.03 * model.rms)) + 0.02 * np.random.default_rng(0).standard_normal(
+        (4, mode.size + 2)
+    )
+    own = [float(log_density(layout, data, phi)) for phi in points]
+    np.testing.assert_allclose(own, posterior(points), rtol=1e-5, atol=1e-4)
