@@ -151,9 +151,9 @@ def attempt(fit: Fit, problem: Problem, truth: Truth, rng: np.random.Generator, 
     seconds = time.process_time() - started
     if estimate.status is not Status.OK:
         return Outcome(seconds, math.inf, f"{estimate.status}: {estimate.message}")
-    error = score(combine_with_prior(estimate, problem.prior).checked(), problem, truth).get("rmse", math.inf)
-    reason = "" if error < WITHIN * bound else "another minimum"
-    return Outcome(seconds, error / bound, reason)
+    off = score(combine_with_prior(estimate, problem.prior).checked(), problem, truth).get("rmse", math.inf)
+    reason = "" if off < WITHIN * bound else "another minimum"
+    return Outcome(seconds, off / bound, reason)
 
 
 def measure(
@@ -187,15 +187,15 @@ TITLES = {
 TEXT = """Regenerate: `python -m benchmarks.handwritten`.
 
 What an engineer would otherwise write, `scipy.optimize.least_squares` around `scipy.integrate.solve_ivp` (RK45 at a
-relative tolerance of 1e-6, forward differences, both scipy's defaults), beside two methods of this benchmark. Start told,
-nominal prior. By hand the fit starts once, at the nominal values, positive parameters in units of these; its residuals
-are plain metres, without weights or prior rows, since the noise level is not known. `output_error` starts there, too;
-`shooting` looks for its starts itself. The same data, one process, one thread, methods in turn, one fit before the
-first that counts; seconds of processor time, limit {limit:g} s a fit.
+relative tolerance of 1e-6, forward differences, both scipy's defaults), beside two methods of this benchmark. Start
+told, nominal prior. By hand the fit starts once, at the nominal values, positive parameters in units of these; its
+residuals are plain metres, without weights or prior rows, since the noise level is not known. `output_error` starts
+there, too; `shooting` looks for its starts itself. The same data, one process, one thread, methods in turn, one fit
+each before the first that counts; seconds of processor time, limit {limit:g} s a fit.
 
-*Success*: the fit says that it has converged, and its displacement error is below {within:g} times the Cramér-Rao bound;
-between brackets the 95 % interval of the rate (Wilson). *Excess*: root mean square displacement error over the bound,
-of the successful fits. *Time, largest*: of all fits, those that failed among them."""
+*Success*: the fit says that it has converged, and its displacement error is below {within:g} times the Cramér-Rao
+bound; in brackets the 95 % interval of the rate (Wilson). *Excess*: root mean square displacement error over the
+bound, of the successful fits. *Time, largest*: of all fits, those that failed among them."""
 
 
 def row(label: str, snr: float, name: str, outcomes: Sequence[Outcome]) -> list[str]:
