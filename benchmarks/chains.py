@@ -206,8 +206,8 @@ Chains of n masses, every displacement measured, 30 dB, the first mass released 
 {n_fits}; true values along the chain from the ground on, over and over: masses {m} kg, dampers {c} N·s/m, springs {k}
 N/m. A record lasts {periods:g} periods of the slowest mode, in whole seconds, and has {per:g} samples a period of the
 fastest: the scenario is designed from the true natural frequencies, the methods get its record alone. One setting a
-method, its default; limit {timeout:g} s and 4 GB a fit; one thread. A method that has no answer to the first data set
-of a size within these limits is not asked again.
+method, its default; limit {timeout:g} s by the clock and 4 GB a fit; one thread. A method that has no answer to the
+first data set of a size within these limits is not asked again.
 
 *Time*: processor seconds, median over the successful fits. *rmse*, *parameters*, *ratios*: root mean square error over
 the Cramér-Rao bound, 1 being the best that an unbiased method can do, of the displacement; of all 3 n masses, dampers
