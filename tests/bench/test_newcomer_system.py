@@ -25,7 +25,7 @@ from bench.version import cell_version
 
 README = Path(__file__).parents[2] / "README.md"
 FILES = ("gap_spring.py", "pyproject.toml", "gap.yaml")
-METHODS = ("shooting", "collocation", "pinn", "ekf", "output_error")
+METHODS = ("shooting", "collocation", "ekf")
 """Some of those that take any smooth system."""
 
 
@@ -112,7 +112,7 @@ def test_its_groups_are_what_the_data_tell(folder: Path) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_methods_run_on_it(method: str, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """The README's command; the fit is within five times the Cramér-Rao bound of the displacement."""
-    for package in {"shooting": ["casadi"], "pinn": ["torch"]}.get(method, []):
+    for package in {"shooting": ["casadi"], "collocation": ["torch"]}.get(method, []):
         pytest.importorskip(package)
     assert main([f"method={method}", "system=gap.yaml", "replicates=1", "workers=1", "format=json"]) == 0
     said = json.loads(capfd.readouterr().out.strip().splitlines()[-1])
