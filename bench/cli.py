@@ -20,7 +20,7 @@ USAGE = """usage: python -m bench method=<name> [field=value ...]        one cel
 
 fields (defaults in brackets):
   method         {methods}
-  system         [sdof] {systems}
+  system         [sdof] {systems}, or a file of your own: <path>.yaml
   snr            [20] signal-to-noise ratio in dB
   initial_state  [known] known, unknown: whether the method is told the start
   prior          [nominal] {priors}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 import re
@@ -18,6 +19,7 @@ from bench.cell import Cell
 from bench.disturbance import Disturbance, make_disturbance
 from bench.errors import InputError
 from bench.excitation import Shape
+from bench.failure import one_line
 from bench.problem import Hold
 from bench.reference import REFERENCES
 from bench.registry import default_settings, load_method, make_method, method_names, registered
@@ -258,10 +260,39 @@ def _swept(override: Any, key: str, text: str) -> list[Any]:
 
 
 def _known_choice(group: str, value: Any) -> None:
+    if _own_file(group, value):
+        return
     if value not in choices(group) and not (group == "experiment" and value is None):
         raise InputError(group, value, f"{did_you_mean(value, choices(group))}known: {', '.join(choices(group))}")
     if group == "method" and value in registered():
         load_method(value)  # a broken entry point is said here
+
+
+def _own_file(group: str, value: Any) -> bool:
+    """Whether a choice names a file of one's own: ``system=<path>.yaml``; raises InputError if it is not there."""
+    named = group == "system" and isinstance(value, str) and value.endswith(".yaml")
+    if named and not Path(value).is_file():
+        raise InputError(group, value, "there is no such file; give the path of a file like those of conf/system")
+    return named
+
+
+def _register_file(path: str) -> str:
+    """Give Hydra a scenario from a file of one's own, which may start from one of ``conf/system``; its name there."""
+    from hydra.core.config_store import ConfigStore
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+    from yaml import YAMLError
+
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+        content = OmegaConf.to_container(OmegaConf.create(text))
+    except (OSError, UnicodeDecodeError, YAMLError, OmegaConfBaseException) as error:
+        raise InputError("system", path, f"it cannot be read: {one_line(error)}") from None
+    if not isinstance(content, dict) or not content:
+        raise InputError("system", path, "fields like those of the files of conf/system are wanted")
+    name = f"file_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+    ConfigStore.instance().store(group="system", name=name, node=content)
+    return name
 
 
 def expand(texts: Sequence[str], multirun: bool) -> list[Job]:
@@ -329,6 +360,8 @@ def _compose(chosen: Mapping[str, Any]) -> dict[str, Any]:
     """The composed configuration; each group by itself, since none refers to another: a sum of compositions, which take
     a tenth of a second, instead of a product."""
     literals = {key: _literal(value) for key, value in chosen.items()}
+    if _own_file("system", chosen.get("system")):
+        literals["system"] = _register_file(chosen["system"])
     rest = tuple((key, text) for key, text in literals.items() if key.split(".")[0] not in COMPOSED)
     content: dict[str, Any] = json.loads(_composed(rest))
     for group in COMPOSED:

@@ -1,0 +1,362 @@
+"""``python -m benchmarks.chains``: how far each method reaches as the number of masses grows, and what it costs.
+
+Chains of 1 to 20 masses, every displacement measured, 30 dB, the first mass released from 1 m, start told, nominal
+prior. The cells are computed by the harness's own runner and kept in its store, so a second run makes the table and the
+picture only. At each size every method first gets one data set; one that gives no answer within the limits is not asked
+again, neither for more data sets of that size nor for longer chains.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from tabulate import tabulate
+
+from bench.cell import Cell
+from bench.cli import number
+from bench.config import expand, jobs_to_cells
+from bench.errors import InputError
+from bench.estimate import Status
+from bench.figures import STYLES, pyplot, save_figure
+from bench.launch import complete
+from bench.reference import REFERENCES
+from bench.registry import default_settings, method_names
+from bench.scenario import Scenario
+from bench.slots import Limits
+from bench.store import Store, StoredCell
+from bench.systems import Chain
+from bench.tables import TITLES, excess_text
+
+SIZES = (1, 2, 3, 5, 10, 20)
+SEED = 0
+MASSES, DAMPERS, SPRINGS = (1.0, 0.9, 1.1, 0.8, 1.2), (0.3, 0.25, 0.3, 0.2, 0.25), (20.0, 18.0, 22.0, 16.0, 19.0)
+"""True values (kg, N·s/m, N/m) along the chain, from the ground on, over and over: those of conf/system/chain5."""
+PERIODS, PER_PERIOD = 4.0, 4.5
+"""Length of the record in periods of the slowest mode; samples a period of the fastest."""
+DENSE = 1000
+"""Fewest times at which the displacement is scored."""
+ASTRAY = 3.0
+"""An excess of the displacement error from which on a method is said to have missed the solution."""
+OTHER_STYLES = {
+    "ekf": ("#332288", ">"), "ukf": ("#AA4499", "<"), "era": ("#117733", "X"), "nuts": ("#6699CC", "^"),
+}  # fmt: skip
+"""Colours (Tol's) and markers of methods that the other pictures do not show."""
+USAGE = """usage: python -m benchmarks.chains [sizes=1,2,3,5,10,20] [methods=<a,b>] [timeout_s=120] [workers=1]
+                                          [store=results/rows] [out=results]"""
+
+
+def true_parameters(n: int) -> dict[str, float]:
+    """The true parameters of a chain of n masses."""
+    kinds = {"m": MASSES, "c": DAMPERS, "k": SPRINGS}
+    return {f"{kind}{i + 1}": values[i % len(values)] for kind, values in kinds.items() for i in range(n)}
+
+
+def natural_frequencies(n: int) -> np.ndarray:
+    """Undamped natural frequencies (rad/s) of the true chain, rising: square roots of the eigenvalues of K over M.
+
+    For n equal masses m and springs k they are ``2 sqrt(k/m) sin((2 i - 1) π / (4 n + 2))``.
+    """
+    from scipy.linalg import eigh
+
+    p = true_parameters(n)
+    k = np.array([p[f"k{i}"] for i in range(1, n + 1)])
+    stiffness = np.diag(k + np.append(k[1:], 0.0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+    return np.sqrt(eigh(stiffness, np.diag([p[f"m{i}"] for i in range(1, n + 1)]), eigvals_only=True))
+
+
+@cache
+def scenario(n: int) -> Scenario:
+    """The chain of n masses; the record is as long, and sampled as fast, as the rule above asks of its true modes.
+
+    The times at which the displacement is scored, and forecast, are the samples' and equal parts of their steps.
+    """
+    common = jobs_to_cells(expand(["method=prior", "system=chain2", "snr=30"], multirun=False))[0].scenario
+    frequencies = natural_frequencies(n)
+    duration = float(math.ceil(PERIODS * 2.0 * math.pi / frequencies[0]))
+    steps = math.ceil(PER_PERIOD * duration * frequencies[-1] / (2.0 * math.pi))
+    dense = steps * math.ceil((DENSE - 1) / steps) + 1
+    return replace(
+        common,
+        parameters=true_parameters(n),
+        options={"n": n},
+        initial=((1.0, *[0.0] * (n - 1)), (0.0,) * n),
+        duration=duration,
+        samples=steps + 1,
+        dense=dense,
+        forecast=dense * duration / (dense - 1),
+        label=f"chain of {n}",
+    )
+
+
+def replicates(n: int) -> int:
+    """Data sets at a size."""
+    return 5 if n <= 5 else 3
+
+
+def cell(n: int, method: str, count: int) -> Cell:
+    """The cell of a method, with its default settings, at a size."""
+    return Cell(scenario(n), method, default_settings(method), count, SEED, method)
+
+
+# ------------------------------------------------------------------------------------------------ computing
+
+
+def gave_up(stored: StoredCell | None) -> bool:
+    """Whether a method has shown that it cannot do this size, for want of time or memory, or says so itself."""
+    return stored is not None and stored.n_ok == 0
+
+
+@dataclass(frozen=True)
+class Result:
+    """What is stored of a method at a size: all data sets, or the one that it gave up on; None where not tried."""
+
+    n: int
+    method: str
+    stored: StoredCell | None
+
+
+def found(n: int, method: str, store: Store) -> Result:
+    """The stored result: of all data sets where there is one, else of the first alone."""
+    cells = (cell(n, method, count) for count in (replicates(n), 1))
+    return Result(n, method, next((s for c in cells if (s := store.load(c.identity)) is not None), None))
+
+
+def compute(sizes: Sequence[int], methods: Sequence[str], store: Store, limits: Limits) -> None:
+    """Compute and store what is lacking, from short chains to long ones."""
+    alive = list(methods)
+    for n in sorted(sizes):
+        complete([cell(n, method, 1) for method in alive], store, limits)
+        alive = [method for method in alive if not gave_up(store.load(cell(n, method, 1).identity))]
+        complete([cell(n, method, replicates(n)) for method in alive], store, limits)
+
+
+# ------------------------------------------------------------------------------------------------ what came out
+
+
+def pooled(stored: StoredCell, names: Sequence[str]) -> float:
+    """Root mean over quantities and successful data sets of (error / bound)²; NaN where a quantity is lacking."""
+    excesses = [stored.summary.get(f"{name}_error_pct", {}).get("excess", math.nan) for name in names]
+    return float(np.sqrt(np.mean(np.square(excesses))))
+
+
+def line(result: Result) -> dict[str, Any]:
+    """One line of the CSV."""
+    system, stored = Chain(result.n), result.stored
+    head: dict[str, Any] = {"n": result.n, "parameters": 3 * result.n, "method": result.method}
+    if stored is None:
+        return {**head, "n_ok": 0, "n_fits": 0, "status": "not tried"}
+    seconds = [row.cpu_s for row in stored.rows if row.status is Status.OK]
+    failed = [row for row in stored.rows if row.status is not Status.OK]
+    return {
+        **head,
+        "n_ok": stored.n_ok,
+        "n_fits": len(stored.rows),
+        "status": stored.status.value,
+        "cpu_s": median(seconds) if seconds else math.nan,
+        "rmse_m": stored.summary["rmse"]["median"],
+        "rmse_excess": stored.summary["rmse"]["excess"],
+        "parameters_excess": pooled(stored, system.names),
+        "ratios_excess": pooled(stored, [group.name for group in system.groups]),
+        "message": failed[0].message if failed else "",
+    }
+
+
+def tidy(sizes: Sequence[int], methods: Sequence[str], store: Store) -> pd.DataFrame:
+    """One line a size and method, in the order of the table."""
+    return pd.DataFrame([line(found(n, method, store)) for n in sorted(sizes) for method in methods])
+
+
+def reach(own: pd.DataFrame) -> str:
+    """How far a method came: the longest chain that it solved every time, and what happened on the next one."""
+    solved, after = 0, ""
+    for _, at in own.iterrows():
+        if at.status == "not tried":
+            break
+        if at.n_ok == at.n_fits and at.rmse_excess < ASTRAY:
+            solved = int(at.n)
+            continue
+        failed = f"{at.n_fits - at.n_ok} of {at.n_fits} failed ({at.message})" if at.n_ok < at.n_fits else ""
+        astray = f"excess {excess_text(at.rmse_excess)}" if at.n_ok and not at.rmse_excess < ASTRAY else ""
+        after = f"{at.n:.0f}: {'; '.join(part for part in (failed, astray) if part)}"
+        break
+    return f"| {solved or 'none'} | {after or '-'} |"
+
+
+def entry(at: Mapping[str, Any]) -> list[str]:
+    """The columns of a size: time, excesses, successes."""
+    if at["status"] == "not tried":
+        return ["not tried", "", "", "", ""]
+    values = [at[key] for key in ("rmse_excess", "parameters_excess", "ratios_excess")]
+    texts = ["-" if math.isnan(value) else excess_text(value) for value in values]
+    return [number(at["cpu_s"]), *texts, f"{at['n_ok']:.0f}/{at['n_fits']:.0f}"]
+
+
+TEXT = """Regenerate: `python -m benchmarks.chains` (what is stored already is not computed again).
+
+Chains of n masses, every displacement measured, 30 dB, the first mass released from 1 m, start told, nominal prior,
+{n_fits}; true values along the chain from the ground on, over and over: masses {m} kg, dampers {c} N·s/m, springs {k}
+N/m. A record lasts {periods:g} periods of the slowest mode, in whole seconds, and has {per:g} samples a period of the
+fastest: the scenario is designed from the true natural frequencies, the methods get its record alone. One setting a
+method, its default; limit {timeout:g} s by the clock and 4 GB a fit; one thread. A method that has no answer to the
+first data set of a size within these limits is not asked again.
+
+*Time*: processor seconds, median over the successful fits. *rmse*, *parameters*, *ratios*: root mean square error over
+the Cramér-Rao bound, 1 being the best that an unbiased method can do, of the displacement; of all 3 n masses, dampers
+and springs together (root mean over them of its square); and of their 3 n - 1 ratios to the first mass, which are what
+the data tell. The prior decides the scale, and with it much of the parameters' bound. Errors are of the successful
+fits only; *ok* says how many. *oracle* is maximum a posteriori started at the truth, *prior* the nominal values
+without any data. A single excess of so few data sets is uncertain: the oracle's shows by how much, since all methods
+get the same data."""
+
+
+def page(data: pd.DataFrame, timeout_s: float) -> str:
+    """The tables as a page."""
+    joined = {
+        key: "/".join(f"{v:g}" for v in values) for key, values in (("m", MASSES), ("c", DAMPERS), ("k", SPRINGS))
+    }
+    n_fits = "5 data sets up to five masses, 3 above"
+    parts = ["# Chains: reach and cost", TEXT.format(
+        n_fits=n_fits, periods=PERIODS, per=PER_PERIOD, timeout=timeout_s, **joined
+    )]  # fmt: skip
+    methods = list(dict.fromkeys(data.method))
+    served = [m for m in methods if not (data[data.method == m].status == Status.UNSUPPORTED.value).all()]
+    lines = [f"| {TITLES.get(m, m)} {reach(data[data.method == m])}" for m in served if m != "prior"]
+    head = (
+        f"| method | solved up to n = (all fits ok, rmse excess below {ASTRAY:g}) | and then, at n = |\n|---|---|---|"
+    )
+    parts += ["## Where each method gives up", "\n".join([head, *lines])]
+    parts += ["![Time and excess against the number of masses](figures/chains.svg)"]
+    columns = ["method", "time (s)", "rmse", "parameters", "ratios", "ok"]
+    for n, own in data.groupby("n", sort=True):
+        cell_scenario = scenario(int(n))
+        rows = [[TITLES.get(at["method"], at["method"]), *entry(at)] for at in own.to_dict("records") if _asked(at)]
+        size = f"{3 * n} parameters, {cell_scenario.samples} samples of each mass over {cell_scenario.duration:g} s"
+        table = tabulate(rows, headers=columns, tablefmt="github", disable_numparse=True)
+        parts += [f"## n = {n}: {size}", table]
+    unsupported = data[data.status == Status.UNSUPPORTED.value].drop_duplicates("method")
+    if len(unsupported):
+        said = "\n".join(
+            f"- {TITLES.get(at.method, at.method)}: {at.message} (n = {at.n})" for at in unsupported.itertuples()
+        )
+        parts += ["## Not served", said]
+    return "\n\n".join(parts) + "\n"
+
+
+def _asked(at: Mapping[str, Any]) -> bool:
+    return at["status"] not in (Status.UNSUPPORTED.value, "not tried")
+
+
+def picture(data: pd.DataFrame, out: Path) -> list[Path]:
+    """Time and excess of the displacement against n, one line a method."""
+    plt = pyplot()
+    figure, axes = plt.subplots(1, 2, figsize=(10.0, 4.6), layout="constrained")
+    panels = (("cpu_s", "processor time of a fit (s)"), ("rmse_excess", "excess of the displacement: error / bound"))
+    for method, (colour, marker) in {**OTHER_STYLES, **STYLES}.items():
+        own = data[(data.method == method) & (data.n_ok > 0)]
+        for axis, (what, _) in zip(axes, panels, strict=True):
+            if len(own) and not (method == "oracle" and what == "cpu_s"):
+                axis.plot(own.n, own[what], color=colour, marker=marker, ms=5, lw=1.2, label=TITLES.get(method, method))
+    sizes = sorted(set(data.n))
+    for axis, (_, title) in zip(axes, panels, strict=True):
+        axis.set(xscale="log", yscale="log", xlabel="masses in the chain", title=title)
+        axis.title.set_fontsize(9)
+        axis.minorticks_off()
+        axis.set_xticks(sizes, [str(n) for n in sizes])
+        axis.grid(alpha=0.3)
+    axes[1].axhline(1.0, color="0.7", lw=0.8)
+    handles = {label: h for axis in axes for h, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=5, frameon=False)
+    return save_figure(figure, out, "chains")
+
+
+# ------------------------------------------------------------------------------------------------ command line
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line says."""
+
+    sizes: tuple[int, ...]
+    methods: tuple[str, ...]
+    timeout_s: float
+    workers: int
+    store: Path
+    out: Path
+
+
+def read_options(arguments: Sequence[str]) -> Options:
+    """The arguments, checked; raises InputError."""
+    texts = {
+        "sizes": ",".join(map(str, SIZES)), "methods": "", "timeout_s": "120", "workers": "1",
+        "store": "results/rows", "out": "results",
+    }  # fmt: skip
+    for argument in arguments:
+        key, _, value = argument.partition("=")
+        if key not in texts or not value:
+            raise InputError("argument", argument, f"write one of {', '.join(f'{name}=' for name in texts)}")
+        texts[key] = value
+    methods = tuple(name for name in texts["methods"].split(",") if name) or (*REFERENCES, *_others())
+    for name in methods:
+        if name not in method_names():
+            raise InputError("methods", name, f"known: {', '.join(method_names())}")
+    sizes = tuple(_whole("sizes", text) for text in texts["sizes"].split(","))
+    try:
+        timeout_s = float(texts["timeout_s"])
+    except ValueError:
+        timeout_s = math.nan
+    if not (math.isfinite(timeout_s) and timeout_s > 0):
+        raise InputError("timeout_s", texts["timeout_s"], "a positive number of seconds")
+    workers = _whole("workers", texts["workers"])
+    return Options(sizes, methods, timeout_s, workers, Path(texts["store"]), Path(texts["out"]))
+
+
+def _whole(field: str, text: str) -> int:
+    if not text.isdigit() or int(text) < 1:
+        raise InputError(field, text, "a whole number of at least 1")
+    return int(text)
+
+
+def _others() -> list[str]:
+    """The registered methods in the order of the other tables, any others behind."""
+    own = [name for name in method_names() if name not in REFERENCES]
+    order = list(TITLES)
+    return sorted(own, key=lambda name: (order.index(name) if name in order else len(order), name))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Compute what is lacking, then write table, CSV and picture; exit status 2 for bad input, 130 interrupted."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if {"-h", "--help"} & set(arguments):
+        print(f"{USAGE}\n\n{__doc__}")
+        return 0
+    try:
+        chosen = read_options(arguments)
+        store = Store(chosen.store)
+        for folder in (chosen.store, chosen.out, chosen.out / "figures"):
+            Store(folder).prepare()
+        compute(chosen.sizes, chosen.methods, store, Limits(chosen.workers, chosen.timeout_s))
+    except InputError as error:
+        print(f"benchmarks.chains: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\nbenchmarks.chains: interrupted; the same command goes on from here", file=sys.stderr)
+        return 130
+    data = tidy(chosen.sizes, chosen.methods, store)
+    (chosen.out / "chains.csv").write_text(data.to_csv(index=False, float_format="%.5g"), encoding="utf-8")
+    (chosen.out / "chains.md").write_text(page(data, chosen.timeout_s), encoding="utf-8")
+    for path in (chosen.out / "chains.md", chosen.out / "chains.csv", *picture(data, chosen.out / "figures")):
+        print(path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

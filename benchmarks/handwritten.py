@@ -1,0 +1,264 @@
+"""``python -m benchmarks.handwritten``: shooting and output error beside what an engineer would otherwise write.
+
+That is ``scipy.optimize.least_squares`` around ``scipy.integrate.solve_ivp``, some twenty lines, started once from the
+nominal values. All methods fit the same data sets in one process, in turn, so that their times can be compared.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import sys
+import tempfile
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+from tabulate import tabulate
+from tqdm import tqdm
+
+from bench import Estimate, Normal, Problem, Status
+from bench.bound import load_bounds
+from bench.cli import number
+from bench.combine import combine_with_prior
+from bench.config import expand, jobs_to_cells
+from bench.errors import InputError
+from bench.failure import one_line
+from bench.processes import single_threaded
+from bench.registry import make_method
+from bench.scenario import METHOD, Scenario
+from bench.score import score
+from bench.statistics import wilson_interval
+from bench.store import Store
+from bench.tables import excess_text
+from bench.truth import Truth
+
+SEED = 4242
+"""A seed that nothing was tuned on and no table uses."""
+SNRS = (40, 20)
+WITHIN = 3.0
+"""A fit succeeds if it says so itself and its displacement error is below so many times the bound."""
+USAGE = """usage: python -m benchmarks.handwritten [duffing=20] [chain5=5] [timeout_s=120] [out=results]
+duffing, chain5: data sets of each; timeout_s: processor seconds a fit"""
+
+# ------------------------------------------------------------------------------------------------ by hand
+
+Rates = Callable[[float, np.ndarray, np.ndarray], np.ndarray]
+
+
+def duffing_rates(t: float, state: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """``m x'' + c x' + k x + k3 x³ = 0`` as first-order rates; p is m, c, k, k3."""
+    x, v = state
+    m, c, k, k3 = p
+    return np.array([v, -(c * v + k * x + k3 * x**3) / m])
+
+
+def chain_rates(t: float, state: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """A chain tied to the ground at one end as first-order rates; p is all masses, then dampers, then springs."""
+    x, v = np.split(state, 2)
+    m, c, k = np.split(p, 3)
+    link = c * np.diff(v, prepend=0.0) + k * np.diff(x, prepend=0.0)
+    return np.concatenate([v, (np.append(link[1:], 0.0) - link) / m])
+
+
+RATES: dict[str, Rates] = {"duffing": duffing_rates, "chain": chain_rates}
+
+
+def by_hand(problem: Problem, rng: np.random.Generator) -> Estimate:
+    """The parameters that fit the record, from the nominal values, by scipy's defaults (integration at 1e-6).
+
+    Plain residuals in metres, no weights and no prior rows, since the noise level is not known: the prior enters as the
+    start. Positive parameters, each in units of its nominal value.
+    """
+    (record,), prior, rates = problem.records, problem.prior, RATES[problem.system.name]
+    assert prior is not None
+    assert record.initial_state is not None
+    nominal = np.array([prior.nominal[name] for name in problem.system.names])
+    start = np.concatenate([record.initial_state.displacement, record.initial_state.velocity])
+    times, dofs = record.channels[0].times, [channel.dof for channel in record.channels]
+    measured = np.stack([channel.values for channel in record.channels])
+
+    def residuals(relative: np.ndarray) -> np.ndarray:
+        solution = solve_ivp(rates, (0.0, times[-1]), start, t_eval=times, rtol=1e-6, args=(relative * nominal,))
+        if not solution.success or not np.all(np.isfinite(solution.y)):
+            return np.full(measured.size, 1e3)
+        return np.asarray(solution.y[dofs] - measured).ravel()
+
+    fit = least_squares(residuals, np.ones(nominal.size), bounds=(0.0, np.inf))
+    belief = Normal(problem.system.names, np.log(np.maximum(fit.x, 1e-12) * nominal), None, log=True)
+    status = Status.OK if fit.success else Status.DIVERGED
+    return Estimate(problem.system, parameters=belief, status=status, message=str(fit.message))
+
+
+# ------------------------------------------------------------------------------------------------ measuring
+
+
+Fit = Callable[[Problem, np.random.Generator], Estimate]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One fit: processor seconds, displacement error over the bound (inf where it failed), and why it failed."""
+
+    seconds: float
+    excess: float
+    reason: str
+
+    @property
+    def success(self) -> bool:
+        return self.excess < WITHIN
+
+
+def contenders() -> dict[str, Fit]:
+    """What is compared, by name, in the order of a turn."""
+    ours = {name: make_method(name, {}).identify for name in ("shooting", "output_error")}
+    return {"by_hand": by_hand, **ours}
+
+
+@contextmanager
+def limited(seconds: float) -> Iterator[None]:
+    """TimeoutError after so many processor seconds, as soon as Python gets to say so."""
+
+    def stop(number: int, frame: object) -> None:
+        raise TimeoutError(f"no answer within {seconds:g} s")
+
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def attempt(fit: Fit, problem: Problem, truth: Truth, rng: np.random.Generator, bound: float, limit: float) -> Outcome:
+    """One timed fit, and its score; whatever it raises is a failure."""
+    started = time.process_time()
+    try:
+        with limited(limit), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            estimate = fit(problem, rng)
+    except Exception as error:
+        return Outcome(time.process_time() - started, math.inf, one_line(error))
+    seconds = time.process_time() - started
+    if estimate.status is not Status.OK:
+        return Outcome(seconds, math.inf, f"{estimate.status}: {estimate.message}")
+    off = score(combine_with_prior(estimate, problem.prior).checked(), problem, truth).get("rmse", math.inf)
+    reason = "" if off < WITHIN * bound else "another minimum"
+    return Outcome(seconds, off / bound, reason)
+
+
+def measure(
+    scenario: Scenario, replicates: int, limit: float, advance: Callable[[], object]
+) -> dict[str, list[Outcome]]:
+    """Every contender on every data set of a scenario, in turn.
+
+    Before these, each fits one data set more that does not count: it loads and builds what a first fit needs.
+    """
+    fits, outcomes = contenders(), {name: list[Outcome]() for name in contenders()}
+    with tempfile.TemporaryDirectory() as folder:
+        bound = load_bounds([(scenario, SEED)], Store(Path(folder)).bounds)[0].rmse
+    make = scenario.maker(SEED)
+    for i in (replicates, *range(replicates)):
+        problem, truth = make(i)
+        for name, fit in fits.items():
+            outcome = attempt(fit, problem, truth, scenario.stream(METHOD, SEED, i), bound, limit)
+            if i < replicates:
+                outcomes[name].append(outcome)
+        advance()
+    return outcomes
+
+
+# ------------------------------------------------------------------------------------------------ the page
+
+TITLES = {
+    "by_hand": "by hand: least_squares around solve_ivp",
+    "shooting": "method=shooting",
+    "output_error": "method=output_error",
+}
+TEXT = """Regenerate: `python -m benchmarks.handwritten`.
+
+What an engineer would otherwise write, `scipy.optimize.least_squares` around `scipy.integrate.solve_ivp` (RK45 at a
+relative tolerance of 1e-6, forward differences, both scipy's defaults), beside two methods of this benchmark. Start
+told, nominal prior. By hand the fit starts once, at the nominal values, positive parameters in units of these; its
+residuals are plain metres, without weights or prior rows, since the noise level is not known. `output_error` starts
+there, too; `shooting` looks for its starts itself. The same data, one process, one thread, methods in turn, one fit
+each before the first that counts; seconds of processor time, limit {limit:g} s a fit.
+
+*Success*: the fit says that it has converged, and its displacement error is below {within:g} times the Cramér-Rao
+bound; in brackets the 95 % interval of the rate (Wilson). *Excess*: root mean square displacement error over the
+bound, of the successful fits. *Time, largest*: of all fits, those that failed among them."""
+
+
+def row(label: str, snr: float, name: str, outcomes: Sequence[Outcome]) -> list[str]:
+    """One line of the table."""
+    good = [outcome.excess for outcome in outcomes if outcome.success]
+    n, seconds = len(outcomes), [outcome.seconds for outcome in outcomes]
+    low, high = wilson_interval(len(good), n)
+    excess = excess_text(float(np.sqrt(np.mean(np.square(good))))) if good else "-"
+    counts = Counter(outcome.reason for outcome in outcomes if not outcome.success)
+    failures = "; ".join(f"{count} × {reason}" for reason, count in counts.items())
+    success = f"{len(good)}/{n} ({100 * low:.0f} to {100 * high:.0f} %)"
+    times = [number(median(seconds)), number(max(seconds))]
+    return [label, f"{snr:g}", TITLES[name], success, excess, *times, failures]
+
+
+def page(rows: Sequence[Sequence[str]], limit: float) -> str:
+    """The table as a page."""
+    headers = ["system", "dB", "what", "success", "excess", "time, median (s)", "largest (s)", "what failed"]
+    table = tabulate(rows, headers=headers, tablefmt="github", disable_numparse=True)
+    return "\n\n".join(["# Beside a fit by hand", TEXT.format(limit=limit, within=WITHIN), table]) + "\n"
+
+
+def read_options(arguments: Sequence[str]) -> dict[str, str]:
+    """The arguments, checked; raises InputError."""
+    found = {"duffing": "20", "chain5": "5", "timeout_s": "120", "out": "results"}
+    for argument in arguments:
+        key, _, value = argument.partition("=")
+        if key not in found or not value:
+            raise InputError("argument", argument, f"write one of {', '.join(f'{name}=' for name in found)}")
+        found[key] = value
+    for name in ("duffing", "chain5", "timeout_s"):
+        if not found[name].isdigit() or int(found[name]) < 1:
+            raise InputError(name, found[name], "a whole number of at least 1")
+    return found
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measure and write the page; exit status 2 for bad input."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if {"-h", "--help"} & set(arguments):
+        print(f"{USAGE}\n\n{__doc__}")
+        return 0
+    single_threaded()
+    try:
+        chosen = read_options(arguments)
+        out = Path(chosen["out"])
+        Store(out).prepare()
+    except InputError as error:
+        print(f"benchmarks.handwritten: {error}", file=sys.stderr)
+        return 2
+    rows, limit = [], float(chosen["timeout_s"])
+    counts = {label: int(chosen[label]) for label in ("duffing", "chain5")}
+    total = len(SNRS) * sum(count + 1 for count in counts.values())
+    with tqdm(total=total, unit="data set", file=sys.stderr, leave=False) as bar:
+        for label, count in counts.items():
+            for snr in SNRS:
+                jobs = expand(["method=prior", f"system={label}", f"snr={snr}"], multirun=False)
+                outcomes = measure(jobs_to_cells(jobs)[0].scenario, count, limit, bar.update)
+                rows += [row(label, snr, name, own) for name, own in outcomes.items()]
+    (out / "handwritten.md").write_text(page(rows, limit), encoding="utf-8")
+    print(out / "handwritten.md")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
