@@ -51,7 +51,10 @@ def reproduction(folder: Path) -> Table | None:
     counts = data[first].astype(str).str.replace(r" \(\d+ % prior\)", "", regex=True).value_counts()
     firm = int((data["firm"].astype(str) == "True").sum())
     notes = [
-        "; ".join(f"{n} of {len(data)}: {text}" for text, n in sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))) + ".",
+        "; ".join(
+            f"{n} of {len(data)}: {text}" for text, n in sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))
+        )
+        + ".",
         f"{firm} of {len(data)} verdicts hold under every reading of what the paper leaves open.",
     ]
     rows = tuple(
@@ -75,13 +78,22 @@ def calibration(path: Path) -> Table | None:
     good = int((data["verdict"] == "calibrated").sum())
     rows = tuple(
         (
-            title_of(str(line["method"])), str(line["initial_state"]), f"{line['snr_db']:g}", quantity(str(line["quantity"])),
-            percent(line["coverage_95"]), f"{percent(line['low_95'])} to {percent(line['high_95'])}", f"{line['n']:.0f}",
-            str(line["verdict"]),
+            title_of(str(line["method"])), str(line["initial_state"]), f"{line['snr_db']:g}",
+            quantity(str(line["quantity"])), percent(line["coverage_95"]),
+            f"{percent(line['low_95'])} to {percent(line['high_95'])}", f"{line['n']:.0f}", str(line["verdict"]),
         )
         for _, line in data.iterrows()
     )  # fmt: skip
-    headers = ("Method", "Start", "SNR (dB)", "Quantity", "Truth inside", "95 % interval of that", "Data sets", "Verdict")
+    headers = (
+        "Method",
+        "Start",
+        "SNR (dB)",
+        "Quantity",
+        "Truth inside",
+        "95 % interval of that",
+        "Data sets",
+        "Verdict",
+    )
     return Table(headers, rows, (f"{good} of {len(data)} are calibrated by three tests at 5 %.",))
 
 
@@ -107,8 +119,8 @@ def robustness(folder: Path) -> Table | None:
         for d, told in columns
     ]
     notes = (
-        f"Error of {quantity(str(data['metric'].iloc[0]))} over the bound of the undisturbed data. A star: it differs from "
-        "the undisturbed value by more than chance (95 %).",
+        f"Error of {quantity(str(data['metric'].iloc[0]))} over the bound of the undisturbed data. A star: it differs "
+        "from the undisturbed value by more than chance (95 %).",
     )
     return Table(("Method", *names), tuple(rows), notes)
 
@@ -129,12 +141,16 @@ def overall(folder: Path) -> Table | None:
     rows = tuple(
         (
             str(line["initial_state"]), quantity(str(line["metric"])), title_of(str(line["method"])),
-            f"×{number(line['ratio'])}" + ("" if pd.isna(line["low"]) else f" ({number(line['low'])} to {number(line['high'])})"),
+            f"×{number(line['ratio'])}{_between(line)}",
             "level" if str(line["tie"]) == "True" else "behind",
         )
         for _, line in data.iterrows()
     )  # fmt: skip
     return Table(("Start", "Quantity", "Method", "Error over the best's (95 %)", "Standing"), rows)
+
+
+def _between(line: pd.Series) -> str:
+    return "" if pd.isna(line["low"]) else f" ({number(line['low'])} to {number(line['high'])})"
 
 
 def figures(folder: Path, out: Path, room: int) -> list[Figure]:

@@ -95,7 +95,7 @@ def _line(panel: Panel, cell: StoredCell, metric: str, ranking: Ranking | None) 
         system=panel.system,
         snr=f"{panel.snr_db:g}",
         start=panel.told,
-        data=panel.disturbance or ("drawn truth" if "truth" in panel.data else "undisturbed"),
+        data=panel.kind,
         method=title_of(label),
         quantity=heading(metric),
         median=number(summary["median"]),

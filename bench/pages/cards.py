@@ -59,7 +59,11 @@ def _variants(name: str) -> tuple[tuple[str, str], ...]:
 
 def _serves(serves: Serves) -> str:
     """What a method can take, in a sentence."""
-    masses = "any number of masses" if serves.max_dof is None else f"up to {serves.max_dof} mass{'es' if serves.max_dof > 1 else ''}"
+    masses = (
+        "any number of masses"
+        if serves.max_dof is None
+        else f"up to {serves.max_dof} mass{'es' if serves.max_dof > 1 else ''}"
+    )
     can = {
         "a known force": serves.forced, "nonlinear systems": serves.nonlinear, "hidden states": serves.hidden_states,
         "several records": serves.several_records, "several sensors": serves.several_channels,

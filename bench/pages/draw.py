@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ COLOURS = {INK: "--ink", MUTED: "--muted", LINE: "--line", SURFACE: "--surface"}
 """Stand-ins in a picture, and the page's colours that take their place, one set for light and one for dark."""
 STYLES = ("-", "--", "-.", ":")
 MARKERS = ("o", "s", "^", "D")
-POINTS = 240
+POINTS = 180
 MOST_FITS = 4
 RC = {
     "svg.fonttype": "none", "text.color": INK, "axes.edgecolor": MUTED, "axes.labelcolor": INK, "xtick.color": MUTED,
@@ -43,14 +43,18 @@ def svg(figure: Any, title: str, name: str) -> str:
     pyplot().close(figure)
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<style.*?</style>|<defs>\s*</defs>", "", text, flags=re.S)
+    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<style.*?</style>", "", text, flags=re.S)
     text = re.sub(r' (?:d|x|y|transform|points)="[^"]*"', lambda m: re.sub(r"(\d\.\d)\d+", r"\1", m.group(0)), text)
     text = re.sub(r"font: [^;\"]*?(\d+(?:\.\d+)?)px[^;\"]*", r"font-size: \1px", text)
+    text = re.sub(r" font-family: [^;\"]*;|; stroke-linejoin: miter| transform=\"rotate\(-?0 [^\"]*\"", "", text)
+    text = text.replace("xlink:href", "href").replace("; stroke-linecap: square", "")
     for stand_in, variable in COLOURS.items():
         text = text.replace(stand_in, f"var({variable})")
-    text = re.sub(r'\bid="', f'id="{name}-', text)
+    used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
+    text = re.sub(r' id="([^"]*)"', lambda m: f' id="{name}-{m.group(1)}"' if m.group(1) in used else "", text)
     text = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", text)
-    text = re.sub(r"\s*\n\s*", "\n", text).replace("; stroke-linejoin: miter", "").strip()
+    text = re.sub(r"\s*\n\s*(?=[LMCQzZ\"])", "", re.sub(r"[ \t]*\n\s*", "\n", text))
+    text = re.sub(r"([LMCQ]) ", r"\1", re.sub(r"<defs>\s*</defs>\n?", "", text)).strip()
     size = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text)
     box = f'viewBox="0 0 {size.group(1)} {size.group(2)}"' if size else ""
     return re.sub(r"<svg[^>]*>", f'<svg {box} role="img" aria-label="{_plain(title)}">', text, count=1)
@@ -75,7 +79,11 @@ def draw_answers(answers: Sequence[Answer]) -> str:
             own = {label_of(cell): cell for cell in one.panel.methods}
             axis.axvline(1.0, color=INK, lw=1)
             for j, metric in enumerate(metrics):
-                found = [(own[label].summary.get(metric, {}).get("excess", math.nan), y) for y, label in enumerate(order) if label in own]
+                found = [
+                    (own[label].summary.get(metric, {}).get("excess", math.nan), y)
+                    for y, label in enumerate(order)
+                    if label in own
+                ]
                 points = [(x, y) for x, y in found if math.isfinite(x)]
                 axis.plot(
                     [x for x, _ in points], [y for _, y in points], MARKERS[j], color=SERIES[j], ms=6, mfc="none",
@@ -118,9 +126,9 @@ def draw_panel(store: Store, panel: Panel, name: str) -> tuple[str, tuple[str, .
     chosen = _chosen(fits)
     plt = pyplot()
     with plt.rc_context(RC):
-        figure = plt.figure(figsize=(9.6, max(4.6, 1.6 + 0.21 * len(found) * 2)), layout="constrained")
+        figure = plt.figure(figsize=(10.2, max(4.6, 1.6 + 0.21 * len(found) * 2)), layout="constrained")
         metrics = [m for m in panel.ranked if m != "rmse"][:2]
-        grid = figure.add_gridspec(2, 2 if metrics else 1, width_ratios=(1.25, 1) if metrics else None)
+        grid = figure.add_gridspec(2, 2 if metrics else 1, width_ratios=(1.1, 1) if metrics else None)
         _draw_record(figure.add_subplot(grid[0, 0]), any_kept, [(label, fits[label][1]) for label in chosen])
         _draw_errors(figure.add_subplot(grid[1, 0]), panel, [(label, fits[label][1]) for label in chosen])
         inner = grid[:, 1].subgridspec(len(metrics), 1) if metrics else None
@@ -132,7 +140,7 @@ def draw_panel(store: Store, panel: Panel, name: str) -> tuple[str, tuple[str, .
         )
 
 
-def _chosen(fits: dict[str, tuple[StoredCell, Kept | None]]) -> list[str]:
+def _chosen(fits: Mapping[str, tuple[StoredCell, Kept | None]]) -> list[str]:
     """A few that differ: the least and the largest error of the displacement, and evenly between."""
     order = sorted(fits, key=lambda label: (_median(fits[label][0]), label))
     if len(order) <= MOST_FITS:
@@ -182,7 +190,9 @@ def _draw_errors(axis: Any, panel: Panel, fits: Sequence[tuple[str, Kept | None]
                 k.times[:200], residual[:200], "o", color=INK, ms=3, mfc="none", mew=0.9,
                 label=f"samples less {title_of(label)}",
             )  # fmt: skip
-    axis.set(xlabel="time (s)", ylabel="difference (m)", title="Fits less truth (lines), residuals of samples (circles)")
+    axis.set(
+        xlabel="time (s)", ylabel="difference (m)", title="Fits less truth (lines), residuals of samples (circles)"
+    )
     axis.legend(loc="upper right", fontsize=8.5, borderaxespad=0)
     axis.grid(lw=0.5)
     low, high = axis.get_ylim()
@@ -198,40 +208,46 @@ def _draw_intervals(axis: Any, store: Store, panel: Panel, metric: str) -> None:
         axis.axvspan(-1.96 * bound, 1.96 * bound, color=LINE, alpha=0.45, lw=0)
     axis.axvline(0, color=INK, lw=0.8)
     cells = [c for c in cells if metric in c.summary and c.cell.get("method") != "prior"]
-    spreads = {}
+    spreads: dict[int, tuple[float, float]] = {}
+    stated: list[float] = []
     for y, cell in enumerate(cells):
         ratios = np.array([row.scores[f"{name}_ratio"] for row in cell.rows if f"{name}_ratio" in row.scores], float)
         ratios = ratios[np.isfinite(ratios)]
         if not ratios.size:
             continue
         low, high = 100 * (np.percentile(ratios, (2.5, 97.5)) - 1)
-        spreads[y] = (low, high)
+        spreads[y] = (float(low), float(high))
         axis.plot([low, high], [y + 0.14] * 2, color=SERIES[0], lw=3.2, solid_capstyle="butt")
         first = cell.rows[0].scores.get(f"{name}_ratio", math.nan)
         interval = stated_interval(store, cell, name)
         if interval is not None:
-            axis.plot([100 * (v - 1) for v in interval], [y - 0.2] * 2, color=SERIES[1], lw=1.2)
+            ends = [100 * (v - 1) for v in interval]
+            stated.append(max(-ends[0], ends[1]))
+            axis.plot(ends, [y - 0.2] * 2, color=SERIES[1], lw=1.2)
         axis.plot(100 * (first - 1), y - 0.2, "o", color=SERIES[1], ms=3.5)
-    widths = sorted(max(-low, high) for low, high in spreads.values())
-    if widths:
-        reach = 1.15 * max(widths[(3 * (len(widths) - 1)) // 4], 3 * bound if math.isfinite(bound) else 0.0) or 1.0
+    if spreads:
+        reach = 1.1 * max(_most([max(-low, high) for low, high in spreads.values()]), _most(stated), 2 * _nil(bound))
         axis.set_xlim(-reach, reach)
-        for y, (low, high) in spreads.items():  # what lies beyond the edge is said there, not left out in silence
+        for y, (low, high) in spreads.items():  # what lies beyond the edge is said, not left out in silence
             if low < -reach or high > reach:
-                left = -low > high
-                value = low if left else high
-                axis.annotate(
-                    f"to {value:.3g} %", ((-1 if left else 1) * 0.98 * reach, y + 0.3), ha="left" if left else "right",
-                    va="bottom", fontsize=7.5, color=MUTED,
-                )  # fmt: skip
+                says = f"{low:.2g} to {high:.2g}".replace("-", "−")
+                axis.text(1.01, y, says, transform=axis.get_yaxis_transform(), va="center", fontsize=7.5, color=MUTED)
     axis.set_yticks(range(len(cells)), [title_of(label_of(c)) for c in cells], fontsize=8.5)
     axis.set_ylim(-0.7, len(cells) - 0.2)
     axis.set(title=f"{quantity(metric)}: off the truth (%)")
     axis.tick_params(axis="y", length=0)
 
 
+def _most(widths: Sequence[float]) -> float:
+    """What three of four stay within."""
+    ordered = sorted(width for width in widths if math.isfinite(width))
+    return ordered[(3 * (len(ordered) - 1)) // 4] if ordered else 0.0
+
+
+def _nil(value: float) -> float:
+    return value if math.isfinite(value) and value > 0 else 0.5
+
+
 def _error(cell: StoredCell, metric: str) -> float:
     value = cell.summary.get(metric, {}).get("excess", math.nan)
     return value if math.isfinite(value) else 1e9
-
-

@@ -33,6 +33,11 @@ class Experiment:
         rest = self.name.removeprefix("table")
         return rest if rest.isdigit() else self.name
 
+    @property
+    def said(self) -> str:
+        """``Table 3``, else the name."""
+        return f"Table {self.short}" if self.short.isdigit() else self.name
+
 
 @dataclass(frozen=True)
 class Panel:
@@ -77,6 +82,14 @@ class Panel:
         return found
 
     @property
+    def kind(self) -> str:
+        """What is special about its data, in a few words."""
+        seed = self.what.get("seed")
+        drawn = "truth drawn anew" if "truth" in self.data else ""
+        parts = [self.disturbance, drawn, f"seed {seed}" if seed else ""]
+        return ", ".join(part for part in parts if part) or "undisturbed"
+
+    @property
     def plain(self) -> bool:
         """Neither disturbed nor with a truth of its own in each replicate."""
         return not self.disturbance and "truth" not in self.data
@@ -111,14 +124,8 @@ class Panel:
 
     def title(self) -> str:
         """One line for people."""
-        parts = [self.system, f"{self.snr_db:g} dB", f"start {self.told}"]
-        if self.disturbance:
-            parts.append(self.disturbance)
-        if "truth" in self.data:
-            parts.append("truth drawn anew each time")
-        if self.what.get("seed"):
-            parts.append(f"seed {self.what['seed']}")
-        return ", ".join(parts)
+        special = "" if self.kind == "undisturbed" else f", {self.kind}"
+        return f"{self.system}, {self.snr_db:g} dB, start {self.told}{special}"
 
 
 @dataclass(frozen=True)
@@ -137,7 +144,9 @@ def gather(store: Store) -> Gathered:
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
     cells = tuple(store)
     if not cells:
-        raise InputError("store", store.folder, "no cell is stored there; run python -m bench -m experiment=table3 first")
+        raise InputError(
+            "store", store.folder, "no cell is stored there; run python -m bench -m experiment=table3 first"
+        )
     grouped: dict[str, list[StoredCell]] = {}
     for cell in cells:
         grouped.setdefault(_stored_key(cell), []).append(cell)
@@ -188,7 +197,7 @@ def _panel(cells: Sequence[StoredCell], experiments: Sequence[Experiment]) -> Pa
 
 
 def _order(experiments: Sequence[Experiment]) -> Any:
-    """Tables before other experiments, these before single cells; then system, less noise first, start unknown first."""
+    """Tables, other experiments, single cells; then by system, less noise first, start unknown first."""
     rank = {one.name: i for i, one in enumerate(experiments)}
 
     def key(panel: Panel) -> tuple[Any, ...]:

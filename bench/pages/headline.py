@@ -4,45 +4,53 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
 from bench.compare import Comparison
 from bench.pages.board import Rankings
 from bench.pages.gather import ERROR, Gathered, Panel, label_of
-from bench.pages.standing import fit_seconds
+from bench.pages.standing import Ranking, fit_seconds
 from bench.pages.words import joined, number, percent, quantity, seconds, title_of
+from bench.store import StoredCell
 
 SNR_DB = 20.0
 
 
 @dataclass(frozen=True)
 class Winner:
-    """A method that nothing beats by any quantity that the data decide."""
+    """A method that nothing beats by any quantity that the data decide; ``weak``: on few data sets."""
 
     name: str
+    method: str
     errors: str
     time: str
-    weak: str
+    weak: bool
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What is said of one scenario; ``place`` is its index in the page, ``rest`` the methods behind."""
+    """What is said of one scenario; ``place``: its index in the page, ``rest``: the methods behind."""
 
     place: int
     panel: Panel
-    what: str
+    start: str
     winners: tuple[Winner, ...]
     rest: tuple[str, ...]
     real: tuple[str, ...]
 
+    @property
+    def weak(self) -> bool:
+        """Whether any winner is one on few data sets."""
+        return any(one.weak for one in self.winners)
+
 
 @dataclass(frozen=True)
 class Hidden:
-    """What the data of the headline's scenario do not tell: a sentence, and the share of the prior by quantity."""
+    """What the data of the headline's scenario do not tell: sentences, and the share of the prior by quantity."""
 
-    names: str
-    sentence: str
+    why: str
+    told: str
     shares: tuple[tuple[str, str], ...]
 
 
@@ -67,36 +75,24 @@ def headline_places(gathered: Gathered) -> list[int]:
 def answer(place: int, panel: Panel, ranked: Rankings) -> Answer:
     """Winners and whether they really are."""
     own = {metric: ranking for metric in panel.ranked if (ranking := ranked.get((place, metric))) is not None}
-    level = [
-        label_of(cell)
-        for cell in panel.methods
-        if own and all(label_of(cell) in ranking.level for ranking in own.values())
-    ]
     cells = {label_of(cell): cell for cell in panel.methods}
-    names = sorted(level, key=lambda label: (any(label in r.weak for r in own.values()), _seconds(fit_seconds(cells[label]))))
-    winners = []
-    for label in names:
-        weak = any(label in r.weak for r in own.values())
-        errors = [f"{quantity(m)} {_error(m, cells[label].summary.get(m, {}))}" for m in own]
-        n = len(cells[label].rows)
-        winners.append(
-            Winner(
-                title_of(label),
-                ", ".join(errors),
-                seconds(fit_seconds(cells[label])),
-                f"on {n} data sets only" if weak else "",
-            )
+    level = [label for label in cells if own and all(label in ranking.level for ranking in own.values())]
+    weak = {label for label in level if any(label in ranking.weak for ranking in own.values())}
+    order = sorted(level, key=lambda label: (label in weak, _seconds(fit_seconds(cells[label])), label))
+    winners = tuple(
+        Winner(
+            title_of(label),
+            str(cells[label].cell.get("method", label)),
+            joined([f"{quantity(m)} {_error(m, cells[label].summary.get(m, {}))}" for m in own]),
+            seconds(fit_seconds(cells[label])),
+            label in weak,
         )
-    rest = [label_of(cell) for cell in panel.methods if label_of(cell) not in level]
-    what = {"unknown": "Start of the motion unknown, as on a real rig", "known": "Start of the motion known"}
-    return Answer(
-        place,
-        panel,
-        what.get(panel.told, f"Start {panel.told}"),
-        tuple(winners),
-        tuple(sorted(map(title_of, rest), key=str.casefold)),
-        tuple(_real(level, own, cells)),
+        for label in order
     )
+    rest = sorted((title_of(label) for label in cells if label not in level), key=str.casefold)
+    start = {"unknown": "Start unknown, as on a real rig", "known": "Start of the motion known"}
+    said = start.get(panel.told, f"Start {panel.told}")
+    return Answer(place, panel, said, winners, tuple(rest), tuple(_real(order, weak, own, cells)))
 
 
 def _seconds(value: float) -> float:
@@ -109,28 +105,42 @@ def _error(metric: str, summary: Mapping[str, float]) -> str:
     return f"{1000 * value:.2g} mm" if unit == "m" and 1e-5 < value < 0.1 else f"{number(value)} {unit}"
 
 
-def _real(level: Sequence[str], own: Mapping[str, object], cells: Mapping[str, object]) -> list[str]:
+def _real(
+    level: Sequence[str], weak: AbstractSet[str], own: Mapping[str, Ranking], cells: Mapping[str, StoredCell]
+) -> list[str]:
     """Sentences on what the replicates could and could not tell apart."""
-    from bench.pages.standing import Ranking
-
-    rankings = {metric: r for metric, r in own.items() if isinstance(r, Ranking)}
     if len(cells) < 2:
-        return ["Only one method is stored here, so there is nothing to compare it with."]
+        return ["Only one method is stored, so there is nothing to compare it with."]
     said = []
     if len(level) > 1:
-        said.append(
-            f"Between the {len(level)} best: no. On the same data sets their errors cannot be told apart, or are less "
-            "than 2 % apart."
-        )
+        said.append(_among(level, weak, own, cells))
     elif len(level) == 1:
         said.append(f"{title_of(level[0])} is the only method that nothing beats in any quantity.")
     else:
-        said.append("No method is best in every quantity; the leaderboard below says which is best in which.")
-    behind = [(c, metric) for metric, r in rankings.items() for c in r.comparisons.values() if c.a not in level]
+        said.append("No method is best in every quantity; the leaderboard says which is best in which.")
+    behind = [(c, metric) for metric, r in own.items() for c in r.comparisons.values() if c.a not in level]
     behind = [(c, metric) for c, metric in behind if not c.tie and c.ratio > 1]
     if behind:
         said.append(_nearest(behind))
     return said
+
+
+def _among(
+    level: Sequence[str], weak: AbstractSet[str], own: Mapping[str, Ranking], cells: Mapping[str, StoredCell]
+) -> str:
+    """That the best cannot be told apart, and how large a difference would have shown."""
+    sure = [label for label in level if label not in weak]
+    n = max(len(cells[label].rows) for label in level)
+    shows = [
+        c.resolved for r in own.values() for c in r.comparisons.values() if c.a in sure and math.isfinite(c.resolved)
+    ]
+    # between fits that agree to three digits the smallest difference would show; that says nothing of the others
+    size = (
+        f" A difference of {_more(max(shows))} or more would most likely have shown in the {n} data sets."
+        if shows
+        else ""
+    )
+    return f"Between the {len(level)} best: no. On the same data sets their errors cannot be told apart.{size}"
 
 
 def _nearest(behind: Sequence[tuple[Comparison, str]]) -> str:
@@ -140,16 +150,22 @@ def _nearest(behind: Sequence[tuple[Comparison, str]]) -> str:
         if c.a not in worst or c.ratio > worst[c.a][0].ratio:
             worst[c.a] = (c, metric)
     c, metric = min(worst.values(), key=lambda pair: (pair[0].ratio, pair[0].a))
-    size = f"{c.ratio:.2f} times the best's" if math.isfinite(c.ratio) else "infinitely larger: it fails"
-    interval = f" (95 %: {c.low:.2f} to {c.high:.2f})" if math.isfinite(c.low) and math.isfinite(c.high) else ""
+    size = f"{c.ratio:.2f} times the best’s" if math.isfinite(c.ratio) else "without limit, for it fails"
+    interval = (
+        f" (95 % interval: {c.low:.2f} to {c.high:.2f})" if math.isfinite(c.low) and math.isfinite(c.high) else ""
+    )
     return (
-        f"To the others: yes. The nearest behind, {title_of(c.a)}, has a typical error of {quantity(metric)} of "
-        f"{size}{interval}; the chance of so clear a difference by luck is {_chance(c.adjusted)}."
+        f"To the others: yes. The nearest of them, {title_of(c.a)}, has an error of {quantity(metric)} that is "
+        f"typically {size}{interval}; were they equal, luck would show so clear a difference {_chance(c.adjusted)}."
     )
 
 
+def _more(ratio: float) -> str:
+    return f"{100 * (ratio - 1):.2g} %" if ratio < 2 else f"{ratio:.2g} times"
+
+
 def _chance(p: float) -> str:
-    return "below 1 in 10,000" if p < 1e-4 else f"{100 * p:.2g} %"
+    return "less than once in 10,000 times" if p < 1e-4 else f"in {100 * p:.2g} % of cases"
 
 
 def hidden(panel: Panel) -> Hidden | None:
@@ -158,16 +174,24 @@ def hidden(panel: Panel) -> Hidden | None:
     if not lost:
         return None
     shares = sorted(((n, panel.prior_share.get(n, math.nan)) for n in lost), key=lambda pair: -_share(pair[1]))
-    told = [quantity(m) for m in panel.ranked if m != "rmse"]
-    free = panel.data.get("force") is None
-    why = (
-        "in free vibration, masses, dampers and springs all multiplied by one number move exactly alike"
-        if free
-        else "other values of them move exactly alike"
+    ranked = [quantity(m) for m in panel.ranked if m != "rmse"]
+    names = joined([word(n) for n in lost])
+    why = f"{names[:1].upper()}{names[1:]}: " + (
+        "in free vibration, a system with twice the mass, damping and stiffness moves exactly alike."
+        if panel.data.get("force") is None
+        else "systems that differ in them move exactly alike."
     )
-    says = f"The motion tells only {joined(told)}." if told else ""
-    sentence = f"{joined([quantity(n + ERROR) for n in lost])}: {why}. {says}"
-    return Hidden(joined([quantity(n + ERROR) for n in lost]), sentence, tuple((quantity(n + ERROR), percent(s)) for n, s in shares))
+    told = f"The motion tells only {joined(ranked)}." if ranked else ""
+    given = tuple((word(n), percent(share)) for n, share in shares if math.isfinite(share)) if panel.prior else ()
+    return Hidden(why, told, given)
+
+
+WORDS = {"m": "mass m", "c": "damping c", "k": "stiffness k"}
+
+
+def word(name: str) -> str:
+    """A quantity with what it is, where that is short."""
+    return WORDS.get(name, quantity(f"{name}{ERROR}"))
 
 
 def _share(value: float) -> float:

@@ -18,7 +18,9 @@ def origin(cells: Sequence[StoredCell]) -> list[tuple[str, str]]:
         for name, version in (cell.provenance.get("packages") or {}).items():
             packages.setdefault(name, Counter())[str(version)] += 1
     commits = Counter(_commit(cell) for cell in cells)
-    moments = sorted(str(cell.provenance[key]) for cell in cells for key in ("started", "finished") if cell.provenance.get(key))
+    moments = sorted(
+        str(cell.provenance[key]) for cell in cells for key in ("started", "finished") if cell.provenance.get(key)
+    )
     cpu = sum(row.cpu_s for cell in cells for row in cell.rows if math.isfinite(row.cpu_s))
     fits = sum(len(cell.rows) for cell in cells)
     named = [f"{name} {_several(found)}" for name, found in sorted(packages.items())]

@@ -23,12 +23,14 @@ from bench.cli import read_folders
 from bench.errors import InputError
 from bench.pages import beside, board, cards, headline, origin
 from bench.pages.gather import Gathered, Panel, gather, label_of
+from bench.pages.kept import system_of
 from bench.pages.words import number, percent, quantity, title_of
 from bench.store import Store
 
 LIMIT = 2_500_000
 """Bytes of the page at most: figures are linked instead, then scenarios go without a picture."""
 MOST_DRAWN = 20
+KINDS = ("mass", "damping", "stiffness", "other")
 OTHERS = ("table{n}.md", "leaderboard.md", "reproduction.md", "calibration.md", "sbc.md", "robustness.md", "pinn.md")
 
 
@@ -73,23 +75,31 @@ def told(panel: Panel) -> tuple[tuple[str, str], ...]:
     """What the methods were told of a scenario, and what they were not."""
     data, prior = panel.data, panel.prior
     start = "told" if panel.told == "known" else "not told; estimated with the rest"
+    duration = data.get("duration")
     lines = [
-        ("Samples", f"{data.get('samples', '?')} over {data.get('duration', '?')} s, told with their times"),
+        ("Samples", f"{data.get('samples', '?')} over {duration if duration is None else f'{duration:g}'} s"),
         ("Initial state", start),
         ("Force", "none: free vibration" if data.get("force") is None else f"{data['force'].get('kind', 'yes')}, told"),
+        ("Prior", "none" if prior is None else _prior(panel)),
     ]
-    if prior is None:
-        lines.append(("Prior", "none"))
-    else:
-        kinds = [f"{kind} {100 * sd:g} %" for kind, sd in sorted(prior.items()) if isinstance(sd, float | int) and kind != "wrong"]
-        lines.append(("Prior", f"nominal values, wrong by about: {', '.join(kinds)}" + (" (and deliberately off)" if prior.get("wrong") else "")))
     sigma = ", ".join(number(float(s)) for s in panel.what.get("sigma") or ())
-    lines.append(("Noise", f"{panel.snr_db:g} dB" + (f", standard deviation {sigma} m" if sigma else "") + "; not told"))
+    lines.append(
+        ("Noise", f"{panel.snr_db:g} dB" + (f", standard deviation {sigma} m" if sigma else "") + "; not told")
+    )
     if panel.disturbance:
         lines.append(("Disturbance", f"{panel.disturbance}; not told"))
     true = ", ".join(f"{name} = {number(float(value))}" for name, value in data.get("parameters", {}).items())
     lines.append(("True values", f"{true} (SI units); told to nobody" if true else "not recorded"))
     return tuple(lines)
+
+
+def _prior(panel: Panel) -> str:
+    """How far the nominal values may be off, by kind of parameter."""
+    prior, system = panel.prior or {}, system_of(panel.cells[0])
+    there = {parameter.kind for parameter in system.parameters} if system else set(KINDS)
+    kinds = [f"{kind} {100 * float(prior[kind]):g} %" for kind in KINDS if kind in prior and kind in there]
+    off = "; deliberately three standard deviations off" if prior.get("wrong") else ""
+    return f"nominal values, off by about: {', '.join(kinds)}{off}"
 
 
 def again(panel: Panel) -> str:
@@ -123,18 +133,21 @@ def contents(store: Store, out: Path) -> dict[str, Any]:
     full = drawn(store, gathered, chosen(gathered, places))
     results = store.folder.parent
     snr = gathered.panels[places[0]].snr_db
-    methods = sorted({label_of(cell) for panel in gathered.panels for cell in panel.methods})
+    methods = {label_of(cell): cell.cell.get("method") for panel in gathered.panels for cell in panel.methods}
     return {
         "gathered": gathered,
         "answers": answers,
         "methods": len(methods),
+        "variants": len(methods) > len(set(methods.values())),
         "snr": f"{snr:g}",
         "noise": f"{100 * 10 ** (-snr / 20):.2g}" if math.isfinite(snr) else "",
         "hidden": headline.hidden(gathered.panels[places[0]]),
         "overview": draw_answers(answers) if any(one.panel.methods for one in answers) else "",
         "board": lines,
-        "filters": {name: board.options(lines.lines, name) for name in ("system", "snr", "start", "data", "method", "quantity")},
-        "first": _first_view(gathered, places),
+        "filters": {
+            name: board.options(lines.lines, name) for name in ("system", "snr", "start", "data", "method", "quantity")
+        },
+        "preset": _preset(gathered, places),
         "drawn": full,
         "undrawn": len(gathered.panels) - len(full),
         "shares": _shares(gathered, places),
@@ -151,14 +164,14 @@ def contents(store: Store, out: Path) -> dict[str, Any]:
     }
 
 
-def _first_view(gathered: Gathered, places: Sequence[int]) -> dict[str, str]:
+def _preset(gathered: Gathered, places: Sequence[int]) -> dict[str, str]:
     """What the filters of the leaderboard are set to at first: the first screen's scenario and first quantity."""
     from bench.pages.words import heading
 
     panel = gathered.panels[places[0]]
     metric = panel.ranked[0] if panel.ranked else ""
     return {
-        "system": panel.system, "snr": f"{panel.snr_db:g}", "start": panel.told, "data": "undisturbed",
+        "system": panel.system, "snr": f"{panel.snr_db:g}", "start": panel.told, "data": panel.kind,
         "quantity": heading(metric) if metric else "",
     }  # fmt: skip
 
@@ -175,7 +188,9 @@ def _shares(gathered: Gathered, places: Sequence[int]) -> beside.Table:
     for panel in seen.values():
         for name, share in panel.prior_share.items():
             tells = {True: "the data", False: "not by the data alone"}.get(panel.identifiable.get(name, True), "")
-            rows.append((panel.system, f"{panel.snr_db:g}", panel.told, quantity(f"{name}_error_pct"), percent(share), tells))
+            rows.append(
+                (panel.system, f"{panel.snr_db:g}", panel.told, quantity(f"{name}_error_pct"), percent(share), tells)
+            )
     return beside.Table(("System", "SNR (dB)", "Start", "Quantity", "Prior's share", "Told by"), tuple(rows))
 
 
@@ -188,7 +203,11 @@ def render(context: Mapping[str, Any], figures: Sequence[beside.Figure]) -> str:
     script = folder.joinpath("report.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     environment = Environment(
-        loader=PackageLoader("bench.pages", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=PackageLoader("bench.pages", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     template = environment.get_template("report.html.j2")
     return template.render(**context, figures=figures, style=style, script=script, script_digest=digest) + "\n"

@@ -70,6 +70,17 @@
     show();
   }
 
+  // A link to something folded opens it.
+  const unfold = () => {
+    const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (target && target.tagName === "DETAILS") {
+      target.open = true;
+      target.scrollIntoView();
+    }
+  };
+  addEventListener("hashchange", unfold);
+  unfold();
+
   // On paper nothing can be opened.
   let closed = [];
   addEventListener("beforeprint", () => {
