@@ -94,7 +94,7 @@ def calibration(path: Path) -> Table | None:
         "Data sets",
         "Verdict",
     )
-    return Table(headers, rows, (f"{good} of {len(data)} are calibrated by three tests at 5 %.",))
+    return Table(headers, rows, (f"{good} of the {len(data)} lines below are calibrated, by three tests at 5 %.",))
 
 
 def robustness(folder: Path) -> Table | None:

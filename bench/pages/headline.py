@@ -90,7 +90,7 @@ def answer(place: int, panel: Panel, ranked: Rankings) -> Answer:
         for label in order
     )
     rest = sorted((title_of(label) for label in cells if label not in level), key=str.casefold)
-    start = {"unknown": "Start unknown, as on a real rig", "known": "Start of the motion known"}
+    start = {"unknown": "Start unknown, as on a real rig", "known": "Start known"}
     said = start.get(panel.told, f"Start {panel.told}")
     return Answer(place, panel, said, winners, tuple(rest), tuple(_real(order, weak, own, cells)))
 

@@ -26,11 +26,15 @@ def origin(cells: Sequence[StoredCell]) -> list[tuple[str, str]]:
     named = [f"{name} {_several(found)}" for name, found in sorted(packages.items())]
     return [
         ("Cells", f"{len(cells)}, of {fits} fits, {cpu / 60:.0f} minutes of processor time"),
-        ("Computed", f"{moments[0]} to {moments[-1]}" if moments else "not recorded"),
+        ("Computed", f"{_moment(moments[0])} to {_moment(moments[-1])} UTC" if moments else "not recorded"),
         ("Commit", _several(commits)),
         ("Machine", _several(Counter(_machine(cell) for cell in cells))),
         ("Packages", ", ".join(named) or "not recorded"),
     ]
+
+
+def _moment(text: str) -> str:
+    return text[:16].replace("T", " ")
 
 
 def _commit(cell: StoredCell) -> str:
@@ -50,14 +54,15 @@ def _machine(cell: StoredCell) -> str:
 def _several(found: Counter[str]) -> str:
     if len(found) == 1:
         return next(iter(found))
-    return "; ".join(f"{value} ({n} cells)" for value, n in sorted(found.items()))
+    return "; ".join(f"{value} ({n} cell{'s' if n > 1 else ''})" for value, n in sorted(found.items()))
 
 
 def failures(cells: Sequence[StoredCell]) -> list[tuple[int, str, str, str, str]]:
     """What failed: how often, method, status, scenario's system and noise, message; most frequent first."""
     counts: Counter[tuple[str, str, str, str]] = Counter()
     for cell in cells:
-        where = f"{cell.cell.get('system', '?')}, {cell.cell.get('snr_db', '?')} dB"
+        snr = cell.cell.get("snr_db", math.nan)
+        where = f"{cell.cell.get('system', '?')}, {snr:g} dB"
         disturbance = (cell.cell.get("data", {}).get("disturbance") or {}).get("kind")
         where += f", {disturbance}".replace("_", " ") if disturbance else ""
         for row in cell.rows:
