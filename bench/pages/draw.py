@@ -94,6 +94,7 @@ def draw_answers(answers: Sequence[Answer]) -> str:
             ticks = [t for t in (0.5, 1, 2, 3, 5, 10, 20, 50, 100, 200, 500) if low <= t <= high]
             axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
             axis.minorticks_off()
+            axis.set_ylim(-0.6, len(order) - 0.4)
             axis.set_yticks(range(len(order)), [title_of(label) for label in order])
             axis.grid(axis="both", lw=0.6)
             axis.set_axisbelow(True)

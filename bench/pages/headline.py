@@ -135,11 +135,7 @@ def _among(
         c.resolved for r in own.values() for c in r.comparisons.values() if c.a in sure and math.isfinite(c.resolved)
     ]
     # between fits that agree to three digits the smallest difference would show; that says nothing of the others
-    size = (
-        f" A difference of {_more(max(shows))} or more would most likely have shown in the {n} data sets."
-        if shows
-        else ""
-    )
+    size = f" An error {_more(max(shows))} would most likely have shown in the {n} data sets." if shows else ""
     return f"Between the {len(level)} best: no. On the same data sets their errors cannot be told apart.{size}"
 
 
@@ -150,18 +146,18 @@ def _nearest(behind: Sequence[tuple[Comparison, str]]) -> str:
         if c.a not in worst or c.ratio > worst[c.a][0].ratio:
             worst[c.a] = (c, metric)
     c, metric = min(worst.values(), key=lambda pair: (pair[0].ratio, pair[0].a))
-    size = f"{c.ratio:.2f} times the best’s" if math.isfinite(c.ratio) else "without limit, for it fails"
-    interval = (
-        f" (95 % interval: {c.low:.2f} to {c.high:.2f})" if math.isfinite(c.low) and math.isfinite(c.high) else ""
-    )
+    sure = f"were they equal, luck would show so clear a difference {_chance(c.adjusted)}."
+    if not math.isfinite(c.ratio):
+        return f"To the others: yes. {title_of(c.a)}, for one, fails on at least half of the data sets; {sure}"
+    ends = f" (95 % interval: {c.low:.2f} to {c.high:.2f})" if math.isfinite(c.low) and math.isfinite(c.high) else ""
     return (
         f"To the others: yes. The nearest of them, {title_of(c.a)}, has an error of {quantity(metric)} that is "
-        f"typically {size}{interval}; were they equal, luck would show so clear a difference {_chance(c.adjusted)}."
+        f"typically {c.ratio:.2f} times the best’s{ends}; {sure}"
     )
 
 
 def _more(ratio: float) -> str:
-    return f"{100 * (ratio - 1):.2g} %" if ratio < 2 else f"{ratio:.2g} times"
+    return f"{100 * (ratio - 1):.2g} % larger or more" if ratio < 2 else f"{ratio:.2g} times the best’s or more"
 
 
 def _chance(p: float) -> str:
@@ -175,12 +171,12 @@ def hidden(panel: Panel) -> Hidden | None:
         return None
     shares = sorted(((n, panel.prior_share.get(n, math.nan)) for n in lost), key=lambda pair: -_share(pair[1]))
     ranked = [quantity(m) for m in panel.ranked if m != "rmse"]
-    names = joined([word(n) for n in lost])
-    why = f"{names[:1].upper()}{names[1:]}: " + (
-        "in free vibration, a system with twice the mass, damping and stiffness moves exactly alike."
-        if panel.data.get("force") is None
-        else "systems that differ in them move exactly alike."
-    )
+    names, plain = joined([word(n) for n in lost]), all(n in WORDS for n in lost)
+    first = f"{names[:1].upper()}{names[1:]}" if plain else f"The values of {names}"
+    twice = "the mass, damping and stiffness" if plain else "every mass, damping and stiffness"
+    free = panel.data.get("force") is None
+    alike = f"in free vibration, a system with twice {twice}" if free else "a system that differs in them"
+    why = f"{first}: {alike} moves exactly alike."
     told = f"The motion tells only {joined(ranked)}." if ranked else ""
     given = tuple((word(n), percent(share)) for n, share in shares if math.isfinite(share)) if panel.prior else ()
     return Hidden(why, told, given)

@@ -79,18 +79,28 @@ def told(panel: Panel) -> tuple[tuple[str, str], ...]:
     lines = [
         ("Samples", f"{data.get('samples', '?')} over {duration if duration is None else f'{duration:g}'} s"),
         ("Initial state", start),
-        ("Force", "none: free vibration" if data.get("force") is None else f"{data['force'].get('kind', 'yes')}, told"),
+        ("Force", "none: free vibration" if data.get("force") is None else _force(data["force"])),
         ("Prior", "none" if prior is None else _prior(panel)),
     ]
     sigma = ", ".join(number(float(s)) for s in panel.what.get("sigma") or ())
     lines.append(
         ("Noise", f"{panel.snr_db:g} dB" + (f", standard deviation {sigma} m" if sigma else "") + "; not told")
     )
+    if data.get("added_mass"):
+        added = ", ".join(f"{float(mass):g}" for mass in data["added_mass"])
+        lines.append(("Second record", f"of the same rig with {added} kg added, told"))
     if panel.disturbance:
         lines.append(("Disturbance", f"{panel.disturbance}; not told"))
     true = ", ".join(f"{name} = {number(float(value))}" for name, value in data.get("parameters", {}).items())
     lines.append(("True values", f"{true} (SI units); told to nobody" if true else "not recorded"))
     return tuple(lines)
+
+
+def _force(force: Mapping[str, Any]) -> str:
+    """What is known of a force: a stored description names every kind but the default."""
+    kind = str(force.get("kind", "multisine")).replace("_", " ")
+    size = f", amplitude {float(force['amplitude']):g} N" if "amplitude" in force else ""
+    return f"{kind}{size}; told"
 
 
 def _prior(panel: Panel) -> str:
