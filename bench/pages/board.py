@@ -112,6 +112,8 @@ def _line(panel: Panel, cell: StoredCell, metric: str, ranking: Ranking | None) 
 def _place(cell: StoredCell, ranking: Ranking | None, label: str) -> str:
     if cell.cell.get("method") in REFERENCES:
         return "reference"
+    if cell.n_ok == 0:
+        return f"failed: {cell.status.value.replace('_', ' ')}"
     if ranking is None:
         return "not ranked"
     weak = " (fewer data)" if label in ranking.weak else ""

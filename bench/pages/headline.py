@@ -119,9 +119,12 @@ def _real(
     else:
         said.append("No method is best in every quantity; the leaderboard says which is best in which.")
     behind = [(c, metric) for metric, r in own.items() for c in r.comparisons.values() if c.a not in level]
-    behind = [(c, metric) for c, metric in behind if not c.tie and c.ratio > 1]
+    lost = sorted({title_of(label) for label, cell in cells.items() if cell.n_ok == 0}, key=str.casefold)
+    behind = [(c, metric) for c, metric in behind if not c.tie and c.ratio > 1 and cells[c.a].n_ok]
     if behind:
         said.append(_nearest(behind))
+    if lost:
+        said.append(f"{joined(lost)} gave no answer to any of these data sets.")
     return said
 
 
