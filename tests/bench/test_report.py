@@ -21,7 +21,7 @@ from conftest import REPOSITORY
 
 from bench.bound import Bound
 from bench.estimate import Status
-from bench.pages import beside, kept, page
+from bench.pages import kept, page
 from bench.pages.gather import Panel
 from bench.pages.page import main
 from bench.pages.standing import rank
@@ -253,15 +253,6 @@ def test_figures_are_inlined_while_there_is_room(cells: Cells, monkeypatch: pyte
     assert 'href="figures/b_large.svg"' in short
     assert "caption of b_large & more" in words(short)
     assert [tag for tag, _ in Page(whole).elements].count("script") == 1
-
-
-def test_the_page_of_the_repository_would_fit(cells: Cells) -> None:
-    """All figures, and as many lines as a page takes, of the widest kind seen."""
-    line = "<tr class=level>" + 170 * "x"
-    figures = beside.figures(REPOSITORY / "results" / "figures", REPOSITORY / "results" / "report.html", 10**9)
-    from bench.pages.board import MOST_LINES
-
-    assert len(line) * MOST_LINES + sum(len(one.source) for one in figures) < page.LIMIT
 
 
 def response(m: float, c: float, k: float, times: np.ndarray) -> np.ndarray:
