@@ -139,7 +139,7 @@ def _among(
     ]
     # between fits that agree to three digits the smallest difference would show; that says nothing of the others
     size = f" An error {_more(max(shows))} would most likely have shown in the {n} data sets." if shows else ""
-    return f"Between the {len(level)} best: no. On the same data sets their errors cannot be told apart.{size}"
+    return f"Between the {len(level)} best: no. On the same data sets none can be told from the best of them.{size}"
 
 
 def _nearest(behind: Sequence[tuple[Comparison, str]]) -> str:
