@@ -165,7 +165,7 @@ def _experiment(name: str) -> Experiment:
     keys = set()
     for block in [{}, *content.get("also", [])]:
         sweep = {**content.get("sweep", {}), **block}
-        sweep["method"] = sweep["method"][:1]
+        sweep["method"] = sweep.get("method", ["oracle"])[:1]
         for job in config._expand_sweep(sweep, content, frozenset(), multirun=True):
             scenario = job.cell().scenario
             keys.add(_key(scenario.data_identity(), scenario.told_identity(), job.config.seed, scenario.label))
