@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from bench.figures import pyplot
 from bench.pages.gather import ERROR, Panel, label_of
 from bench.pages.headline import Answer
 from bench.pages.kept import Kept, kept, stated_interval
@@ -32,8 +31,18 @@ RC = {
     "svg.fonttype": "none", "text.color": INK, "axes.edgecolor": MUTED, "axes.labelcolor": INK, "xtick.color": MUTED,
     "ytick.color": MUTED, "grid.color": LINE, "axes.spines.right": False, "legend.frameon": False, "font.size": 10,
     "path.simplify_threshold": 0.3, "axes.titlesize": 10, "axes.titlelocation": "left", "savefig.transparent": True,
-    "text.parse_math": False,
+    "text.parse_math": False, "axes.spines.top": False, "svg.hashsalt": "vibration-bench", "font.family": "DejaVu Sans",
 }  # fmt: skip
+
+
+def pyplot() -> Any:
+    """matplotlib's pyplot without a display."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    return pyplot
 
 
 def svg(figure: Any, title: str, name: str) -> str:

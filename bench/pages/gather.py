@@ -21,22 +21,21 @@ ERROR = "_error_pct"
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment that describes a table: its name in ``conf``, its title, the keys of its scenarios."""
+    """An experiment that describes a table: its name in ``conf``, the table's number if any, its scenarios' keys."""
 
     name: str
-    title: str
+    number: int | None
     scenarios: frozenset[str]
 
     @property
     def short(self) -> str:
-        """``3`` for ``table3``, else the name."""
-        rest = self.name.removeprefix("table")
-        return rest if rest.isdigit() else self.name
+        """The number of its table, else its name."""
+        return self.name if self.number is None else str(self.number)
 
     @property
     def said(self) -> str:
         """``Table 3``, else the name."""
-        return f"Table {self.short}" if self.short.isdigit() else self.name
+        return self.name if self.number is None else f"Table {self.number}"
 
 
 @dataclass(frozen=True)
@@ -151,7 +150,7 @@ def gather(store: Store) -> Gathered:
     for cell in cells:
         grouped.setdefault(_stored_key(cell), []).append(cell)
     found = [one for one in map(_experiment, table_experiments()) if one.scenarios & set(grouped)]
-    experiments = tuple(sorted(found, key=lambda one: (not one.short.isdigit(), len(one.name), one.name)))
+    experiments = tuple(sorted(found, key=lambda one: (one.number is None, one.number or 0, one.name)))
     panels = [_panel(own, [one for one in experiments if key in one.scenarios]) for key, own in grouped.items()]
     panels.sort(key=_order(experiments))
     return Gathered(tuple(panels), cells, experiments, len(cells) - sum(len(panel.cells) for panel in panels))
@@ -169,7 +168,8 @@ def _experiment(name: str) -> Experiment:
         for job in config._expand_sweep(sweep, content, frozenset(), multirun=True):
             scenario = job.cell().scenario
             keys.add(_key(scenario.data_identity(), scenario.told_identity(), job.config.seed, scenario.label))
-    return Experiment(name, str(content["table"].get("title", name)), frozenset(keys))
+    number = content["table"].get("number")
+    return Experiment(name, None if number is None else int(number), frozenset(keys))
 
 
 def _stored_key(cell: StoredCell) -> str:
