@@ -131,7 +131,19 @@ def _imports(tree: ast.AST) -> Iterator[str]:
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
             yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            own = _rebound(node.module)
+            yield from (f"{node.module}.{alias.name}" for alias in node.names if alias.name not in own)
+
+
+@cache
+def _rebound(package: str) -> frozenset[str]:
+    """Names that a package imports from elsewhere: they hide modules of its own so called (``bench.report``)."""
+    path = _source(package)
+    if path is None or path.name != "__init__.py":
+        return frozenset()
+    found = ast.parse(path.read_text(encoding="utf-8")).body
+    imports = [node for node in found if isinstance(node, ast.ImportFrom) and node.module != package]
+    return frozenset(alias.asname or alias.name for node in imports for alias in node.names)
 
 
 @cache

@@ -1,0 +1,129 @@
+"""The leaderboard: one line a scenario, method and quantity, all scenarios in one table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from bench.pages.gather import ERROR, Gathered, Panel, label_of
+from bench.pages.standing import Ranking, fit_seconds, rank
+from bench.pages.words import heading, number, percent, seconds, title_of
+from bench.reference import REFERENCES
+from bench.store import StoredCell
+from bench.tables import excess_text
+
+MOST_LINES = 6000
+"""More would not fit into the page; whole scenarios are left out, and it says so."""
+PLACES = {"best": "best", "level": "level", "behind": "behind", "alone": "only method", "all failed": "all failed"}
+
+
+@dataclass(frozen=True)
+class Line:
+    """A row of the leaderboard, as text."""
+
+    tables: str
+    system: str
+    snr: str
+    start: str
+    data: str
+    method: str
+    quantity: str
+    median: str
+    interval: str
+    bound: str
+    excess: str
+    place: str
+    prior: str
+    ok: str
+    time: str
+
+    @property
+    def level(self) -> bool:
+        """Whether it is the best of its rows, or cannot be told from it."""
+        return self.place.startswith(("best", "level"))
+
+
+@dataclass(frozen=True)
+class Board:
+    """The lines, and how many scenarios had no room."""
+
+    lines: tuple[Line, ...]
+    left_out: int
+
+
+Rankings = dict[tuple[int, str], Ranking | None]
+"""By the panel's place in the page and by metric."""
+
+
+def rankings(gathered: Gathered) -> Rankings:
+    """Every scenario's methods by every metric that its data decide."""
+    return {(i, metric): rank(panel, metric) for i, panel in enumerate(gathered.panels) for metric in panel.ranked}
+
+
+def board(gathered: Gathered, ranked: Rankings) -> Board:
+    """The leaderboard of the store, tables first, as far as there is room."""
+    lines: list[Line] = []
+    for i, panel in enumerate(gathered.panels):
+        own = panel_lines(panel, {metric: ranked.get((i, metric)) for metric in panel.metrics})
+        if lines and len(lines) + len(own) > MOST_LINES:
+            return Board(tuple(lines), len(gathered.panels) - i)
+        lines += own
+    return Board(tuple(lines), 0)
+
+
+def panel_lines(panel: Panel, ranked: dict[str, Ranking | None]) -> list[Line]:
+    """The lines of one scenario: best first in each quantity, failures last."""
+    lines = []
+    for metric in panel.metrics:
+        own = [cell for cell in panel.cells if metric in cell.summary]
+        order = sorted(own, key=lambda cell: (_infinite(cell.summary[metric]["median"]), title_of(label_of(cell))))
+        lines += [_line(panel, cell, metric, ranked.get(metric)) for cell in order]
+    return lines
+
+
+def _infinite(value: float) -> float:
+    return math.inf if math.isnan(value) else value
+
+
+def _line(panel: Panel, cell: StoredCell, metric: str, ranking: Ranking | None) -> Line:
+    summary, label = cell.summary[metric], label_of(cell)
+    low, high, excess = summary["ci_low"], summary["ci_high"], summary["excess"]
+    known = not (math.isnan(low) or math.isnan(high))
+    return Line(
+        tables=", ".join(one.short for one in panel.experiments) or "–",
+        system=panel.system,
+        snr=f"{panel.snr_db:g}",
+        start=panel.told,
+        data=panel.kind,
+        method=title_of(label),
+        quantity=heading(metric),
+        median=number(summary["median"]),
+        interval=f"{number(low)} to {number(high)}" if known else "–",
+        bound=number(summary["bound"]),
+        excess=excess_text(excess) if math.isfinite(excess) else "–",
+        place=_place(cell, ranking, label),
+        prior=percent(panel.prior_share.get(metric.removesuffix(ERROR), math.nan)) if metric != "rmse" else "–",
+        ok=f"{cell.n_ok}/{len(cell.rows)}",
+        time=seconds(fit_seconds(cell)),
+    )
+
+
+def _place(cell: StoredCell, ranking: Ranking | None, label: str) -> str:
+    if cell.cell.get("method") in REFERENCES:
+        return "reference"
+    if cell.n_ok == 0:
+        return f"failed: {cell.status.value.replace('_', ' ')}"
+    if ranking is None:
+        return "not ranked"
+    weak = " (fewer data)" if label in ranking.weak else ""
+    return PLACES.get(ranking.places.get(label, ""), "–") + weak
+
+
+def options(lines: Sequence[Line], name: str) -> list[str]:
+    """What a filter offers: the values of a column in order; numbers by size."""
+    found = list(dict.fromkeys(str(getattr(line, name)) for line in lines))
+    try:
+        return sorted(found, key=float, reverse=True)
+    except ValueError:
+        return found if name in ("quantity", "system", "data") else sorted(found, key=str.casefold)
