@@ -41,9 +41,7 @@ from bench import (
     Serves,
     Status,
     System,
-    acceleration,
     numpy_ops,
-    rk4_step,
     simulate,
     state_rate,
 )
@@ -298,18 +296,40 @@ def _casadi_ops() -> Ops:
     )
 
 
+def _rates(system: System) -> Any:
+    """Rate of the state: (state, log-parameters, force on each DOF) -> velocities, accelerations.
+
+    The mass matrix is the derivative of the residual by the accelerations: as a symbolic expression it is then as
+    sparse as it is in truth, and the programme of ten masses eighteen times shorter than by unit accelerations.
+    """
+    import casadi as ca
+
+    n, ops = system.n_dof, _casadi_ops()
+    state, logs, forces = ca.SX.sym("s", 2 * n), ca.SX.sym("p", len(system.names)), ca.SX.sym("f", n)
+    p = {name: ca.exp(logs[i]) for i, name in enumerate(system.names)}
+    x, v, a = state[:n], state[n:], ca.SX.sym("a", n)
+    parts = [ca.vertsplit(part) for part in (x, v, a, forces)]
+    residual = ca.vertcat(*system.residual(p, parts[0], parts[1], parts[2], parts[3], [], ops))
+    rest = ca.substitute(residual, a, ca.DM.zeros(n))
+    return ca.Function("rates", [state, logs, forces], [ca.vertcat(v, ca.solve(ca.jacobian(residual, a), -rest))])
+
+
 def _interval(system: System, substeps: int, degree: int) -> Any:
     """The state after one interval: (state, log-parameters, length, coefficients of the forces) -> state."""
     import casadi as ca
 
-    n, ops = system.n_dof, _casadi_ops()
+    n, rates = system.n_dof, _rates(system)
     state, logs = ca.SX.sym("s", 2 * n), ca.SX.sym("p", len(system.names))
     length, forces = ca.SX.sym("h"), ca.SX.sym("f", (degree + 1) * n)
     part, width = ca.SX.sym("part"), ca.SX.sym("width")
-    p = {name: ca.exp(logs[i]) for i, name in enumerate(system.names)}
-    at = [_polynomial(forces, part + d * width, n) for d in (0.0, 0.5, 1.0)]
-    after = rk4_step(system, p, ca.vertsplit(state), length * width, (at[0], at[1], at[2]), ops)
-    step = ca.Function("step", [state, logs, length, forces, part, width], [ca.vertcat(*after)])
+    start, middle, end = (ca.vertcat(*_polynomial(forces, part + d * width, n)) for d in (0.0, 0.5, 1.0))
+    h = length * width
+    k1 = rates(state, logs, start)
+    k2 = rates(state + 0.5 * h * k1, logs, middle)
+    k3 = rates(state + 0.5 * h * k2, logs, middle)
+    k4 = rates(state + h * k3, logs, end)
+    after = state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    step = ca.Function("step", [state, logs, length, forces, part, width], [after])
     now = state
     for j in range(substeps):
         now = step(now, logs, length, forces, j / substeps, 1.0 / substeps)
@@ -328,18 +348,6 @@ def _polynomial(coefficients: Any, part: Any, n: int) -> list[Any]:
     return list(total)
 
 
-def _accelerations(system: System) -> Any:
-    """Acceleration of each DOF: (state, log-parameters, forces) -> accelerations."""
-    import casadi as ca
-
-    n = system.n_dof
-    state, logs, forces = ca.SX.sym("s", 2 * n), ca.SX.sym("p", len(system.names)), ca.SX.sym("f", n)
-    p = {name: ca.exp(logs[i]) for i, name in enumerate(system.names)}
-    parts = ca.vertsplit(state)
-    found = acceleration(system, p, parts[:n], parts[n:], ca.vertsplit(forces), [], _casadi_ops())
-    return ca.Function("acceleration", [state, logs, forces], [ca.vertcat(*found)])
-
-
 @lru_cache(maxsize=32)
 def _programme(shape: _Shape, max_iterations: int) -> _Programme:
     """The sparse programme over ``w = [log-parameters, offsets, states at the cuts record by record]``.
@@ -354,7 +362,7 @@ def _programme(shape: _Shape, max_iterations: int) -> _Programme:
     logs = ca.MX.sym("logs", len(system.names))
     offsets, states, given, misfits, joins = [], [], [], [], []
     for rig, cuts, degree, channels in shape.records:
-        interval, accelerations = _interval(rig, shape.substeps, degree), _accelerations(rig)
+        interval, rates = _interval(rig, shape.substeps, degree), _rates(rig)
         path = ca.MX.sym("path", 2 * n, cuts)
         steps, forces = ca.MX.sym("steps", 1, cuts - 1), ca.MX.sym("forces", (degree + 1) * n, cuts - 1)
         states.append(path)
@@ -366,7 +374,7 @@ def _programme(shape: _Shape, max_iterations: int) -> _Programme:
             given += [data, weights, push]
             here = path[:, list(at)]
             if measures == "acceleration":
-                ideal = accelerations.map(len(at))(here, ca.repmat(logs, 1, len(at)), push)[dof, :]
+                ideal = rates.map(len(at))(here, ca.repmat(logs, 1, len(at)), push)[n + dof, :]
             else:
                 ideal = here[dof + (n if measures == "velocity" else 0), :]
             if offset:

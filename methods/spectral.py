@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_smoothing_spline
@@ -34,8 +35,8 @@ from bench import (
     SimulatedResponse,
     System,
     fitted_start,
-    measurements,
     regression_columns,
+    simulate,
     state_matrix,
 )
 
@@ -140,7 +141,7 @@ class OutputError:
         """Simulated measurements, shape (..., N); not finite where the response diverges."""
         p = self.parameters(theta)
         parts = [
-            measurements(self.system, p, start, record)
+            readings(self.system, p, start, record)
             for start, record in zip(self.starts(theta), self.problem.records, strict=True)
         ]
         return np.concatenate(parts, -1) + self.offsets(theta)[..., self.channel_of]
@@ -252,6 +253,19 @@ class OutputError:
         return theta
 
 
+def readings(
+    system: System, p: dict[str, np.ndarray], start: InitialState | tuple[np.ndarray, np.ndarray], record: Record
+) -> np.ndarray:
+    """As :func:`bench.measurements`, with one simulation for all sensors that are read at the same times."""
+    rig, motions, parts = record.rig(system), dict[bytes, Any](), []
+    for channel in record.channels:
+        key = channel.times.tobytes()
+        if key not in motions:
+            motions[key] = simulate(rig, p, start, channel.times, record.forces)
+        parts.append(motions[key].measured(rig, p, channel, record))
+    return np.concatenate(parts, axis=-1)
+
+
 def estimate_at(
     model: OutputError, theta: np.ndarray, covariance: np.ndarray | None, used: float, cost: Cost, message: str = ""
 ) -> Estimate:
@@ -359,7 +373,7 @@ def _minima(problem: Problem, n: int, fixed_scale: bool) -> list[tuple[float, di
     grid = np.zeros((0, 2))
     cycles = max(_most_cycles(record) for record in problem.records)
     for record in problem.records:
-        grid, responses = _grid_responses(problem.system, base, _signature(record), cycles)
+        grid, responses = _grid_responses(problem.system, base, _signature(record), cycles, _told(record))
         rss, scale = _projected(record, responses, fixed_scale)
         misfit, strength = misfit + rss, strength + scale / len(problem.records)
     table, scales = np.reshape(misfit, (-1, len(DECAYS))), np.reshape(strength, (-1, len(DECAYS)))
@@ -469,11 +483,27 @@ def _force_size(record: Record) -> float:
     return max((float(np.max(np.abs(f.values))) for f in record.forces), default=0.0) or 1.0
 
 
+def _whole(start: InitialState) -> np.ndarray:
+    return np.concatenate([start.displacement, start.velocity])
+
+
+def _told(record: Record) -> tuple[float, ...] | None:
+    """A told start of several degrees of freedom: their 2 n_dof unit responses would fill the memory.
+
+    Those of one are the same in every replicate, and kept.
+    """
+    start = record.initial_state
+    return tuple(map(float, _whole(start))) if start is not None and start.displacement.size > 1 else None
+
+
 @lru_cache(maxsize=8)
 def _grid_responses(
-    system: System, base: tuple[float, ...], signature: Signature, cycles: float
+    system: System, base: tuple[float, ...], signature: Signature, cycles: float, told: tuple[float, ...] | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Grid points (G, 2) as (cycles, decay), and unit responses (G, N, 2 n_dof + 1): one by start, then the force's."""
+    """Grid points (G, 2) as (cycles, decay), and responses (G, N, S + 1): those to each start, then the force's.
+
+    Starts: the ``told`` one, else 2 n_dof unit ones.
+    """
     channels = tuple(
         Channel(np.frombuffer(t), np.zeros(len(t) // 8), measures, dof)  # type: ignore[arg-type]
         for t, measures, dof in signature[0]
@@ -486,15 +516,15 @@ def _grid_responses(
     grid = np.stack([a.ravel() for a in np.meshgrid(frequencies, DECAYS, indexing="ij")], axis=1)
     p = _by_kind(system, base, grid[:, 0], grid[:, 1])
     n = system.n_dof
-    responses = np.zeros((len(grid), sum(c.n for c in channels), 2 * n + 1))
+    starts = np.eye(2 * n) if told is None else np.array([told])
+    responses = np.zeros((len(grid), sum(c.n for c in channels), len(starts) + 1))
     free, forced = Record(channels), Record(channels, forces)
-    for i in range(2 * n):
-        unit = np.zeros((2 * n, len(grid)))
-        unit[i] = 1.0
-        responses[..., i] = measurements(system, p, (unit[:n], unit[n:]), free)
+    for i, start in enumerate(starts):
+        state = np.broadcast_to(start[:, None], (2 * n, len(grid)))
+        responses[..., i] = readings(system, p, (state[:n], state[n:]), free)
     if forces:
         rest = np.zeros((n, len(grid)))
-        responses[..., 2 * n] = measurements(system, p, (rest, rest), forced)
+        responses[..., -1] = readings(system, p, (rest, rest), forced)
     return grid, responses
 
 
@@ -505,8 +535,8 @@ def _projected(record: Record, responses: np.ndarray, fixed_scale: bool) -> tupl
     y = np.concatenate([c.values for c in record.channels])
     columns, known = [], np.zeros(responses.shape[:2])
     if record.initial_state is not None:
-        start = np.concatenate([record.initial_state.displacement, record.initial_state.velocity])
-        known = known + responses[..., :-1] @ start
+        start = _whole(record.initial_state)
+        known = known + (responses[..., 0] if _told(record) else responses[..., :-1] @ start)
     else:
         columns += [responses[..., i] for i in range(responses.shape[-1] - 1)]
     pushed = bool(record.forces) and bool(np.any(responses[..., -1]))
