@@ -48,10 +48,10 @@ def draw_coverage(gallery: Gallery) -> Picture:
     cells = [c for c in cells if c.label in stated]
     if not cells:
         raise Nothing(f"no method with intervals of k/m over {FEWEST} replicates or more is stored")
-    figure, axes = panels(len(cells), 5, 34.0, "level of the interval (%)", sharex=True, sharey=True)
+    figure, axes = panels(len(cells), 5, 34.0, "nominal level (%)", sharex=True, sharey=True)
     for axis, cell in zip(axes, cells, strict=True):
         _panel(axis, gallery, cell)
-    axes[0].set(xlim=(0, 100), ylim=(0, 100))
+    axes[0].set(xlim=(-4, 104), ylim=(-4, 104))
     axes[0].set_xticks([0, 50, 95], ["0", "50", "95"])
     axes[0].set_yticks([0, 50, 95], ["0", "50", "95"])
     figure.supylabel("replicates whose interval holds the truth (%)")
@@ -84,7 +84,7 @@ def _panel(axis: Any, gallery: Gallery, cell: Shown) -> None:
     for level, share in _band(cell):
         axis.plot(level, 100.0 * share, marker="s", ms=3.2, mfc="white", mec=look.colour, mew=0.8, ls="none")
     axis.set_title(wrapped(look.title, 20), loc="left")
-    axis.text(97, 3, f"n = {n}", ha="right", fontsize=7)
+    axis.text(1, 100, f"n = {n}", va="top", fontsize=7)
     axis.set_aspect("equal")
     axis.grid()
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.estimate import Status
-from bench.figures.gallery import Gallery, Nothing, Picture, Shown
+from bench.figures.gallery import Gallery, Nothing, Picture, Shown, where
 from bench.figures.style import FULL, MM, entry, legend_below, pyplot
 
 LETTERS = {
@@ -105,11 +105,7 @@ def _heat(axis: Any, grid: dict[tuple[int, int], Shown], shape: tuple[int, int],
 
 def _names(cells: Sequence[Shown]) -> list[str]:
     """A name for each row; with what tells rows of one name apart."""
-    names = [
-        f"{c.system}, {c.snr_db:g} dB, start {c.told}"
-        + (f", {c.disturbance.replace('_', ' ')}" if c.disturbance else "")
-        for c in cells
-    ]
+    names = [where(c).replace("initial state", "start") for c in cells]
     counted = Counter(names)
     for i, cell in enumerate(cells):
         if counted[names[i]] > 1:

@@ -77,10 +77,10 @@ def _caption(cells: Sequence[Shown], names: Sequence[str], told: str) -> str:
 
 
 def _ranked(found: dict[tuple[str, float, str], tuple[float, float, float]]) -> list[str]:
-    """Methods by the median of their logarithmic excess, best first, to a tenth; ties in the order of methods."""
+    """Methods by the median of their logarithmic excess, best first, to a tenth; those that tie in their usual order."""
     own: dict[str, list[float]] = {}
     for (label, _, _), (excess, _, _) in found.items():
-        own.setdefault(label, []).append(math.log(max(excess, 1e-12)))
+        own.setdefault(label, []).append(math.log(max(excess, 1.0)))  # below 1 there is nothing to be won
     return sorted(own, key=lambda label: (round(float(np.median(own[label])), 1), list(own).index(label)))
 
 

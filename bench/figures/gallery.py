@@ -183,7 +183,8 @@ def methods_only(cells: Iterable[Shown]) -> list[Shown]:
 def where(cell: Shown) -> str:
     """A cell's scenario in words, for captions."""
     disturbed = f", disturbance {cell.disturbance.replace('_', ' ')}" if cell.disturbance else ""
-    return f"{cell.system}, {cell.snr_db:g} dB, initial state {cell.told}{disturbed}"
+    drawn = ", truth drawn" if cell.data.get("truth") == "drawn" else ""
+    return f"{cell.system}, {cell.snr_db:g} dB, initial state {cell.told}{disturbed}{drawn}"
 
 
 def counts(cells: Iterable[Shown]) -> str:
