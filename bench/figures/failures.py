@@ -106,16 +106,26 @@ def _heat(axis: Any, grid: dict[tuple[int, int], Shown], shape: tuple[int, int],
 def _names(cells: Sequence[Shown]) -> list[str]:
     """A name for each row; with what tells rows of one name apart."""
     names = [where(c).replace("initial state", "start") for c in cells]
-    counted = Counter(names)
-    for i, cell in enumerate(cells):
-        if counted[names[i]] > 1:
-            names[i] += f", seed {cell.seed}"
+    for name, several in Counter(names).items():
+        if several > 1:
+            own = [i for i, other in enumerate(names) if other == name]
+            traits = zip(*(_traits(cells[i]) for i in own), strict=True)
+            for varied in (column for column in traits if len(set(column)) > 1):
+                for i, text in zip(own, varied, strict=True):
+                    names[i] += f", {text}"
     counted, numbers = Counter(names), Counter[str]()
     for i, name in enumerate(names):
         if counted[name] > 1:
             numbers[name] += 1
             names[i] = f"{name} ({numbers[name]})"
     return names
+
+
+def _traits(cell: Shown) -> tuple[str, ...]:
+    """What may tell scenarios of one name apart."""
+    data = cell.data
+    prior = f"mass known to {100 * cell.prior['mass']:g} %" if cell.prior else "no prior"
+    return f"{data['duration']:g} s", f"{data['samples']} samples", prior, f"seed {cell.seed}"
 
 
 def _handles(used: set[Status], gaps: bool) -> list[Any]:

@@ -49,14 +49,16 @@ def draw_forest(gallery: Gallery) -> Picture:
         raise Nothing("no method with an error and a bound over two replicates or more is stored")
     snrs = sorted({snr for _, snr, _ in found}, reverse=True)[:MOST]
     labels = _ranked(found)
+    labels += [c.label for c in dict.fromkeys(cells) if c.label not in labels and c.snr_db in snrs]
+    labels = list(dict.fromkeys(labels))
     figure, axes = pyplot().subplots(
         1, len(snrs), figsize=(FULL, (22.0 + ROW * len(labels)) * MM), layout="constrained", sharey=True, sharex=True,
         squeeze=False,
     )  # fmt: skip
+    _scale(axes[0][0], found)
     for axis, snr in zip(axes[0], snrs, strict=True):
         _column(axis, gallery, labels, found, [c for c in cells if c.snr_db == snr], metrics)
         axis.set_title(f"{snr:g} dB", loc="center")
-    _scale(axes[0][0], found)
     axes[0][0].set_yticks(range(len(labels)), [gallery.looks[label].title for label in labels])
     axes[0][0].set_ylim(len(labels) - 0.4, -0.6)
     axes[0][len(snrs) // 2].set_xlabel("root mean square error / Cramér-Rao bound (−)")
@@ -77,7 +79,7 @@ def _caption(cells: Sequence[Shown], names: Sequence[str], told: str) -> str:
 
 
 def _ranked(found: dict[tuple[str, float, str], tuple[float, float, float]]) -> list[str]:
-    """Methods by the median of their logarithmic excess, best first, to a tenth; those that tie in their usual order."""
+    """Methods by the median of their logarithmic excess, best first, to a tenth; those that tie in the usual order."""
     own: dict[str, list[float]] = {}
     for (label, _, _), (excess, _, _) in found.items():
         own.setdefault(label, []).append(math.log(max(excess, 1.0)))  # below 1 there is nothing to be won
@@ -103,13 +105,22 @@ def _column(
                 at = row + (0.36 * i - 0.18 if len(metrics) > 1 else 0.0)
                 _interval(axis, look, at, (middle, low, high), hollow=i > 0)
         if cell.n_ok < cell.n:
-            axis.annotate(
-                f"{cell.n_ok}/{cell.n}", (1.0, row), xycoords=("axes fraction", "data"), ha="right", va="center",
-                fontsize=7, bbox={"fc": "white", "ec": "none", "pad": 0.5, "alpha": 0.8}, zorder=5,
-            )  # fmt: skip
+            spans = [found[key] for key in ((cell.label, cell.snr_db, metric) for metric, _ in metrics) if key in found]
+            _count(axis, row, f"{cell.n_ok}/{cell.n}", [(low, high) for _, low, high in spans])
     for row in range(1, len(labels), 2):
         axis.axhspan(row - 0.5, row + 0.5, color="0.955", lw=0, zorder=0)
     axis.tick_params(axis="y", length=0)
+
+
+def _count(axis: Any, row: int, text: str, spans: Sequence[tuple[float, float]]) -> None:
+    """How many replicates succeeded: at the right edge, or the next place to the left that is free."""
+    left, right = np.log(axis.get_xlim())
+    taken = [((np.log(max(low, 1e-9)) - left), (np.log(min(high, FARTHEST)) - left)) for low, high in spans]
+    taken = [(low / (right - left) - 0.06, high / (right - left) + 0.06) for low, high in taken]
+    width = 0.065 * len(text)
+    ends = np.arange(0.99, width, -0.05)
+    at = next((end for end in ends if all(high <= end - width or low >= end for low, high in taken)), 0.99)
+    axis.text(at, row, text, transform=axis.get_yaxis_transform(), ha="right", va="center", fontsize=7, zorder=2)
 
 
 def _interval(axis: Any, look: Any, at: float, values: tuple[float, float, float], hollow: bool) -> None:

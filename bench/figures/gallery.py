@@ -151,8 +151,16 @@ class Gallery:
 
     @cached_property
     def main(self) -> list[Shown]:
-        """The cells of the scenario that the store has most of, at every noise level and start."""
-        return self.largest(self.cells)
+        """The cells of the scenario that the store has most of, at its usual noise levels and at either start.
+
+        A noise level with fewer than half as many methods as another is somebody's own question, not the sweep's.
+        """
+        cells = self.largest(self.cells)
+        methods: dict[float, set[str]] = {}
+        for one in cells:
+            methods.setdefault(one.snr_db, set()).add(one.label)
+        most = max(map(len, methods.values()))
+        return [one for one in cells if 2 * len(methods[one.snr_db]) >= most]
 
     def largest(self, cells: Iterable[Shown]) -> list[Shown]:
         """The largest group of cells that differ in method, noise level and start alone; undisturbed before others."""
@@ -184,7 +192,7 @@ def where(cell: Shown) -> str:
     """A cell's scenario in words, for captions."""
     disturbed = f", disturbance {cell.disturbance.replace('_', ' ')}" if cell.disturbance else ""
     drawn = ", truth drawn" if cell.data.get("truth") == "drawn" else ""
-    return f"{cell.system}, {cell.snr_db:g} dB, initial state {cell.told}{disturbed}{drawn}"
+    return f"{cell.system}, {cell.snr_db:.4g} dB, initial state {cell.told}{disturbed}{drawn}"
 
 
 def counts(cells: Iterable[Shown]) -> str:

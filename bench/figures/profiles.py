@@ -74,8 +74,9 @@ def draw_profiles(gallery: Gallery) -> Picture:
         f"Performance profiles over {len(scenes)} scenarios ({systems} parameter sets, {levels} dB, initial state "
         f"{told}), the first {fewest} replicates of each, on which every method here was run: on what share of these "
         "data sets the error is within so many times the least error of all methods. A line further up and to the left "
-        "is better; where it ends says how often the method is not grossly wrong. A failed fit is within no factor. Close "
-        "to the left edge methods on the bound take turns by luck; what tells is how soon a line reaches the top.",
+        "is better; where it ends says how often the method is not grossly wrong. A failed fit is within no factor. "
+        "Close to the left edge methods on the bound take turns by luck; what tells is how soon a line reaches the "
+        "top.",
     )
 
 

@@ -78,7 +78,7 @@ def looks(labels: Iterable[str]) -> dict[str, Look]:
     One that :data:`STYLES` does not have gets colour and marker by a hash of its name, the next ones where another has
     these already: up to 90 such methods all look different.
     """
-    found, taken, several = {}, set(), len(MORE_COLOURS) * len(MORE_MARKERS)
+    found, taken, titles, several = {}, set[int](), set[str](), len(MORE_COLOURS) * len(MORE_MARKERS)
     for label in in_order(labels):
         if label in STYLES:
             colour, marker = STYLES[label]
@@ -87,7 +87,11 @@ def looks(labels: Iterable[str]) -> dict[str, Look]:
             at = next((i % several for i in range(at, at + several) if i % several not in taken), at)
             taken.add(at)
             colour, marker = MORE_COLOURS[at % len(MORE_COLOURS)], MORE_MARKERS[at % len(MORE_MARKERS)]
-        found[label] = Look(label, drawable(TITLES.get(label, label)), colour, marker)
+        title = plain = drawable(TITLES.get(label, label))
+        while title in titles:
+            title = f"{plain} ({len(titles)})"
+        titles.add(title)
+        found[label] = Look(label, title, colour, marker)
     return found
 
 
@@ -181,8 +185,9 @@ def legend_below(figure: Any, handles: Sequence[Any]) -> None:
 
 
 def wrapped(title: str, letters: int) -> str:
-    """A panel's title in lines of so many letters."""
-    return "\n".join(textwrap.wrap(title, letters, break_long_words=True)) or title
+    """A panel's title in lines of so many letters; of a longer word, its two ends."""
+    words = [w if len(w) <= letters else f"{w[: letters - 8]}…{w[-7:]}" for w in title.split(" ")]
+    return "\n".join(textwrap.wrap(" ".join(words), letters)) or title
 
 
 def plain_logarithmic(axis: Any) -> None:
@@ -198,7 +203,12 @@ def plain_logarithmic(axis: Any) -> None:
 
 def decibels(axis: Any, snrs: Sequence[float]) -> None:
     """A horizontal axis of SNR, least noise on the left as in the paper."""
-    axis.set_xticks(snrs, [f"{snr:g}" for snr in snrs])
+    apart = 0.08 * (max(snrs) - min(snrs))
+    named: list[float] = []
+    for snr in sorted(snrs, key=lambda own: (own % 10 != 0, -own)):
+        if all(abs(snr - other) >= apart for other in named):
+            named.append(snr)
+    axis.set_xticks(sorted(named), [f"{snr:.3g}" for snr in sorted(named)])
     axis.minorticks_off()
     axis.set_xlabel("signal-to-noise ratio (dB)")
     axis.set_xlim(max(snrs) + 2.5, min(snrs) - 2.5)
