@@ -75,9 +75,9 @@ def draw_basin(gallery: Gallery) -> Picture:
         f"Misfit of the samples over the two groups that free vibration tells ({where(cell)}; replicate 0): root mean "
         "square of the residuals, light is low. Left: away from the basin the surface is flat and rippled, and a "
         "descent from there need not end in it. Right: the floor of the basin, and as a dashed line where the "
-        "likelihood's 95 % region ends. Markers: what each method found; those beyond a panel are not in it. Good "
-        "methods differ by far less than the region is wide: what remains is the noise, not the optimiser. The paper's "
-        "Figure 8 shows estimates from several initialisations and calls their closeness stability; it says nothing of "
+        "likelihood's 95 % region ends. Markers: what each method found; those beyond a panel are not in it. How "
+        "far they are from each other is the methods' part of the error, how wide the region is the noise's. The "
+        "paper's Figure 8 shows estimates from several initialisations and calls their closeness stability; it says nothing of "
         "their error.",
     )
 

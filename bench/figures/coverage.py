@@ -62,8 +62,8 @@ def draw_coverage(gallery: Gallery) -> Picture:
         f"Do the stated intervals hold what they promise ({where(cells[0])}, seed {cells[0].seed}; {counts(cells)} "
         f"replicates)? For each level, how often the interval of k/m and of c/m held the truth.{band} On the diagonal "
         "a statement is right; below it a method is too sure of itself, above it too modest. In the grey band a "
-        "calibrated method is with 95 % probability at each level, given so many replicates; at its edges it may leave "
-        "it by chance. The oracle is there as the yardstick.",
+        "calibrated method is with 95 % probability at each level, given so many replicates; over all levels it may "
+        "leave the band here and there by chance. The tables say in numbers which methods are not calibrated.",
     )
 
 

@@ -42,12 +42,14 @@ def draw_training(gallery: Gallery) -> Picture:
         f"{gallery.looks[cell.label].title} {arrays[EVALUATIONS].max():.0f} (loss {arrays[LOSS][-1]:.3g})"
         for cell, arrays in found
     )
+    both = {"pinn", "pinn_adam"} <= {cell.label for cell, _ in found}
+    trainings = " The PINN's two trainings minimise the same loss of the same network." if both else ""
     return Picture(
         figure,
         f"Training on the same record ({where(found[0][0])}; replicate 0): the whole loss, each term with the weight "
         "it has at the end (which can lift the curve before), and the mean square of each term, in "
-        f"natural units. Evaluations until the end, and the loss there: {ends}. The PINN's two trainings minimise the "
-        "same loss of the same network; each line ends where its training stopped, which need not be at the minimum. A "
+        f"natural units. Evaluations until the end, and the loss there: {ends}.{trainings} A "
+        "line ends where its training stopped, which need not be at the minimum. A "
         "term that is nil throughout is left out, and a line begins late where a term is nil at first. The paper's "
         "Figure 6 shows the whole loss alone.",
     )

@@ -71,9 +71,8 @@ def _caption(cell: Shown, arrays: Arrays, sd: np.ndarray | None, source: str, n:
         inside = f" In this replicate it holds {100 * np.mean(off <= Z95 * sd[:n]):.0f} % of the true responses."
     return (
         f"Several masses, identified from samples of each ({where(cell)}; {cell.label}, replicate 0). Left: response. "
-        f"Right: estimate minus truth, a hundred times smaller.{source}{inside} The masses move in phase and against "
-        "each other in turn, in two or more modes at once, and one record tells all of them. The paper's Figure 11 "
-        "shows a simulated response of two masses, identified by nothing."
+        f"Right: estimate minus truth, in millimetres.{source}{inside} Where the band holds the line at zero it holds "
+        "the truth. The paper's Figure 11 shows a simulated response of two masses, of which nothing is identified."
     )
 
 
