@@ -77,8 +77,8 @@ def draw_basin(gallery: Gallery) -> Picture:
         "descent from there need not end in it. Right: the floor of the basin, and as a dashed line where the "
         "likelihood's 95 % region ends. Markers: what each method found; those beyond a panel are not in it. How "
         "far they are from each other is the methods' part of the error, how wide the region is the noise's. The "
-        "paper's Figure 8 shows estimates from several initialisations and calls their closeness stability; it says nothing of "
-        "their error.",
+        "paper's Figure 8 shows estimates from several initialisations and calls their closeness stability; it says "
+        "nothing of their error.",
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bench.figures import STYLES, pyplot, save_figure
-from bench.figures.style import FULL, MM
+from bench.figures.style import FULL, MM, legend_below
 
 LABELS = {
     "pinn": "PINN (Levenberg-Marquardt)",
@@ -27,11 +27,11 @@ def loss_picture(data: dict[str, Any], out: Path) -> list[Path]:
         axes[0].loglog(evaluations, own["loss"], **style)
         axes[1].loglog(evaluations, own["mean_square_data"], **style)
         axes[2].loglog(evaluations, _positive(own["mean_square_physics"]), **style)
-    titles = ("loss, at its final weights", "data, mean square", "equation of motion, mean square")
+    titles = ("loss, at its final weights (−)", "data, mean square (−)", "equation of motion, mean square (−)")
     for axis, title in zip(axes, titles, strict=True):
         axis.set_title(title)
         axis.set_xlabel("evaluations of all residuals")
-    axes[0].legend(frameon=False)
+    legend_below(figure, axes[0].get_legend_handles_labels()[0])
     return save_figure(figure, out, "pinn_loss")
 
 
@@ -64,7 +64,7 @@ def scaling_picture(data: dict[str, Any], out: Path) -> list[Path]:
         axes[1, column].set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     ratios = [point["ratio"] for own in data.values() for point in own]
     axes[1, 0].set_ylim(0.0, min(max(2.0, 1.1 * np.nanmax(ratios)), 10.0))
-    axes[0, 0].set_ylabel("processor seconds a fit")
-    axes[1, 0].set_ylabel("error / oracle's")
-    axes[0, 0].legend(frameon=False)
+    axes[0, 0].set_ylabel("time of a fit (s)")
+    axes[1, 0].set_ylabel("error / oracle's (−)")
+    legend_below(figure, axes[0, 0].get_legend_handles_labels()[0])
     return save_figure(figure, out, "pinn_scaling")
