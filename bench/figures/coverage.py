@@ -83,7 +83,7 @@ def _panel(axis: Any, gallery: Gallery, cell: Shown) -> None:
             axis.plot(100.0 * NOMINAL, 100.0 * covered(levels, NOMINAL), color=look.colour, ls=dashes, lw=1.1)
     for level, share in _band(cell):
         axis.plot(level, 100.0 * share, marker="s", ms=3.2, mfc="white", mec=look.colour, mew=0.8, ls="none")
-    axis.set_title(wrapped(look.title, 20), loc="left")
+    axis.set_title(wrapped(look.title, 28.0), loc="left")
     axis.text(1, 100, f"n = {n}", va="top", fontsize=7)
     axis.set_aspect("equal")
     axis.grid()

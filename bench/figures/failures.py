@@ -80,7 +80,6 @@ def _heat(axis: Any, grid: dict[tuple[int, int], Shown], shape: tuple[int, int],
     for at, cell in grid.items():
         values[at] = 100.0 * shares(cell)[0]
     colours = ListedColormap(colormaps["OrRd"](np.linspace(0.0, 0.85, 256)))
-    colours.set_bad("white")  # of no failure, too
     axis.imshow(
         np.ma.masked_invalid(np.where(values > 0, values, np.nan)), cmap=colours, vmin=0, vmax=100, aspect="auto"
     )

@@ -129,7 +129,7 @@ def _panel(axis: Any, gallery: Gallery, cell: Shown, arrays: Arrays, curve: np.n
     axis.plot(arrays["dense_times"], arrays["true_displacement"][dof], **TRUE)
     axis.plot(arrays["dense_times"], curve, color=look.colour, ls="-" if own else "--", lw=1.1)
     axis.plot(*samples_of(arrays, dof), **SAMPLES)
-    axis.set_title(wrapped(look.title, 27), loc="left")
+    axis.set_title(wrapped(look.title, 38.0), loc="left")
     rmse = cell.first("rmse")
     if np.isfinite(rmse):
         text = f"RMSE {1000 * rmse:.3g} mm" if rmse < 1 else f"RMSE {rmse:.3g} m"

@@ -88,7 +88,7 @@ def _panel(axis: Any, gallery: Gallery, cell: Shown, covariance: np.ndarray | No
         style = {"mfc": look.colour, "mec": look.colour, "mew": 0.2, "ls": "none", "clip_on": False, "zorder": 3}
         axis.plot(x, y, marker=(3, 0, turn), ms=3.4, **style)
     axis.plot(0.0, 0.0, marker="+", color="black", ms=7, mew=0.9, zorder=4)
-    axis.set_title(wrapped(look.title, 21), loc="left")
+    axis.set_title(wrapped(look.title, 31.0), loc="left")
     if outside.any():
         axis.text(0.97, 0.04, f"{outside.sum()} outside", transform=axis.transAxes, ha="right", fontsize=7)
     axis.grid()

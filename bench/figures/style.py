@@ -7,13 +7,14 @@ below 7 points.
 from __future__ import annotations
 
 import hashlib
-import textwrap
 import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from bench.tables import TITLES
 
@@ -32,7 +33,7 @@ Marker = str | tuple[int, int, float]
 STYLES: dict[str, tuple[str, Marker]] = {
     "oracle": ("#7f7f7f", "D"), "shooting": ("#0072B2", "o"), "mcmc": ("#56B4E9", "v"), "nuts": ("#332288", ">"),
     "pinn": ("#D55E00", "s"), "pinn_adam": ("#E69F00", "P"), "pinn_ensemble": ("#CC6677", "X"),
-    "collocation": ("#8C564B", "h"), "collocation_bootstrap": ("#C49C94", "H"), "output_error": ("#B5A300", "p"),
+    "collocation": ("#8C564B", "h"), "collocation_bootstrap": ("#C49C94", "H"), "output_error": ("#4D3559", "p"),
     "ekf": ("#117733", (4, 1, 0.0)), "ukf": ("#661100", (6, 1, 0.0)), "matrix_pencil": ("#882255", "d"),
     "era": ("#AA4499", (3, 1, 0.0)), "log_decrement": ("#44AA99", "<"), "ls": ("#000000", "x"),
     "ls_spline": ("#555555", "+"), "rls": ("#999999", "1"), "sindy": ("#009E73", "^"), "ddnn": ("#CC79A7", "*"),
@@ -168,13 +169,12 @@ def legend_below(figure: Any, handles: Sequence[Any]) -> None:
     if not handles:
         return
     width, height = figure.get_size_inches()
-    letters = [len(h.get_label()) for h in handles]
-    columns, rows = next(
-        (columns, rows)
-        for columns in range(len(handles), 0, -1)
-        for rows in [-(-len(handles) // columns)]
-        if columns == 1 or sum(0.062 * max(letters[i : i + rows]) + 0.45 for i in range(0, len(letters), rows)) < width
+    widths = [(width_of(h.get_label(), SMALL) + 11.0) * MM for h in handles]
+    columns = next(
+        (n for n in range(len(widths), 1, -1) if sum(max(own) for own in np.array_split(widths, n)) < 0.98 * width), 1
     )
+    rows = -(-len(widths) // columns)
+    columns = -(-len(widths) // rows)
     figure.set_size_inches(width, height + 0.155 * rows + 0.08)
     own = figure.legend(
         handles=list(handles), loc="outside lower center", ncols=columns, frameon=False,
@@ -184,10 +184,28 @@ def legend_below(figure: Any, handles: Sequence[Any]) -> None:
         text.set_text(h.get_label())
 
 
-def wrapped(title: str, letters: int) -> str:
-    """A panel's title in lines of so many letters; of a longer word, its two ends."""
-    words = [w if len(w) <= letters else f"{w[: letters - 8]}…{w[-7:]}" for w in title.split(" ")]
-    return "\n".join(textwrap.wrap(" ".join(words), letters)) or title
+def width_of(text: str, size: float = NORMAL) -> float:
+    """How wide a line of text is (mm)."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    prop = FontProperties(family=FONT, size=size)
+    return float(text_to_path.get_text_width_height_descent(text, prop, ismath=False)[0]) / 72.0 / MM
+
+
+def wrapped(title: str, width: float) -> str:
+    """A panel's title in lines of so many millimetres at most; of a longer word, its two ends."""
+    lines: list[str] = []
+    for word in title.split(" "):
+        short, n = word, len(word)
+        while width_of(short) > width and n > 8:
+            n -= 1
+            short = f"{word[: n - 7]}…{word[-6:]}"
+        if lines and width_of(f"{lines[-1]} {short}") <= width:
+            lines[-1] += f" {short}"
+        else:
+            lines.append(short)
+    return "\n".join(lines)
 
 
 def plain_logarithmic(axis: Any) -> None:

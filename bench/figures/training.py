@@ -24,7 +24,7 @@ def draw_training(gallery: Gallery) -> Picture:
     names = dict.fromkeys(name for _, arrays in found for name in arrays if name.startswith(TERM))
     order = [f"{TERM}{term}" for term in TITLES]
     terms = [name for name in [*order, *sorted(set(names) - set(order))] if name in names and _any(found, name)]
-    figure, axes = panels(1 + len(terms), 3, 42.0, "evaluations of all residuals", sharex=True)
+    figure, axes = panels(1 + len(terms), 3, 42.0, "evaluations of all residuals (−)", sharex=True)
     for axis, name in zip(axes, [LOSS, *terms], strict=True):
         for cell, arrays in found:
             if name in arrays:
@@ -32,7 +32,7 @@ def draw_training(gallery: Gallery) -> Picture:
         term = name.removeprefix(TERM)
         axis.set(xscale="log", yscale="log")
         axis.set_title(
-            "whole loss" if name == LOSS else wrapped(TITLES.get(term, term.replace("_", " ")), 34), loc="left"
+            "whole loss" if name == LOSS else wrapped(TITLES.get(term, term.replace("_", " ")), 48.0), loc="left"
         )
         axis.set_ylabel("loss (−)" if name == LOSS else "mean square (−)")
         plain_logarithmic(axis.yaxis)

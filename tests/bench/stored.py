@@ -63,7 +63,7 @@ def scored(label: str, n: int, spread: float = 1.0, bias: float = 0.0) -> list[R
     for i in range(n):
         z = rng.standard_normal(2)
         logs = spread * np.array([SD_K * z[0], SD_C * (CORRELATION * z[0] + np.sqrt(1 - CORRELATION**2) * z[1])])
-        k, c = np.exp(logs + [bias, 0.0])
+        k, c = np.exp(logs + np.array([bias, 0.0]))
         ratios = {"k_over_m_ratio": k, "c_over_m_ratio": c, "m_ratio": 1.0, "k_ratio": k, "c_ratio": c}
         levels = {
             f"{name}_pit": 0.5 + 0.5 * np.tanh(0.8 * u) for name, u in zip(("k_over_m", "c_over_m"), z, strict=True)
