@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.estimate import Status
 from bench.figures.gallery import Gallery, Nothing, Picture, Shown, where
-from bench.figures.style import FULL, MM, entry, legend_below, pyplot
+from bench.figures.style import FULL, MM, SMALL, entry, legend_below, pyplot, width_of
 
 LETTERS = {
     Status.DIVERGED: "d", Status.NONFINITE: "n", Status.TIMEOUT: "t", Status.KILLED: "k", Status.OOM: "o",
@@ -49,7 +49,8 @@ def draw_failures(gallery: Gallery) -> Picture:
         (row, labels.index(c.label)): c for row, key in enumerate(keys) for c in scenes[key]
     }
     many = len(labels) > MANY
-    height = (36.0 + (7.0 if many else 4.6) * len(keys)) * MM
+    names = max(width_of(gallery.looks[label].title, SMALL) for label in labels)  # they stand upright
+    height = (names + 6.0 + (7.0 if many else 4.6) * len(keys)) * MM
     figure, axis = pyplot().subplots(figsize=(FULL, height), layout="constrained")
     _heat(axis, grid, (len(keys), len(labels)), "\n" if many else "")
     axis.set_xticks(range(len(labels)), [gallery.looks[label].title for label in labels], rotation=90)

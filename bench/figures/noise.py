@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.figures.gallery import Gallery, Nothing, Picture, Shown, counts
-from bench.figures.style import FULL, MM, STYLES, Look, decibels, entry, handle, legend_below, pyplot
+from bench.figures.style import FULL, MM, STYLES, Look, decibels, entry, handle, legend_below, plain_logarithmic, pyplot
 from bench.tables import paper_numbers
 
 PANELS = (
@@ -102,6 +102,7 @@ def _panel(
         axis.plot(drawn, [own[s] for s in drawn], color=look.colour, lw=0.8, **point, zorder=3 + 0.1 * i)
     values = [*line, *(v for own in points.values() for v in own.values())]
     axis.set(yscale="log", ylim=(0.5 * min(values), 2.0 * max(values)))
+    plain_logarithmic(axis.yaxis)
     decibels(axis, snrs)
     axis.grid()
     return {label: gallery.looks[label] for label in points}

@@ -34,28 +34,30 @@ def with_record(gallery: Gallery, cells: list[Shown]) -> list[tuple[Shown, dict[
 
 
 def draw_record(gallery: Gallery) -> Picture:
-    """The samples of one replicate and the true response, a panel for each DOF."""
+    """The samples of one replicate and the true response, a panel for each DOF with a sensor."""
     cell, arrays = with_record(gallery, gallery.scene(gallery.main, "known"))[0]
-    n = len(arrays["true_displacement"])
+    dofs = sorted(set(arrays["sample_dof"].tolist()))
+    n = len(dofs)
     figure, axes = pyplot().subplots(
         n, 1, figsize=(HALF, (12.0 + 42.0 * n) * MM), layout="constrained", squeeze=False, sharex=True
     )
     sigmas = cell.stored.cell.get("sigma") or []
-    for dof, axis in enumerate(axes[:, 0]):
+    for i, (dof, axis) in enumerate(zip(dofs, axes[:, 0], strict=True)):
         axis.plot(arrays["dense_times"], arrays["true_displacement"][dof], **TRUE)
         times, values = samples_of(arrays, dof)
-        sigma = sigmas[dof] if len(sigmas) == n else None
+        sigma = sigmas[i] if i < len(sigmas) else None
         style = {key: value for key, value in SAMPLES.items() if key != "ls"}
         label = "samples" if sigma is None else "samples, bars of ± σ"
         axis.errorbar(times, values, sigma, **style, ls="none", elinewidth=0.7, label=label)
-        axis.set_ylabel("displacement (m)" if n == 1 else f"$x_{{{dof + 1}}}$ (m)")
+        axis.set_ylabel("displacement (m)" if len(arrays["true_displacement"]) == 1 else f"$x_{{{dof + 1}}}$ (m)")
         axis.grid()
     axes[-1, 0].set_xlabel("time (s)")
     legend_below(figure, axes[0, 0].get_legend_handles_labels()[0])
-    size = int(arrays["sample_values"].size / n)
+    size = int(np.sum(arrays["sample_dof"] == dofs[0]))
+    of = "the displacement" if n == 1 else f"each of {n} displacements"
     return Picture(
         figure,
-        f"The record that the methods are given ({where(cell)}; replicate 0): {size} samples of the displacement over "
+        f"The record that the methods are given ({where(cell)}; replicate 0): {size} samples of {of} over "
         f"{cell.data['duration']:g} s, and the true response, which no method sees. The bars are the noise's standard "
         "deviation σ, which no method is told either. The noise level is the same over the whole record, so the "
         "decayed part tells less. The paper's Figure 4 shows the same.",

@@ -90,7 +90,9 @@ def _panel(axis: Any, gallery: Gallery, cell: Shown, covariance: np.ndarray | No
     axis.plot(0.0, 0.0, marker="+", color="black", ms=7, mew=0.9, zorder=4)
     axis.set_title(wrapped(look.title, 31.0), loc="left")
     if outside.any():
-        axis.text(0.97, 0.04, f"{outside.sum()} outside", transform=axis.transAxes, ha="right", fontsize=7)
+        box = {"fc": "white", "ec": "none", "pad": 0.8, "alpha": 0.85}
+        text = f"{outside.sum()} outside"
+        axis.text(0.97, 0.05, text, transform=axis.transAxes, ha="right", fontsize=7, bbox=box, zorder=5)
     axis.grid()
 
 

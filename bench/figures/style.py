@@ -238,4 +238,5 @@ def save_figure(figure: Any, folder: Path, name: str) -> list[Path]:
     for ending, extra in (("svg", {"metadata": {"Date": None}}), ("png", {"dpi": DPI})):
         paths.append(folder / f"{name}.{ending}")
         figure.savefig(paths[-1], **extra)
+        figure.set_layout_engine("none")  # it stays as the first one laid it out
     return paths

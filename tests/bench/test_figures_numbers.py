@@ -240,6 +240,9 @@ def test_failures_tell_unsupported_from_failed(store: Store) -> None:
     axis = picture.figure.axes[0]
     assert [text.get_text() for text in axis.texts] == ["25d"]
     assert len(axis.patches) == 1
+    picture.figure.canvas.draw()
+    row = axis.get_window_extent().height  # of the one row that is shown
+    assert all(text.get_window_extent().height < row for text in axis.texts)
     assert [text.get_text() for text in axis.get_yticklabels()] == ["sdof, 20 dB, start known"]
     assert "9 of 60" in picture.caption
 
@@ -311,6 +314,21 @@ def test_the_band_of_two_masses_is_that_of_the_stated_covariance(store: Store) -
     for dof in (0, 1):
         drawn = curves(axes[2 * dof + 1], gallery.looks["shooting"].colour)[0]
         assert np.allclose(drawn[1], error[dof], atol=1e-2)
+
+
+def test_a_mass_without_a_sensor_has_no_samples(store: Store) -> None:
+    gallery = chain_store(store, "known")
+    cell = gallery.cells[0]
+    first = {name: a[:40] if name.startswith("sample_") else a for name, a in gallery.arrays(cell).items()}
+    stored = store.load(cell.stored.identity)
+    assert stored is not None
+    store.save(stored, first)
+    gallery = Gallery(store)
+    assert len(draw_record(gallery).figure.axes) == 1
+    assert "40 samples of the displacement" in draw_record(gallery).caption
+    left = draw_two_masses(gallery).figure.axes[::2]
+    sizes = [[len(line.get_xdata()) for line in axis.get_lines() if line.get_marker() == "o"] for axis in left]
+    assert sizes == [[40], [0]]
 
 
 def test_no_band_is_made_up_where_the_start_was_not_told(store: Store) -> None:

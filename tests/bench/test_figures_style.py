@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -118,11 +120,17 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> Gallery:
     return Gallery(store)
 
 
+@pytest.fixture(scope="module")
+def drawn(full: Gallery) -> Callable[[str], Any]:
+    """The figure of a name, drawn once."""
+    return cache(lambda name: PICTURES[name](full).figure)
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("name", PICTURES)
-def test_of_thirty_methods_every_letter_can_be_read(name: str, full: Gallery) -> None:
+def test_of_thirty_methods_every_letter_can_be_read(name: str, drawn: Callable[[str], Any]) -> None:
     """No text under 7 points at the size of print, none on another, none outside the page."""
-    figure = PICTURES[name](full).figure
+    figure = drawn(name)
     width = figure.get_size_inches()[0]
     assert width <= FULL + 1e-9
     assert any(abs(width - wanted) < 1e-9 for wanted in (FULL, HALF)) or HALF < width < FULL
@@ -141,9 +149,9 @@ def test_of_thirty_methods_every_letter_can_be_read(name: str, full: Gallery) ->
 
 
 @pytest.mark.parametrize("name", [name for name in PICTURES if name != "failures"])
-def test_every_axis_has_a_unit(name: str, full: Gallery) -> None:
+def test_every_axis_has_a_unit(name: str, drawn: Callable[[str], Any]) -> None:
     """In its own label, that of the axis it shares, or the title over it; names of methods need none."""
-    figure = PICTURES[name](full).figure
+    figure = drawn(name)
     below = [axis.get_xlabel() for axis in figure.axes if axis.get_xlabel()]
     beside = [axis.get_ylabel() for axis in figure.axes] + [figure.get_supylabel()]
     if name == "error_against_noise":
