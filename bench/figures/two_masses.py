@@ -71,8 +71,8 @@ def _caption(cell: Shown, arrays: Arrays, sd: np.ndarray | None, source: str, n:
         inside = f" In this replicate it holds {100 * np.mean(off <= Z95 * sd[:n]):.0f} % of the true responses."
     return (
         f"Several masses, identified from the samples shown ({where(cell)}; {cell.label}, replicate 0). Left: "
-        f"response. Right: estimate minus truth, in millimetres.{source}{inside} Where the band holds the line at zero it holds "
-        "the truth. The paper's Figure 11 shows a simulated response of two masses, of which nothing is identified."
+        f"response. Right: estimate minus truth, in millimetres.{source}{inside} Where the band holds the line at "
+        "zero it holds the truth. The paper's Figure 11 shows a simulated response of two masses, of which nothing is identified."
     )
 
 
