@@ -72,7 +72,8 @@ def _caption(cell: Shown, arrays: Arrays, sd: np.ndarray | None, source: str, n:
     return (
         f"Several masses, identified from the samples shown ({where(cell)}; {cell.label}, replicate 0). Left: "
         f"response. Right: estimate minus truth, in millimetres.{source}{inside} Where the band holds the line at "
-        "zero it holds the truth. The paper's Figure 11 shows a simulated response of two masses, of which nothing is identified."
+        "zero it holds the truth. The paper's Figure 11 shows a simulated response of two masses, of which nothing "
+        "is identified."
     )
 
 
