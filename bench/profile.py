@@ -19,6 +19,7 @@ from scipy.stats import chi2
 
 from bench.bound import Information
 from bench.figures import pyplot
+from bench.figures.style import FULL, MM, legend_below
 from bench.prior import Prior
 from bench.problem import Record
 from bench.scenario import Scenario
@@ -226,7 +227,9 @@ def draw_profiles(found: Sequence[Profile], truth: dict[str, float], prior: Prio
     plt = pyplot()
     columns = min(4, max(3, math.ceil(math.sqrt(len(found)))))
     rows = -(-len(found) // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(2.6 * columns, 2.2 * rows), layout="constrained", squeeze=False)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(FULL, (10.0 + 42.0 * rows) * MM), layout="constrained", squeeze=False
+    )
     for axis in axes.flat[len(found) :]:
         axis.set_axis_off()
     for axis, profile in zip(axes.flat, found, strict=False):
@@ -240,11 +243,11 @@ def draw_profiles(found: Sequence[Profile], truth: dict[str, float], prior: Prio
         axis.axhline(THRESHOLD, color="0.4", ls="--", lw=0.8, label="ends of the 95 % interval")
         axis.axvline(q.value(truth), color="0.4", ls=":", lw=1.0, label="true value")
         axis.set(ylim=(-0.2, 3 * THRESHOLD), xlim=(x[0], x[-1]))
-        axis.set_title(q.name.replace("_over_", "/") + (f" ({q.unit})" if q.unit != "-" else ""), fontsize=9)
+        axis.set_title(q.name.replace("_over_", "/") + (f" ({q.unit})" if q.unit != "-" else ""))
         axis.locator_params(axis="x", nbins=4)
-        axis.grid(alpha=0.3)
+        axis.grid()
     for row in axes:
-        row[0].set_ylabel("fall of log-likelihood", fontsize=8)
+        row[0].set_ylabel("fall of log-likelihood (−)")
     handles = {label: h for axis in axes.flat for h, label in zip(*axis.get_legend_handles_labels(), strict=True)}
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4, frameon=False)
+    legend_below(figure, list(handles.values()))
     return figure

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bench.figures import STYLES, pyplot, save_figure
+from bench.figures.style import FULL, MM, legend_below
 
 LABELS = {
     "pinn": "PINN (Levenberg-Marquardt)",
@@ -19,18 +20,18 @@ LABELS = {
 def loss_picture(data: dict[str, Any], out: Path) -> list[Path]:
     """The paper's Figure 6, for both trainings."""
     plt = pyplot()
-    figure, axes = plt.subplots(1, 3, figsize=(10.0, 3.2), layout="constrained")
+    figure, axes = plt.subplots(1, 3, figsize=(FULL, 58.0 * MM), layout="constrained")
     for name, own in data.items():
         evaluations = np.array(own["evaluations"]) + 1.0
         style = {"color": STYLES[name][0], "label": LABELS[name]}
         axes[0].loglog(evaluations, own["loss"], **style)
         axes[1].loglog(evaluations, own["mean_square_data"], **style)
         axes[2].loglog(evaluations, _positive(own["mean_square_physics"]), **style)
-    titles = ("loss, at its final weights", "data, mean square", "equation of motion, mean square")
+    titles = ("loss, at its final weights (−)", "data, mean square (−)", "equation of motion, mean square (−)")
     for axis, title in zip(axes, titles, strict=True):
-        axis.set_title(title, fontsize=9)
-        axis.set_xlabel("evaluations of the residual vector")
-    axes[0].legend(frameon=False, fontsize=8)
+        axis.set_title(title)
+        axis.set_xlabel("evaluations of all residuals")
+    legend_below(figure, axes[0].get_legend_handles_labels()[0])
     return save_figure(figure, out, "pinn_loss")
 
 
@@ -44,7 +45,7 @@ def scaling_picture(data: dict[str, Any], out: Path) -> list[Path]:
     """Seconds a fit, and error over the oracle's, against size."""
     plt = pyplot()
     labels = {"residuals": "residuals", "masses": "masses in the chain", "cycles": "cycles in the record"}
-    figure, axes = plt.subplots(2, 3, figsize=(9.5, 4.8), layout="constrained", sharex="col", sharey="row")
+    figure, axes = plt.subplots(2, 3, figsize=(FULL, 92.0 * MM), layout="constrained", sharex="col", sharey="row")
     for column, (kind, label) in enumerate(labels.items()):
         for name in ("pinn", "collocation"):
             own = [point for point in data[kind] if point["method"] == name]
@@ -63,7 +64,7 @@ def scaling_picture(data: dict[str, Any], out: Path) -> list[Path]:
         axes[1, column].set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     ratios = [point["ratio"] for own in data.values() for point in own]
     axes[1, 0].set_ylim(0.0, min(max(2.0, 1.1 * np.nanmax(ratios)), 10.0))
-    axes[0, 0].set_ylabel("processor seconds a fit")
-    axes[1, 0].set_ylabel("error / oracle's")
-    axes[0, 0].legend(frameon=False, fontsize=8)
+    axes[0, 0].set_ylabel("time of a fit (s)")
+    axes[1, 0].set_ylabel("error / oracle's (−)")
+    legend_below(figure, axes[0, 0].get_legend_handles_labels()[0])
     return save_figure(figure, out, "pinn_scaling")
