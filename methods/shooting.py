@@ -34,17 +34,15 @@ from bench import (
     Cost,
     Estimate,
     Identifier,
-    InitialState,
     Ops,
     Problem,
     Record,
     Serves,
     Status,
     System,
-    numpy_ops,
     simulate,
-    state_rate,
 )
+from methods.rough import fastest_rate
 from methods.spectral import OutputError, estimate_at, screened, silent
 
 SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
@@ -160,7 +158,7 @@ class Shooting(Identifier):
         """
         relative = float(np.min(sigma / model.rms)) / np.sqrt(model.data.size)
         allowed = max(self.integration_error, self.noise_share * relative)
-        radians = max(_fastest(model.system, model.parameters(theta), start) for start in model.starts(theta))
+        radians = max(fastest_rate(model.system, model.parameters(theta), start) for start in model.starts(theta))
         duration = max(record.duration for record in model.problem.records)
         step = (120.0 * allowed / max(radians * duration, 1.0)) ** 0.25 / max(radians, 1e-9)
         longest = max(float(np.max(plan.steps)) for plan in plans)
@@ -224,22 +222,6 @@ class _Plan:
             for c in record.channels
         )
         self.sensor_forces = tuple(np.array(record.force(c.times, n)).reshape(n, -1) for c in record.channels)
-
-
-def _fastest(system: System, p: dict[str, np.ndarray], start: Any) -> float:
-    """Largest rate (1 / time) of the system linearised at rest and at its start."""
-    x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
-    amplitude = np.concatenate([x, v])
-    fastest = 0.0
-    for level in (0.0, 1.0):
-        at = level * amplitude
-        step = 1e-6 * np.maximum(np.abs(amplitude), 1e-3)
-        shifted = at[:, None] + np.concatenate([np.diag(step), -np.diag(step)], axis=1)
-        rates = np.array(np.broadcast_arrays(*state_rate(system, p, list(shifted), [0.0] * system.n_dof, numpy_ops)))
-        jacobian = (rates[:, : len(at)] - rates[:, len(at) :]) / (2 * step)
-        if np.all(np.isfinite(jacobian)):
-            fastest = max(fastest, float(np.max(np.abs(np.linalg.eigvals(jacobian)))))
-    return fastest
 
 
 # ------------------------------------------------------------------------------------------------ the programme

@@ -39,6 +39,7 @@ from bench import (
     simulate,
     state_matrix,
 )
+from methods.rough import rough_readings
 
 DECAYS = (0.15, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Decay rates of the grid, in 1 / record."""
@@ -253,6 +254,19 @@ class OutputError:
         return theta
 
 
+class Screening(OutputError):
+    """The same, for a nonlinear system integrated only as finely as comparing starts needs."""
+
+    def predict(self, theta: np.ndarray) -> np.ndarray:
+        """Simulated measurements, shape (..., N), to some 1e-4 of the motion; not finite where it diverges."""
+        p = self.parameters(theta)
+        parts = [
+            rough_readings(self.system, p, start, record)
+            for start, record in zip(self.starts(theta), self.problem.records, strict=True)
+        ]
+        return np.concatenate(parts, -1) + self.offsets(theta)[..., self.channel_of]
+
+
 def readings(
     system: System, p: dict[str, np.ndarray], start: InitialState | tuple[np.ndarray, np.ndarray], record: Record
 ) -> np.ndarray:
@@ -319,9 +333,10 @@ def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 
     sampling rate is an alias of a slower one, and is dropped unless there is nothing else.
     """
     found: list[tuple[float, np.ndarray]] = []
+    quick = model if model.system.linear or model.system.n_hidden else Screening(model.problem)
     for p in candidates(model, n + 1):
-        theta = model.settle(model.vector(p), rounds, iterations)
-        value = model.profile(theta)
+        theta = quick.settle(quick.vector(p), rounds, iterations)
+        value = quick.profile(theta)
         near = [other for _, other in found if np.max(np.abs(other - theta)[: len(model.free)]) < 1e-2]
         if np.isfinite(value) and not near:
             found.append((value, theta))
