@@ -64,6 +64,8 @@ def stored_as_cell(stored: StoredCell) -> Cell:
         forecast=what["forecast"],
         label=what["system"],
         disturbance=_disturbance(data.get("disturbance")),
+        measured=tuple(data["measured"]) if "measured" in data else None,
+        added_mass=tuple(data["added_mass"]) if "added_mass" in data else None,
     )
     cell = Cell(scenario, what["method"], what["settings"], what["replicates"], what["seed"], what["label"])
     if cell.identity != stored.identity:

@@ -212,6 +212,10 @@ class Store:
             (self.folder / before).unlink(missing_ok=True)
         return stored
 
+    def restate(self, cell: StoredCell) -> None:
+        """Write what is said of a stored cell anew, and leave its arrays and tracebacks as they are."""
+        self._write(self.path(cell.identity), _cell_file(cell))
+
     def _arrays_before(self, identity: str) -> str:
         with contextlib.suppress(InputError):
             before = self.load(identity)

@@ -81,6 +81,12 @@ class DDNN(Identifier):
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"
 
+    def objection(self, problem: Problem) -> str | None:
+        system = problem.system
+        if not system.affine_in_parameters:
+            return f"its regression needs a residual affine in the parameters, which that of {system.name} is not"
+        return super().objection(problem)
+
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """The estimate for one problem; status ``diverged`` where the regression gives no positive parameters under
         a force."""

@@ -76,8 +76,12 @@ class SingleShooting(Identifier):
             return Estimate.failed(
                 problem.system, Status.DIVERGED, "no sensor shows any motion; check the wiring or choose another record"
             )
-        with np.errstate(all="ignore"):
-            estimate = self._fitted(OutputError(scaled))
+        try:
+            with np.errstate(all="ignore"):
+                estimate = self._fitted(OutputError(scaled))
+        except np.linalg.LinAlgError:
+            sentence = "the search ran to parameters without a response; give a prior nearer to the system"
+            return Estimate.failed(problem.system, Status.DIVERGED, sentence)
         return replace(estimate, offsets=problem.offsets_from(units, estimate.offsets)).expressed_in(units.inverse)
 
     def _fitted(self, model: OutputError) -> Estimate:

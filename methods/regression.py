@@ -23,6 +23,7 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.linalg import LinAlgError
 from scipy.interpolate import BSpline
 from scipy.linalg import eigh
 
@@ -120,7 +121,11 @@ class SmoothingSpline:
         fit, penalty = basis.T @ basis, self._penalty(knots)
         blend = float(np.trace(fit) / np.trace(penalty))
         # fit + blend * penalty is positive definite, where fit alone need not be
-        penalised, vectors = eigh(penalty, fit + blend * penalty)
+        try:
+            penalised, vectors = eigh(penalty, fit + blend * penalty)
+        except LinAlgError:  # to rounding it is not: some times lie too near to each other for the rest
+            sentence = "its smoothing spline cannot be told apart at sample times this uneven; thin the closest ones"
+            raise Unusable(Status.DIVERGED, sentence) from None
         seen = np.clip(1.0 - blend * penalised, 0.0, 1.0)
         keep = seen > 1e-9
         keep[np.argsort(seen)[: max(0, seen.size - self.n)]] = False
@@ -397,7 +402,11 @@ def _shortest(jacobian: np.ndarray, misfit: np.ndarray) -> np.ndarray:
     healthy = np.all(np.isfinite(jacobian), axis=(-2, -1)) & np.all(np.isfinite(misfit), axis=-1)
     jacobian, misfit = np.where(healthy[:, None, None], jacobian, 0.0), np.where(healthy[:, None], misfit, 0.0)
     # in the basis of the columns' own products: far cheaper than a decomposition of the columns
-    values, vectors = np.linalg.eigh(np.swapaxes(jacobian, -1, -2) @ jacobian)
+    with np.errstate(over="ignore"):
+        products = np.swapaxes(jacobian, -1, -2) @ jacobian
+    bounded = np.all(np.isfinite(products), axis=(-2, -1))  # a response of 1e200 has none
+    jacobian = np.where(bounded[:, None, None], jacobian, 0.0)
+    values, vectors = np.linalg.eigh(np.where(bounded[:, None, None], products, 0.0))
     seen = values > 1e-12 * values[:, -1:]
     along = np.einsum("sqk,snq,sn->sk", vectors, jacobian, misfit, optimize=True)
     return np.asarray(np.einsum("sqk,sk->sq", vectors, np.where(seen, along, 0.0) / np.where(seen, values, 1.0)))

@@ -1,0 +1,15 @@
+"""A stored cell's description is enough to ask its question again."""
+
+import pytest
+
+from bench.config import expand
+from bench.reproduce import stored_as_cell
+from bench.store import StoredCell
+
+
+@pytest.mark.parametrize("system", ["chain2_first", "sdof_added_mass", "sdof_noise", "bouc_wen", "duffing_forced"])
+def test_every_kind_of_scenario_is_found_again_from_its_description(system):
+    """Sensors, added masses and forces are part of the question: the stored description gives the same identity."""
+    cell = expand(["method=ls", f"system={system}"], multirun=False)[0].cell()
+    what = {**cell.description(), "label": "ls", "system": system}
+    assert stored_as_cell(StoredCell(cell.identity, what, (), {}, {}, {}, 0.0)).identity == cell.identity
