@@ -12,7 +12,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +67,9 @@ def stored_as_cell(stored: StoredCell) -> Cell:
         measured=tuple(data["measured"]) if "measured" in data else None,
         added_mass=tuple(data["added_mass"]) if "added_mass" in data else None,
     )
+    # the description sorts them; a prior that is centred on them names them in the system's order
+    names = scenario.make_system().names
+    scenario = replace(scenario, parameters={name: data["parameters"][name] for name in names})
     cell = Cell(scenario, what["method"], what["settings"], what["replicates"], what["seed"], what["label"])
     if cell.identity != stored.identity:
         raise InputError("cell", stored.identity, "this version describes its configuration differently; run it anew")
