@@ -132,8 +132,9 @@ def _place(cell: StoredCell, ranking: Ranking | None, label: str) -> str:
         return f"failed: {cell.status.value.replace('_', ' ')}"
     if ranking is None:
         return "not ranked"
-    weak = " (fewer data)" if label in ranking.weak else ""
-    return PLACES.get(ranking.places.get(label, ""), "–") + weak
+    if label in ranking.weak:
+        return "undecided (fewer data)"
+    return PLACES.get(ranking.places.get(label, ""), "–")
 
 
 def options(lines: Sequence[Line], name: str) -> list[str]:

@@ -144,7 +144,7 @@ def draw_panel(store: Store, panel: Panel, name: str) -> tuple[str, tuple[str, .
     chosen = _chosen(fits)
     plt = pyplot()
     with plt.rc_context(RC):
-        metrics = [m for m in panel.ranked if m != "rmse"][:3]
+        metrics = _one_of_each(panel.ranked)
         rows = sum(len(_with_ratios(panel, metric)) for metric in metrics)
         figure = plt.figure(figsize=(10.2, max(4.6, 1.2 + 0.2 * rows + 0.3 * len(metrics))), layout="constrained")
         grid = figure.add_gridspec(2, 2 if metrics else 1, width_ratios=(1.1, 1) if metrics else None)
@@ -157,6 +157,12 @@ def draw_panel(store: Store, panel: Panel, name: str) -> tuple[str, tuple[str, .
         return svg(figure, f"Record, fits and intervals: {panel.title()}", name), tuple(
             label for label in found if label not in fits
         )
+
+
+def _one_of_each(ranked: Sequence[str]) -> list[str]:
+    """Of the quantities that the data tell, the first mass, damping and stiffness (or their ratios to a mass)."""
+    first = {name[0]: name for name in reversed(ranked) if name != "rmse"}
+    return [name for name in ranked if name in first.values()][:3]
 
 
 def _chosen(fits: Mapping[str, tuple[StoredCell, Kept | None]]) -> list[str]:
@@ -259,7 +265,7 @@ def _draw_intervals(axis: Any, store: Store, panel: Panel, metric: str) -> None:
     axis.set_yticks(range(len(cells)), [title_of(label_of(c)) for c in cells], fontsize=8.5)
     axis.set_ylim(-0.7, len(cells) - 0.2)
     axis.set(title=f"{quantity(metric)}: off the truth (%)")
-    axis.tick_params(axis="y", length=0)
+    axis.tick_params(axis="y", length=0, pad=6)
 
 
 def _mark_beyond(axis: Any, y: float, ends: Sequence[float] | np.ndarray, reach: float, colour: str) -> None:
@@ -281,7 +287,10 @@ def _say_beyond(axis: Any, y: float, spread: np.ndarray, reach: float) -> None:
             0.95 * side * reach, y, says, ha="right" if side > 0 else "left", va="center", fontsize=7.5, color=MUTED
         )
     else:
-        axis.text(1.02, y, says, transform=axis.get_yaxis_transform(), va="center", fontsize=7.5, color=MUTED)
+        arrow = "↔" if low < -reach and high > reach else "←" if low < -reach else "→"
+        axis.text(
+            1.02, y, f"{arrow} {says}", transform=axis.get_yaxis_transform(), va="center", fontsize=7.5, color=MUTED
+        )
 
 
 def _most(widths: Sequence[float]) -> float:

@@ -29,7 +29,7 @@ SIZES = {
 def disturbed(kind: str, size: float) -> str:
     """A disturbance and its size with the unit."""
     said = "" if math.isnan(size) else SIZES.get(kind, "{:g}").format(size)
-    return f"{kind} {said}".replace("_", " ").strip()
+    return (f"{kind}, {said}" if said else kind).replace("_", " ")
 
 
 def decibels(snr_db: float) -> str:

@@ -171,7 +171,7 @@ def chance(p: float) -> str:
     """A probability as once in so many times, to two digits."""
     times = 1.0 / max(p, 1e-5)
     rounded = round(times, 1 - math.floor(math.log10(times)))
-    return "less than once in 10,000 times" if p < 1e-4 else f"about once in {rounded:,.{int(rounded < 10)}f} times"
+    return "less than once in 10,000 times" if p < 1e-4 else f"about once in {rounded:,.0f} times"
 
 
 def hidden(panel: Panel) -> Hidden | None:
