@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
@@ -32,6 +33,16 @@ class Shown:
 def cards() -> list[Shown]:
     """All registered methods, by name."""
     return [_shown(name) for name in registered()]
+
+
+def about(shown: Sequence[Shown]) -> dict[str, str]:
+    """By title, what a method or variant is, in a line."""
+    found = {}
+    for one in shown:
+        if one.card:
+            found[one.title] = one.card.summary
+            found |= {title: f"{one.card.summary}; with {text}" for _, title, text in one.variants}
+    return found
 
 
 def _shown(name: str) -> Shown:
