@@ -53,7 +53,7 @@
         n += row.hidden ? 0 : 1;
       }
       for (const s of selects) board.classList.toggle(`without-${s.dataset.column}`, s.value !== "" && s.name !== "method");
-      const set = selects.filter((s) => s.value !== "").map((s) => `${s.name} ${s.selectedOptions[0].textContent.trim()}`);
+      const set = selects.filter((s) => s.value !== "").map((s) => (s.name === "start" ? "start " : "") + s.selectedOptions[0].textContent.trim());
       document.getElementById("where").textContent = set.length ? `: ${set.join(", ")}` : "";
       document.getElementById("count").textContent = `${n} of ${rows.length} lines`;
       document.getElementById("none").hidden = n > 0;

@@ -570,6 +570,7 @@ def test_a_choice_that_leaves_nothing_gives_up_the_others_it_must(browser: Any, 
     Select(browser.find_element("name", "system")).select_by_visible_text("other")
     assert column(browser, "System") == ["other"]
     assert column(browser, "SNR (dB)") == ["31.5"]
+    assert "other, start unknown, undisturbed, k/m (%)" in browser.find_element("css selector", "#board caption").text
     chosen = {name: browser.find_element("name", name).get_attribute("value") for name in ("snr", "start", "quantity")}
     assert chosen == {"snr": "", "start": "unknown", "quantity": "k/m (%)"}
     Select(browser.find_element("name", "snr")).select_by_visible_text("20 dB")
