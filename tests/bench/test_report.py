@@ -295,6 +295,39 @@ def test_robustness_says_how_many_data_sets_and_what_a_size_is(tmp_path: Path) -
     assert [row[1] for row in table.rows] == ["100", "20"]
 
 
+def test_a_scenario_without_a_picture_is_left_out_unless_it_is_on_the_first_screen(cells: Cells) -> None:
+    """None of these cells keeps arrays."""
+    text = made(cells(stored("ls"), stored("ls", system="other")))
+    assert 'id="scenario-0"' in text
+    assert 'id="scenario-1"' not in text
+    assert "1 scenario is left out here" in words(text)
+
+
+def test_grossly_wrong_fits_are_not_drawn_over_the_record() -> None:
+    found = {f"m{worse:g}": (stored("ls", worse), None) for worse in (1.0, 1.5, 2.9, 3.1, 40.0)}
+    assert draw._chosen(found) == ["m1", "m1.5", "m2.9"]
+
+
+@pytest.mark.parametrize(
+    ("spread", "heads", "says"),
+    [
+        ((-5.0, 5.0), [], []),
+        ((11.0, 20.0), [10.0], [("11 to 20", "right")]),
+        ((-20.0, -11.0), [-10.0], [("−20 to −11", "left")]),
+        ((-20.0, 5.0), [-10.0], [("← −20 to 5", "left")]),
+        ((-20.0, 20.0), [-10.0, 10.0], [("↔ −20 to 20", "left")]),
+    ],
+)
+def test_what_goes_beyond_an_edge_is_marked_there(
+    spread: tuple[float, float], heads: list[float], says: list[tuple[str, str]]
+) -> None:
+    axis = draw.pyplot().figure().add_subplot()
+    draw._mark_beyond(axis, 0.0, spread, 10.0, "black")
+    draw._say_beyond(axis, 0.0, np.array(spread), 10.0)
+    assert [float(line.get_xdata()[0]) for line in axis.lines] == heads
+    assert [(text.get_text(), text.get_horizontalalignment()) for text in axis.texts] == says
+
+
 def test_of_each_kind_of_quantity_one_is_drawn() -> None:
     names = [f"{name}_error_pct" for name in ("m1", "m2", "c1", "c2", "k1", "k2", "k3")]
     assert draw._one_of_each([*names, "rmse"]) == ["m1_error_pct", "c1_error_pct", "k1_error_pct"]
