@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 from collections.abc import Sequence
@@ -11,16 +12,18 @@ from urllib.parse import quote
 
 import pandas as pd
 
+from bench.pages.gather import disturbed
 from bench.pages.words import number, percent, quantity, title_of
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table as text; ``notes`` are paragraphs above it."""
+    """A table as text; ``notes`` are paragraphs above it, ``groups`` heads over several columns and how many."""
 
     headers: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...] = ()
+    groups: tuple[tuple[str, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -100,11 +103,13 @@ def calibration(path: Path) -> Table | None:
 def robustness(folder: Path) -> Table | None:
     """Error over the bound by method and disturbance, of the first quantity of the file."""
     data = read_csv(folder / "robustness.csv")
-    needed = {"disturbance", "initial_state", "method", "metric", "excess", "ratio_low", "ratio_high", "n_ok", "n"}
+    needed = {"disturbance", "initial_state", "size", "method", "metric", "excess", "ratio_low", "ratio_high"}
+    needed |= {"n_ok", "n"}
     if data is None or not needed <= set(data.columns) or data.empty:
         return None
     data = data[data["metric"] == data["metric"].iloc[0]]
-    columns = list(dict.fromkeys(zip(data["disturbance"], data["initial_state"], strict=True)))
+    lines = zip(data["disturbance"], data["size"], data["initial_state"], strict=True)
+    columns = {(kind, told): disturbed(kind, size) for kind, size, told in lines}
     rows = []
     for method in dict.fromkeys(data["method"]):
         own = data[data["method"] == method]
@@ -112,17 +117,16 @@ def robustness(folder: Path) -> Table | None:
         for disturbance, told in columns:
             line = own[(own["disturbance"] == disturbance) & (own["initial_state"] == told)]
             cells.append(_disturbed(line.iloc[0]) if len(line) else "–")
-        rows.append((title_of(str(method)), *cells))
-    several = len({told for _, told in columns}) > 1
-    names = [
-        ("undisturbed" if d == "none" else str(d).replace("_", " ")) + (f", start {told}" if several else "")
-        for d, told in columns
-    ]
+        low, high = int(own["n"].min()), int(own["n"].max())
+        rows.append((title_of(str(method)), str(low) if low == high else f"{low} to {high}", *cells))
+    names = ["undisturbed" if kind == "none" else name for (kind, _), name in columns.items()]
+    groups = tuple((f"start {told}", len(list(own))) for told, own in itertools.groupby(told for _, told in columns))
     notes = (
-        f"Error of {quantity(str(data['metric'].iloc[0]))} over the bound of the undisturbed data. A star: it differs "
-        "from the undisturbed value by more than chance (95 %).",
+        f"Root mean square error of {quantity(str(data['metric'].iloc[0]))} over the bound of the undisturbed data, on "
+        "the number of data sets given; the leaderboard may have more of the undisturbed ones, and so other values. "
+        "A star: it differs from the undisturbed value by more than chance (95 %).",
     )
-    return Table(("Method", *names), tuple(rows), notes)
+    return Table(("Method", "Data sets", *names), tuple(rows), notes, (("", 2), *groups))
 
 
 def _disturbed(line: pd.Series) -> str:
@@ -130,6 +134,17 @@ def _disturbed(line: pd.Series) -> str:
     star = " *" if line["ratio_low"] > 1.0 or line["ratio_high"] < 1.0 else ""
     failed = f" ({n_ok}/{n} ok)" if n_ok < n else ""
     return f"{number(excess)}{star}{failed}"
+
+
+def separated(folder: Path, told: str) -> frozenset[str]:
+    """The methods that the table over all scenarios finds behind the best in any quantity, for a reading of the start.
+
+    Read as in the leaderboard, whose tests have more data than those of one scenario.
+    """
+    data = read_csv(folder / "leaderboard.csv")
+    if data is None or not {"initial_state", "method", "tie"} <= set(data.columns):
+        return frozenset()
+    return frozenset(data[(data["initial_state"] == told) & (data["tie"].astype(str) == "False")]["method"])
 
 
 def overall(folder: Path) -> Table | None:

@@ -6,12 +6,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bench.pages.gather import ERROR, Gathered, Panel, label_of
+import numpy as np
+
+from bench.estimate import Status
+from bench.pages.gather import ERROR, Gathered, Panel, decibels, label_of
 from bench.pages.standing import Ranking, fit_seconds, rank
 from bench.pages.words import heading, number, percent, seconds, title_of
 from bench.reference import REFERENCES
 from bench.store import StoredCell
-from bench.tables import excess_text
+from bench.tables import errors_of, excess_text
 
 MOST_LINES = 6000
 """More would not fit into the page; whole scenarios are left out, and it says so."""
@@ -29,6 +32,7 @@ class Line:
     data: str
     method: str
     quantity: str
+    rms: str
     median: str
     interval: str
     bound: str
@@ -82,6 +86,12 @@ def panel_lines(panel: Panel, ranked: dict[str, Ranking | None]) -> list[Line]:
     return lines
 
 
+def root_mean_square(errors: np.ndarray) -> float:
+    """Of the errors of the successful fits, as in × bound; NaN where none succeeded."""
+    good = errors[np.isfinite(errors)]
+    return float(np.sqrt(np.mean(good**2))) if good.size else math.nan
+
+
 def _infinite(value: float) -> float:
     return math.inf if math.isnan(value) else value
 
@@ -89,21 +99,25 @@ def _infinite(value: float) -> float:
 def _line(panel: Panel, cell: StoredCell, metric: str, ranking: Ranking | None) -> Line:
     summary, label = cell.summary[metric], label_of(cell)
     low, high, excess = summary["ci_low"], summary["ci_high"], summary["excess"]
-    known = not (math.isnan(low) or math.isnan(high))
+    known = math.isfinite(low) and not math.isnan(high)
+    unsupported = cell.n_ok == 0 and cell.status is Status.UNSUPPORTED
     return Line(
         tables=", ".join(one.short for one in panel.experiments) or "–",
         system=panel.system,
-        snr=f"{panel.snr_db:g}",
+        snr=decibels(panel.snr_db),
         start=panel.told,
         data=panel.kind,
         method=title_of(label),
         quantity=heading(metric),
-        median=number(summary["median"]),
+        rms=number(root_mean_square(errors_of(cell, metric))),
+        median="–" if unsupported else number(summary["median"]),
         interval=f"{number(low)} to {number(high)}" if known else "–",
-        bound=number(summary["bound"]),
+        bound=number(summary["bound"]) if math.isfinite(summary["bound"]) else "–",
         excess=excess_text(excess) if math.isfinite(excess) else "–",
         place=_place(cell, ranking, label),
-        prior=percent(panel.prior_share.get(metric.removesuffix(ERROR), math.nan)) if metric != "rmse" else "–",
+        prior="–"
+        if metric == "rmse" or label == "prior"
+        else percent(panel.prior_share.get(metric.removesuffix(ERROR), math.nan)),
         ok=f"{cell.n_ok}/{len(cell.rows)}",
         time=seconds(fit_seconds(cell)),
     )
@@ -112,12 +126,15 @@ def _line(panel: Panel, cell: StoredCell, metric: str, ranking: Ranking | None) 
 def _place(cell: StoredCell, ranking: Ranking | None, label: str) -> str:
     if cell.cell.get("method") in REFERENCES:
         return "reference"
+    if cell.status is Status.UNSUPPORTED and cell.n_ok == 0:
+        return "unsupported"
     if cell.n_ok == 0:
         return f"failed: {cell.status.value.replace('_', ' ')}"
     if ranking is None:
         return "not ranked"
-    weak = " (fewer data)" if label in ranking.weak else ""
-    return PLACES.get(ranking.places.get(label, ""), "–") + weak
+    if label in ranking.weak:
+        return "undecided (fewer data)"
+    return PLACES.get(ranking.places.get(label, ""), "–")
 
 
 def options(lines: Sequence[Line], name: str) -> list[str]:

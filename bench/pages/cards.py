@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
@@ -14,14 +15,17 @@ from bench.registry import default_settings, load_method, missing_package, regis
 
 @dataclass(frozen=True)
 class Shown:
-    """A card ready for the page; ``broken`` says why a registered method has none."""
+    """A card ready for the page; ``broken`` says why a registered method has none.
+
+    ``variants``: of each its name in ``conf``, its title, and what it sets.
+    """
 
     name: str
     title: str
     card: Card | None
     serves: str
     settings: tuple[tuple[str, str], ...]
-    variants: tuple[tuple[str, str], ...]
+    variants: tuple[tuple[str, str, str], ...]
     missing: str
     broken: str
 
@@ -29,6 +33,16 @@ class Shown:
 def cards() -> list[Shown]:
     """All registered methods, by name."""
     return [_shown(name) for name in registered()]
+
+
+def about(shown: Sequence[Shown]) -> dict[str, str]:
+    """By title, what a method or variant is, in a line."""
+    found = {}
+    for one in shown:
+        if one.card:
+            found[one.title] = one.card.summary
+            found |= {title: f"{one.card.summary}; with {text}" for _, title, text in one.variants}
+    return found
 
 
 def _shown(name: str) -> Shown:
@@ -42,8 +56,8 @@ def _shown(name: str) -> Shown:
     return Shown(name, title_of(name), method.card, serves, tuple(settings.items()), _variants(name), missing, "")
 
 
-def _variants(name: str) -> tuple[tuple[str, str], ...]:
-    """The files of ``conf/method`` that start from a method: name, and what they set."""
+def _variants(name: str) -> tuple[tuple[str, str, str], ...]:
+    """The files of ``conf/method`` that start from a method: name, title, and what they set."""
     from omegaconf import OmegaConf
 
     found = []
@@ -53,7 +67,7 @@ def _variants(name: str) -> tuple[tuple[str, str], ...]:
             continue
         content = dict(OmegaConf.to_container(OmegaConf.create(path.read_text(encoding="utf-8"))))  # type: ignore[arg-type]
         if content.pop("defaults", None) == [name]:
-            found.append((choice, ", ".join(f"{key}={value}" for key, value in content.items())))
+            found.append((choice, title_of(choice), ", ".join(f"{key}={value}" for key, value in content.items())))
     return tuple(found)
 
 

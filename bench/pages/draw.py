@@ -27,6 +27,8 @@ STYLES = ("-", "--", "-.", ":")
 MARKERS = ("o", "s", "^", "D")
 POINTS = 180
 MOST_FITS = 4
+MOST_ABOVE = 3.0
+"""A fit whose typical error is more times the least is not drawn over the record: it would hide the others."""
 RC = {
     "svg.fonttype": "none", "text.color": INK, "axes.edgecolor": MUTED, "axes.labelcolor": INK, "xtick.color": MUTED,
     "ytick.color": MUTED, "grid.color": LINE, "axes.spines.right": False, "legend.frameon": False, "font.size": 10,
@@ -73,56 +75,62 @@ def _plain(text: str) -> str:
     return text.replace("&", "and").replace("<", "").replace(">", "").replace('"', "")
 
 
-def draw_answers(answers: Sequence[Answer]) -> str:
-    """How many times the smallest possible error each method makes: a line a method, a panel a reading of the start."""
+def chance_band(n: int) -> tuple[float, float]:
+    """Where the root mean square of ``n`` normal errors over its expectation lies in 95 % of cases, by its limit.
+
+    The mean of n squares of standard normal numbers has variance 2/n, its root about 1/(2n).
+    """
+    half = 1.96 * math.sqrt(1.0 / (2.0 * n))
+    return 1.0 - half, 1.0 + half
+
+
+def draw_answers(answers: Sequence[Answer]) -> list[str]:
+    """How many times the smallest possible error each method makes: a picture a reading of the start, of one scale."""
     plt = pyplot()
-    with plt.rc_context(RC):
-        metrics = list(dict.fromkeys(m for one in answers for m in one.panel.ranked))[: len(SERIES)]
-        cells = {label_of(c) for one in answers for c in one.panel.methods}
-        order = sorted(cells, key=lambda label: -_worst(answers, label, metrics))
-        height = 1.1 + 0.26 * len(order)
-        figure, axes = plt.subplots(
-            1, len(answers), figsize=(8.2, height), sharey=True, squeeze=False, layout="constrained"
-        )
-        for axis, one in zip(axes[0], answers, strict=True):
-            own = {label_of(cell): cell for cell in one.panel.methods}
+    metrics = list(dict.fromkeys(m for one in answers for m in one.panel.ranked))[: len(SERIES)]
+    shown = [_excess(cell, m) for one in answers for cell in one.panel.methods for m in metrics]
+    finite = [value for value in shown if math.isfinite(value) and value > 0] or [1.0]
+    limits = (0.85 * min(0.9, *finite), 1.2 * max(2.0, *finite))
+    pictures = []
+    for i, one in enumerate(answers):
+        cells = sorted(one.panel.methods, key=lambda cell: (-_typical(cell, metrics), label_of(cell)))
+        most = max((len(cell.rows) for cell in cells), default=1)
+        with plt.rc_context(RC):
+            figure, axis = plt.subplots(figsize=(5.0, 1.3 + 0.26 * len(cells)), layout="constrained")
+            axis.axvspan(*np.clip(chance_band(most), limits[0], None), color=LINE, alpha=0.45, lw=0)
             axis.axvline(1.0, color=INK, lw=1)
             for j, metric in enumerate(metrics):
-                found = [
-                    (own[label].summary.get(metric, {}).get("excess", math.nan), y)
-                    for y, label in enumerate(order)
-                    if label in own
-                ]
-                points = [(x, y) for x, y in found if math.isfinite(x)]
                 axis.plot(
-                    [x for x, _ in points], [y for _, y in points], MARKERS[j], color=SERIES[j], ms=6, mfc="none",
-                    mew=1.6, label=quantity(metric),
+                    [_excess(cell, metric) for cell in cells], range(len(cells)), MARKERS[j], color=SERIES[j], ms=6,
+                    mfc="none", mew=1.6, label=quantity(metric),
                 )  # fmt: skip
-            axis.set(xscale="log", title=f"start {one.panel.told}", xlabel="error over the smallest possible")
-            low, high = axis.get_xlim()
-            ticks = [t for t in (0.5, 1, 2, 3, 5, 10, 20, 50, 100, 200, 500) if low <= t <= high]
+            axis.set(
+                xscale="log", title=f"start {one.panel.told}", xlabel="error over the smallest possible", xlim=limits
+            )
+            ticks = [t for t in (0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500) if limits[0] <= t <= limits[1]]
             axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
             axis.minorticks_off()
-            axis.set_ylim(-0.6, len(order) - 0.4)
-            axis.set_yticks(range(len(order)), [title_of(label) for label in order])
+            axis.set_ylim(-0.6, len(cells) - 0.4)
+            few = ["" if len(cell.rows) == most else f" (n = {len(cell.rows)})" for cell in cells]
+            names = [title_of(label_of(cell)) + n for cell, n in zip(cells, few, strict=True)]
+            axis.set_yticks(range(len(cells)), names)
             axis.grid(axis="both", lw=0.6)
             axis.set_axisbelow(True)
             axis.tick_params(length=0)
-        handles, labels = axes[0][0].get_legend_handles_labels()
-        if handles:
-            figure.legend(handles, labels, loc="outside upper right", ncols=len(metrics))
-        return svg(figure, "Error of every method over the smallest possible, by quantity", "answers")
+            if metrics:
+                figure.legend(loc="outside upper left", ncols=len(metrics), fontsize=9, handletextpad=0.2)
+            title = f"Error of every method over the smallest possible, start {one.panel.told}"
+            pictures.append(svg(figure, title, f"answers{i}"))
+    return pictures
 
 
-def _worst(answers: Sequence[Answer], label: str, metrics: Sequence[str]) -> float:
-    found = [
-        cell.summary[m]["excess"]
-        for one in answers
-        for cell in one.panel.methods
-        for m in metrics
-        if label_of(cell) == label and m in cell.summary
-    ]
-    finite = [x for x in found if math.isfinite(x)]
+def _excess(cell: StoredCell, metric: str) -> float:
+    return float(cell.summary.get(metric, {}).get("excess", math.nan))
+
+
+def _typical(cell: StoredCell, metrics: Sequence[str]) -> float:
+    """The mean logarithm of a method's errors over the bound: what the picture is sorted by."""
+    finite = [x for x in (_excess(cell, metric) for metric in metrics) if math.isfinite(x)]
     return sum(math.log(max(x, 1e-3)) for x in finite) / len(finite) if finite else math.inf
 
 
@@ -136,8 +144,9 @@ def draw_panel(store: Store, panel: Panel, name: str) -> tuple[str, tuple[str, .
     chosen = _chosen(fits)
     plt = pyplot()
     with plt.rc_context(RC):
-        figure = plt.figure(figsize=(10.2, max(4.6, 1.6 + 0.21 * len(found) * 2)), layout="constrained")
-        metrics = [m for m in panel.ranked if m != "rmse"][:2]
+        metrics = _one_of_each(panel.ranked)
+        rows = sum(len(_with_ratios(panel, metric)) for metric in metrics)
+        figure = plt.figure(figsize=(10.2, max(4.6, 1.2 + 0.2 * rows + 0.3 * len(metrics))), layout="constrained")
         grid = figure.add_gridspec(2, 2 if metrics else 1, width_ratios=(1.1, 1) if metrics else None)
         _draw_record(figure.add_subplot(grid[0, 0]), any_kept, [(label, fits[label][1]) for label in chosen])
         _draw_errors(figure.add_subplot(grid[1, 0]), panel, [(label, fits[label][1]) for label in chosen])
@@ -150,9 +159,16 @@ def draw_panel(store: Store, panel: Panel, name: str) -> tuple[str, tuple[str, .
         )
 
 
+def _one_of_each(ranked: Sequence[str]) -> list[str]:
+    """Of the quantities that the data tell, the first mass, damping and stiffness (or their ratios to a mass)."""
+    first = {name[0]: name for name in reversed(ranked) if name != "rmse"}
+    return [name for name in ranked if name in first.values()][:3]
+
+
 def _chosen(fits: Mapping[str, tuple[StoredCell, Kept | None]]) -> list[str]:
-    """A few that differ: the least and the largest error of the displacement, and evenly between."""
+    """A few that differ: the least error of the displacement, one not far above it, and evenly between."""
     order = sorted(fits, key=lambda label: (_median(fits[label][0]), label))
+    order = [label for label in order if _median(fits[label][0]) <= MOST_ABOVE * _median(fits[order[0]][0])]
     if len(order) <= MOST_FITS:
         return order
     picks = [round(i * (len(order) - 1) / (MOST_FITS - 1)) for i in range(MOST_FITS)]
@@ -174,8 +190,8 @@ def _draw_record(axis: Any, one: Kept, fits: Sequence[tuple[str, Kept | None]]) 
         if k is not None and k.fit is not None:
             axis.plot(_thin(k.dense), _thin(k.fit), STYLES[j], color=SERIES[j], lw=1.3, label=title_of(label))
     axis.plot(one.times[:200], one.values[:200], "o", color=INK, ms=3.5, label="samples")
-    where = f" of mass {one.dof + 1} of {one.dofs}" if one.dofs > 1 else ""
-    axis.set(ylabel=f"displacement{where} (m)", title="First data set: samples, truth and fits")
+    where = f", mass {one.dof + 1} of {one.dofs}" if one.dofs > 1 else ""
+    axis.set(ylabel="displacement (m)", title=f"First data set{where}: samples, truth and fits")
     reach = 1.2 * max(np.max(np.abs(one.truth)), np.max(np.abs(one.values)))
     axis.set_ylim(-reach, 1.75 * reach)
     axis.legend(loc="upper right", ncols=2, fontsize=8.5, borderaxespad=0)
@@ -194,7 +210,8 @@ def _draw_errors(axis: Any, panel: Panel, fits: Sequence[tuple[str, Kept | None]
         if j == 0:
             if k.band is not None:
                 inside = [_thin(error + side * 2 * k.band) for side in (-1, 1)]
-                axis.fill_between(_thin(k.dense), *inside, color=SERIES[j], alpha=0.15, lw=0)
+                said = f"{title_of(label)}, ± 2 stated sd"
+                axis.fill_between(_thin(k.dense), *inside, color=SERIES[j], alpha=0.15, lw=0, label=said)
             residual = k.values - np.interp(k.times, k.dense, k.fit)
             axis.plot(
                 k.times[:200], residual[:200], "o", color=INK, ms=3, mfc="none", mew=0.9,
@@ -206,46 +223,74 @@ def _draw_errors(axis: Any, panel: Panel, fits: Sequence[tuple[str, Kept | None]
     axis.legend(loc="upper right", fontsize=8.5, borderaxespad=0)
     axis.grid(lw=0.5)
     low, high = axis.get_ylim()
-    axis.set_ylim(low, high + 0.3 * (high - low))
+    axis.set_ylim(low, high + 0.4 * (high - low))
+
+
+def _ratios(cell: StoredCell, metric: str) -> np.ndarray:
+    """The finite values of a quantity over its true one, of the fits that have it."""
+    name = f"{metric.removesuffix(ERROR)}_ratio"
+    values = np.array([row.scores[name] for row in cell.rows if name in row.scores], float)
+    return values[np.isfinite(values)]
+
+
+def _with_ratios(panel: Panel, metric: str) -> list[StoredCell]:
+    """The cells that have any value of a quantity, worst first, references at the bottom; not the prior's."""
+    found = [c for c in panel.cells if c.cell.get("method") != "prior" and _ratios(c, metric).size]
+    return sorted(found, key=lambda c: (c.cell.get("method") not in REFERENCES, -_error(c, metric), label_of(c)))
 
 
 def _draw_intervals(axis: Any, store: Store, panel: Panel, metric: str) -> None:
     """Deviation from the truth by method: the middle 95 % of all data sets, the first one's value and interval."""
     name = metric.removesuffix(ERROR)
-    cells = sorted(panel.cells, key=lambda c: (c.cell.get("method") not in REFERENCES, -_error(c, metric), label_of(c)))
+    cells = _with_ratios(panel, metric)
     bound = next((c.summary[metric]["bound"] for c in cells if metric in c.summary), math.nan)
     if math.isfinite(bound):
         axis.axvspan(-1.96 * bound, 1.96 * bound, color=LINE, alpha=0.45, lw=0)
     axis.axvline(0, color=INK, lw=0.8)
-    cells = [c for c in cells if metric in c.summary and c.cell.get("method") != "prior"]
-    spreads: dict[int, tuple[float, float]] = {}
-    stated: list[float] = []
-    for y, cell in enumerate(cells):
-        ratios = np.array([row.scores[f"{name}_ratio"] for row in cell.rows if f"{name}_ratio" in row.scores], float)
-        ratios = ratios[np.isfinite(ratios)]
-        if not ratios.size:
-            continue
-        low, high = 100 * (np.percentile(ratios, (2.5, 97.5)) - 1)
-        spreads[y] = (float(low), float(high))
-        axis.plot([low, high], [y + 0.14] * 2, color=SERIES[0], lw=3.2, solid_capstyle="butt")
-        first = cell.rows[0].scores.get(f"{name}_ratio", math.nan)
-        interval = stated_interval(store, cell, name)
-        if interval is not None:
-            ends = [100 * (v - 1) for v in interval]
-            stated.append(max(-ends[0], ends[1]))
+    spreads = [100 * (np.percentile(_ratios(cell, metric), (2.5, 97.5)) - 1) for cell in cells]
+    intervals = [stated_interval(store, cell, name) for cell in cells]
+    stated = [None if ends is None else 100 * (np.array(ends) - 1) for ends in intervals]
+    widths = [[np.max(np.abs(ends)) for ends in many if ends is not None] for many in (spreads, stated)]
+    reach = 1.1 * max(*map(_most, widths), 2 * _nil(bound))
+    for y, (cell, spread, ends) in enumerate(zip(cells, spreads, stated, strict=True)):
+        axis.plot(spread, [y + 0.14] * 2, color=SERIES[0], lw=3.2, solid_capstyle="butt")
+        _mark_beyond(axis, y + 0.14, spread, reach, SERIES[0])
+        _say_beyond(axis, y, spread, reach)
+        first = 100 * (cell.rows[0].scores.get(f"{name}_ratio", math.nan) - 1)
+        if ends is not None:
             axis.plot(ends, [y - 0.2] * 2, color=SERIES[1], lw=1.2)
-        axis.plot(100 * (first - 1), y - 0.2, "o", color=SERIES[1], ms=3.5)
-    if spreads:
-        reach = 1.1 * max(_most([max(-low, high) for low, high in spreads.values()]), _most(stated), 2 * _nil(bound))
-        axis.set_xlim(-reach, reach)
-        for y, (low, high) in spreads.items():  # what lies beyond the edge is said, not left out in silence
-            if low < -reach or high > reach:
-                says = f"{low:.2g} to {high:.2g}".replace("-", "−")
-                axis.text(1.01, y, says, transform=axis.get_yaxis_transform(), va="center", fontsize=7.5, color=MUTED)
+        _mark_beyond(axis, y - 0.2, [first] if ends is None else ends, reach, SERIES[1])
+        axis.plot(first, y - 0.2, "o", color=SERIES[1], ms=3.5)
+    axis.set_xlim(-reach, reach)
     axis.set_yticks(range(len(cells)), [title_of(label_of(c)) for c in cells], fontsize=8.5)
     axis.set_ylim(-0.7, len(cells) - 0.2)
     axis.set(title=f"{quantity(metric)}: off the truth (%)")
-    axis.tick_params(axis="y", length=0)
+    axis.tick_params(axis="y", length=0, pad=6)
+
+
+def _mark_beyond(axis: Any, y: float, ends: Sequence[float] | np.ndarray, reach: float, colour: str) -> None:
+    """An arrow head at the edge that a bar goes beyond."""
+    for side, marker in ((-1, "<"), (1, ">")):
+        if max(side * end for end in ends) > reach:
+            axis.plot(side * reach, y, marker, color=colour, ms=4, clip_on=False)
+
+
+def _say_beyond(axis: Any, y: float, spread: np.ndarray, reach: float) -> None:
+    """What a bar that goes beyond an edge runs from and to: at that edge if none of it is seen, else on the right."""
+    low, high = spread
+    if low >= -reach and high <= reach:
+        return
+    says = f"{low:.2g} to {high:.2g}".replace("-", "−")
+    if low > reach or high < -reach:
+        side = 1 if low > reach else -1
+        axis.text(
+            0.95 * side * reach, y, says, ha="right" if side > 0 else "left", va="center", fontsize=7.5, color=MUTED
+        )
+    else:
+        arrow = "↔" if low < -reach and high > reach else "←" if low < -reach else "→"
+        axis.text(
+            1.02, y, f"{arrow} {says}", transform=axis.get_yaxis_transform(), va="center", fontsize=7.5, color=MUTED
+        )
 
 
 def _most(widths: Sequence[float]) -> float:

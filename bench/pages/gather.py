@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,11 +13,28 @@ from typing import Any
 from bench.errors import InputError
 from bench.reference import REFERENCES
 from bench.store import Store, StoredCell
-from bench.tables import table_experiments
+from bench.tables import TITLES, table_experiments
 
 DERIVED = ("natural_frequency", "damping_ratio")
 """Quantities that say the same as k/m and c/m once more; they are in the CSVs."""
 ERROR = "_error_pct"
+SIZES = {
+    "integrator": "relative tolerance {:g}", "jitter": "{:g} of a step", "irregular": "",
+    "coloured": "correlation {:g}", "heavy_tails": "{:g} degrees of freedom", "outliers": "{:g} × the noise",
+    "bias": "{:g} of the signal’s rms", "drift": "{:g} of the signal’s rms at the end", "late_trigger": "{:g} s",
+}  # fmt: skip
+"""What the size of a disturbance is, by kind; of others the bare number is shown."""
+
+
+def disturbed(kind: str, size: float) -> str:
+    """A disturbance and its size with the unit."""
+    said = "" if math.isnan(size) else SIZES.get(kind, "{:g}").format(size)
+    return (f"{kind}, {said}" if said else kind).replace("_", " ")
+
+
+def decibels(snr_db: float) -> str:
+    """A signal-to-noise ratio to a tenth of a decibel."""
+    return f"{round(snr_db, 1):g}"
 
 
 @dataclass(frozen=True)
@@ -73,7 +91,7 @@ class Panel:
     def disturbance(self) -> str:
         """What breaks the assumptions; empty where nothing does."""
         found = self.data.get("disturbance") or {}
-        return " ".join(str(found[key]) for key in ("kind", "size") if key in found).replace("_", " ")
+        return disturbed(str(found["kind"]), float(found.get("size", math.nan))) if "kind" in found else ""
 
     @property
     def prior(self) -> Mapping[str, Any] | None:
@@ -124,17 +142,20 @@ class Panel:
     def title(self) -> str:
         """One line for people."""
         special = "" if self.kind == "undisturbed" else f", {self.kind}"
-        return f"{self.system}, {self.snr_db:g} dB, start {self.told}{special}"
+        return f"{self.system}, {decibels(self.snr_db)} dB, start {self.told}{special}"
 
 
 @dataclass(frozen=True)
 class Gathered:
-    """The store as the page needs it; ``hidden`` cells gave way to others of the same label and scenario."""
+    """The store as the page needs it; ``hidden`` cells gave way to others of the same label and scenario.
+
+    ``hidden``: how many times each such label and scenario is there, as text.
+    """
 
     panels: tuple[Panel, ...]
     cells: tuple[StoredCell, ...]
     experiments: tuple[Experiment, ...]
-    hidden: int
+    hidden: Mapping[str, int]
 
 
 def gather(store: Store) -> Gathered:
@@ -153,7 +174,11 @@ def gather(store: Store) -> Gathered:
     experiments = tuple(sorted(found, key=lambda one: (one.number is None, one.number or 0, one.name)))
     panels = [_panel(own, [one for one in experiments if key in one.scenarios]) for key, own in grouped.items()]
     panels.sort(key=_order(experiments))
-    return Gathered(tuple(panels), cells, experiments, len(cells) - sum(len(panel.cells) for panel in panels))
+    shown = {cell.identity for panel in panels for cell in panel.cells}
+    hidden = Counter(
+        f"{TITLES.get(label_of(c), label_of(c))} ({Panel((c,), ()).title()})" for c in cells if c.identity not in shown
+    )
+    return Gathered(tuple(panels), cells, experiments, hidden)
 
 
 def _experiment(name: str) -> Experiment:

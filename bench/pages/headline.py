@@ -19,30 +19,28 @@ SNR_DB = 20.0
 
 @dataclass(frozen=True)
 class Winner:
-    """A method that nothing beats by any quantity that the data decide; ``weak``: on few data sets."""
+    """A method that is best or level with the best by every quantity that the data decide; ``n`` data sets."""
 
     name: str
     method: str
     errors: str
     time: str
-    weak: bool
+    n: int
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What is said of one scenario; ``place``: its index in the page, ``rest``: the methods behind."""
+    """What is said of one scenario: ``winners``, fastest first, and those ``undecided``, level on fewer data sets.
 
-    place: int
+    ``behind``: of both, those that the pooled table, over more data, finds behind the best.
+    """
+
     panel: Panel
     start: str
     winners: tuple[Winner, ...]
-    rest: tuple[str, ...]
+    undecided: tuple[Winner, ...]
+    behind: tuple[str, ...]
     real: tuple[str, ...]
-
-    @property
-    def weak(self) -> bool:
-        """Whether any winner is one on few data sets."""
-        return any(one.weak for one in self.winners)
 
 
 @dataclass(frozen=True)
@@ -72,27 +70,29 @@ def headline_places(gathered: Gathered) -> list[int]:
     return list(by_told.values())
 
 
-def answer(place: int, panel: Panel, ranked: Rankings) -> Answer:
-    """Winners and whether they really are."""
+def answer(place: int, panel: Panel, ranked: Rankings, separated: AbstractSet[str] = frozenset()) -> Answer:
+    """Winners and whether they really are; ``separated``: labels that more data find behind the best."""
     own = {metric: ranking for metric in panel.ranked if (ranking := ranked.get((place, metric))) is not None}
     cells = {label_of(cell): cell for cell in panel.methods}
     level = [label for label in cells if own and all(label in ranking.level for ranking in own.values())]
     weak = {label for label in level if any(label in ranking.weak for ranking in own.values())}
-    order = sorted(level, key=lambda label: (label in weak, _seconds(fit_seconds(cells[label])), label))
-    winners = tuple(
-        Winner(
+    order = sorted(level, key=lambda label: (_seconds(fit_seconds(cells[label])), label))
+    found = {
+        label: Winner(
             title_of(label),
             str(cells[label].cell.get("method", label)),
             joined([f"{quantity(m)} {_error(m, cells[label].summary.get(m, {}))}" for m in own]),
             seconds(fit_seconds(cells[label])),
-            label in weak,
+            len(cells[label].rows),
         )
         for label in order
-    )
-    rest = sorted((title_of(label) for label in cells if label not in level), key=str.casefold)
+    }
+    sure = [label for label in order if label not in weak]
+    behind = tuple(title_of(label) for label in order if label in separated)
     start = {"unknown": "Start unknown, as on a real rig", "known": "Start known"}
     said = start.get(panel.told, f"Start {panel.told}")
-    return Answer(place, panel, said, winners, tuple(rest), tuple(_real(order, weak, own, cells)))
+    winners, undecided = (tuple(found[label] for label in order if (label in weak) == few) for few in (False, True))
+    return Answer(panel, said, winners, undecided, behind, tuple(_real(sure, weak, own, cells)))
 
 
 def _seconds(value: float) -> float:
@@ -108,17 +108,17 @@ def _error(metric: str, summary: Mapping[str, float]) -> str:
 def _real(
     level: Sequence[str], weak: AbstractSet[str], own: Mapping[str, Ranking], cells: Mapping[str, StoredCell]
 ) -> list[str]:
-    """Sentences on what the replicates could and could not tell apart."""
+    """Sentences on what the replicates could and could not tell apart: ``level`` methods, ``weak`` ones left out."""
     if len(cells) < 2:
         return ["Only one method is stored, so there is nothing to compare it with."]
     said = []
     if len(level) > 1:
-        said.append(_among(level, weak, own, cells))
+        said.append(_among(level, own, cells))
     elif len(level) == 1:
-        said.append(f"{title_of(level[0])} is the only method that nothing beats in any quantity.")
+        said.append(f"{title_of(level[0])} is the only method that is best or level with the best in every quantity.")
     else:
         said.append("No method is best in every quantity; the leaderboard says which is best in which.")
-    behind = [(c, metric) for metric, r in own.items() for c in r.comparisons.values() if c.a not in level]
+    behind = [(c, metric) for metric, r in own.items() for c in r.comparisons.values() if c.a not in {*level, *weak}]
     lost = sorted({title_of(label) for label, cell in cells.items() if cell.n_ok == 0}, key=str.casefold)
     behind = [(c, metric) for c, metric in behind if not c.tie and c.ratio > 1 and cells[c.a].n_ok]
     if behind:
@@ -128,18 +128,21 @@ def _real(
     return said
 
 
-def _among(
-    level: Sequence[str], weak: AbstractSet[str], own: Mapping[str, Ranking], cells: Mapping[str, StoredCell]
-) -> str:
+def _among(level: Sequence[str], own: Mapping[str, Ranking], cells: Mapping[str, StoredCell]) -> str:
     """That the best cannot be told apart, and how large a difference would have shown."""
-    sure = [label for label in level if label not in weak]
     n = max(len(cells[label].rows) for label in level)
     shows = [
-        c.resolved for r in own.values() for c in r.comparisons.values() if c.a in sure and math.isfinite(c.resolved)
-    ]
-    # between fits that agree to three digits the smallest difference would show; that says nothing of the others
-    size = f" An error {_more(max(shows))} would most likely have shown in the {n} data sets." if shows else ""
-    return f"Between the {len(level)} best: no. On the same data sets none can be told from the best of them.{size}"
+        (c.resolved, metric) for metric, r in own.items() for c in r.comparisons.values()
+        if c.a in level and math.isfinite(c.resolved)
+    ]  # fmt: skip
+    size = ""
+    if shows:  # between fits that agree to three digits the smallest difference would show: the largest of all counts
+        ratio, metric = max(shows)
+        size = (
+            f" An error of {quantity(metric)} {_more(ratio)} would most likely (80 %) have shown in the {n} data sets"
+            f"{', and a smaller one in the other quantities' if len(own) > 1 else ''}."
+        )
+    return f"Between the {len(level)} that tie: no. On the same data sets none can be told from the best.{size}"
 
 
 def _nearest(behind: Sequence[tuple[Comparison, str]]) -> str:
@@ -149,22 +152,26 @@ def _nearest(behind: Sequence[tuple[Comparison, str]]) -> str:
         if c.a not in worst or c.ratio > worst[c.a][0].ratio:
             worst[c.a] = (c, metric)
     c, metric = min(worst.values(), key=lambda pair: (pair[0].ratio, pair[0].a))
-    sure = f"were they equal, luck would show so clear a difference {_chance(c.adjusted)}."
+    sure = f"were they equal, luck would show so clear a difference {chance(c.adjusted)}."
     if not math.isfinite(c.ratio):
         return f"To the others: yes. {title_of(c.a)}, for one, fails on at least half of the data sets; {sure}"
     ends = f" (95 % interval: {c.low:.2f} to {c.high:.2f})" if math.isfinite(c.low) and math.isfinite(c.high) else ""
     return (
-        f"To the others: yes. The nearest of them, {title_of(c.a)}, has an error of {quantity(metric)} that is "
-        f"typically {c.ratio:.2f} times the best’s{ends}; {sure}"
+        f"To the others: yes. The nearest of them (the least behind in its own worst quantity) is {title_of(c.a)}: "
+        f"its error of {quantity(metric)} is {c.ratio:.2f} times the best’s, by the median of the ratios on the same "
+        f"data sets{ends}; {sure}"
     )
 
 
 def _more(ratio: float) -> str:
-    return f"{100 * (ratio - 1):.2g} % larger or more" if ratio < 2 else f"{ratio:.2g} times the best’s or more"
+    return f"{100 * (ratio - 1):.2g} % above the best’s" if ratio < 2 else f"{ratio:.2g} times the best’s"
 
 
-def _chance(p: float) -> str:
-    return "less than once in 10,000 times" if p < 1e-4 else f"in {100 * p:.2g} % of cases"
+def chance(p: float) -> str:
+    """A probability as once in so many times, to two digits."""
+    times = 1.0 / max(p, 1e-5)
+    rounded = round(times, 1 - math.floor(math.log10(times)))
+    return "less than once in 10,000 times" if p < 1e-4 else f"about once in {rounded:,.0f} times"
 
 
 def hidden(panel: Panel) -> Hidden | None:

@@ -6,7 +6,8 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
-from bench.pages.gather import label_of
+from bench.estimate import Status
+from bench.pages.gather import decibels, label_of
 from bench.pages.words import title_of
 from bench.store import StoredCell
 
@@ -25,7 +26,10 @@ def origin(cells: Sequence[StoredCell]) -> list[tuple[str, str]]:
     fits = sum(len(cell.rows) for cell in cells)
     named = [f"{name} {_several(found)}" for name, found in sorted(packages.items())]
     return [
-        ("Cells", f"{len(cells)}, of {fits} fits, {cpu / 60:.0f} minutes of processor time"),
+        (
+            "Cells (one method, with its settings, on all data sets of one scenario)",
+            f"{len(cells)}, of {fits} fits, {cpu / 60:.0f} minutes of processor time",
+        ),
         ("Computed", f"{_moment(moments[0])} to {_moment(moments[-1])} UTC" if moments else "not recorded"),
         ("Commit", _several(commits)),
         ("Machine", _several(Counter(_machine(cell) for cell in cells))),
@@ -57,15 +61,28 @@ def _several(found: Counter[str]) -> str:
     return "; ".join(f"{value} ({n} cell{'s' if n > 1 else ''})" for value, n in sorted(found.items()))
 
 
+def unsupported(cells: Sequence[StoredCell]) -> list[tuple[int, str, str]]:
+    """What was not tried, since a method cannot take such data: how many fits, method, reason; most frequent first."""
+    counts = Counter(
+        (title_of(label_of(cell)), row.message[:200])
+        for cell in cells
+        for row in cell.rows
+        if row.status is Status.UNSUPPORTED
+    )
+    return sorted(((n, *key) for key, n in counts.items()), key=lambda line: (-line[0], line[1:]))
+
+
 def failures(cells: Sequence[StoredCell]) -> list[tuple[int, str, str, str, str]]:
-    """What failed: how often, method, status, scenario's system and noise, message; most frequent first."""
+    """What failed: how often, method, status, scenario's system and noise, message; most frequent first.
+
+    Data that a method cannot take are no failure (:func:`unsupported`).
+    """
     counts: Counter[tuple[str, str, str, str]] = Counter()
     for cell in cells:
-        snr = cell.cell.get("snr_db", math.nan)
-        where = f"{cell.cell.get('system', '?')}, {snr:g} dB"
+        where = f"{cell.cell.get('system', '?')}, {decibels(cell.cell.get('snr_db', math.nan))} dB"
         disturbance = (cell.cell.get("data", {}).get("disturbance") or {}).get("kind")
         where += f", {disturbance}".replace("_", " ") if disturbance else ""
         for row in cell.rows:
-            if row.status.value != "ok":
+            if row.status not in (Status.OK, Status.UNSUPPORTED):
                 counts[title_of(label_of(cell)), row.status.value, where, row.message[:200]] += 1
     return sorted(((n, *key) for key, n in counts.items()), key=lambda line: (-line[0], line[1:]))

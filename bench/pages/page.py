@@ -13,7 +13,7 @@ import os
 import sys
 import uuid
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -22,7 +22,7 @@ from typing import Any
 from bench.cli import read_folders
 from bench.errors import InputError
 from bench.pages import beside, board, cards, headline, origin
-from bench.pages.gather import Gathered, Panel, gather, label_of
+from bench.pages.gather import Gathered, Panel, decibels, gather, label_of
 from bench.pages.kept import system_of
 from bench.pages.words import number, percent, quantity, title_of
 from bench.store import Store
@@ -84,7 +84,7 @@ def told(panel: Panel) -> tuple[tuple[str, str], ...]:
     ]
     sigma = ", ".join(number(float(s)) for s in panel.what.get("sigma") or ())
     lines.append(
-        ("Noise", f"{panel.snr_db:g} dB" + (f", standard deviation {sigma} m" if sigma else "") + "; not told")
+        ("Noise", f"{decibels(panel.snr_db)} dB" + (f", standard deviation {sigma} m" if sigma else "") + "; not told")
     )
     if data.get("added_mass"):
         added = ", ".join(f"{float(mass):g}" for mass in data["added_mass"])
@@ -120,13 +120,16 @@ def again(panel: Panel) -> str:
 
 
 def drawn(store: Store, gathered: Gathered, places: Sequence[int]) -> list[Drawn]:
-    """The chosen scenarios with their pictures."""
+    """The chosen scenarios with their pictures; without one only those of the first screen, which come first."""
     from bench.pages.draw import draw_panel
 
-    found = []
-    for n, i in enumerate(places):
-        panel = gathered.panels[i]
+    found: list[Drawn] = []
+    first = headline.headline_places(gathered)
+    for i in places:
+        n, panel = len(found), gathered.panels[i]
         picture, undrawn = draw_panel(store, panel, f"p{n}")
+        if not picture and i not in first:
+            continue
         found.append(Drawn(panel, f"scenario-{n}", picture, tuple(map(title_of, undrawn)), told(panel), again(panel)))
     return found
 
@@ -138,10 +141,12 @@ def contents(store: Store, out: Path) -> dict[str, Any]:
     gathered = gather(store)
     ranked = board.rankings(gathered)
     places = headline.headline_places(gathered)
-    answers = [headline.answer(i, gathered.panels[i], ranked) for i in places]
-    lines = board.board(gathered, ranked)
-    full = drawn(store, gathered, chosen(gathered, places))
     results = store.folder.parent
+    panels = {i: gathered.panels[i] for i in places}
+    answers = [headline.answer(i, panel, ranked, beside.separated(results, panel.told)) for i, panel in panels.items()]
+    lines = board.board(gathered, ranked)
+    shown = cards.cards()
+    full = drawn(store, gathered, chosen(gathered, places))
     snr = gathered.panels[places[0]].snr_db
     methods = {label_of(cell): cell.cell.get("method") for panel in gathered.panels for cell in panel.methods}
     return {
@@ -149,10 +154,13 @@ def contents(store: Store, out: Path) -> dict[str, Any]:
         "answers": answers,
         "methods": len(methods),
         "variants": len(methods) > len(set(methods.values())),
+        "stored": set(methods.values()),
+        "absent": [title_of(label) for label in sorted(set(methods) - _labels(panels.values()))],
         "snr": f"{snr:g}",
         "noise": f"{100 * 10 ** (-snr / 20):.2g}" if math.isfinite(snr) else "",
         "hidden": headline.hidden(gathered.panels[places[0]]),
-        "overview": draw_answers(answers) if any(one.panel.methods for one in answers) else "",
+        "overview": draw_answers(answers) if any(one.panel.methods for one in answers) else [],
+        "n": max((len(cell.rows) for panel in panels.values() for cell in panel.methods), default=0),
         "board": lines,
         "filters": {
             name: board.options(lines.lines, name) for name in ("system", "snr", "start", "data", "method", "quantity")
@@ -161,7 +169,9 @@ def contents(store: Store, out: Path) -> dict[str, Any]:
         "drawn": full,
         "undrawn": len(gathered.panels) - len(full),
         "shares": _shares(gathered, places),
-        "cards": cards.cards(),
+        "cards": shown,
+        "named": sorted({w.name for one in answers for w in (*one.winners, *one.undecided)}, key=str.casefold),
+        "about": cards.about(shown),
         "overall": beside.overall(results),
         "reproduction": beside.reproduction(results),
         "calibration": beside.calibration(results / "calibration.csv"),
@@ -169,9 +179,15 @@ def contents(store: Store, out: Path) -> dict[str, Any]:
         "robustness": beside.robustness(results),
         "origin": origin.origin(gathered.cells),
         "failures": origin.failures(gathered.cells),
+        "unsupported": origin.unsupported(gathered.cells),
         "experiments": ",".join(one.name for one in gathered.experiments),
         "others": beside.fits_beside(out, [*(OTHERS[0].format(n=n) for n in range(2, 20)), *OTHERS[1:]]),
     }
+
+
+def _labels(panels: Iterable[Panel]) -> set[str]:
+    """The methods and variants of some scenarios."""
+    return {label_of(cell) for panel in panels for cell in panel.methods}
 
 
 def _preset(gathered: Gathered, places: Sequence[int]) -> dict[str, str]:
@@ -181,7 +197,7 @@ def _preset(gathered: Gathered, places: Sequence[int]) -> dict[str, str]:
     panel = gathered.panels[places[0]]
     metric = panel.ranked[0] if panel.ranked else ""
     return {
-        "system": panel.system, "snr": f"{panel.snr_db:g}", "start": panel.told, "data": panel.kind,
+        "system": panel.system, "snr": decibels(panel.snr_db), "start": panel.told, "data": panel.kind,
         "quantity": heading(metric) if metric else "",
     }  # fmt: skip
 
@@ -199,7 +215,7 @@ def _shares(gathered: Gathered, places: Sequence[int]) -> beside.Table:
         for name, share in panel.prior_share.items():
             tells = {True: "the data", False: "not by the data alone"}.get(panel.identifiable.get(name, True), "")
             rows.append(
-                (panel.system, f"{panel.snr_db:g}", panel.told, quantity(f"{name}_error_pct"), percent(share), tells)
+                (panel.system, decibels(panel.snr_db), panel.told, quantity(f"{name}_error_pct"), percent(share), tells)
             )
     return beside.Table(("System", "SNR (dB)", "Start", "Quantity", "Prior's share", "Told by"), tuple(rows))
 

@@ -21,7 +21,7 @@
   };
 
   for (const table of document.querySelectorAll("table[data-sort]")) {
-    const heads = Array.from(table.tHead.rows[0].cells);
+    const heads = Array.from(table.tHead.rows[table.tHead.rows.length - 1].cells);
     heads.forEach((head, column) => {
       const button = document.createElement("button");
       button.type = "button";
@@ -42,21 +42,42 @@
     const rows = Array.from(board.tBodies[0].rows);
     const selects = Array.from(form.querySelectorAll("select"));
     const level = form.elements.level;
+    const texts = new Map(rows.map((row) => [row, selects.map((s) => row.cells[s.dataset.column].textContent.trim())]));
+    const fits = (row) =>
+      selects.every((s, i) => s.value === "" || texts.get(row)[i] === s.value) &&
+      (!level.checked || row.classList.contains("level"));
     const show = () => {
       let n = 0;
       for (const row of rows) {
-        const fits = selects.every((s) => s.value === "" || row.cells[s.dataset.column].textContent.trim() === s.value);
-        row.hidden = !(fits && (!level.checked || row.classList.contains("level")));
+        row.hidden = !fits(row);
         n += row.hidden ? 0 : 1;
       }
+      for (const s of selects) board.classList.toggle(`without-${s.dataset.column}`, s.value !== "" && s.name !== "method");
+      const set = selects.filter((s) => s.value !== "").map((s) => (s.name === "start" ? "start " : "") + s.selectedOptions[0].textContent.trim());
+      document.getElementById("where").textContent = set.length ? `: ${set.join(", ")}` : "";
       document.getElementById("count").textContent = `${n} of ${rows.length} lines`;
       document.getElementById("none").hidden = n > 0;
+    };
+    // A choice that leaves nothing with the others gives up as many of them as it must.
+    const relax = (chosen) => {
+      if (!selects.includes(chosen) || rows.some(fits)) return;
+      const others = selects.filter((s) => s !== chosen);
+      const was = others.map((s) => s.value);
+      for (const s of others) s.value = "";
+      if (!rows.some(fits)) level.checked = false;
+      others.forEach((s, i) => {
+        s.value = was[i];
+        if (!rows.some(fits)) s.value = "";
+      });
     };
     const preset = () => {
       for (const s of selects) s.value = (s.querySelector("option[data-first]") || s.options[0]).value;
     };
     form.hidden = false;
-    form.addEventListener("change", show);
+    form.addEventListener("change", (event) => {
+      relax(event.target);
+      show();
+    });
     form.addEventListener("submit", (event) => event.preventDefault());
     form.elements.all.addEventListener("click", () => {
       for (const s of selects) s.value = "";
@@ -64,9 +85,7 @@
       show();
     });
     preset();
-    if (rows.every((row) => selects.some((s) => s.value !== "" && row.cells[s.dataset.column].textContent.trim() !== s.value))) {
-      for (const s of selects) s.value = "";
-    }
+    if (!rows.some(fits)) for (const s of selects) s.value = "";
     show();
   }
 
