@@ -492,9 +492,9 @@ def _shoot(
             return None
         try:
             misfit, reduced, move, gap = _reduced(programme, layout, w, given)
+            q, values, axes = np.linalg.svd(reduced, full_matrices=False)
         except (RuntimeError, np.linalg.LinAlgError):  # a singular system: IPOPT ran away
             return None
-        q, values, axes = np.linalg.svd(reduced, full_matrices=False)
         downhill = q.T @ misfit
         # its length in standard errors: the gain in the objective that is left
         left = float(np.linalg.norm(downhill)) / _scale(model, sigma)
