@@ -136,7 +136,8 @@ def stated_interval(store: Store, cell: StoredCell, quantity: str) -> tuple[floa
         return None
     vector = np.array(what.vector(system.names))
     centre = math.log(what.coefficient) + float(vector @ mean) - math.log(true)
-    sd = math.sqrt(max(float(vector @ covariance @ vector), 0.0))
+    with np.errstate(over="ignore", invalid="ignore"):  # of a fit that ran away
+        sd = math.sqrt(max(float(vector @ covariance @ vector), 0.0))
     if not math.isfinite(sd) or abs(centre) + 2 * sd > 50:
         return None
     return math.exp(centre - 2 * sd), math.exp(centre + 2 * sd)
