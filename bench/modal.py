@@ -43,6 +43,12 @@ def modes(system: System, parameters: Mapping[str, Any]) -> Modes:
             rates, vectors = np.linalg.eig(matrix)
         except np.linalg.LinAlgError:
             return Modes(np.full(n, np.nan), np.full(n, np.nan), np.full((n, n), np.nan))
+    with np.errstate(all="ignore"):  # of a fit that ran away
+        return _paired(rates, vectors, n)
+
+
+def _paired(rates: np.ndarray, vectors: np.ndarray, n: int) -> Modes:
+    """Modes from the eigenvalues (2 n,) and eigenvectors (2 n, 2 n) of a state matrix."""
     order = np.argsort(np.abs(rates))
     rates, vectors = rates[order], vectors[:n, order]
     real = np.flatnonzero(rates.imag == 0)

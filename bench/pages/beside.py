@@ -187,12 +187,15 @@ def figures(folder: Path, out: Path, room: int) -> list[Figure]:
 
 def _data_uri(text: str) -> str:
     """An SVG as an image source: apart from the page, so that its names and styles do not meet those of others."""
+    from markupsafe import Markup  # comes with jinja2, which only the page needs
+
     text = text[text.find("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.S)
     text = re.sub(r' d="[^"]*"', lambda m: re.sub(r"(\d\.\d\d)\d+", r"\1", m.group(0)), text)
     text = re.sub(r'( [xy]="-?\d+\.\d\d)\d+"', r'\1"', text)
     text = re.sub(r"\s*\n\s*", " ", text).replace("> <", "><").replace('"', "'")
-    return "data:image/svg+xml," + quote(text, safe=" '=:;,/()+-.!*@$?&_~")
+    # no quotation mark and no bracket is left in it, so that it stands in an attribute as it is, and at its length
+    return Markup("data:image/svg+xml," + quote(text, safe=" '=:;,/()+-.!*@$?_~"))
 
 
 def fits_beside(out: Path, names: Sequence[str]) -> list[str]:

@@ -25,7 +25,7 @@ COLOURS = {INK: "--ink", MUTED: "--muted", LINE: "--line", SURFACE: "--surface"}
 """Stand-ins in a picture, and the page's colours that take their place, one set for light and one for dark."""
 STYLES = ("-", "--", "-.", ":")
 MARKERS = ("o", "s", "^", "D")
-POINTS = 140
+POINTS = 100
 MOST_FITS = 4
 MOST_ABOVE = 3.0
 """A fit whose typical error is more times the least is not drawn over the record: it would hide the others."""

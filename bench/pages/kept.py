@@ -85,7 +85,9 @@ def log_parameters(cell: StoredCell, arrays: Mapping[str, np.ndarray], system: S
     scores = cell.rows[0].scores
     with np.errstate(over="ignore"):
         for name, value in zip(system.names, np.exp(mean), strict=True):
-            if not abs(value / truth[name] / scores.get(f"{name}_ratio", math.nan) - 1.0) < 1e-3:
+            with np.errstate(all="ignore"):
+                gap = abs(value / truth[name] / scores.get(f"{name}_ratio", math.nan) - 1.0)
+            if not gap < 1e-3:
                 return None
     return mean
 

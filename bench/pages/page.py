@@ -28,7 +28,9 @@ from bench.pages.words import number, percent, quantity, title_of
 from bench.store import Store
 
 LIMIT = 2_500_000
-"""Bytes of the page at most: figures are linked instead, then scenarios go without a picture."""
+"""Bytes of the page at most: scenarios go without a picture, then figures are linked instead."""
+ROOM = 500_000
+"""Bytes of them that are kept for the figures."""
 MOST_DRAWN = 20
 KINDS = ("mass", "damping", "stiffness", "other")
 OTHERS = ("table{n}.md", "leaderboard.md", "reproduction.md", "calibration.md", "sbc.md", "robustness.md", "pinn.md")
@@ -244,16 +246,15 @@ def page(store: Store, out: Path) -> str:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from")  # the browser has fonts for other scripts
         context = contents(store, out)
+    folder = store.folder.parent / "figures"
     while True:
-        bare = len(render(context, []).encode())
-        if bare <= LIMIT or not any(one.picture for one in context["drawn"]):
+        linked = len(render(context, beside.figures(folder, out, 0)).encode())
+        if linked <= LIMIT - ROOM or not any(one.picture for one in context["drawn"]):
             break
         kept = [one for one in context["drawn"] if one.picture]
         last = kept[-1]
         context["drawn"] = [one for one in context["drawn"] if one is not last]
         context["undrawn"] += 1
-    folder = store.folder.parent / "figures"
-    linked = len(render(context, beside.figures(folder, out, 0)).encode())
     return render(context, beside.figures(folder, out, LIMIT - linked - 1000))
 
 
