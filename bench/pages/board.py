@@ -89,7 +89,8 @@ def panel_lines(panel: Panel, ranked: dict[str, Ranking | None]) -> list[Line]:
 def root_mean_square(errors: np.ndarray) -> float:
     """Of the errors of the successful fits, as in × bound; NaN where none succeeded."""
     good = errors[np.isfinite(errors)]
-    return float(np.sqrt(np.mean(good**2))) if good.size else math.nan
+    with np.errstate(over="ignore"):  # an infinite one says as much
+        return float(np.sqrt(np.mean(good**2))) if good.size else math.nan
 
 
 def _infinite(value: float) -> float:
