@@ -17,11 +17,10 @@ from tabulate import tabulate
 from bench.bound import bound_identity, load_bounds
 from bench.cell import Cell
 from bench.config import expand, jobs_to_cells
-from bench.errors import InputError
 from bench.launch import complete
 from bench.slots import Limits
 from bench.store import Store
-from bench.terminal import guarded
+from bench.terminal import command
 
 EXPERIMENTS = ("table3", "table4", "table5")
 
@@ -39,19 +38,16 @@ def _place(cell: Cell) -> tuple[str, str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Time the methods; exit status 2 for bad input."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments):
-        print("usage: python -m bench.benchmark [replicates=<n>] [method=a,b] [workers=2]\n\n" + str(__doc__))
-        return 0
+    usage = "usage: python -m bench.benchmark [replicates=<n>] [method=a,b] [workers=2]"
+    return command("bench.benchmark", f"{usage}\n\n{__doc__}", argv, _main)
+
+
+def _main(arguments: Sequence[str]) -> int:
     extra = [a for a in arguments if not a.startswith("workers=")]
     asked = [a for a in arguments if a.startswith("workers=")] or ["workers=2"]
-    try:
-        workers = expand(["method=prior", *asked], multirun=True)[0].config.workers or 2
-        full = {_place(c): c.replicates for c in _cells([a for a in extra if a.startswith("method=")])}
-        cells = _cells(extra)
-    except InputError as error:
-        print(f"bench.benchmark: {error}", file=sys.stderr)
-        return 2
+    workers = expand(["method=prior", *asked], multirun=True)[0].config.workers or 2
+    full = {_place(c): c.replicates for c in _cells([a for a in extra if a.startswith("method=")])}
+    cells = _cells(extra)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder))
@@ -74,4 +70,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded("bench.benchmark", main))
+    sys.exit(main())

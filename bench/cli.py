@@ -6,12 +6,11 @@ import json
 import math
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from bench.errors import InputError
-from bench.rounding import number as number  # for those who look for it here
 
 USAGE = """usage: python -m bench method=<name> [field=value ...]        one cell
        python -m bench -m method=a,b snr=40,20 [...]        a sweep of all of these
@@ -186,16 +185,29 @@ def _as_json(job: Any, cell: Any, result: Any) -> dict[str, Any]:
     }
 
 
-def read_folders(arguments: Sequence[str], defaults: dict[str, str]) -> dict[str, Path]:
-    """Folders given as ``field=path``, over the defaults; raises InputError for anything else."""
-    folders = dict(defaults)
+def read_fields(arguments: Sequence[str], defaults: Mapping[str, str], wanted: str = "") -> dict[str, str]:
+    """Values given as ``field=value``, over the defaults; raises InputError, which says what is ``wanted`` instead."""
+    fields = dict(defaults)
     for argument in arguments:
         key, _, value = argument.partition("=")
-        if key not in folders or not value:
-            wanted = " or ".join(f"{field}=<folder>" for field in defaults)
-            raise InputError("argument", argument, f"write {wanted}")
-        folders[key] = value
-    return {key: Path(value) for key, value in folders.items()}
+        if key not in fields or not value:
+            raise InputError("argument", argument, wanted or f"write one of {', '.join(f'{k}=' for k in defaults)}")
+        fields[key] = value
+    return fields
+
+
+def whole(field: str, text: str, least: int = 1, most: int | None = None) -> int:
+    """A whole number within limits; raises InputError."""
+    if not text.isdigit() or int(text) < least or (most is not None and int(text) > most):
+        within = f"of at least {least}" if most is None else f"from {least} to {most}"
+        raise InputError(field, text, f"a whole number {within}")
+    return int(text)
+
+
+def read_folders(arguments: Sequence[str], defaults: Mapping[str, str]) -> dict[str, Path]:
+    """Folders given as ``field=path``, over the defaults; raises InputError for anything else."""
+    wanted = f"write {' or '.join(f'{field}=<folder>' for field in defaults)}"
+    return {key: Path(value) for key, value in read_fields(arguments, defaults, wanted).items()}
 
 
 def _identify(job: Any) -> int:

@@ -20,12 +20,11 @@ import numpy as np
 
 from bench.bound import Bound, Information, compute_bound, information
 from bench.errors import InputError
-from bench.rounding import number, rounded
+from bench.rounding import number, readable, rounded
 from bench.scenario import Scenario
-from bench.score_tables import readable
 from bench.structural import Structure, check_dofs, structure_of
 from bench.systems import Quantity
-from bench.terminal import guarded, table, wrapped
+from bench.terminal import command, table, wrapped
 from bench.verdict import DECIDED_BY_PRIOR
 
 USAGE = """usage: python -m bench.identifiability [field=value ...]
@@ -233,11 +232,7 @@ def _profile(request: Request, structure: Structure, told: Information) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """``python -m bench.identifiability [field=value ...]``; exit status 2 for bad input."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments):
-        print(USAGE)
-        return 0
-    return guarded("bench.identifiability", lambda: _main(arguments))
+    return command("bench.identifiability", USAGE, argv, _main)
 
 
 def _main(arguments: Sequence[str]) -> int:

@@ -37,28 +37,26 @@ def modes(system: System, parameters: Mapping[str, Any]) -> Modes:
     Raises ValueError where the system is not linear.
     """
     n = system.n_dof
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):  # of a fit that ran away
         try:
             matrix, _ = state_matrix(system, parameters)
             rates, vectors = np.linalg.eig(matrix)
         except np.linalg.LinAlgError:
             return Modes(np.full(n, np.nan), np.full(n, np.nan), np.full((n, n), np.nan))
-    with np.errstate(all="ignore"):  # of a fit that ran away
-        return _paired(rates, vectors, n)
+        return _paired(rates, vectors[:n])
 
 
-def _paired(rates: np.ndarray, vectors: np.ndarray, n: int) -> Modes:
-    """Modes from the eigenvalues (2 n,) and eigenvectors (2 n, 2 n) of a state matrix."""
+def _paired(rates: np.ndarray, shapes: np.ndarray) -> Modes:
+    """Modes from the eigenvalues (2 n,) of a state matrix and the displacements (n, 2 n) of its eigenvectors."""
     order = np.argsort(np.abs(rates))
-    rates, vectors = rates[order], vectors[:n, order]
+    rates, shapes = rates[order], shapes[:, order]
     real = np.flatnonzero(rates.imag == 0)
-    upper = np.flatnonzero(rates.imag > 0)
-    pairs = [(i, i) for i in upper] + list(zip(real[::2], real[1::2], strict=False))
+    pairs = [(i, i) for i in np.flatnonzero(rates.imag > 0)] + list(zip(real[::2], real[1::2], strict=False))
     sizes = np.array([np.sqrt(np.abs(rates[i] * rates[j])) for i, j in pairs])
     decays = np.array([-(rates[i] + rates[j]).real / 2 for i, j in pairs])
     order = np.argsort(sizes)
-    shapes = np.stack([vectors[:, i] for i, _ in pairs], axis=1)
-    return Modes(sizes[order] / (2 * np.pi), decays[order] / sizes[order], shapes[:, order])
+    chosen = np.stack([shapes[:, i] for i, _ in pairs], axis=1)
+    return Modes(sizes[order] / (2 * np.pi), decays[order] / sizes[order], chosen[:, order])
 
 
 def mac(a: np.ndarray, b: np.ndarray) -> np.ndarray:

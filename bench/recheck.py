@@ -18,7 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from bench.cell import Cell
-from bench.cli import read_folders
+from bench.cli import read_fields, whole
 from bench.errors import InputError
 from bench.estimate import Status
 from bench.launch import complete
@@ -26,7 +26,7 @@ from bench.plan import FAILURES
 from bench.reproduce import compare, stored_as_cell
 from bench.slots import Limits
 from bench.store import Store, StoredCell
-from bench.terminal import guarded
+from bench.terminal import command
 
 USAGE = "usage: python -m bench.recheck [replicates=2] [store=results/rows]\n\n"
 
@@ -75,31 +75,20 @@ def confirmed(stored: StoredCell, cell: Cell, again: StoredCell | None) -> Store
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print how many cells were confirmed, and which were not; exit status 2 for bad input."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments):
-        print(USAGE + str(__doc__))
+    return command("bench.recheck", USAGE + str(__doc__), argv, _main, "interrupted; nothing was changed")
+
+
+def _main(arguments: Sequence[str]) -> int:
+    fields = read_fields(arguments, {"replicates": "2", "store": "results/rows"})
+    n, store = whole("replicates", fields["replicates"]), Store(Path(fields["store"]))
+    if not store.folder.is_dir():
+        raise InputError("store", store.folder, "there is no such folder; run some cells first")
+    pairs = stale_cells(store)
+    if not pairs:
+        print("no cell is stale")
         return 0
-    try:
-        counts = [a.partition("=")[2] for a in arguments if a.startswith("replicates=")] or ["2"]
-        if not counts[-1].isdigit() or int(counts[-1]) < 1:
-            raise InputError("replicates", counts[-1], "a whole number, 1 or more")
-        folders = read_folders([a for a in arguments if not a.startswith("replicates=")], {"store": "results/rows"})
-        store = Store(folders["store"])
-        if not store.folder.is_dir():
-            raise InputError("store", store.folder, "there is no such folder; run some cells first")
-        pairs = stale_cells(store)
-        if not pairs:
-            print("no cell is stale")
-            return 0
-        with tempfile.TemporaryDirectory() as folder:
-            fresh = first_replicates(pairs, int(counts[-1]), store, Path(folder))
-            _keep(pairs, int(counts[-1]), store, fresh)
-    except InputError as error:
-        print(f"bench.recheck: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nbench.recheck: interrupted; nothing was changed", file=sys.stderr)
-        return 130
+    with tempfile.TemporaryDirectory() as folder:
+        _keep(pairs, n, store, first_replicates(pairs, n, store, Path(folder)))
     return 0
 
 
@@ -118,4 +107,4 @@ def _keep(pairs: Sequence[tuple[StoredCell, Cell]], n: int, store: Store, fresh:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded("bench.recheck", main))
+    sys.exit(main())

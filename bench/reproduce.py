@@ -23,7 +23,7 @@ from bench.launch import complete
 from bench.scenario import ForceSpec, PriorSpec, Scenario
 from bench.slots import Limits
 from bench.store import DIGITS, Store, StoredCell
-from bench.terminal import guarded
+from bench.terminal import command
 from bench.version import Version
 
 USAGE = "usage: python -m bench.reproduce <cell> [store=results/rows]\n\n"
@@ -162,27 +162,23 @@ def page(stored: StoredCell, verdict: Verdict) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the verdict; exit status 0, 1 where the cell has drifted, 2 for bad input."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments) or not arguments:
+    return command("bench.reproduce", USAGE + str(__doc__), argv, _main)
+
+
+def _main(arguments: Sequence[str]) -> int:
+    if not arguments:
         print(USAGE + str(__doc__))
-        return 0 if arguments else 2
-    try:
-        given = [a.partition("=")[2] for a in arguments if a.startswith("store=")]
-        names = [a for a in arguments if not a.startswith("store=")]
-        if len(names) != 1 or not all(c in "0123456789abcdef" for c in names[0]):
-            raise InputError("cell", " ".join(names), "give one identity, or the start of one")
-        store = Store(Path(given[-1] if given else "results/rows"))
-        stored = find(store, names[0])
-        verdict = compare(stored, run_again(stored))
-    except InputError as error:
-        print(f"bench.reproduce: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("\nbench.reproduce: interrupted", file=sys.stderr)
-        return 130
+    given = [a.partition("=")[2] for a in arguments if a.startswith("store=")]
+    names = [a for a in arguments if not a.startswith("store=")]
+    if len(names) != 1 or not all(c in "0123456789abcdef" for c in names[0]):
+        raise InputError("cell", " ".join(names), "give one identity, or the start of one")
+    store = Store(Path(given[-1] if given else "results/rows"))
+    stored = find(store, names[0])
+    verdict = compare(stored, run_again(stored))
     print(page(stored, verdict))
     return 1 if verdict.name == "drifted" else 0
 
 
 if __name__ == "__main__":
-    sys.exit(guarded("bench.reproduce", main))
+    sys.exit(main())

@@ -25,14 +25,13 @@ from bench.cell import Cell
 from bench.cli import read_folders
 from bench.compare import LEVEL, holm
 from bench.config import expand, jobs_to_cells
-from bench.errors import InputError
 from bench.launch import complete
 from bench.rounding import number
 from bench.scenario import PriorSpec, Scenario
 from bench.slots import Limits
 from bench.store import Store, StoredCell
 from bench.tables import HEADINGS, METRICS, TITLES, entries, errors_of, paper_numbers, paper_value
-from bench.terminal import guarded
+from bench.terminal import command
 from bench.truth import closed_form
 
 TABLES = (2, 3, 4, 5)
@@ -277,23 +276,18 @@ def load(cells: Mapping[str, Mapping[Place, Cell]], store: Store) -> dict[str, d
 
 def main(argv: Sequence[str] | None = None) -> int:
     """``python -m bench.reproduction [store=results/rows] [out=results]``; exit status 2 for bad input."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments):
-        print("usage: python -m bench.reproduction [store=results/rows] [out=results]\n\n" + str(__doc__))
-        return 0
-    try:
-        folders = read_folders(arguments, {"store": "results/rows", "out": "results"})
-        store, out = Store(folders["store"]), folders["out"]
-        store.prepare()
-        Store(out).prepare()
-        cells = all_cells(store)
-        data = verdicts(load(cells, store))
-    except InputError as error:
-        print(f"bench.reproduction: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nbench.reproduction: interrupted; finished cells are kept", file=sys.stderr)
-        return 130
+    usage = "usage: python -m bench.reproduction [store=results/rows] [out=results]"
+    kept = "interrupted; finished cells are kept"
+    return command("bench.reproduction", f"{usage}\n\n{__doc__}", argv, _main, kept)
+
+
+def _main(arguments: Sequence[str]) -> int:
+    folders = read_folders(arguments, {"store": "results/rows", "out": "results"})
+    store, out = Store(folders["store"]), folders["out"]
+    store.prepare()
+    Store(out).prepare()
+    cells = all_cells(store)
+    data = verdicts(load(cells, store))
     for path in write(data, next(iter(cells.values())), out):
         print(path)
     return 0
@@ -308,4 +302,4 @@ def write(data: pd.DataFrame, base: Mapping[Place, Cell], out: Path) -> list[Pat
 
 
 if __name__ == "__main__":
-    sys.exit(guarded("bench.reproduction", main))
+    sys.exit(main())

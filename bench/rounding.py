@@ -1,4 +1,4 @@
-"""Numbers for reading: a value and its interval are rounded to what the interval says of the value."""
+"""Numbers and names for reading: a value and its interval are rounded to what the interval says of the value."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ import math
 
 LARGEST, SMALLEST = 1e6, 1e-4
 """What is as large as the first, or smaller than the second, is written with a power of ten."""
+
+
+def readable(name: str) -> str:
+    """A quantity's name as tables show it: ``k/m``, ``damping ratio``."""
+    return name.replace("_over_", "/").replace("_", " ")
 
 
 def number(value: float) -> str:

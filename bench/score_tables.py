@@ -15,7 +15,7 @@ import numpy as np
 from bench.cell import Cell
 from bench.estimate import Status
 from bench.reference import REFERENCES
-from bench.rounding import excess_text, number, rounded
+from bench.rounding import excess_text, number, readable, rounded
 from bench.scenario import Scenario
 from bench.store import Store, StoredCell
 from bench.terminal import table, wrapped
@@ -26,11 +26,6 @@ RMSES = {"rmse": "displacement RMSE m", "rmse_simulated": "simulated RMSE m", "r
 MARK = "+"
 COLUMNS = ("method", "system", "dB", "start", "disturbance")
 """What a line of a sweep's table is about; what all lines share is said once above."""
-
-
-def readable(name: str) -> str:
-    """A quantity's name as tables show it: ``k/m``, ``damping ratio``."""
-    return name.replace("_over_", "/").replace("_", " ")
 
 
 def disturbance_of(scenario: Scenario) -> str:

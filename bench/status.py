@@ -23,7 +23,7 @@ from bench.listing import listing
 from bench.plan import Reasons, State, plan, read_retry
 from bench.registry import method_names
 from bench.store import Store
-from bench.terminal import guarded, table, wrapped
+from bench.terminal import command, table, wrapped
 from bench.watch import Progress, follow
 
 USAGE = """usage: python -m bench.status [store=<folder>]                         a store
@@ -108,11 +108,7 @@ def _short(text: str) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the page; exit status 2 for bad input."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments):
-        print(USAGE)
-        return 0
-    return guarded("bench.status", lambda: _main(arguments), "no longer watched; a run that is under way goes on")
+    return command("bench.status", USAGE, argv, _main, "no longer watched; a run that is under way goes on")
 
 
 def _main(arguments: Sequence[str]) -> int:

@@ -17,24 +17,23 @@ import pandas as pd
 from tabulate import tabulate
 
 from bench.cell import Cell
-from bench.cli import number
 from bench.compare import Comparison, against_best
 from bench.estimate import Status
 from bench.modal import agreement, modes
 from bench.reference import REFERENCES
+from bench.rounding import excess_text, number, readable
 from bench.row import Row
 from bench.scenario import Scenario
 from bench.statistics import wilson_interval
 from bench.store import Store, StoredCell
 from bench.tables import (
-    GROSS,
     TITLES,
     Entry,
     described_cells,
     errors_of,
-    excess_text,
     failure_notes,
     latex_table,
+    leads,
     told_classes,
 )
 from bench.terms import terms_found
@@ -241,13 +240,22 @@ def _median(values: np.ndarray) -> float:
 # ------------------------------------------------------------------------------------------------ for reading
 
 
-def markdown(title: str, found: Sequence[Entry], command: str) -> str:
-    """The table for reading."""
+Table = tuple[list[list[str]], list[str]]
+"""Rows and headers."""
+
+
+def tables_of(found: Sequence[Entry]) -> list[tuple[Panel, Table]]:
+    """Every panel with its table, which Markdown and LaTeX share."""
     classes = told_classes(found)
+    return [(panel, _panel(panel, classes)) for panel in panels(found)]
+
+
+def markdown(title: str, shown: Sequence[tuple[Panel, Table]], command: str) -> str:
+    """The table for reading."""
     parts = [f"# {title}", LEGEND]
-    for panel in panels(found):
+    for panel, table in shown:
         parts += [f"## {heading(panel.scenario)}", describe(panel.scenario)]
-        parts.append(tabulate(*_panel(panel, classes), tablefmt="github", disable_numparse=True))
+        parts.append(tabulate(*table, tablefmt="github", disable_numparse=True))
         parts += [part for part in (_parameters(panel), _modes(panel), _terms(panel), _untold(panel)) if part]
         notes = failure_notes(panel.entries)
         parts += [notes] if notes else []
@@ -283,22 +291,37 @@ def describe(scenario: Scenario) -> str:
     return f"{'; '.join(words)}. Initial state {scenario.told}, {prior}."
 
 
-def _rankings(panel: Panel) -> dict[tuple[float, str], tuple[str, list[Comparison]]]:
-    """By noise level and column, the best method and the others compared with it."""
-    ranking = {}
+@dataclass(frozen=True)
+class Contest:
+    """One column at one noise level: excesses by label, and the best of the methods compared with the others."""
+
+    excess: Mapping[str, float]
+    ranking: tuple[str, list[Comparison]] | None
+
+
+def _contests(panel: Panel) -> dict[tuple[float, str], Contest]:
+    """By noise level and column; reference rows have an excess, and stand outside the ranking."""
+    found = {}
     for level in panel.levels:
-        own = [e for e in panel.entries if e.cell.scenario.snr_db == level and e.cell.method not in REFERENCES]
+        own = [e for e in panel.entries if e.cell.scenario.snr_db == level]
         stored = {e.cell.label: e.stored for e in own if e.stored and e.stored.n_ok}
-        if len(stored) < 2:
+        if not stored:
             continue
         names = pooled_quantities(panel.scenario, next(iter(stored.values())).identifiable)
-        ranking[level, "told"] = against_best({label: pooled_errors(s, names) for label, s in stored.items()})
-        ranking[level, "rmse"] = against_best({label: errors_of(s, "rmse") for label, s in stored.items()})
-    return ranking
+        ranked = [e.cell.label for e in own if e.cell.label in stored and e.cell.method not in REFERENCES]
+        columns = {
+            "told": {label: (pooled_errors(s, names), pooled_excess(s, names)) for label, s in stored.items()},
+            "rmse": {label: (errors_of(s, "rmse"), s.summary["rmse"]["excess"]) for label, s in stored.items()},
+        }
+        for column, both in columns.items():
+            ranking = against_best({label: both[label][0] for label in ranked}) if len(ranked) > 1 else None
+            found[level, column] = Contest({label: excess for label, (_, excess) in both.items()}, ranking)
+    return found
 
 
-def _panel(panel: Panel, classes: Mapping[str, str]) -> tuple[list[list[str]], list[str]]:
-    ranking, rows = _rankings(panel), [_bound_row(panel)]
+def _panel(panel: Panel, classes: Mapping[str, str]) -> Table:
+    """The panel's rows and headers."""
+    contests, rows = _contests(panel), [_bound_row(panel)]
     for method in panel.methods:
         cells, oks, times = [], [], []
         for level in panel.levels:
@@ -308,7 +331,7 @@ def _panel(panel: Panel, classes: Mapping[str, str]) -> tuple[list[list[str]], l
                 cells += [stored.status.value if stored else "not run", "", ""]
                 oks.append(f"0/{len(stored.rows)}" if stored else "-")
                 continue
-            cells += _entry(panel, stored, method, level, ranking)
+            cells += _entry(panel, stored, method, level, contests)
             oks.append(f"{stored.n_ok}/{len(stored.rows)}")
             times.append(_median(np.array([row.cpu_s for row in stored.rows if row.status is Status.OK])))
         time = f"{np.median(times):.2g}" if times and method not in REFERENCES else ""
@@ -342,22 +365,17 @@ def _bound_row(panel: Panel) -> list[str]:
     return ["bound", *cells, "", "", ""]
 
 
-def _entry(panel: Panel, stored: StoredCell, method: str, level: float, ranking: Mapping[Any, Any]) -> list[str]:
-    names = pooled_quantities(panel.scenario, stored.identifiable)
-    told, rmse = pooled_excess(stored, names), stored.summary["rmse"]
+def _entry(panel: Panel, stored: StoredCell, method: str, level: float, contests: Mapping[Any, Contest]) -> list[str]:
+    told, rmse = (contests[level, column].excess[method] for column in ("told", "rmse"))
     covered, _, _ = pooled_coverage(stored, panel.scenario.make_system().names)
     texts = {
         "told": f"×{excess_text(told)}" if math.isfinite(told) else "-",
-        "rmse": f"{number(rmse['median'])} ×{excess_text(rmse['excess'])}",
+        "rmse": f"{number(stored.summary['rmse']['median'])} ×{excess_text(rmse)}",
     }
-    excesses = {"told": lambda s: pooled_excess(s, names), "rmse": lambda s: s.summary["rmse"]["excess"]}
     cells = []
     for column, text in texts.items():
-        best, others = ranking.get((level, column), (None, []))
-        leader = panel.at(best, level) if best else None
-        gross = bool(leader and leader.stored and excesses[column](stored) > GROSS * excesses[column](leader.stored))
-        leads = method == best or (not gross and any(c.a == method and c.tie for c in others))
-        cells.append(f"**{text}**" if leads else text)
+        contest = contests[level, column]
+        cells.append(f"**{text}**" if leads(contest.ranking, method, contest.excess) else text)
     return [*cells, "-" if math.isnan(covered) else f"{100 * covered:.0f}"]
 
 
@@ -391,7 +409,7 @@ def _parameters(panel: Panel) -> str:
             for s in summaries
         ]  # fmt: skip
         rows.append([TITLES.get(method, method), *texts])
-    table = tabulate(rows, ["method", *(n.replace("_over_", "/") for n in names)], "github", disable_numparse=True)
+    table = tabulate(rows, ["method", *map(readable, names)], "github", disable_numparse=True)
     return f"Errors at {level:g} dB, in percent (median ×excess):\n\n{table}"
 
 
@@ -447,22 +465,17 @@ def _untold(panel: Panel) -> str:
         ]
         if level == panel.levels[0] and never:
             what = "decided by the prior" if panel.scenario.prior else "not identifiable"
-            sentences.append(f"Not told by the data at any noise, {what}: {', '.join(_symbol(n) for n in never)}.")
+            sentences.append(f"Not told by the data at any noise, {what}: {', '.join(readable(n) for n in never)}.")
         if weak:
-            sentences.append(f"At {level:g} dB practically not identifiable: {', '.join(map(_symbol, weak))}.")
+            sentences.append(f"At {level:g} dB practically not identifiable: {', '.join(map(readable, weak))}.")
     return " ".join(sentences)
 
 
-def _symbol(name: str) -> str:
-    return name.replace("_over_", "/").replace("_", " ")
-
-
-def latex(title: str, found: Sequence[Entry]) -> str:
+def latex(title: str, shown: Sequence[tuple[Panel, Table]]) -> str:
     """The panels as LaTeX (booktabs), for an article."""
-    classes, parts = told_classes(found), []
-    for panel in panels(found):
-        caption = f"{title}: {heading(panel.scenario)}. {describe(panel.scenario)}"
-        parts.append(latex_table(caption, *_panel(panel, classes)))
+    parts = [
+        latex_table(f"{title}: {heading(panel.scenario)}. {describe(panel.scenario)}", *table) for panel, table in shown
+    ]
     return f"% needs the package booktabs\n% regenerate: python -m bench.tables\n{''.join(parts)}"
 
 
@@ -478,8 +491,9 @@ def system_table(experiment: str, store: Store) -> dict[str, str]:
     name = f"table{number_}" if number_ else experiment
     heading_ = f"Table {number_}. {title}" if number_ else title
     command = f"python -m bench -m experiment={experiment} && python -m bench.tables"
+    shown = tables_of(found)
     return {
-        f"{name}.md": markdown(heading_, found, command),
+        f"{name}.md": markdown(heading_, shown, command),
         f"{name}.csv": tidy(str(number_ or experiment), found).to_csv(index=False, float_format="%.6g"),
-        f"{name}.tex": latex(title, found),
+        f"{name}.tex": latex(title, shown),
     }

@@ -31,9 +31,10 @@ from bench.registry import load_method
 from bench.rounding import excess_text, number
 from bench.statistics import RESAMPLES
 from bench.store import Store, StoredCell
-from bench.terminal import guarded
+from bench.terminal import command
 from bench.verdict import Verdict, judge
 
+USAGE = "usage: python -m bench.tables [store=results/rows] [out=results]"
 COLUMNS = (
     "table", "row", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high",
     "bound", "prior_share", "excess", "n_ok", "n", "paper", "verdict",
@@ -421,28 +422,24 @@ def _say_stale(experiment: str, store: Store) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """``python -m bench.tables [store=results/rows] [out=results]``; exit status 2 for bad input."""
+    return command("bench.tables", f"{USAGE}\n\n{__doc__}", argv, _main)
+
+
+def _main(arguments: Sequence[str]) -> int:
     from bench.leaderboard import leaderboard  # here, since it builds on this module
 
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments):
-        print("usage: python -m bench.tables [store=results/rows] [out=results]\n\n" + str(__doc__))
-        return 0
-    try:
-        folders = read_folders(arguments, {"store": "results/rows", "out": "results"})
-        store, out = Store(folders["store"]), folders["out"]
-        if not store.folder.is_dir():
-            raise InputError("store", store.folder, "there is no such folder; run some cells first")
-        Store(out).prepare()
-        for path in write_tables(store, out, table_experiments()):
-            print(path)
-        for name, content in leaderboard(store).items():
-            (out / name).write_text(content, encoding="utf-8")
-            print(out / name)
-    except InputError as error:
-        print(f"bench.tables: {error}", file=sys.stderr)
-        return 2
+    folders = read_folders(arguments, {"store": "results/rows", "out": "results"})
+    store, out = Store(folders["store"]), folders["out"]
+    if not store.folder.is_dir():
+        raise InputError("store", store.folder, "there is no such folder; run some cells first")
+    Store(out).prepare()
+    for path in write_tables(store, out, table_experiments()):
+        print(path)
+    for name, content in leaderboard(store).items():
+        (out / name).write_text(content, encoding="utf-8")
+        print(out / name)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(guarded("bench.tables", main))
+    sys.exit(main())

@@ -80,6 +80,25 @@ def _widths(lines: Sequence[Sequence[str]], words: Collection[int]) -> list[int]
     return widths
 
 
+def command(
+    name: str,
+    page: str,
+    argv: Sequence[str] | None,
+    body: Callable[[list[str]], int],
+    interrupted: str = "interrupted",
+) -> int:
+    """A command by itself: its arguments, ``page`` for who asks for help, else its body as :func:`guarded` runs it."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+
+    def run() -> int:
+        if {"-h", "--help"} & set(arguments):
+            print(page)
+            return 0
+        return body(arguments)
+
+    return guarded(name, run, interrupted)
+
+
 def guarded(name: str, body: Callable[[], int], interrupted: str = "interrupted") -> int:
     """Run a command; its exit status, which is 2 for bad input, 130 for Ctrl-C, 141 where its reader has gone.
 

@@ -15,6 +15,7 @@ from bench.store import StoredCell
 from bench.systems import Ops, System
 
 
+@cache
 def true_terms(system: System, forced: frozenset[int]) -> tuple[frozenset[str], ...] | None:
     """By DOF, the monomials of displacement (x), velocity (v) and force (f) in the acceleration, e.g. ``{x, v, x^3}``.
 
@@ -64,11 +65,6 @@ def kept_terms(message: str) -> tuple[frozenset[str], ...] | None:
     return tuple(frozenset() if part == "none" else frozenset(t.strip() for t in part.split(",")) for part in parts)
 
 
-@cache
-def _wanted(scenario_key: tuple[System, frozenset[int]]) -> tuple[frozenset[str], ...] | None:
-    return true_terms(*scenario_key)
-
-
 def terms_found(stored: StoredCell, scenario: Scenario) -> str:
     """In words: in how many replicates the right terms were found, and what is found most often instead."""
     kept = [kept_terms(row.message) for row in stored.rows if row.status is Status.OK]
@@ -76,7 +72,7 @@ def terms_found(stored: StoredCell, scenario: Scenario) -> str:
     if not models:
         return "no terms stated"
     forced = frozenset({scenario.force.dof}) if scenario.force else frozenset()
-    wanted = _wanted((scenario.make_system(), forced))
+    wanted = true_terms(scenario.make_system(), forced)
     usual, times = Counter(models).most_common(1)[0]
     often = f"most often {_told(usual)} ({times} of {len(models)})"
     if wanted is None:

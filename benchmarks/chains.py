@@ -22,7 +22,7 @@ import pandas as pd
 from tabulate import tabulate
 
 from bench.cell import Cell
-from bench.cli import number
+from bench.cli import read_fields, whole
 from bench.config import expand, jobs_to_cells
 from bench.errors import InputError
 from bench.estimate import Status
@@ -30,11 +30,14 @@ from bench.figures import STYLES, pyplot, save_figure
 from bench.launch import complete
 from bench.reference import REFERENCES
 from bench.registry import default_settings, method_names
+from bench.rounding import excess_text, number
 from bench.scenario import Scenario
 from bench.slots import Limits
 from bench.store import Store, StoredCell
+from bench.system_tables import pooled_excess
 from bench.systems import Chain
-from bench.tables import TITLES, excess_text
+from bench.tables import TITLES
+from bench.terminal import command
 
 SIZES = (1, 2, 3, 5, 10, 20)
 SEED = 0
@@ -46,10 +49,6 @@ DENSE = 1000
 """Fewest times at which the displacement is scored."""
 ASTRAY = 3.0
 """An excess of the displacement error from which on a method is said to have missed the solution."""
-OTHER_STYLES = {
-    "ekf": ("#332288", ">"), "ukf": ("#AA4499", "<"), "era": ("#117733", "X"), "nuts": ("#6699CC", "^"),
-}  # fmt: skip
-"""Colours (Tol's) and markers of methods that the other pictures do not show."""
 USAGE = """usage: python -m benchmarks.chains [sizes=1,2,3,5,10,20] [methods=<a,b>] [timeout_s=120] [workers=1]
                                           [store=results/rows] [out=results]"""
 
@@ -142,12 +141,6 @@ def compute(sizes: Sequence[int], methods: Sequence[str], store: Store, limits: 
 # ------------------------------------------------------------------------------------------------ what came out
 
 
-def pooled(stored: StoredCell, names: Sequence[str]) -> float:
-    """Root mean over quantities and successful data sets of (error / bound)²; NaN where a quantity is lacking."""
-    excesses = [stored.summary.get(f"{name}_error_pct", {}).get("excess", math.nan) for name in names]
-    return float(np.sqrt(np.mean(np.square(excesses))))
-
-
 def line(result: Result) -> dict[str, Any]:
     """One line of the CSV."""
     system, stored = Chain(result.n), result.stored
@@ -164,8 +157,8 @@ def line(result: Result) -> dict[str, Any]:
         "cpu_s": median(seconds) if seconds else math.nan,
         "rmse_m": stored.summary["rmse"]["median"],
         "rmse_excess": stored.summary["rmse"]["excess"],
-        "parameters_excess": pooled(stored, system.names),
-        "ratios_excess": pooled(stored, [group.name for group in system.groups]),
+        "parameters_excess": pooled_excess(stored, system.names),
+        "ratios_excess": pooled_excess(stored, [group.name for group in system.groups]),
         "message": failed[0].message if failed else "",
     }
 
@@ -260,7 +253,7 @@ def picture(data: pd.DataFrame, out: Path) -> list[Path]:
     plt = pyplot()
     figure, axes = plt.subplots(1, 2, figsize=(10.0, 4.6), layout="constrained")
     panels = (("cpu_s", "processor time of a fit (s)"), ("rmse_excess", "excess of the displacement: error / bound"))
-    for method, (colour, marker) in {**OTHER_STYLES, **STYLES}.items():
+    for method, (colour, marker) in STYLES.items():
         own = data[(data.method == method) & (data.n_ok > 0)]
         for axis, (what, _) in zip(axes, panels, strict=True):
             if len(own) and not (method == "oracle" and what == "cpu_s"):
@@ -299,30 +292,20 @@ def read_options(arguments: Sequence[str]) -> Options:
         "sizes": ",".join(map(str, SIZES)), "methods": "", "timeout_s": "120", "workers": "1",
         "store": "results/rows", "out": "results",
     }  # fmt: skip
-    for argument in arguments:
-        key, _, value = argument.partition("=")
-        if key not in texts or not value:
-            raise InputError("argument", argument, f"write one of {', '.join(f'{name}=' for name in texts)}")
-        texts[key] = value
+    texts = read_fields(arguments, texts)
     methods = tuple(name for name in texts["methods"].split(",") if name) or (*REFERENCES, *_others())
     for name in methods:
         if name not in method_names():
             raise InputError("methods", name, f"known: {', '.join(method_names())}")
-    sizes = tuple(_whole("sizes", text) for text in texts["sizes"].split(","))
+    sizes = tuple(whole("sizes", text) for text in texts["sizes"].split(","))
     try:
         timeout_s = float(texts["timeout_s"])
     except ValueError:
         timeout_s = math.nan
     if not (math.isfinite(timeout_s) and timeout_s > 0):
         raise InputError("timeout_s", texts["timeout_s"], "a positive number of seconds")
-    workers = _whole("workers", texts["workers"])
+    workers = whole("workers", texts["workers"])
     return Options(sizes, methods, timeout_s, workers, Path(texts["store"]), Path(texts["out"]))
-
-
-def _whole(field: str, text: str) -> int:
-    if not text.isdigit() or int(text) < 1:
-        raise InputError(field, text, "a whole number of at least 1")
-    return int(text)
 
 
 def _others() -> list[str]:
@@ -334,22 +317,16 @@ def _others() -> list[str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Compute what is lacking, then write table, CSV and picture; exit status 2 for bad input, 130 interrupted."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments):
-        print(f"{USAGE}\n\n{__doc__}")
-        return 0
-    try:
-        chosen = read_options(arguments)
-        store = Store(chosen.store)
-        for folder in (chosen.store, chosen.out, chosen.out / "figures"):
-            Store(folder).prepare()
-        compute(chosen.sizes, chosen.methods, store, Limits(chosen.workers, chosen.timeout_s))
-    except InputError as error:
-        print(f"benchmarks.chains: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nbenchmarks.chains: interrupted; the same command goes on from here", file=sys.stderr)
-        return 130
+    kept = "interrupted; the same command goes on from here"
+    return command("benchmarks.chains", f"{USAGE}\n\n{__doc__}", argv, _main, kept)
+
+
+def _main(arguments: Sequence[str]) -> int:
+    chosen = read_options(arguments)
+    store = Store(chosen.store)
+    for folder in (chosen.store, chosen.out, chosen.out / "figures"):
+        Store(folder).prepare()
+    compute(chosen.sizes, chosen.methods, store, Limits(chosen.workers, chosen.timeout_s))
     data = tidy(chosen.sizes, chosen.methods, store)
     (chosen.out / "chains.csv").write_text(data.to_csv(index=False, float_format="%.5g"), encoding="utf-8")
     (chosen.out / "chains.md").write_text(page(data, chosen.timeout_s), encoding="utf-8")

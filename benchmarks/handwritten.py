@@ -27,18 +27,18 @@ from tqdm import tqdm
 
 from bench import Estimate, Normal, Problem, Status
 from bench.bound import load_bounds
-from bench.cli import number
+from bench.cli import read_fields, whole
 from bench.combine import combine_with_prior
 from bench.config import expand, jobs_to_cells
-from bench.errors import InputError
 from bench.failure import one_line
 from bench.processes import single_threaded
 from bench.registry import make_method
+from bench.rounding import excess_text, number
 from bench.scenario import METHOD, Scenario
 from bench.score import score
 from bench.statistics import wilson_interval
 from bench.store import Store
-from bench.tables import excess_text
+from bench.terminal import command
 from bench.truth import Truth
 
 SEED = 4242
@@ -221,31 +221,22 @@ def page(rows: Sequence[Sequence[str]], limit: float) -> str:
 def read_options(arguments: Sequence[str]) -> dict[str, str]:
     """The arguments, checked; raises InputError."""
     found = {"duffing": "20", "chain5": "5", "timeout_s": "120", "out": "results"}
-    for argument in arguments:
-        key, _, value = argument.partition("=")
-        if key not in found or not value:
-            raise InputError("argument", argument, f"write one of {', '.join(f'{name}=' for name in found)}")
-        found[key] = value
+    found = read_fields(arguments, found)
     for name in ("duffing", "chain5", "timeout_s"):
-        if not found[name].isdigit() or int(found[name]) < 1:
-            raise InputError(name, found[name], "a whole number of at least 1")
+        whole(name, found[name])
     return found
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure and write the page; exit status 2 for bad input."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments):
-        print(f"{USAGE}\n\n{__doc__}")
-        return 0
+    return command("benchmarks.handwritten", f"{USAGE}\n\n{__doc__}", argv, _main)
+
+
+def _main(arguments: Sequence[str]) -> int:
     single_threaded()
-    try:
-        chosen = read_options(arguments)
-        out = Path(chosen["out"])
-        Store(out).prepare()
-    except InputError as error:
-        print(f"benchmarks.handwritten: {error}", file=sys.stderr)
-        return 2
+    chosen = read_options(arguments)
+    out = Path(chosen["out"])
+    Store(out).prepare()
     rows, limit = [], float(chosen["timeout_s"])
     counts = {label: int(chosen[label]) for label in ("duffing", "chain5")}
     total = len(SNRS) * sum(count + 1 for count in counts.values())

@@ -3,7 +3,6 @@
 import sys
 
 from bench.figures.command import main
-from bench.terminal import guarded
 
 if __name__ == "__main__":
-    sys.exit(guarded("bench.figures", main))
+    sys.exit(main())

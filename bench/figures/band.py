@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.special import ndtri
 
 from bench.figures.gallery import Gallery, Nothing, Picture, counts, where
 from bench.figures.response import with_record
 from bench.figures.style import panels, wrapped
-
-Z95 = float(ndtri(0.975))
+from bench.statistics import Z95
 
 
 def draw_band(gallery: Gallery) -> Picture:

@@ -26,6 +26,7 @@ from bench.figures.time import draw_time
 from bench.figures.training import draw_training
 from bench.figures.two_masses import draw_two_masses
 from bench.store import Store
+from bench.terminal import command
 
 PICTURES: dict[str, Callable[[Gallery], Picture]] = {
     "record": draw_record,
@@ -47,10 +48,11 @@ PICTURES: dict[str, Callable[[Gallery], Picture]] = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """``python -m bench.figures [store=results/rows] [out=results/figures]``; exit status 2 for bad input."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments):
-        print("usage: python -m bench.figures [store=results/rows] [out=results/figures]\n\n" + str(__doc__))
-        return 0
+    usage = "usage: python -m bench.figures [store=results/rows] [out=results/figures]"
+    return command("bench.figures", f"{usage}\n\n{__doc__}", argv, _main)
+
+
+def _main(arguments: Sequence[str]) -> int:
     try:
         folders = read_folders(arguments, {"store": "results/rows", "out": "results/figures"})
         gallery = read(folders["store"])
@@ -62,9 +64,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         if "matplotlib" not in str(error):
             raise
         print("bench.figures: matplotlib is missing: pip install 'vibration-bench[figures]'", file=sys.stderr)
-        return 2
-    except InputError as error:
-        print(f"bench.figures: {error}", file=sys.stderr)
         return 2
     return 0
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import ndtri
 
 from bench.figures.gallery import Gallery, Nothing, Picture, Shown, methods_only, where
 from bench.figures.response import (
@@ -18,8 +17,8 @@ from bench.figures.response import (
 )
 from bench.figures.style import FULL, MM, legend_below, pyplot
 from bench.simulate import simulate
+from bench.statistics import Z95
 
-Z95 = float(ndtri(0.975))
 DRAWS = 400
 MOST = 5
 """DOFs shown at most."""

@@ -26,6 +26,7 @@ from bench.pages.gather import Gathered, Panel, decibels, gather, label_of
 from bench.pages.kept import system_of
 from bench.pages.words import number, percent, quantity, title_of
 from bench.store import Store
+from bench.terminal import command
 
 LIMIT = 2_500_000
 """Bytes of the page at most: scenarios go without a picture, then figures are linked instead."""
@@ -272,18 +273,16 @@ def write(path: Path, text: str) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write the page; exit status 2 for bad input."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments):
-        print("usage: python -m bench.report [store=results/rows] [out=results/report.html]\n\n" + str(__doc__))
-        return 0
+    usage = "usage: python -m bench.report [store=results/rows] [out=results/report.html]"
+    return command("bench.report", f"{usage}\n\n{__doc__}", argv, _main)
+
+
+def _main(arguments: Sequence[str]) -> int:
     try:
         paths = read_folders(arguments, {"store": "results/rows", "out": "results/report.html"})
         write(paths["out"], page(Store(paths["store"]), paths["out"]))
         print(paths["out"])
     except ImportError as error:
         print(f"bench.report: {error.name} is missing: pip install 'vibration-bench[report]'", file=sys.stderr)
-        return 2
-    except InputError as error:
-        print(f"bench.report: {error}", file=sys.stderr)
         return 2
     return 0

@@ -13,7 +13,7 @@ from bench.compare import Comparison, against_best
 from bench.estimate import Status
 from bench.pages.gather import Panel, label_of
 from bench.store import StoredCell
-from bench.tables import GROSS, errors_of
+from bench.tables import errors_of, leads
 
 Place = Literal["best", "level", "behind", "alone", "all failed"]
 
@@ -49,15 +49,11 @@ def rank(panel: Panel, metric: str) -> Ranking | None:
         return Ranking(next(iter(values)), dict.fromkeys(values, "alone"), {}, frozenset())
     best, found = against_best(values)
     comparisons = {c.a: c for c in found}
-    limit = GROSS * own[best].summary[metric]["excess"]
+    excess = {label: cell.summary[metric]["excess"] for label, cell in own.items()}
     places: dict[str, Place] = {}
-    for label, cell in own.items():
-        if label not in values:
-            continue
-        # the excess sees the gross errors now and then that ranks do not see
-        gross = cell.summary[metric]["excess"] > limit
+    for label in values:
         failed = not np.isfinite(values[label]).any()
-        tie = label != best and comparisons[label].tie and not gross
+        tie = leads((best, found), label, excess)
         places[label] = "best" if label == best else "all failed" if failed else "level" if tie else "behind"
     fewer = {label for label in values if places[label] == "level" and values[label].size < values[best].size}
     return Ranking(best, places, comparisons, frozenset(fewer))

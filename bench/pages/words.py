@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from bench.pages.gather import ERROR
+from bench.rounding import readable
 from bench.tables import TITLES
 
 
@@ -16,7 +17,7 @@ def title_of(label: str) -> str:
 
 def quantity(metric: str) -> str:
     """``k_over_m_error_pct`` is ``k/m``; the displacement's error is ``displacement``."""
-    return "displacement" if metric == "rmse" else metric.removesuffix(ERROR).replace("_over_", "/").replace("_", " ")
+    return "displacement" if metric == "rmse" else readable(metric.removesuffix(ERROR))
 
 
 def heading(metric: str) -> str:

@@ -16,10 +16,12 @@ from pathlib import Path
 from tabulate import tabulate
 from tqdm import tqdm
 
+from bench.cli import read_fields, whole
 from bench.config import expand, jobs_to_cells
 from bench.errors import InputError
 from bench.processes import single_threaded
 from bench.store import Store
+from bench.terminal import command
 from benchmarks.pinn.common import Part
 
 PARTS = ("rivals", "memory", "accuracy", "systems", "initialisations", "starting_values", "loss", "scaling")
@@ -38,17 +40,12 @@ def options(arguments: Sequence[str]) -> dict[str, str]:
         "peer_python": "",
         "seeds": "3",
     }
-    for argument in arguments:
-        key, _, value = argument.partition("=")
-        if key not in found or not value:
-            raise InputError("argument", argument, f"write one of {', '.join(f'{name}=' for name in found)}")
-        found[key] = value
+    found = read_fields(arguments, found)
     for part in found["part"].split(","):
         if part not in PARTS:
             raise InputError("part", part, f"one of {', '.join(PARTS)}")
     for name in ("replicates", "seeds"):
-        if not found[name].isdigit() or int(found[name]) < 1:
-            raise InputError(name, found[name], "a whole number of at least 1")
+        whole(name, found[name])
     if found["peers"] and not (Path(found["peers"]) / "naive_fit.py").is_file():
         raise InputError("peers", found["peers"], "a folder that holds naive_fit.py")
     if found["peer_python"] and not Path(found["peer_python"]).is_file():
@@ -103,20 +100,16 @@ MACHINE = (
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the parts and write the page; exit status 2 for bad input."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments):
-        print(f"{USAGE}\n\n{__doc__}")
-        return 0
+    return command("benchmarks.pinn", f"{USAGE}\n\n{__doc__}", argv, _main)
+
+
+def _main(arguments: Sequence[str]) -> int:
     single_threaded()
-    try:
-        chosen = options(arguments)
-        out = Path(chosen["out"])
-        folder = out / "pinn"
-        Store(folder).prepare()
-        Store(out / "figures").prepare()
-    except InputError as error:
-        print(f"benchmarks.pinn: {error}", file=sys.stderr)
-        return 2
+    chosen = options(arguments)
+    out = Path(chosen["out"])
+    folder = out / "pinn"
+    Store(folder).prepare()
+    Store(out / "figures").prepare()
     for name in chosen["part"].split(","):
         part = run(name, chosen)
         print(f"\n{part.title}\n\n{tabulate(part.rows, headers=part.columns, disable_numparse=True)}", flush=True)

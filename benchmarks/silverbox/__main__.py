@@ -27,6 +27,7 @@ from bench import (
     simulate,
 )
 from bench.alone import Outcome, fit_alone
+from bench.cli import read_fields, whole
 from bench.combine import combine_with_prior
 from bench.config import expand, jobs_to_cells
 from bench.errors import InputError
@@ -36,6 +37,7 @@ from bench.registry import make_method, missing_package, registered
 from bench.score import point_parameters
 from bench.slots import Limits
 from bench.store import Store
+from bench.terminal import command
 from benchmarks.silverbox.record import (
     ARROW,
     RATE,
@@ -73,11 +75,7 @@ def options(arguments: Sequence[str]) -> dict[str, str]:
     known = (*registered(), *VARIANTS)
     found = {"data": "", "samples": "4096", "window": "300", "timeout": "40", "method": ",".join(known)}
     found["out"] = "results"
-    for argument in arguments:
-        key, _, value = argument.partition("=")
-        if key not in found or not value:
-            raise InputError("argument", argument, f"write one of {', '.join(f'{name}=' for name in found)}")
-        found[key] = value
+    found = read_fields(arguments, found)
     if not found["data"]:
         raise InputError("data", "", "a folder that holds SNLS80mV.csv (nonlinearbenchmark.org)")
     for name, least, most in (
@@ -85,8 +83,7 @@ def options(arguments: Sequence[str]) -> dict[str, str]:
         ("window", 50, SHORT),
         ("timeout", 1, 3600),
     ):
-        if not found[name].isdigit() or not least <= int(found[name]) <= most:
-            raise InputError(name, found[name], f"a whole number from {least} to {most}")
+        whole(name, found[name], least, most)
     for name in found["method"].split(","):
         if name not in known:
             raise InputError("method", name, f"one of {', '.join(known)}")
@@ -241,19 +238,15 @@ def page(rows: list[list[str]], values: list[list[str]], windows: list[list[str]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Fit, simulate and write the page; exit status 2 for bad input."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments):
-        print(f"{USAGE}\n\n{__doc__}")
-        return 0
+    return command("benchmarks.silverbox", f"{USAGE}\n\n{__doc__}", argv, _main)
+
+
+def _main(arguments: Sequence[str]) -> int:
     single_threaded()
-    try:
-        chosen = options(arguments)
-        data = read(Path(chosen["data"]))
-        out = Path(chosen["out"])
-        Store(out).prepare()
-    except InputError as error:
-        print(f"benchmarks.silverbox: {error}", file=sys.stderr)
-        return 2
+    chosen = options(arguments)
+    data = read(Path(chosen["data"]))
+    out = Path(chosen["out"])
+    Store(out).prepare()
     system = signed(data)
     rows, values = shooting_rows(data, system, int(chosen["samples"]))
     path, windows = out / "silverbox.md", []

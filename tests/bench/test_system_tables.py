@@ -18,6 +18,7 @@ from bench.system_tables import (
     pooled_errors,
     pooled_excess,
     pooled_quantities,
+    tables_of,
     tidy,
 )
 from bench.tables import Entry
@@ -122,7 +123,7 @@ def test_a_table_of_missing_failed_and_good_cells():
         Entry("", _cell("system=sdof_forced", method="pinn"), bad),
         Entry("", _cell("system=sdof_forced", method="ls"), None),
     ]
-    text = markdown("T", found, "command")
+    text = markdown("T", tables_of(found), "command")
     assert "3/5" in text
     assert "2 × PINN: diverged, lost" in text
     assert "1 cells were not run" in text

@@ -9,7 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bench.estimate import Status
+from bench.row import Row
 from bench.store import Store, StoredCell
+from bench.systems import Chain
 from benchmarks import chains
 from benchmarks.chains import PER_PERIOD, PERIODS, main, natural_frequencies, page, picture, reach, scenario
 
@@ -75,12 +78,17 @@ def test_page_and_picture_of_what_is_there(tmp_path: Path) -> None:
     assert [path.suffix for path in picture(data, tmp_path)] == [".svg", ".png"]
 
 
-def test_pooled_is_a_root_mean_over_quantities() -> None:
-    """Excesses 3 and 4: the root of (9 + 16) / 2."""
-    summary = {"m1_error_pct": {"excess": 3.0}, "k1_error_pct": {"excess": 4.0}}
-    stored = StoredCell("", {}, (), summary, {}, {}, 0.0)
-    assert chains.pooled(stored, ("m1", "k1")) == pytest.approx(math.sqrt(12.5))
-    assert math.isnan(chains.pooled(stored, ("m1", "c1")))
+def test_an_excess_is_a_root_mean_over_quantities() -> None:
+    """Errors of 3 and 4 times the bound: the root of (9 + 16) / 2; none where a quantity is not given."""
+    names = {"parameters": Chain(1).names, "ratios": [group.name for group in Chain(1).groups]}
+    size = dict(zip(names["parameters"], (3.0, 4.0, math.sqrt(12.5)), strict=True))
+    scores = {f"{name}_error_pct": value for name, value in size.items()}
+    bound = {"median": 1.0, "bound": 1.0, "excess": 1.0}
+    summary = {f"{name}_error_pct": bound for own in names.values() for name in own} | {"rmse": bound}
+    stored = StoredCell("", {}, (Row(0, Status.OK, scores=scores),), summary, {}, {}, 0.0)
+    got = chains.line(chains.Result(1, "ls", stored))
+    assert got["parameters_excess"] == pytest.approx(math.sqrt(12.5))
+    assert math.isnan(got["ratios_excess"])
 
 
 def test_a_second_run_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
