@@ -19,8 +19,6 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import make_smoothing_spline
-from scipy.optimize import nnls
 
 from bench import (
     Channel,
@@ -35,22 +33,15 @@ from bench import (
     SimulatedResponse,
     System,
     fitted_start,
-    regression_columns,
     simulate,
     state_matrix,
 )
+from methods.equation_error import CYCLE_STEP, DECAYS, MAX_CYCLES, regression_starts
 from methods.rough import rough_readings
 
-DECAYS = (0.15, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
-"""Decay rates of the grid, in 1 / record."""
-CYCLE_STEP = 0.25
-"""Step of the grid in cycles per record: half of the half-cycle at which the misfit has its next minimum."""
-MAX_CYCLES = 100.0
 SIGMA_FLOOR = 1e-4
 """The noise assumed while fitting is at least this part of a channel's root mean square; see ``noise``."""
 LOG_LIMIT = 40.0
-SMALLEST = 0.02
-"""A parameter that a regression finds negative or nil starts at this part of what would balance the other terms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -579,113 +570,3 @@ def _projected(record: Record, responses: np.ndarray, fixed_scale: bool) -> tupl
         scale = np.where(gain > 0, 1.0 / np.maximum(gain, 1e-12), np.nan)
     rss = np.sum(residual**2, axis=1) - np.sum(solution * right, axis=1)
     return np.where(np.isfinite(scale), rss, np.inf), np.where(np.isfinite(scale), scale, 1.0)
-
-
-# ----------------------------------------------------------------------------- several DOF, nonlinear systems
-
-
-def regression_starts(problem: Problem) -> list[dict[str, float]]:
-    """Parameters by non-negative regression of the equation of motion on smooth curves through the displacements.
-
-    Free vibration: sums of damped sinusoids; under a force: smoothing splines. Needs every DOF's displacement measured.
-    """
-    system = problem.system
-    if not system.affine_in_parameters or system.n_hidden:
-        return []
-    found = []
-    for level in range(4):
-        blocks = [_smoothed(system, record, level) for record in problem.records]
-        usable = [block for block in blocks if block is not None]
-        if usable:
-            rigs = [r.rig(system) for r, block in zip(problem.records, blocks, strict=True) if block is not None]
-            found.append(_regressed(problem, rigs, usable))
-    return found
-
-
-Curves = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray], list[np.ndarray]]
-
-
-def _smoothed(system: System, record: Record, level: int) -> Curves | None:
-    """Displacement, velocity, acceleration and force of each DOF at many times, one array a DOF."""
-    by_dof = {c.dof: c for c in record.channels if c.measures == "displacement" and c.n >= 5}
-    if set(by_dof) != set(range(system.n_dof)):
-        return None
-    times = np.linspace(0.0, record.duration, 400)
-    measured = [by_dof[i] for i in range(system.n_dof)]
-    force = record.force(times, system.n_dof)
-    if any(np.any(f.values) for f in record.forces):
-        curves = [_spline(c, 10.0 ** (level - 3)) for c in measured]
-        x, v, a = ([curve(times, order) for curve in curves] for order in range(3))
-        return list(x), list(v), list(a), force
-    rates = _rates(measured, (1, 2, 3, 4)[level])
-    basis = np.exp(rates[:, None] * times)
-    paths: list[list[np.ndarray]] = [[], [], []]
-    for c in measured:
-        amplitudes = _amplitudes(c, rates)
-        for order in range(3):
-            paths[order].append(((amplitudes * rates**order) @ basis).real)
-    return paths[0], paths[1], paths[2], force
-
-
-class _spline:
-    """A smoothing spline fitted in units of the sampling step, where its weight means the same at any rate."""
-
-    def __init__(self, channel: Channel, weight: float) -> None:
-        self.step = float(np.median(np.diff(channel.times)))
-        self.curve = make_smoothing_spline(channel.times / self.step, channel.values, lam=weight)
-
-    def __call__(self, times: np.ndarray, order: int) -> np.ndarray:
-        return np.asarray(self.curve(times / self.step, nu=order)) / self.step**order
-
-
-def _columns(times: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    waves = np.exp(rates * times[:, None])
-    return np.concatenate([waves.real, -waves.imag], axis=1)
-
-
-def _amplitudes(channel: Channel, rates: np.ndarray) -> np.ndarray:
-    columns = np.concatenate([_columns(channel.times, rates), np.ones((channel.n, int(channel.offset)))], axis=1)
-    found = np.linalg.lstsq(columns, channel.values, rcond=1e-9)[0]
-    return np.asarray(found[: rates.size] + 1j * found[rates.size : 2 * rates.size])
-
-
-def _rates(channels: Sequence[Channel], n: int) -> np.ndarray:
-    """Complex rates of ``n`` damped sinusoids common to all channels: one at a time, each the best on the grid."""
-    gaps = [float(np.median(np.diff(c.times))) for c in channels]
-    frequencies = np.arange(CYCLE_STEP, min(0.5 / min(gaps), MAX_CYCLES) + 1e-9, CYCLE_STEP)
-    rates = np.zeros(0, complex)
-    for _ in range(n):
-        pool = (-np.array(DECAYS)[:, None] + 2j * np.pi * frequencies).ravel()
-        for span in (1.0, 0.3, 0.1):
-            misfit = [_left(channels, np.append(rates, rate)) for rate in pool]
-            best = pool[int(np.argmin(misfit))]
-            shifts = np.linspace(-1, 1, 5) * span
-            pool = (best.real * np.exp(shifts)[:, None] + 1j * (best.imag + 2 * np.pi * CYCLE_STEP * shifts)).ravel()
-        rates = np.append(rates, best)
-    return rates
-
-
-def _left(channels: Sequence[Channel], rates: np.ndarray) -> float:
-    """Misfit of the channels, relative to their size, by damped sinusoids of the given rates."""
-    total = 0.0
-    for c in channels:
-        columns = np.concatenate([_columns(c.times, rates), np.ones((c.n, int(c.offset)))], axis=1)
-        q = np.linalg.qr(columns)[0]
-        total += 1.0 - float(np.sum((q.T @ c.values) ** 2)) / (float(c.values @ c.values) or 1.0)
-    return total
-
-
-def _regressed(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves]) -> dict[str, float]:
-    """Non-negative least squares of each rig's residual on its curves; gauge mass 1 where nothing sets the scale."""
-    system = problem.system
-    parts = [regression_columns(rig, *block) for rig, block in zip(rigs, blocks, strict=True)]
-    columns, rest = np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])
-    names = list(system.names)
-    fixed = {} if problem.scale_told and problem.prior is None else {system.gauge: 1.0}
-    right = -rest - sum((columns[:, names.index(name)] * value for name, value in fixed.items()), np.zeros(len(rest)))
-    free = [name for name in names if name not in fixed]
-    sizes = {name: float(np.sqrt(np.mean(columns[:, names.index(name)] ** 2))) or 1.0 for name in names}
-    scaled = np.stack([columns[:, names.index(name)] / sizes[name] for name in free], axis=1)
-    found = nnls(scaled, right)[0]
-    least = SMALLEST * float(np.sqrt(np.mean(right**2)))
-    return {**fixed, **{name: float(max(value, least) / sizes[name]) for name, value in zip(free, found, strict=True)}}

@@ -1,0 +1,192 @@
+"""Start values by equation error: the equation of motion regressed on smooth curves through the displacements.
+
+Curves: sums of one to four damped sinusoids in free vibration, smoothing splines under a force. On a curve the
+equation of motion is algebraic in the parameters, and unlike the misfit of a simulated response it has no minimum for
+every half-period that the phase can slip. Where it is affine in them it is solved by non-negative least squares; else
+by nonlinear least squares in the log-parameters, with the prior where there is one.
+
+Everything here expects a problem in its natural units (:meth:`bench.Problem.natural_units`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.interpolate import make_smoothing_spline
+from scipy.optimize import least_squares, nnls
+
+from bench import Channel, Problem, Record, System, numpy_ops, regression_columns
+
+DECAYS = (0.15, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+"""Decay rates of the grid, in 1 / record."""
+CYCLE_STEP = 0.25
+"""Step of the grid in cycles per record: half of the half-cycle at which the misfit has its next minimum."""
+MAX_CYCLES = 100.0
+LEVELS = 4
+"""Curves of each record, from stiff to loose."""
+POINTS = 400
+"""Times on a curve at which the equation of motion is asked for."""
+CURVE_ERROR = 0.1
+"""Error of a curve's acceleration, relative to its size, against which nonlinear regression weighs the prior."""
+SEARCHES, FARTHEST = 60, 30.0
+"""Evaluations of a nonlinear regression at most; the largest log-parameter that it tries."""
+SMALLEST = 0.02
+"""A parameter that a regression finds negative or nil starts at this part of what would balance the other terms."""
+
+
+def regression_starts(problem: Problem) -> list[dict[str, float]]:
+    """Parameters by regression of the equation of motion on smooth curves through the displacements, one a smoothness.
+
+    Needs every DOF's displacement measured in some record, and no hidden states; else there are none.
+    """
+    system = problem.system
+    if system.n_hidden:
+        return []
+    by_record = [(r.rig(system), _smoothed(system, r)) for r in problem.records]
+    seen = [(rig, curves) for rig, curves in by_record if curves]
+    if not seen:
+        return []
+    rigs = [rig for rig, _ in seen]
+    solve = _regressed if system.affine_in_parameters else _fitted
+    return [solve(problem, rigs, [curves[level] for _, curves in seen]) for level in range(LEVELS)]
+
+
+Curves = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray], list[np.ndarray]]
+"""Displacement, velocity, acceleration and force of each DOF at many times, one array a DOF."""
+
+
+def _smoothed(system: System, record: Record) -> list[Curves]:
+    """The motion of a record by curves of each smoothness; none where a DOF has no displacement."""
+    by_dof = {c.dof: c for c in record.channels if c.measures == "displacement" and c.n >= 5}
+    if set(by_dof) != set(range(system.n_dof)):
+        return []
+    times = np.linspace(0.0, record.duration, POINTS)
+    measured = [by_dof[i] for i in range(system.n_dof)]
+    force = record.force(times, system.n_dof)
+    if any(np.any(f.values) for f in record.forces):
+        splines = [[_spline(c, 10.0 ** (level - 3)) for c in measured] for level in range(LEVELS)]
+        return [([c(times, 0) for c in own], [c(times, 1) for c in own], [c(times, 2) for c in own], force)
+                for own in splines]  # fmt: skip
+    rates = _rates(measured, LEVELS)
+    return [(*_waves(measured, rates[: n + 1], times), force) for n in range(LEVELS)]
+
+
+def _waves(
+    channels: Sequence[Channel], rates: np.ndarray, times: np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:
+    """Displacement, velocity and acceleration of each channel by its sum of damped sinusoids."""
+    basis = np.exp(rates[:, None] * times)
+    amplitudes = [_amplitudes(c, rates) for c in channels]
+    x, v, a = ([((own * rates**order) @ basis).real for own in amplitudes] for order in range(3))
+    return x, v, a
+
+
+class _spline:
+    """A smoothing spline fitted in units of the sampling step, where its weight means the same at any rate."""
+
+    def __init__(self, channel: Channel, weight: float) -> None:
+        self.step = float(np.median(np.diff(channel.times)))
+        self.curve = make_smoothing_spline(channel.times / self.step, channel.values, lam=weight)
+
+    def __call__(self, times: np.ndarray, order: int) -> np.ndarray:
+        return np.asarray(self.curve(times / self.step, nu=order)) / self.step**order
+
+
+def _columns(times: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    waves = np.exp(rates * times[:, None])
+    return np.concatenate([waves.real, -waves.imag], axis=1)
+
+
+def _amplitudes(channel: Channel, rates: np.ndarray) -> np.ndarray:
+    columns = np.concatenate([_columns(channel.times, rates), np.ones((channel.n, int(channel.offset)))], axis=1)
+    found = np.linalg.lstsq(columns, channel.values, rcond=1e-9)[0]
+    return np.asarray(found[: rates.size] + 1j * found[rates.size : 2 * rates.size])
+
+
+def _rates(channels: Sequence[Channel], n: int) -> np.ndarray:
+    """Complex rates of ``n`` damped sinusoids common to all channels: one at a time, each the best on the grid."""
+    gaps = [float(np.median(np.diff(c.times))) for c in channels]
+    frequencies = np.arange(CYCLE_STEP, min(0.5 / min(gaps), MAX_CYCLES) + 1e-9, CYCLE_STEP)
+    rates = np.zeros(0, complex)
+    for _ in range(n):
+        pool = (-np.array(DECAYS)[:, None] + 2j * np.pi * frequencies).ravel()
+        for span in (1.0, 0.3, 0.1):
+            misfit = [_left(channels, np.append(rates, rate)) for rate in pool]
+            best = pool[int(np.argmin(misfit))]
+            shifts = np.linspace(-1, 1, 5) * span
+            pool = (best.real * np.exp(shifts)[:, None] + 1j * (best.imag + 2 * np.pi * CYCLE_STEP * shifts)).ravel()
+        rates = np.append(rates, best)
+    return rates
+
+
+def _left(channels: Sequence[Channel], rates: np.ndarray) -> float:
+    """Misfit of the channels, relative to their size, by damped sinusoids of the given rates."""
+    total = 0.0
+    for c in channels:
+        columns = np.concatenate([_columns(c.times, rates), np.ones((c.n, int(c.offset)))], axis=1)
+        q = np.linalg.qr(columns)[0]
+        total += 1.0 - float(np.sum((q.T @ c.values) ** 2)) / (float(c.values @ c.values) or 1.0)
+    return total
+
+
+def _regressed(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves]) -> dict[str, float]:
+    """Non-negative least squares of each rig's residual on its curves; gauge mass 1 where nothing sets the scale."""
+    system = problem.system
+    parts = [regression_columns(rig, *block) for rig, block in zip(rigs, blocks, strict=True)]
+    columns, rest = np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])
+    names = list(system.names)
+    fixed = {} if problem.scale_told and problem.prior is None else {system.gauge: 1.0}
+    right = -rest - sum((columns[:, names.index(name)] * value for name, value in fixed.items()), np.zeros(len(rest)))
+    free = [name for name in names if name not in fixed]
+    sizes = {name: float(np.sqrt(np.mean(columns[:, names.index(name)] ** 2))) or 1.0 for name in names}
+    scaled = np.stack([columns[:, names.index(name)] / sizes[name] for name in free], axis=1)
+    found = nnls(scaled, right)[0]
+    least = SMALLEST * float(np.sqrt(np.mean(right**2)))
+    return {**fixed, **{name: float(max(value, least) / sizes[name]) for name, value in zip(free, found, strict=True)}}
+
+
+def _fitted(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves]) -> dict[str, float]:
+    """Nonlinear least squares of each rig's residual on its curves, in the log-parameters; the gauge mass as above.
+
+    The curves' accelerations are taken to be off by ``CURVE_ERROR``, as often as there are samples. The search starts
+    at the oscillator of the curves' frequency and at the prior's nominal values; the better end is kept.
+    """
+    system, prior = problem.system, problem.prior
+    fixed = {} if problem.scale_told and prior is None else {system.gauge: 1.0}
+    free = [name for name in system.names if name not in fixed]
+    starts = [_oscillator(system, blocks)] + ([dict(prior.nominal)] if prior is not None else [])
+    size = _size(starts[0], rigs, blocks)
+    weight = np.sqrt(problem.n / (POINTS * len(blocks) * system.n_dof)) / (CURVE_ERROR * size)
+
+    def misfit(logs: np.ndarray) -> np.ndarray:
+        p = {**fixed, **dict(zip(free, np.exp(np.clip(logs, -FARTHEST, FARTHEST)), strict=True))}
+        rows = weight * _equations(p, rigs, blocks)
+        every = np.log([p[name] for name in system.names])
+        return np.nan_to_num(np.concatenate([rows, [] if prior is None else prior.residuals(every)]), posinf=1e100)
+
+    ends = [least_squares(misfit, np.log([start[name] for name in free]), max_nfev=SEARCHES) for start in starts]
+    best = min(ends, key=lambda end: float(end.cost))
+    return {**fixed, **dict(zip(free, map(float, np.exp(best.x)), strict=True))}
+
+
+def _oscillator(system: System, blocks: Sequence[Curves]) -> dict[str, float]:
+    """The curves' frequency w as parameters, mass 1: a stiffness w², a damping w / 10, dimension time^-n else w^n."""
+    speeds, sizes = (np.concatenate([np.ravel(part) for block in blocks for part in block[i]]) for i in (1, 0))
+    w = float(np.linalg.norm(speeds) / (np.linalg.norm(sizes) or 1.0)) or 1.0
+    powers = {p.name: -p.dimension.time * (1.0 if p.kind != "mass" else 0.0) for p in system.parameters}
+    return {p.name: w ** powers[p.name] * (0.1 if p.kind == "damping" else 1.0) for p in system.parameters}
+
+
+def _equations(p: Mapping[str, float], rigs: Sequence[System], blocks: Sequence[Curves]) -> np.ndarray:
+    """The residuals of all rigs on their curves at parameters, one behind the other."""
+    rows = [rig.residual(p, x, v, a, f, [], numpy_ops) for rig, (x, v, a, f) in zip(rigs, blocks, strict=True)]
+    return np.concatenate([np.broadcast_to(np.asarray(r, float), (POINTS,)) for own in rows for r in own])
+
+
+def _size(p: Mapping[str, float], rigs: Sequence[System], blocks: Sequence[Curves]) -> float:
+    """Root mean square of what moves the masses: of their inertia at parameters, or of the force where that is more."""
+    still = [(x, v, [np.zeros_like(own) for own in a], f) for x, v, a, f in blocks]
+    inertia = _equations(p, rigs, blocks) - _equations(p, rigs, still)
+    force = np.concatenate([np.ravel(own) for *_, f in blocks for own in f])
+    return float(max(np.sqrt(np.mean(inertia**2)), np.sqrt(np.mean(force**2)))) or 1.0
