@@ -80,7 +80,7 @@ def descend(seed: int, rng: np.random.Generator, iterations: int, tolerance: flo
     settings = PINN()
     cycles = np.array([np.sqrt(FIRST["k"]) * DURATION / (2.0 * np.pi)])
     with torch_threads(1), torch.no_grad():
-        residuals = Residuals([problem], lambda block: settings.ansatz(block, 0), COLLOCATION, ("c", "k"), logs)
+        residuals = Residuals([problem], lambda _, block: settings.ansatz(block, 0), COLLOCATION, ("c", "k"), logs)
         # rows whose squared length is the rivals' loss: theirs are means, in metres and seconds
         data, physics = np.sqrt(SAMPLES) / scale, np.sqrt(COLLOCATION / WEIGHT) * DURATION**2 / scale
         one = np.ones(1)

@@ -112,3 +112,58 @@ class Basis(Ansatz):
 
     def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
         return coefficients
+
+
+@dataclass
+class Sum(Ansatz):
+    """A trainable function plus a linear combination of fixed ones; coefficients in that order."""
+
+    inner: Ansatz
+    fixed: Basis
+
+    def __post_init__(self) -> None:
+        self.count = self.inner.count + self.fixed.count
+
+    def _split(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        return theta[:, : self.inner.count], theta[:, self.inner.count :]
+
+    def forward(self, theta: Tensor) -> Tape:
+        own, rest = self._split(theta)
+        tape, added = self.inner.forward(own), self.fixed.forward(rest)
+        return Tape([*tape.inputs, *added.inputs], tape.slopes, tape.output + added.output)
+
+    @staticmethod
+    def _inner(tape: Tape) -> Tape:
+        return replace(tape, inputs=tape.inputs[:-1])
+
+    def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
+        return [*self.inner.adjoint(self._split(theta)[0], self._inner(tape), seeds, points), seeds]
+
+    def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
+        own = self.inner.gram(self._inner(tape), adjoints[:-1], points)
+        return own + self.fixed.gram(tape, adjoints[-1:], points)
+
+    def pull_back(self, tape: Tape, adjoints: Adjoints, points: Tensor | None, dual: Tensor | None = None) -> Tensor:
+        own = self.inner.pull_back(self._inner(tape), adjoints[:-1], points, dual)
+        return torch.cat([own, self.fixed.pull_back(tape, adjoints[-1:], points, dual)], 1)
+
+    def jacobian(self, tape: Tape, adjoints: Adjoints, points: Tensor, rows: slice = slice(None)) -> Tensor:
+        own = self.inner.jacobian(self._inner(tape), adjoints[:-1], points, rows)
+        return torch.cat([own, self.fixed.jacobian(tape, adjoints[-1:], points, rows)], 2)
+
+    def take(self, who: Tensor) -> Sum:
+        return Sum(self.inner.take(who), self.fixed.take(who))
+
+    def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
+        own, rest = self._split(theta)
+        basis, coefficients = self.inner.head(own)
+        both = [part.unflatten(1, (basis.n_dof, -1)) for part in (coefficients, rest)]
+        functions = torch.cat([basis.functions, self.fixed.functions], 3)
+        return Basis(functions, basis.n_dof), torch.cat(both, 2).flatten(1)
+
+    def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
+        own, _ = self._split(theta)
+        by_dof = coefficients.unflatten(1, (self.fixed.n_dof, -1))
+        added = self.fixed.functions.shape[-1]
+        inner = self.inner.with_head(own, by_dof[..., :-added].flatten(1))
+        return torch.cat([inner, by_dof[..., -added:].flatten(1)], 1)

@@ -11,12 +11,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bench import Problem
+from bench import Problem, Record
 from methods.pinn import descent, levenberg
+from methods.pinn.ansatz import Basis, Sum
+from methods.pinn.forced import ForcedMotion, forced_dofs
 from methods.pinn.laplace import laplace
 from methods.pinn.levenberg import Walk
 from methods.pinn.residuals import TERMS, Block, Residuals, Spread
-from methods.pinn.response import Band, ExactStart, Function
+from methods.pinn.response import Assisted, Band, ExactStart, Function
 from methods.pinn.spectral import Guess
 
 if TYPE_CHECKING:
@@ -144,18 +146,31 @@ class Attempt:
         if len(free) < logs.shape[1]:
             gauge = first.system.names.index(first.system.gauge)
             logs = logs - logs[:, gauge : gauge + 1]
+        self.forced = [
+            [_forced(p.records[k], guess, self.collocation) for p, guess in zip(problems, guesses, strict=True)]
+            for k in range(len(first.records))
+        ]
         exact = self.omega if settings.start == "exact" else None
         self.residuals = Residuals(problems, self._ansatz, self.collocation, free, logs, settings.device, exact)
-        weights = [
-            settings.first_coefficients(first.system.n_dof, self.resolution, self.cycles, rngs) for _ in first.records
-        ]
+        weights = [self._first_coefficients(k, first.system.n_dof, rngs) for k in range(len(first.records))]
         offsets = np.zeros((len(problems), len(self.residuals.offsets)))
         z = np.concatenate([*weights, logs[:, self.residuals.free], offsets], 1)
         self.walk = Walk.start(torch.as_tensor(z, device=settings.device))
         self._measure(degrees_of_freedom(first))
 
-    def _ansatz(self, block: Block) -> Ansatz:
-        return self.settings.ansatz(block, self.resolution)
+    def _ansatz(self, k: int, block: Block) -> Ansatz:
+        """What represents the response in record k: with what its forces alone would do, where there are any."""
+        inner = self.settings.ansatz(block, self.resolution)
+        forced = [own for own in self.forced[k] if own is not None]
+        if not forced:
+            return inner
+        streams = np.stack([own.streams(times) for own, times in zip(forced, block.times, strict=True)])
+        return Sum(inner, Basis(torch.as_tensor(streams, device=block.values.device), block.n_dof))
+
+    def _first_coefficients(self, k: int, n_dof: int, rngs: Sequence[np.random.Generator]) -> np.ndarray:
+        own = self.settings.first_coefficients(n_dof, self.resolution, self.cycles, rngs)
+        added = [np.zeros((len(own), n_dof * f.sizes.size)) for f in self.forced[k][:1] if f is not None]
+        return np.concatenate([own, *added], 1)
 
     def _measure(self, dof: float) -> None:
         """Sizes of the channels, (B, n_channels), and the first noise."""
@@ -295,11 +310,22 @@ class Attempt:
         """The response of fit i in record k."""
         block = self.residuals.blocks[k]
         duration, system = float(block.duration[i]), self.problems[i].system
-        inner = self.settings.response(coefficients, system.n_dof, self.resolution, duration)
+        forced = self.forced[k][i]
+        own = coefficients.size if forced is None else coefficients.size - system.n_dof * forced.sizes.size
+        inner = self.settings.response(coefficients[:own], system.n_dof, self.resolution, duration)
+        if forced is not None:
+            inner = Assisted(inner, forced, coefficients[own:].reshape(system.n_dof, -1))
         told = self.problems[i].records[k].initial_state
         if told is None or self.settings.start != "exact":
             return inner
         return ExactStart(inner, told.displacement, told.velocity, float(self.omega[i]))
+
+
+def _forced(record: Record, guess: Guess, points: int) -> ForcedMotion | None:
+    """What the forces of a record alone would do; None where there are none."""
+    if not forced_dofs(record.forces):
+        return None
+    return ForcedMotion.of(record.forces, complex(-guess.decay, guess.omega), np.linspace(0.0, record.duration, points))
 
 
 def _history(records: list[np.ndarray], deviations: np.ndarray, terms: np.ndarray) -> dict[str, np.ndarray]:

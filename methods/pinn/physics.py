@@ -276,7 +276,7 @@ class Task:
     def __init__(self, problem: Problem, rng: np.random.Generator) -> None:
         self.problem, self.rng, self.units = problem, rng, problem.natural_units()
         self.scaled = rounded(problem.expressed_in(self.units))
-        waves, self.reference = scan(self.scaled, self.scaled.system.n_dof)
+        waves, self.reference = scan(self.scaled, self.scaled.system.n_dof, forced=True)
         self.guesses = _starts(waves, self.scaled.system.n_dof)
         self.fits: list[Fit] = []
         self.members: list[Fit] = []

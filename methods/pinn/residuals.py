@@ -29,6 +29,7 @@ from torch import Tensor
 
 from bench import Ops, Problem, Record, System
 from methods.pinn.ansatz import Adjoints, Ansatz, Tape
+from methods.pinn.forced import forced_dofs
 
 STREAM = {"displacement": 0, "velocity": 1, "acceleration": 2}
 TERMS = ("data", "physics", "initial", "prior")
@@ -55,7 +56,11 @@ torch_ops = cast(
 def structure(problem: Problem) -> tuple[object, ...]:
     """What problems of one batch have in common."""
     records = tuple(
-        (tuple((c.n, c.measures, c.dof, c.offset) for c in r.channels), r.initial_state is not None)
+        (
+            tuple((c.n, c.measures, c.dof, c.offset) for c in r.channels),
+            r.initial_state is not None,
+            forced_dofs(r.forces),
+        )
         for r in problem.records
     )
     return problem.system, records, problem.prior is not None, problem.forced
@@ -183,8 +188,8 @@ class Linear:
     columns: Tensor
 
 
-AnsatzMaker = Callable[[Block], Ansatz]
-"""Makes the ansatz of a record, given its block."""
+AnsatzMaker = Callable[[int, Block], Ansatz]
+"""Makes the ansatz of a record, given its number and its block."""
 
 
 class Residuals:
@@ -212,7 +217,7 @@ class Residuals:
             Block([p.records[i] for p in problems], self.system, collocation, self.device, exact)
             for i in range(len(first.records))
         ]
-        self.ansatzes = [make_ansatz(block) for block in self.blocks]
+        self.ansatzes = [make_ansatz(i, block) for i, block in enumerate(self.blocks)]
         self.free = [self.system.names.index(name) for name in free]
         self.log_fixed = torch.as_tensor(np.array(log_fixed), device=self.device)
         self.gauge = self.system.gauge

@@ -45,6 +45,19 @@ class SplineResponse:
 
 
 @dataclass(frozen=True, eq=False)
+class Assisted:
+    """A trained function plus multiples, ``coefficients`` (n_dof, n_fixed), of fixed ones (see forced.py)."""
+
+    inner: Function
+    fixed: Function
+    coefficients: np.ndarray
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        """Displacement, shape (n_dof, n_times), at times of shape (n_times,)."""
+        return np.asarray(self.inner(times) + self.coefficients @ self.fixed(times))
+
+
+@dataclass(frozen=True, eq=False)
 class ExactStart:
     """A response that has the told start by construction: ``(x0 + v0 t) g + (1 - g) n(t)``, ``g = exp(-(omega t)²)``.
 

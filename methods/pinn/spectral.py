@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from bench import Channel, Problem
+from bench import Channel, Force, Problem
+from methods.pinn.forced import forced_dofs, forced_motion
 
 DECAYS = (0.2, 1.0, 3.0, 8.0)
 """Decay rates tried, times the duration: from nearly undamped to gone within an eighth of the record."""
 PER_HALF_CYCLE = 4
 """Frequencies tried in each step of half a cycle a record."""
+MOST_FORCED = 200_000
+"""Grid points times samples beyond which the scan does without the forces: it would take longer than a fit."""
+ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
 @dataclass(frozen=True)
@@ -27,39 +33,75 @@ class Guess:
     left: float
 
 
-def scan(problem: Problem, waves: int = 1) -> tuple[list[Guess], float]:
+def scan(problem: Problem, waves: int = 1, forced: bool = False) -> tuple[list[Guess], float]:
     """The local minima over frequency of the best fit by one damped wave, best first (at least one); and what is left.
 
     A periodogram with decay: for every frequency and decay of a grid, amplitudes (and a constant, where a channel has
     an unknown one) of every channel by linear least squares. Frequencies end at the mean sampling's Nyquist limit.
-    The second value is the share of the data that ``waves`` waves leave, found one after the other.
+    ``forced`` adds what an oscillator of that frequency and decay would do under the known forces, so that the first
+    wave is free vibration, not their trace. The second value is the share of the data that ``waves`` waves leave, found
+    one after the other.
     """
     duration = max(record.duration for record in problem.records)
     n = max(channel.n for record in problem.records for channel in record.channels)
     halves = np.arange(0.5, max(n - 1, 2) + 1e-9, 1.0 / PER_HALF_CYCLE)
     omegas, decays = np.pi * halves / duration, np.array(DECAYS) / duration
-    channels = [c for r in problem.records for c in r.channels if c.n > 4 and np.any(c.values)]
-    fixed = [np.ones((c.n, 1)) if c.offset else np.zeros((c.n, 0)) for c in channels]
+    series = [
+        _Series(c, record.forces if forced else ())
+        for record in problem.records
+        for c in record.channels
+        if c.n > 4 and np.any(c.values)
+    ]
     guesses: list[Guess] = []
     left = 1.0
     for _ in range(waves):
-        found = _best(channels, fixed, omegas, decays)
+        found = _best(series, omegas, decays)
         guesses = guesses or found
         left = found[0].left
-        if min((c.n - f.shape[1] for c, f in zip(channels, fixed, strict=True)), default=0) < 5:
+        if min((own.values.size - own.fixed.shape[1] for own in series), default=0) < 5:
             break
-        fixed = [
-            np.hstack([f, _wave(c.times, np.array([found[0].omega]), np.array([found[0].decay]))[0, 0]])
-            for c, f in zip(channels, fixed, strict=True)
-        ]
+        for own in series:
+            own.fix(found[0])
     return guesses, left
 
 
-def _best(channels: list[Channel], fixed: list[np.ndarray], omegas: np.ndarray, decays: np.ndarray) -> list[Guess]:
-    """Local minima over frequency when one wave is added to the fixed columns of each channel, best first."""
+class _Series:
+    """The values of a channel, and the columns that are fitted to them beside a wave: ``fixed`` (n, k)."""
+
+    def __init__(self, channel: Channel, forces: Sequence[Force]) -> None:
+        self.times, self.values = channel.times, channel.values
+        self.fixed = np.ones((channel.n, int(channel.offset)))
+        self.order = ORDER[channel.measures]
+        self.forces = forces if forced_dofs(forces) else ()
+
+    def columns(self, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
+        """The columns that a wave adds, (n_omegas, n_decays, n, k): two of its own, and one for each forced DOF."""
+        waves = _wave(self.times, omegas, decays)
+        if not self.forces or omegas.size * decays.size * self.times.size > MOST_FORCED:
+            return waves
+        key = tuple((f.times.tobytes(), f.values.tobytes(), str(f.hold), f.dof) for f in self.forces)
+        plain = _forced(key, self.times.tobytes(), omegas.tobytes(), decays.tobytes())
+        return np.concatenate([waves, plain[:, :, self.order]], -1)
+
+    def fix(self, guess: Guess) -> None:
+        """Keep the columns of a wave."""
+        own = self.columns(np.array([guess.omega]), np.array([guess.decay]))[0, 0]
+        self.fixed = np.hstack([self.fixed, own])
+
+
+@lru_cache(maxsize=8)
+def _forced(forces: tuple[tuple[bytes, bytes, str, int], ...], times: bytes, *grid: bytes) -> np.ndarray:
+    """:func:`forced_motion` on a grid of frequencies and decays; kept, since replicates share their forces."""
+    omegas, decays = (np.frombuffer(own) for own in grid)
+    own = [Force(np.frombuffer(t), np.frombuffer(v), hold, dof) for t, v, hold, dof in forces]  # type: ignore[arg-type]
+    return forced_motion(own, -decays + 1j * omegas[:, None], np.frombuffer(times))
+
+
+def _best(series: list[_Series], omegas: np.ndarray, decays: np.ndarray) -> list[Guess]:
+    """Local minima over frequency when one wave is added to the fixed columns of each series, best first."""
     left = np.zeros((omegas.size, decays.size))
-    for channel, columns in zip(channels, fixed, strict=True):
-        left += _left(channel.times, channel.values, columns, omegas, decays) / len(channels)
+    for own in series:
+        left += _left(own, omegas, decays) / len(series)
     score, best = left.min(axis=1), left.argmin(axis=1)
     padded = np.concatenate([[np.inf], score, [np.inf]])
     minima = np.flatnonzero((score <= padded[:-2]) & (score < padded[2:]))
@@ -74,9 +116,9 @@ def _wave(t: np.ndarray, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
     return np.stack([envelope * np.cos(phase), envelope * np.sin(phase)], -1)
 
 
-def _left(t: np.ndarray, y: np.ndarray, fixed: np.ndarray, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
+def _left(series: _Series, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
     """Shares of the sum of squares (n_omegas, n_decays) that each wave leaves, together with the fixed columns."""
-    waves = _wave(t, omegas, decays)
-    a = np.concatenate([np.broadcast_to(fixed, (*waves.shape[:2], *fixed.shape)), waves], -1)
+    y, added = series.values, series.columns(omegas, decays)
+    a = np.concatenate([np.broadcast_to(series.fixed, (*added.shape[:2], *series.fixed.shape)), added], -1)
     q, _ = np.linalg.qr(a)
     return np.asarray(np.maximum(1.0 - np.sum((y @ q) ** 2, -1) / (y @ y), 0.0))

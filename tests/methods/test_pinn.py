@@ -20,7 +20,7 @@ from methods.pinn.physics import PhysicsInformed
 torch = pytest.importorskip("torch")
 
 from methods.pinn import levenberg, network  # noqa: E402
-from methods.pinn.ansatz import Ansatz, Basis  # noqa: E402
+from methods.pinn.ansatz import Ansatz, Basis, Sum  # noqa: E402
 from methods.pinn.network import Network  # noqa: E402
 from methods.pinn.residuals import Block, Residuals, Spread  # noqa: E402
 from methods.pinn.spectral import scan  # noqa: E402
@@ -44,15 +44,22 @@ def record(noise: float = 0.0, known: bool = False, n: int = 25, seed: int = 0) 
     return Record((Channel(times, values),), (), start if known else None)
 
 
-def networks(widths: tuple[int, ...]) -> Callable[[Block], Ansatz]:
-    def make(block: Block) -> Network:
+def networks(widths: tuple[int, ...]) -> Callable[[int, Block], Ansatz]:
+    def make(_: int, block: Block) -> Network:
         tau = torch.as_tensor(2.0 * block.times / block.duration[:, None] - 1.0)
         return Network(widths, tau, torch.as_tensor(2.0 / block.duration))
 
     return make
 
 
-def polynomials(block: Block) -> Basis:
+def assisted(widths: tuple[int, ...]) -> Callable[[int, Block], Ansatz]:
+    """A network plus fixed functions in the first record, a network alone in the other."""
+    return lambda k, block: (
+        Sum(networks(widths)(k, block), polynomials(k, block)) if k == 0 else networks(widths)(k, block)
+    )
+
+
+def polynomials(_: int, block: Block) -> Basis:
     """Powers of time up to the fourth, with their derivatives."""
     n = np.arange(5)
     t = block.times[..., None]
@@ -95,7 +102,7 @@ def small(
     widths = (1, 4, 3, 3, problems[0].system.n_dof)
     residuals = Residuals(
         problems,
-        networks(widths) if ansatz == "network" else polynomials,
+        {"network": networks(widths), "assisted": assisted(widths), "spline": polynomials}[ansatz],
         7,
         names,
         np.zeros((n_fits, len(names))),
