@@ -29,6 +29,8 @@ POINTS = 400
 """Times on a curve at which the equation of motion is asked for."""
 CURVE_ERROR = 0.1
 """Error of a curve's acceleration, relative to its size, against which nonlinear regression weighs the prior."""
+MOST_AT_ONCE = 2**22
+"""Numbers of the columns of sinusoids that are formed at a time."""
 SEARCHES, FARTHEST = 60, 30.0
 """Evaluations of a nonlinear regression at most; the largest log-parameter that it tries."""
 SMALLEST = 0.02
@@ -93,14 +95,15 @@ class _spline:
         return np.asarray(self.curve(times / self.step, nu=order)) / self.step**order
 
 
-def _columns(times: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    waves = np.exp(rates * times[:, None])
-    return np.concatenate([waves.real, -waves.imag], axis=1)
+def _columns(channel: Channel, rates: np.ndarray) -> np.ndarray:
+    """Damped sinusoids of the rates (..., k), and a constant for an offset, at a channel's samples: (..., n, 2k)."""
+    waves = np.exp(rates[..., None, :] * channel.times[:, None])
+    constant = np.ones((*waves.shape[:-1], int(channel.offset)))
+    return np.concatenate([waves.real, -waves.imag, constant], axis=-1)
 
 
 def _amplitudes(channel: Channel, rates: np.ndarray) -> np.ndarray:
-    columns = np.concatenate([_columns(channel.times, rates), np.ones((channel.n, int(channel.offset)))], axis=1)
-    found = np.linalg.lstsq(columns, channel.values, rcond=1e-9)[0]
+    found = np.linalg.lstsq(_columns(channel, rates), channel.values, rcond=1e-9)[0]
     return np.asarray(found[: rates.size] + 1j * found[rates.size : 2 * rates.size])
 
 
@@ -112,21 +115,23 @@ def _rates(channels: Sequence[Channel], n: int) -> np.ndarray:
     for _ in range(n):
         pool = (-np.array(DECAYS)[:, None] + 2j * np.pi * frequencies).ravel()
         for span in (1.0, 0.3, 0.1):
-            misfit = [_left(channels, np.append(rates, rate)) for rate in pool]
-            best = pool[int(np.argmin(misfit))]
+            together = np.concatenate([np.broadcast_to(rates, (pool.size, rates.size)), pool[:, None]], axis=1)
+            best = pool[int(np.argmin(_left(channels, together)))]
             shifts = np.linspace(-1, 1, 5) * span
             pool = (best.real * np.exp(shifts)[:, None] + 1j * (best.imag + 2 * np.pi * CYCLE_STEP * shifts)).ravel()
         rates = np.append(rates, best)
     return rates
 
 
-def _left(channels: Sequence[Channel], rates: np.ndarray) -> float:
-    """Misfit of the channels, relative to their size, by damped sinusoids of the given rates."""
-    total = 0.0
+def _left(channels: Sequence[Channel], rates: np.ndarray) -> np.ndarray:
+    """Misfit (sets,) of the channels, relative to their size, by damped sinusoids of rates (sets, k)."""
+    total = np.zeros(len(rates))
     for c in channels:
-        columns = np.concatenate([_columns(c.times, rates), np.ones((c.n, int(c.offset)))], axis=1)
-        q = np.linalg.qr(columns)[0]
-        total += 1.0 - float(np.sum((q.T @ c.values) ** 2)) / (float(c.values @ c.values) or 1.0)
+        size = float(c.values @ c.values) or 1.0
+        step = max(1, MOST_AT_ONCE // (c.n * (2 * rates.shape[1] + 1)))
+        for at in range(0, len(rates), step):
+            q = np.linalg.qr(_columns(c, rates[at : at + step]))[0]
+            total[at : at + step] += 1.0 - np.sum((c.values @ q) ** 2, axis=-1) / size
     return total
 
 

@@ -21,19 +21,23 @@ Start = InitialState | tuple[np.ndarray, np.ndarray]
 
 
 def fastest_rate(system: System, p: dict[str, np.ndarray], start: Start) -> float:
-    """Largest rate (1 / time) of the system linearised at rest and at its start; 0 where neither is finite."""
+    """Largest rate (1 / time) of the system linearised at rest and at its start; 0 where neither is finite.
+
+    Over all sets, where parameters and start are arrays; a set whose rates are not finite does not count.
+    """
     x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
     amplitude = np.concatenate([x, v])
-    fastest = 0.0
+    d, fastest = len(amplitude), 0.0
+    # one step for all: a smaller one where the start is zero would show the rounding of stiff springs elsewhere
+    step = 1e-6 * max(float(np.max(np.abs(amplitude[np.isfinite(amplitude)]), initial=0.0)), 1e-3)
+    moves = step * np.concatenate([np.eye(d), -np.eye(d)], axis=1)
     for level in (0.0, 1.0):
-        at = level * amplitude
-        # one step for all: a smaller one where the start is zero would show the rounding of stiff springs elsewhere
-        step = 1e-6 * max(float(np.max(np.abs(amplitude))), 1e-3)
-        shifted = at[:, None] + step * np.concatenate([np.eye(len(at)), -np.eye(len(at))], axis=1)
+        shifted = level * amplitude[:, None] + moves.reshape(d, 2 * d, *[1] * (amplitude.ndim - 1))
         rates = np.array(np.broadcast_arrays(*state_rate(system, p, list(shifted), [0.0] * system.n_dof, numpy_ops)))
-        jacobian = (rates[:, : len(at)] - rates[:, len(at) :]) / (2 * step)
-        if np.all(np.isfinite(jacobian)):
-            fastest = max(fastest, float(np.max(np.abs(np.linalg.eigvals(jacobian)))))
+        jacobian = np.moveaxis((rates[:, :d] - rates[:, d:]) / (2 * step), (0, 1), (-2, -1))
+        finite = np.all(np.isfinite(jacobian), axis=(-2, -1))
+        if np.any(finite):
+            fastest = max(fastest, float(np.max(np.abs(np.linalg.eigvals(jacobian[finite])))))
     return fastest
 
 
@@ -43,27 +47,34 @@ def rough_readings(system: System, p: dict[str, np.ndarray], start: Start, recor
     Parameters are arrays of one shape ``sets`` of at most one dimension; ``start`` an InitialState, or displacement
     and velocity of shape (n_dof, *sets). Not finite where the motion diverges. Hidden states are not carried.
     """
-    rig, n = record.rig(system), system.n_dof
-    x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
-    sets = np.broadcast_shapes(*(np.shape(value) for value in p.values()), np.shape(x)[1:])
-    state: list[Any] = [np.broadcast_to(part[i], sets) for part in (x, v) for i in range(n)]
-    one = {name: np.ravel(value)[0] for name, value in p.items()}
-    first = tuple(np.array([np.ravel(s)[0] for s in part]) for part in (state[:n], state[n:]))
+    n = system.n_dof
     knots = [f.times[f.times < record.duration] for f in record.forces]
     grid = np.unique(np.concatenate([[0.0], *[c.times for c in record.channels], *knots]))
-    with np.errstate(all="ignore"):
-        rate = fastest_rate(rig, one, (first[0], first[1]))
-        path = _path(rig, p, state, grid, rate, record)
+    path = rough_states(system, p, start, record, grid)
     parts = []
     for c in record.channels:
         there = path[:, ..., np.searchsorted(grid, c.times)]
         if c.measures == "acceleration":
             wide = {name: np.asarray(value)[..., None] for name, value in p.items()}
             force = record.force(c.times, n)
+            rig = record.rig(system)
             parts.append(acceleration(rig, wide, list(there[:n]), list(there[n:]), force, [], numpy_ops)[c.dof])
         else:
             parts.append(there[c.dof + (n if c.measures == "velocity" else 0)])
-    return np.concatenate([np.broadcast_to(part, (*sets, np.shape(part)[-1])) for part in parts], axis=-1)
+    return np.concatenate([np.broadcast_to(part, (*path.shape[1:-1], np.shape(part)[-1])) for part in parts], axis=-1)
+
+
+def rough_states(
+    system: System, p: dict[str, np.ndarray], start: Start, record: Record, grid: np.ndarray
+) -> np.ndarray:
+    """Displacements and velocities (2 n_dof, *sets, n_times) at times that begin with 0 and hold every force's knot."""
+    rig, n = record.rig(system), system.n_dof
+    x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
+    sets = np.broadcast_shapes(*(np.shape(value) for value in p.values()), np.shape(x)[1:])
+    state: list[Any] = [np.broadcast_to(part[i], sets) for part in (x, v) for i in range(n)]
+    with np.errstate(all="ignore"):
+        rate = fastest_rate(rig, p, (np.stack(state[:n]), np.stack(state[n:])))
+        return _path(rig, p, state, grid, rate, record)
 
 
 def _path(

@@ -42,8 +42,8 @@ from bench import (
     System,
     simulate,
 )
-from methods.rough import fastest_rate
-from methods.spectral import OutputError, estimate_at, screened, silent
+from methods.rough import Start, fastest_rate, rough_states
+from methods.spectral import OutputError, estimate_at, screened, screening, silent
 
 SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
 MAX_SUBSTEPS = SUBSTEPS[-1]
@@ -127,7 +127,7 @@ class Shooting(Identifier):
 
     def _fit(self, model: OutputError, theta: np.ndarray) -> _Fit | None:
         """Fit and noise in turn, from one start; None where IPOPT fails."""
-        residuals = model.data - model.predict(theta)
+        residuals = model.data - screening(model).predict(theta)
         if not np.all(np.isfinite(residuals)):
             return None
         used, fit, iterations, substeps = float(model.size), None, 0, 1
@@ -141,7 +141,7 @@ class Shooting(Identifier):
                 return last
             iterations += fit.iterations
             theta, residuals, used = fit.theta, fit.residuals, fit.used
-            fit.sigma, fit.profile = model.noise(residuals, used, floor=0.0), model.profile(theta)
+            fit.sigma, fit.profile = model.noise(residuals, used, floor=0.0), model.profile_of(theta, residuals)
             fit.iterations = iterations
             before, sigma = sigma, model.noise(residuals, used)
             # the solution may be faster than the start was, or fit better: then the steps were too long
@@ -433,8 +433,7 @@ def _first_guess(model: OutputError, plans: tuple[_Plan, ...], theta: np.ndarray
     parts = [np.log(list(p.values())), offsets[list(model.offset_channels)]]
     number = 0
     for record, plan, start in zip(model.problem.records, plans, model.starts(theta), strict=True):
-        motion = simulate(record.rig(model.system), p, start, plan.grid, record.forces)
-        states = np.concatenate([motion.displacement, motion.velocity])
+        states = _simulated(model.system, p, start, record, plan.grid)
         for channel, at in zip(record.channels, plan.at, strict=True):
             if channel.measures == "displacement":
                 states[channel.dof, at] = channel.values - offsets[number]
@@ -443,6 +442,14 @@ def _first_guess(model: OutputError, plans: tuple[_Plan, ...], theta: np.ndarray
             states[:, 0] = np.concatenate([record.initial_state.displacement, record.initial_state.velocity])
         parts.append(states.T.ravel())
     return np.concatenate(parts)
+
+
+def _simulated(system: System, p: dict[str, float], start: Start, record: Record, grid: np.ndarray) -> np.ndarray:
+    """States (2 n_dof, cuts) at the cuts, as finely as a first guess needs."""
+    if not system.linear:
+        return rough_states(system, {name: np.array(value) for name, value in p.items()}, start, record, grid)
+    motion = simulate(record.rig(system), p, start, grid, record.forces)
+    return np.concatenate([motion.displacement, motion.velocity])
 
 
 @dataclass(frozen=True)

@@ -157,57 +157,43 @@ class OutputError:
     def profile(self, theta: np.ndarray) -> float:
         """Minus twice the log-posterior with the noise of each channel at its best value, up to a constant."""
         with np.errstate(all="ignore"):
-            residuals = self.data - self.predict(theta)
-            if not np.all(np.isfinite(residuals)):
-                return np.inf
-            sigma = self.noise(residuals, 0.0)
-            return float(2 * self.counts @ np.log(sigma) + np.sum(self.penalty(theta) ** 2))
+            return self.profile_of(theta, self.data - self.predict(theta))
+
+    def profile_of(self, theta: np.ndarray, residuals: np.ndarray) -> float:
+        """The same, of residuals (N,) that are known already; infinite where they are not finite."""
+        if not np.all(np.isfinite(residuals)):
+            return np.inf
+        sigma = self.noise(residuals, 0.0)
+        return float(2 * self.counts @ np.log(sigma) + np.sum(self.penalty(theta) ** 2))
 
     def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Prediction (N,) and its derivatives (N, size), by central differences."""
+        """Prediction (..., N) and its derivatives (..., N, size), by central differences, at ``theta`` (..., size)."""
+        d = theta.shape[-1]
         step = 1e-5 * np.maximum(1.0, np.abs(theta))
-        sets = np.concatenate([theta[None], theta + np.diag(step), theta - np.diag(step)])
+        moves = step[..., None] * np.eye(d)
+        sets = np.concatenate([theta[..., None, :], theta[..., None, :] + moves, theta[..., None, :] - moves], axis=-2)
         with np.errstate(all="ignore"):
-            predicted = self.predict(sets)
-        d = theta.size
-        return predicted[0], ((predicted[1 : d + 1] - predicted[d + 1 :]) / (2 * step[:, None])).T
+            predicted = self.predict(sets.reshape(-1, d)).reshape(*sets.shape[:-1], -1)
+            slopes = (predicted[..., 1 : d + 1, :] - predicted[..., d + 1 :, :]) / (2 * step[..., None])
+        return predicted[..., 0, :], np.swapaxes(slopes, -1, -2)
 
-    def fit(self, theta: np.ndarray, sigma: np.ndarray, iterations: int = 15, tolerance: float = 1e-6) -> np.ndarray:
-        """Levenberg-Marquardt on ``((y - h) / sigma)² + prior``, from ``theta``; returns the best vector found."""
-        weights, k = 1.0 / sigma[self.channel_of], len(self.free)
-        slope = np.zeros((0, theta.size)) if self.prior is None else np.eye(k, theta.size) / self.prior.log_sds[:, None]
-        damping, best = 1e-3, np.inf
-        trial, kept, hessian, gradient = theta, theta, np.eye(theta.size), np.zeros(theta.size)
-        for _ in range(iterations):
-            predicted, jacobian = self.jacobian(trial)
-            r = np.concatenate([weights * (self.data - predicted), -self.penalty(trial)])
-            cost = float(r @ r)
-            if np.isfinite(cost) and np.all(np.isfinite(jacobian)) and cost < best:
-                settled = best - cost < tolerance * max(cost, 1.0)
-                j = np.concatenate([weights[:, None] * jacobian, slope])
-                hessian, gradient, best, kept, damping = j.T @ j, j.T @ r, cost, trial, 0.3 * damping
-                if settled:
-                    break
-            else:
-                damping *= 8.0
-            scaled = hessian + damping * np.diag(np.diag(hessian) + 1e-12)
-            move = np.linalg.lstsq(scaled, gradient, rcond=None)[0]
-            move[:k] = np.clip(move[:k], -1.5, 1.5)
-            if np.max(np.abs(move) / np.maximum(1.0, np.abs(kept))) < 1e-10:
-                break
-            trial = kept + move
-            trial[:k] = np.clip(trial[:k], -LOG_LIMIT, LOG_LIMIT)
-        return kept
-
-    def settle(self, theta: np.ndarray, rounds: int = 2, iterations: int = 10) -> np.ndarray:
-        """Fit and noise in turn."""
+    def settle(self, thetas: np.ndarray, rounds: int = 2, iterations: int = 10) -> np.ndarray:
+        """Fit and noise in turn, from each of ``thetas`` (starts, size), all starts simulated together."""
         for _ in range(rounds):
             with np.errstate(all="ignore"):
-                residuals = self.data - self.predict(theta)
-            if not np.all(np.isfinite(residuals)):
-                return theta
-            theta = self.fit(theta, self.noise(residuals, 0.0), iterations)
-        return theta
+                residuals = self.data - self.predict(thetas)
+            good = np.flatnonzero(np.all(np.isfinite(residuals), axis=-1))
+            searches = [Search(self, thetas[i], self.noise(residuals[i], 0.0)) for i in good]
+            for _ in range(iterations):
+                going = [search for search in searches if not search.done]
+                if not going:
+                    break
+                predicted, jacobian = self.jacobian(np.stack([search.trial for search in going]))
+                for search, own, slopes in zip(going, predicted, jacobian, strict=True):
+                    search.step(own, slopes)
+            thetas = thetas.copy()
+            thetas[good] = [search.kept for search in searches]
+        return thetas
 
     def covariance(self, slopes: np.ndarray, sigma: np.ndarray, log_sd: float | None = None) -> np.ndarray | None:
         """Inverse of the Gauss-Newton Hessian over theta; None where the data and the prior leave a direction open.
@@ -243,6 +229,45 @@ class OutputError:
             means = [np.mean(residuals[self.channel_of == i]) for i in self.offset_channels]
             theta[at:] = np.where(np.isfinite(means), means, 0.0)
         return theta
+
+
+class Search:
+    """Levenberg-Marquardt on ``((y - h) / sigma)² + prior`` from one start: what to try, and the best vector so far."""
+
+    def __init__(self, model: OutputError, theta: np.ndarray, sigma: np.ndarray, tolerance: float = 1e-6) -> None:
+        self.model, self.weights, self.tolerance = model, 1.0 / sigma[model.channel_of], tolerance
+        k = len(model.free)
+        self.slope = np.zeros((0, theta.size))
+        if model.prior is not None:
+            self.slope = np.eye(k, theta.size) / model.prior.log_sds[:, None]
+        self.trial = self.kept = theta
+        self.damping, self.best, self.done = 1e-3, np.inf, False
+        self.hessian, self.gradient = np.eye(theta.size), np.zeros(theta.size)
+
+    def step(self, predicted: np.ndarray, jacobian: np.ndarray) -> None:
+        """Judge the trial by its prediction (N,) and derivatives (N, size), and choose the next one."""
+        model, k = self.model, len(self.model.free)
+        r = np.concatenate([self.weights * (model.data - predicted), -model.penalty(self.trial)])
+        cost = float(r @ r)
+        if np.isfinite(cost) and np.all(np.isfinite(jacobian)) and cost < self.best:
+            settled = self.best - cost < self.tolerance * max(cost, 1.0)
+            j = np.concatenate([self.weights[:, None] * jacobian, self.slope])
+            self.hessian, self.gradient, self.best, self.kept = j.T @ j, j.T @ r, cost, self.trial
+            self.damping *= 0.3
+            if settled:
+                self.done = True
+                return
+        else:
+            self.damping *= 8.0
+        scaled = self.hessian + self.damping * np.diag(np.diag(self.hessian) + 1e-12)
+        move = np.linalg.lstsq(scaled, self.gradient, rcond=None)[0]
+        move[:k] = np.clip(move[:k], -1.5, 1.5)
+        if np.max(np.abs(move) / np.maximum(1.0, np.abs(self.kept))) < 1e-10:
+            self.done = True
+            return
+        trial = self.kept + move
+        trial[:k] = np.clip(trial[:k], -LOG_LIMIT, LOG_LIMIT)
+        self.trial = trial
 
 
 class Screening(OutputError):
@@ -308,6 +333,11 @@ def estimate_at(
     )
 
 
+def screening(model: OutputError) -> OutputError:
+    """The model for comparing starts: of a nonlinear system without hidden states, less finely integrated."""
+    return model if model.system.linear or model.system.n_hidden else Screening(model.problem)
+
+
 def silent(problem: Problem) -> bool:
     """Whether no sensor shows any motion: every value zero, or constant where a constant offset is unknown."""
     return all(
@@ -324,9 +354,9 @@ def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 
     sampling rate is an alias of a slower one, and is dropped unless there is nothing else.
     """
     found: list[tuple[float, np.ndarray]] = []
-    quick = model if model.system.linear or model.system.n_hidden else Screening(model.problem)
-    for p in candidates(model, n + 1):
-        theta = quick.settle(quick.vector(p), rounds, iterations)
+    quick = screening(model)
+    thetas = np.stack([quick.vector(p) for p in candidates(model, n + 1)])
+    for theta in quick.settle(thetas, rounds, iterations):
         value = quick.profile(theta)
         near = [other for _, other in found if np.max(np.abs(other - theta)[: len(model.free)]) < 1e-2]
         if np.isfinite(value) and not near:
