@@ -56,7 +56,7 @@ from bench import (
     report,
     simulate,
 )
-from methods.spectral import LOG_LIMIT, OutputError, screened, silent
+from methods.spectral import LOG_LIMIT, OutputError, as_fine_as_noise, screened, silent
 
 NOISE_CENTRE = float(np.log(0.1))
 NOISE_SD = 3.0
@@ -134,7 +134,7 @@ class MCMC(Identifier):
             return Estimate.failed(
                 model.system, Status.DIVERGED, "no start gave a finite response; give a prior nearer to the system"
             )
-        posterior = Posterior(model, modes[0][1])
+        posterior = Posterior(as_fine_as_noise(model, modes[0][1]), modes[0][1])
         proposal = Proposal.around(posterior, [theta for value, theta in modes if value < modes[0][0] + MODE_MARGIN])
         if proposal is None:
             sentence = "the data leave a parameter open; give more samples, a known force or a prior"

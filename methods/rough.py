@@ -1,8 +1,8 @@
-"""The response of a nonlinear system for comparing starts: classical Runge-Kutta steps of a sixth of a radian.
+"""The response of a nonlinear system as finely as the noise asks for: classical Runge-Kutta steps of so many radians.
 
 Fixed steps of order four turn the phase by ``(w h)^5 / 120`` too little each (``w`` the fastest rate, ``h`` the step):
-with ``w h = 0.15`` four parts in a million of it, far below what tells one start from another. A final fit integrates
-more finely (:func:`bench.simulate`, or shooting's own steps).
+with ``w h = 0.15`` four parts in a million of it, far below what tells one start from another.
+:func:`radians_a_step` says what a final answer needs.
 """
 
 from __future__ import annotations
@@ -18,6 +18,14 @@ MOST_STEPS = 64
 """Steps between two samples at most: a motion that is faster than that is no start anyway."""
 
 Start = InitialState | tuple[np.ndarray, np.ndarray]
+
+
+def radians_a_step(allowed: float, turned: float) -> float:
+    """The step ``w h`` (radians) at which a motion that turns ``turned = w T`` radians errs by ``allowed`` of its size.
+
+    Each step errs by ``(w h)^5 / 120``, so the record by ``w T (w h)^4 / 120``.
+    """
+    return float((120.0 * allowed / max(turned, 1.0)) ** 0.25)
 
 
 def fastest_rate(system: System, p: dict[str, np.ndarray], start: Start) -> float:
@@ -41,7 +49,9 @@ def fastest_rate(system: System, p: dict[str, np.ndarray], start: Start) -> floa
     return fastest
 
 
-def rough_readings(system: System, p: dict[str, np.ndarray], start: Start, record: Record) -> np.ndarray:
+def rough_readings(
+    system: System, p: dict[str, np.ndarray], start: Start, record: Record, radians: float = RADIANS_A_STEP
+) -> np.ndarray:
     """What the sensors of a record would show, channel after channel, shape (*sets, n_samples), without offsets.
 
     Parameters are arrays of one shape ``sets`` of at most one dimension; ``start`` an InitialState, or displacement
@@ -50,7 +60,7 @@ def rough_readings(system: System, p: dict[str, np.ndarray], start: Start, recor
     n = system.n_dof
     knots = [f.times[f.times < record.duration] for f in record.forces]
     grid = np.unique(np.concatenate([[0.0], *[c.times for c in record.channels], *knots]))
-    path = rough_states(system, p, start, record, grid)
+    path = rough_states(system, p, start, record, grid, radians)
     parts = []
     for c in record.channels:
         there = path[:, ..., np.searchsorted(grid, c.times)]
@@ -65,7 +75,12 @@ def rough_readings(system: System, p: dict[str, np.ndarray], start: Start, recor
 
 
 def rough_states(
-    system: System, p: dict[str, np.ndarray], start: Start, record: Record, grid: np.ndarray
+    system: System,
+    p: dict[str, np.ndarray],
+    start: Start,
+    record: Record,
+    grid: np.ndarray,
+    radians: float = RADIANS_A_STEP,
 ) -> np.ndarray:
     """Displacements and velocities (2 n_dof, *sets, n_times) at times that begin with 0 and hold every force's knot."""
     rig, n = record.rig(system), system.n_dof
@@ -74,15 +89,15 @@ def rough_states(
     state: list[Any] = [np.broadcast_to(part[i], sets) for part in (x, v) for i in range(n)]
     with np.errstate(all="ignore"):
         rate = fastest_rate(rig, p, (np.stack(state[:n]), np.stack(state[n:])))
-        return _path(rig, p, state, grid, rate, record)
+        return _path(rig, p, state, grid, rate / radians, record)
 
 
 def _path(
-    rig: System, p: dict[str, np.ndarray], state: list[Any], grid: np.ndarray, rate: float, record: Record
+    rig: System, p: dict[str, np.ndarray], state: list[Any], grid: np.ndarray, steps_a_time: float, record: Record
 ) -> np.ndarray:
     """The states (2 n_dof, *sets, n_times) at the times of the grid."""
     gaps = np.diff(grid)
-    counts = np.clip(np.ceil(gaps * rate / RADIANS_A_STEP), 1, MOST_STEPS).astype(int)
+    counts = np.clip(np.ceil(gaps * steps_a_time), 1, MOST_STEPS).astype(int)
     h = np.repeat(gaps / counts, counts)
     begin = np.repeat(grid[:-1], counts) + h * (np.arange(h.size) - np.repeat(np.cumsum(counts) - counts, counts))
     # sampled a little inside, since a held force jumps at the ends

@@ -42,7 +42,7 @@ from bench import (
     System,
     simulate,
 )
-from methods.rough import Start, fastest_rate, rough_states
+from methods.rough import Start, fastest_rate, radians_a_step, rough_states
 from methods.spectral import OutputError, estimate_at, screened, screening, silent
 
 SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
@@ -153,14 +153,13 @@ class Shooting(Identifier):
     def _substeps(self, model: OutputError, theta: np.ndarray, plans: tuple[_Plan, ...], sigma: np.ndarray) -> int:
         """Runge-Kutta steps in the longest interval: 1, 2, 3, 4, 6, 8, 12, ... so that few programmes are built.
 
-        An order-four step of ``w h`` radians turns the phase by ``(w h)^5 / 120`` too little; over the record the
-        error is ``w T (w h)^4 / 120`` of the motion, and this is kept below what is allowed.
+        The error over the record is kept below what is allowed (:func:`methods.rough.radians_a_step`).
         """
         relative = float(np.min(sigma / model.rms)) / np.sqrt(model.data.size)
         allowed = max(self.integration_error, self.noise_share * relative)
         radians = max(fastest_rate(model.system, model.parameters(theta), start) for start in model.starts(theta))
         duration = max(record.duration for record in model.problem.records)
-        step = (120.0 * allowed / max(radians * duration, 1.0)) ** 0.25 / max(radians, 1e-9)
+        step = radians_a_step(allowed, radians * duration) / max(radians, 1e-9)
         longest = max(float(np.max(plan.steps)) for plan in plans)
         wanted = min(longest / step, MAX_SUBSTEPS)
         return int(next(n for n in SUBSTEPS if n >= wanted))

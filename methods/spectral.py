@@ -37,11 +37,13 @@ from bench import (
     state_matrix,
 )
 from methods.equation_error import CYCLE_STEP, DECAYS, MAX_CYCLES, regression_starts
-from methods.rough import rough_readings
+from methods.rough import RADIANS_A_STEP, fastest_rate, radians_a_step, rough_readings
 
 SIGMA_FLOOR = 1e-4
 """The noise assumed while fitting is at least this part of a channel's root mean square; see ``noise``."""
 LOG_LIMIT = 40.0
+NOISE_SHARE = 0.05
+"""Error of the integration over the standard error that the data allow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,8 +193,9 @@ class OutputError:
                 predicted, jacobian = self.jacobian(np.stack([search.trial for search in going]))
                 for search, own, slopes in zip(going, predicted, jacobian, strict=True):
                     search.step(own, slopes)
-            thetas = thetas.copy()
-            thetas[good] = [search.kept for search in searches]
+            if searches:
+                thetas = thetas.copy()
+                thetas[good] = np.stack([search.kept for search in searches])
         return thetas
 
     def covariance(self, slopes: np.ndarray, sigma: np.ndarray, log_sd: float | None = None) -> np.ndarray | None:
@@ -270,14 +273,17 @@ class Search:
         self.trial = trial
 
 
-class Screening(OutputError):
-    """The same, for a nonlinear system integrated only as finely as comparing starts needs."""
+@dataclass(frozen=True, eq=False)
+class Stepped(OutputError):
+    """The same, for a nonlinear system without hidden states, integrated by steps of at most so many radians."""
+
+    radians: float = RADIANS_A_STEP
 
     def predict(self, theta: np.ndarray) -> np.ndarray:
-        """Simulated measurements, shape (..., N), to some 1e-4 of the motion; not finite where it diverges."""
+        """Simulated measurements, shape (..., N); not finite where the response diverges."""
         p = self.parameters(theta)
         parts = [
-            rough_readings(self.system, p, start, record)
+            rough_readings(self.system, p, start, record, self.radians)
             for start, record in zip(self.starts(theta), self.problem.records, strict=True)
         ]
         return np.concatenate(parts, -1) + self.offsets(theta)[..., self.channel_of]
@@ -335,7 +341,19 @@ def estimate_at(
 
 def screening(model: OutputError) -> OutputError:
     """The model for comparing starts: of a nonlinear system without hidden states, less finely integrated."""
-    return model if model.system.linear or model.system.n_hidden else Screening(model.problem)
+    return model if model.system.linear or model.system.n_hidden else Stepped(model.problem)
+
+
+def as_fine_as_noise(model: OutputError, theta: np.ndarray) -> OutputError:
+    """The model for a final answer near ``theta``, integrated to ``NOISE_SHARE`` of the standard error of the data."""
+    if model.system.linear or model.system.n_hidden:
+        return model
+    quick = Stepped(model.problem)
+    sigma = model.noise(model.data - quick.predict(theta), 0.0)
+    rate = max(fastest_rate(model.system, model.parameters(theta), start) for start in model.starts(theta))
+    turned = rate * max(record.duration for record in model.problem.records)
+    allowed = NOISE_SHARE * float(np.min(sigma / model.rms)) / np.sqrt(model.data.size)
+    return Stepped(model.problem, min(radians_a_step(allowed, turned), RADIANS_A_STEP))
 
 
 def silent(problem: Problem) -> bool:

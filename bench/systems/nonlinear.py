@@ -22,7 +22,7 @@ class Duffing(System):
         return (*SDOF().parameters, Parameter("k3", "N/m³", "stiffness", Dimension(1, -2, -2)))
 
     def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
-        return [p["m"] * a[0] + p["c"] * v[0] + p["k"] * x[0] + p["k3"] * x[0] ** 3 - f[0]]
+        return [p["m"] * a[0] + p["c"] * v[0] + (p["k"] + p["k3"] * x[0] * x[0]) * x[0] - f[0]]
 
     @property
     def groups(self) -> tuple[Quantity, ...]:

@@ -140,6 +140,8 @@ CASES: list[tuple[System, dict[str, Any]]] = [
     (Chain(2), {}),
     (Chain(2), {"exact": True}),
     (SDOF(), {"ansatz": "spline", "offset": True}),
+    (Chain(2), {"ansatz": "assisted"}),
+    (SDOF(), {"ansatz": "assisted", "exact": True}),
     (Chain(2), {"ansatz": "spline", "exact": True}),
     (Duffing(), {"n_fits": 3}),
 ]
@@ -167,6 +169,21 @@ def test_jacobian_gradient_and_gram_agree_with_autograd(system: System, options:
         assert float((gram[i] - expected).abs().max()) < 1e-12 * float(expected.abs().max())
 
 
+def _displacement(block: Block, ansatz: Ansatz, part: torch.Tensor, times: torch.Tensor) -> torch.Tensor:
+    """The trainable function, (n_points, n_dof), written once more."""
+    if isinstance(ansatz, Sum):
+        own, rest = part[:, : ansatz.inner.count], part[:, ansatz.inner.count :]
+        return _displacement(block, ansatz.inner, own, times) + _displacement(block, ansatz.fixed, rest, times)
+    if isinstance(ansatz, Network):
+        h = (2.0 * times[0] / float(block.duration[0]) - 1.0)[:, None]
+        *hidden, last = ansatz.layers(part)
+        for weight, bias in hidden:
+            h = torch.tanh(h @ weight[0].T + bias[0])
+        return h @ last[0][0].T + last[1][0]
+    powers = torch.stack([times[0] ** k for k in range(5)], -1)
+    return powers @ part[0].unflatten(0, (block.n_dof, -1)).T
+
+
 def _autograd_jacobian(residuals: Residuals, z: torch.Tensor, deviations: torch.Tensor) -> torch.Tensor:
     """Of one fit's residual vector."""
     z = z.clone().requires_grad_(True)
@@ -174,15 +191,7 @@ def _autograd_jacobian(residuals: Residuals, z: torch.Tensor, deviations: torch.
     outputs = []
     for block, ansatz, part in zip(residuals.blocks, residuals.ansatzes, parts, strict=True):
         times = torch.as_tensor(block.times[:1]).requires_grad_(True)
-        if isinstance(ansatz, Network):
-            h = (2.0 * times[0] / float(block.duration[0]) - 1.0)[:, None]
-            *hidden, last = ansatz.layers(part)
-            for weight, bias in hidden:
-                h = torch.tanh(h @ weight[0].T + bias[0])
-            x = h @ last[0][0].T + last[1][0]
-        else:
-            powers = torch.stack([times[0] ** k for k in range(5)], -1)
-            x = powers @ part[0].unflatten(0, (block.n_dof, -1)).T
+        x = _displacement(block, ansatz, part, times)
         if block.lift is not None:
             told = block.lift[0, :2, 0].detach()  # at time 0 the first part is the told start itself
             g = torch.exp(-((2.0 * times[0]) ** 2))[:, None]
@@ -226,6 +235,17 @@ def test_dual_and_primal_steps_are_the_textbook_step() -> None:
             assert float((steps[i] - step).norm() / step.norm()) < 1e-9
             left = r - j @ step
             assert float(promised[i]) == pytest.approx(0.5 * float(r @ r - left @ left), rel=1e-9)
+
+
+def test_heads_of_a_sum_hold_its_fixed_functions() -> None:
+    residuals, z, deviations = small(Chain(2), ansatz="assisted")
+    heads, short = residuals.heads(z)
+    torch.testing.assert_close(heads.evaluate(short, deviations).rows, residuals.evaluate(z, deviations).rows)
+    moved = short + 0.1
+    whole = residuals.with_heads(z, moved)
+    torch.testing.assert_close(heads.evaluate(moved, deviations).rows, residuals.evaluate(whole, deviations).rows)
+    fixed = slice(residuals.ansatzes[0].inner.count, residuals.ansatzes[0].count)
+    assert bool((whole != z)[0, fixed].all())
 
 
 def test_heads_are_the_last_layers() -> None:
