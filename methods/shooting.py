@@ -13,6 +13,8 @@ parameters that the data decide, ``trace(H_data H^-1)``.
 Starts come from the data alone (:mod:`methods.spectral`): the separate minima of a scan over frequency and decay, a
 few output-error steps each (on the first samples, where a record of a nonlinear system is long); whatever could still
 win is solved by shooting, and the best objective is kept.
+Without a prior the likelihood may have no maximum at positive parameters, as where the noise hides the damping: then
+all are solved again with a very wide prior about the start that the data gave.
 The covariance is the inverse of the Hessian reduced to the space that satisfies the constraints, with Student's t at
 ``N - p`` degrees of freedom. The programme is built once for a shape of problem and reused: data, times, forces,
 prior and noise are its parameters.
@@ -20,6 +22,7 @@ prior and noise are its parameters.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from types import SimpleNamespace
@@ -35,6 +38,7 @@ from bench import (
     Estimate,
     Identifier,
     Ops,
+    Prior,
     Problem,
     Record,
     Serves,
@@ -49,6 +53,9 @@ SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
 MAX_SUBSTEPS = SUBSTEPS[-1]
 SCREENED = 300
 """Samples of each channel on which the starts of a nonlinear system are compared."""
+WIDE = 3.0
+"""Log standard deviation of the prior that is used where the likelihood alone has no maximum: a factor of 20."""
+HELD = "the likelihood has no maximum at positive parameters: held by a prior of a factor of 20 about the data's start"
 POLISH = 3
 """Gauss-Newton steps in the reduced space after IPOPT, at most: they make the answer free of its tolerance."""
 
@@ -112,8 +119,11 @@ class Shooting(Identifier):
                 model.system, Status.DIVERGED, "no start gave a finite response; give a prior nearer to the system"
             )
         used = [theta for value, theta in found if value <= found[0][0] + self.margin]
-        fits = [self._fit(model, theta) for theta in used]
-        good = [fit for fit in fits if fit is not None]
+        good, message = self._fits(model, used), ""
+        if not good and model.prior is None and model.problem.scale_told:
+            # the likelihood rises towards a parameter of zero or without limit: the data say that it is small or large
+            model = _held(model, found[0][1])
+            good, message = self._fits(model, used), HELD
         iterations = sum(fit.iterations for fit in good)
         if not good:
             return Estimate.failed(
@@ -123,7 +133,11 @@ class Shooting(Identifier):
                 Cost(iterations=iterations),
             )
         best = min(good, key=lambda fit: fit.profile)
-        return _estimate(model, best, Cost(evaluations=iterations, iterations=iterations))
+        return _estimate(model, best, Cost(evaluations=iterations, iterations=iterations), message)
+
+    def _fits(self, model: OutputError, starts: Sequence[np.ndarray]) -> list[_Fit]:
+        """The solutions from these starts."""
+        return [fit for fit in (self._fit(model, theta) for theta in starts) if fit is not None]
 
     def _fit(self, model: OutputError, theta: np.ndarray) -> _Fit | None:
         """Fit and noise in turn, from one start; None where IPOPT fails."""
@@ -179,6 +193,12 @@ class _Fit:
     sigma: np.ndarray = field(default_factory=lambda: np.ones(1))
     """Noise by channel as the residuals have it, without a floor."""
     profile: float = np.inf
+
+
+def _held(model: OutputError, theta: np.ndarray) -> OutputError:
+    """The model with a prior of log standard deviation ``WIDE`` about the parameters of a start."""
+    nominal = {name: float(value) for name, value in model.parameters(theta).items()}
+    return OutputError(replace(model.problem, prior=Prior(nominal, dict.fromkeys(nominal, WIDE))))
 
 
 def _head(model: OutputError) -> OutputError:
@@ -542,7 +562,7 @@ def _reduced(
 # ---------------------------------------------------------------------------------------------------- the answer
 
 
-def _estimate(model: OutputError, fit: _Fit, cost: Cost) -> Estimate:
+def _estimate(model: OutputError, fit: _Fit, cost: Cost, message: str) -> Estimate:
     """The answer in the units of the model's problem."""
     covariance = model.covariance(fit.slopes, fit.sigma)
     if covariance is None:
@@ -552,4 +572,4 @@ def _estimate(model: OutputError, fit: _Fit, cost: Cost) -> Estimate:
             "the data leave a parameter open; give more samples, a known force or a prior",
             cost,
         )
-    return estimate_at(model, fit.theta, covariance, fit.used, cost)
+    return estimate_at(model, fit.theta, covariance, fit.used, cost, message)

@@ -8,6 +8,8 @@ The loss is minus the log posterior, whatever represents x(t):
 - **Optimiser**: Levenberg-Marquardt, in residual space where that is the smaller one (:mod:`methods.pinn.levenberg`).
 - **Order**: soft physics before hard, the output layer before all layers, log-parameters started at the damped wave
   that fits the data best.
+- **A known force** is carried by functions of its own, added to what represents x(t): steps, pulses and rough forces
+  would otherwise ask for an acceleration that no smooth function has (:mod:`methods.pinn.forced`).
 - **A bad basin** shows in the residuals: the fit leaves more than twice what plain damped waves leave. It is then
   started again elsewhere, at most ``restarts`` times, and the best kept.
 
