@@ -38,7 +38,7 @@ def in_si(problem: Problem) -> list[dict[str, float]]:
 
 @pytest.mark.parametrize("wrong", [None, 0.5, 2.0])
 def test_a_pendulum_is_started_near_its_parameters(wrong: float | None) -> None:
-    """``k / m = g / l = 12.3 1/s²`` within a fifth and l within a factor of two, with no prior or one that is off by a factor of two.
+    """``k / m = 12.3 1/s²`` within a fifth, l within a factor of two, with no prior or one off by a factor of two.
 
     Four damped waves give a swing of 1.5 rad with its first harmonics; the prior is as wide as it is wrong.
     """
