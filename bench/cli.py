@@ -198,7 +198,7 @@ def read_fields(arguments: Sequence[str], defaults: Mapping[str, str], wanted: s
 
 def whole(field: str, text: str, least: int = 1, most: int | None = None) -> int:
     """A whole number within limits; raises InputError."""
-    if not text.isdigit() or int(text) < least or (most is not None and int(text) > most):
+    if not text.isdecimal() or int(text) < least or (most is not None and int(text) > most):
         within = f"of at least {least}" if most is None else f"from {least} to {most}"
         raise InputError(field, text, f"a whole number {within}")
     return int(text)

@@ -33,6 +33,8 @@ MOST_AT_ONCE = 2**22
 """Numbers of the columns of sinusoids that are formed at a time."""
 SEARCHES, FARTHEST = 60, 30.0
 """Evaluations of a nonlinear regression at most; the largest log-parameter that it tries."""
+OUTSIDE = 1e50
+"""The residual where the equation of motion has no value: parameters there are never taken."""
 SMALLEST = 0.02
 """A parameter that a regression finds negative or nil starts at this part of what would balance the other terms."""
 
@@ -89,7 +91,8 @@ class _spline:
 
     def __init__(self, channel: Channel, weight: float) -> None:
         self.step = float(np.median(np.diff(channel.times)))
-        self.curve = make_smoothing_spline(channel.times / self.step, channel.values, lam=weight)
+        values = channel.values - channel.offset * np.mean(channel.values)
+        self.curve = make_smoothing_spline(channel.times / self.step, values, lam=weight)
 
     def __call__(self, times: np.ndarray, order: int) -> np.ndarray:
         return np.asarray(self.curve(times / self.step, nu=order)) / self.step**order
@@ -168,11 +171,12 @@ def _fitted(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves]) 
         p = {**fixed, **dict(zip(free, np.exp(np.clip(logs, -FARTHEST, FARTHEST)), strict=True))}
         rows = weight * _equations(p, rigs, blocks)
         every = np.log([p[name] for name in system.names])
-        return np.nan_to_num(np.concatenate([rows, [] if prior is None else prior.residuals(every)]), posinf=1e100)
+        rows = np.concatenate([rows, [] if prior is None else prior.residuals(every)])
+        return np.nan_to_num(rows, nan=OUTSIDE, posinf=OUTSIDE, neginf=-OUTSIDE)
 
     ends = [least_squares(misfit, np.log([start[name] for name in free]), max_nfev=SEARCHES) for start in starts]
     best = min(ends, key=lambda end: float(end.cost))
-    return {**fixed, **dict(zip(free, map(float, np.exp(best.x)), strict=True))}
+    return {**fixed, **dict(zip(free, map(float, np.exp(np.clip(best.x, -FARTHEST, FARTHEST))), strict=True))}
 
 
 def _oscillator(system: System, blocks: Sequence[Curves]) -> dict[str, float]:
@@ -194,4 +198,5 @@ def _size(p: Mapping[str, float], rigs: Sequence[System], blocks: Sequence[Curve
     still = [(x, v, [np.zeros_like(own) for own in a], f) for x, v, a, f in blocks]
     inertia = _equations(p, rigs, blocks) - _equations(p, rigs, still)
     force = np.concatenate([np.ravel(own) for *_, f in blocks for own in f])
-    return float(max(np.sqrt(np.mean(inertia**2)), np.sqrt(np.mean(force**2)))) or 1.0
+    sizes = [float(np.sqrt(np.mean(part**2))) for part in (inertia, force)]
+    return max((size for size in sizes if np.isfinite(size)), default=1.0) or 1.0

@@ -1,7 +1,8 @@
 """Bayesian sampling of the posterior with emcee (D. Foreman-Mackey et al., PASP 125:306, 2013).
 
 Sampled together: the log-parameters, the initial states and offsets that are not told, and the logarithm of each
-channel's noise. Likelihood: independent normal errors about :func:`bench.simulate`'s response, all walkers at once.
+channel's noise. Likelihood: independent normal errors about the simulated response, all walkers at once; that of a
+nonlinear system is integrated as finely as the noise asks for (:func:`methods.spectral.as_fine_as_noise`).
 Priors, all proper but one: the problem's nominal prior on the log-parameters (without one, a normal of standard
 deviation 3, a factor of 20, about the best fit to the data); ``log sigma ~ Normal(log(rms of the channel / 10), 3²)``,
 its two standard deviations reach from 70 dB to -30 dB; flat on initial states and offsets, which the data fix.

@@ -13,8 +13,9 @@ parameters that the data decide, ``trace(H_data H^-1)``.
 Starts come from the data alone (:mod:`methods.spectral`): the separate minima of a scan over frequency and decay, a
 few output-error steps each (on the first samples, where a record of a nonlinear system is long); whatever could still
 win is solved by shooting, and the best objective is kept.
-Without a prior the likelihood may have no maximum at positive parameters, as where the noise hides the damping: then
-all are solved again with a very wide prior about the start that the data gave.
+Where all parameters are told without a prior (a known force, an added mass), the likelihood may have no maximum at
+positive ones, as where the noise hides the damping: then all are solved again with a very wide prior about the first
+start, which no output-error step has moved.
 The covariance is the inverse of the Hessian reduced to the space that satisfies the constraints, with Student's t at
 ``N - p`` degrees of freedom. The programme is built once for a shape of problem and reused: data, times, forces,
 prior and noise are its parameters.
@@ -47,7 +48,7 @@ from bench import (
     simulate,
 )
 from methods.rough import Start, fastest_rate, radians_a_step, rough_states
-from methods.spectral import OutputError, estimate_at, screened, screening, silent
+from methods.spectral import OutputError, candidates, estimate_at, screened, screening, silent
 
 SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
 MAX_SUBSTEPS = SUBSTEPS[-1]
@@ -120,10 +121,10 @@ class Shooting(Identifier):
             )
         used = [theta for value, theta in found if value <= found[0][0] + self.margin]
         good, message = self._fits(model, used), ""
-        if not good and model.prior is None and model.problem.scale_told:
+        if model.prior is None and model.problem.scale_told and not _closed(model, good):
             # the likelihood rises towards a parameter of zero or without limit: the data say that it is small or large
-            model = _held(model, found[0][1])
-            good, message = self._fits(model, used), HELD
+            model = _held(model, candidates(_head(model), self.starts + 1)[0])
+            good, message = self._fits(model, [_within(model, theta) for theta in used], exact=True), HELD
         iterations = sum(fit.iterations for fit in good)
         if not good:
             return Estimate.failed(
@@ -135,11 +136,11 @@ class Shooting(Identifier):
         best = min(good, key=lambda fit: fit.profile)
         return _estimate(model, best, Cost(evaluations=iterations, iterations=iterations), message)
 
-    def _fits(self, model: OutputError, starts: Sequence[np.ndarray]) -> list[_Fit]:
+    def _fits(self, model: OutputError, starts: Sequence[np.ndarray], exact: bool = False) -> list[_Fit]:
         """The solutions from these starts."""
-        return [fit for fit in (self._fit(model, theta) for theta in starts) if fit is not None]
+        return [fit for fit in (self._fit(model, theta, exact) for theta in starts) if fit is not None]
 
-    def _fit(self, model: OutputError, theta: np.ndarray) -> _Fit | None:
+    def _fit(self, model: OutputError, theta: np.ndarray, exact: bool) -> _Fit | None:
         """Fit and noise in turn, from one start; None where IPOPT fails."""
         residuals = model.data - screening(model).predict(theta)
         if not np.all(np.isfinite(residuals)):
@@ -149,7 +150,7 @@ class Shooting(Identifier):
         plans = tuple(_Plan(model.system, record) for record in model.problem.records)
         for _ in range(self.sigma_rounds):
             substeps = max(self._substeps(model, theta, plans, model.noise(residuals, used, floor=0.0)), substeps)
-            shape = _Shape.of(model, plans, substeps)
+            shape = _Shape.of(model, plans, substeps, exact)
             last, fit = fit, _shoot(shape, model, plans, theta, sigma, self.max_iterations, fit)
             if fit is None:
                 return last
@@ -195,10 +196,27 @@ class _Fit:
     profile: float = np.inf
 
 
-def _held(model: OutputError, theta: np.ndarray) -> OutputError:
-    """The model with a prior of log standard deviation ``WIDE`` about the parameters of a start."""
-    nominal = {name: float(value) for name, value in model.parameters(theta).items()}
+def _closed(model: OutputError, fits: Sequence[_Fit]) -> bool:
+    """Whether the best of the solutions leaves no parameter open by more than a factor of ``exp(WIDE)``."""
+    if not fits:
+        return False
+    best = min(fits, key=lambda fit: fit.profile)
+    covariance = model.covariance(best.slopes, best.sigma)
+    return covariance is not None and bool(np.max(np.diag(covariance)[: len(model.free)]) <= WIDE**2)
+
+
+def _held(model: OutputError, nominal: dict[str, float]) -> OutputError:
+    """The model with a prior of log standard deviation ``WIDE`` about parameters that a scan of the data gave."""
     return OutputError(replace(model.problem, prior=Prior(nominal, dict.fromkeys(nominal, WIDE))))
+
+
+def _within(model: OutputError, theta: np.ndarray) -> np.ndarray:
+    """A start that had run away, back within a standard deviation of the prior."""
+    k, moved = len(model.free), theta.copy()
+    if model.prior is not None:
+        low, high = model.prior.log_mean - model.prior.log_sds, model.prior.log_mean + model.prior.log_sds
+        moved[:k] = np.clip(theta[:k], low, high)
+    return moved
 
 
 def _head(model: OutputError) -> OutputError:
@@ -251,16 +269,18 @@ class _Shape:
     """What a programme depends on; problems of one shape share it.
 
     ``records``: by record, the rig that moved, the number of cuts, the degree of the force between them, and the
-    channels as (measures, dof, offset, cut of each sample).
+    channels as (measures, dof, offset, cut of each sample). ``exact`` asks for the exact Hessian: Gauss-Newton's
+    steps in the logarithm of a parameter that the data press towards zero go too far, again and again.
     """
 
     system: System
     records: tuple[tuple[System, int, int, tuple[tuple[str, int, bool, tuple[int, ...]], ...]], ...]
     substeps: int
     prior: bool
+    exact: bool
 
     @staticmethod
-    def of(model: OutputError, plans: tuple[_Plan, ...], substeps: int) -> _Shape:
+    def of(model: OutputError, plans: tuple[_Plan, ...], substeps: int, exact: bool) -> _Shape:
         records = tuple(
             (
                 record.rig(model.system),
@@ -273,7 +293,7 @@ class _Shape:
             )
             for record, plan in zip(model.problem.records, plans, strict=True)
         )
-        return _Shape(model.system, records, substeps, model.prior is not None)
+        return _Shape(model.system, records, substeps, model.prior is not None, exact)
 
 
 @dataclass(frozen=True)
@@ -389,11 +409,11 @@ def _programme(shape: _Shape, max_iterations: int) -> _Programme:
     misfits = [given[-1] * misfit for misfit in misfits]
     parts = [logs, *offsets, *states]
     model = ca.Function("model", [*parts, *given], [ca.vertcat(*misfits), ca.vertcat(*joins)])
-    return _solver(model, len(parts), max_iterations)
+    return _solver(model, len(parts), max_iterations, shape.exact)
 
 
-def _solver(model: Any, n_unknown: int, max_iterations: int) -> _Programme:
-    """IPOPT on ``½ |misfit|²`` subject to ``joins = 0``, with the Gauss-Newton Hessian."""
+def _solver(model: Any, n_unknown: int, max_iterations: int, exact: bool) -> _Programme:
+    """IPOPT on ``½ |misfit|²`` subject to ``joins = 0``, with the exact or the Gauss-Newton Hessian."""
     import casadi as ca
 
     shapes = [model.size_in(i) for i in range(model.n_in())]
@@ -415,7 +435,7 @@ def _solver(model: Any, n_unknown: int, max_iterations: int) -> _Programme:
     )
     quiet = {"print_level": 0, "sb": "yes", "max_iter": max_iterations, "tol": 1e-8, "acceptable_tol": 1e-6}
     options: Any = {
-        "hess_lag": hessian,
+        **({} if exact else {"hess_lag": hessian}),
         "print_time": False,
         "error_on_fail": False,
         "show_eval_warnings": False,

@@ -6,7 +6,8 @@ affine in its initial state, in the sensors' offsets and in 1 over the scale of 
 so these are projected out (variable projection: G. Golub, V. Pereyra, SIAM J. Numer. Anal. 10:413, 1973) and what is
 left is a function of stiffness and damping only, evaluated on a grid of frequency and decay. Its best separate minima
 are the starts. Systems that are not linear, or have several degrees of freedom, are started from damped sinusoids
-fitted to each displacement: a regression of the equation of motion on them gives the parameters.
+fitted to each displacement: a regression of the equation of motion on them gives the parameters
+(:mod:`methods.equation_error`).
 
 Everything here expects a problem in its natural units (:meth:`bench.Problem.natural_units`).
 """
@@ -37,13 +38,14 @@ from bench import (
     state_matrix,
 )
 from methods.equation_error import CYCLE_STEP, DECAYS, MAX_CYCLES, regression_starts
-from methods.rough import RADIANS_A_STEP, fastest_rate, radians_a_step, rough_readings
+from methods.rough import RADIANS_A_STEP, rough_readings
 
 SIGMA_FLOOR = 1e-4
 """The noise assumed while fitting is at least this part of a channel's root mean square; see ``noise``."""
 LOG_LIMIT = 40.0
 NOISE_SHARE = 0.05
 """Error of the integration over the standard error that the data allow."""
+HALVINGS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,15 +347,23 @@ def screening(model: OutputError) -> OutputError:
 
 
 def as_fine_as_noise(model: OutputError, theta: np.ndarray) -> OutputError:
-    """The model for a final answer near ``theta``, integrated to ``NOISE_SHARE`` of the standard error of the data."""
+    """The model for a final answer near ``theta``, integrated to ``NOISE_SHARE`` of the standard error of the data.
+
+    Steps are halved until that moves no sample by more: no law of the error holds where a force is not smooth.
+    """
     if model.system.linear or model.system.n_hidden:
         return model
     quick = Stepped(model.problem)
-    sigma = model.noise(model.data - quick.predict(theta), 0.0)
-    rate = max(fastest_rate(model.system, model.parameters(theta), start) for start in model.starts(theta))
-    turned = rate * max(record.duration for record in model.problem.records)
-    allowed = NOISE_SHARE * float(np.min(sigma / model.rms)) / np.sqrt(model.data.size)
-    return Stepped(model.problem, min(radians_a_step(allowed, turned), RADIANS_A_STEP))
+    predicted = quick.predict(theta)
+    sigma = model.noise(model.data - predicted, 0.0)
+    allowed = NOISE_SHARE * sigma[model.channel_of] / np.sqrt(model.data.size)
+    for _ in range(HALVINGS):
+        finer = Stepped(model.problem, 0.5 * quick.radians)
+        before, predicted = predicted, finer.predict(theta)
+        if np.all(np.abs(predicted - before) <= allowed):  # the finer one then errs by far less
+            break
+        quick = finer
+    return quick
 
 
 def silent(problem: Problem) -> bool:

@@ -27,8 +27,8 @@ def forced_dofs(forces: Sequence[Force]) -> tuple[int, ...]:
     return tuple(sorted({f.dof for f in forces if np.any(f.values)}))
 
 
-def _by_dof(forces: Sequence[Force], times: np.ndarray) -> np.ndarray:
-    """The force on each of these at times of any shape, (n_forced, *shape)."""
+def force_by_dof(forces: Sequence[Force], times: np.ndarray) -> np.ndarray:
+    """The force on each forced degree of freedom at times of any shape, (n_forced, *shape)."""
     return np.stack([np.sum([f(times) for f in forces if f.dof == dof], axis=0) for dof in forced_dofs(forces)])
 
 
@@ -45,14 +45,14 @@ def forced_motion(forces: Sequence[Force], rates: np.ndarray, times: np.ndarray)
     h = np.diff(grid)
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     past = 0.5 * h[:, None] * (nodes + 1.0)
-    inside = _by_dof(forces, grid[:-1, None] + past) * (0.5 * h[:, None] * weights)
+    inside = force_by_dof(forces, grid[:-1, None] + past) * (0.5 * h[:, None] * weights)
     z = np.zeros((grid.size, rates.size, len(inside)), complex)
     for k in range(h.size):
         z[k + 1] = np.exp(s * h[k]) * z[k] + np.exp(s * (h[k] - past[k])) @ inside[:, k].T
     z = np.moveaxis(z[np.searchsorted(grid, times)], 0, 1)
     s = s[:, :, None]
     q = np.stack([(z * s**order).imag / s.imag for order in range(3)], axis=1)
-    q[:, 2] += _by_dof(forces, times).T
+    q[:, 2] += force_by_dof(forces, times).T
     return q.reshape(*rates.shape, *q.shape[1:])
 
 

@@ -9,14 +9,14 @@ from functools import lru_cache
 import numpy as np
 
 from bench import Channel, Force, Problem
-from methods.pinn.forced import forced_dofs, forced_motion
+from methods.pinn.forced import force_by_dof, forced_dofs, forced_motion
 
 DECAYS = (0.2, 1.0, 3.0, 8.0)
 """Decay rates tried, times the duration: from nearly undamped to gone within an eighth of the record."""
 PER_HALF_CYCLE = 4
 """Frequencies tried in each step of half a cycle a record."""
-MOST_FORCED = 200_000
-"""Grid points times samples beyond which the scan does without the forces: it would take longer than a fit."""
+MOST_FORCED = 1_000_000
+"""Oscillators times samples, of the channel and of the forces, beyond which the scan takes a response for the force."""
 ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
@@ -39,15 +39,16 @@ def scan(problem: Problem, waves: int = 1, forced: bool = False) -> tuple[list[G
     A periodogram with decay: for every frequency and decay of a grid, amplitudes (and a constant, where a channel has
     an unknown one) of every channel by linear least squares. Frequencies end at the mean sampling's Nyquist limit.
     ``forced`` adds what an oscillator of that frequency and decay would do under the known forces, so that the first
-    wave is free vibration, not their trace. The second value is the share of the data that ``waves`` waves leave, found
-    one after the other.
+    wave is free vibration, not their trace; of a long record, where that takes longer than a fit, the force itself,
+    which is what a displacement follows under a slow one. The second value is the share of the data that ``waves``
+    waves leave, found one after the other.
     """
     duration = max(record.duration for record in problem.records)
     n = max(channel.n for record in problem.records for channel in record.channels)
     halves = np.arange(0.5, max(n - 1, 2) + 1e-9, 1.0 / PER_HALF_CYCLE)
     omegas, decays = np.pi * halves / duration, np.array(DECAYS) / duration
     series = [
-        _Series(c, record.forces if forced else ())
+        _Series(c, record.forces if forced else (), omegas.size * decays.size)
         for record in problem.records
         for c in record.channels
         if c.n > 4 and np.any(c.values)
@@ -68,16 +69,20 @@ def scan(problem: Problem, waves: int = 1, forced: bool = False) -> tuple[list[G
 class _Series:
     """The values of a channel, and the columns that are fitted to them beside a wave: ``fixed`` (n, k)."""
 
-    def __init__(self, channel: Channel, forces: Sequence[Force]) -> None:
+    def __init__(self, channel: Channel, forces: Sequence[Force], oscillators: int) -> None:
         self.times, self.values = channel.times, channel.values
         self.fixed = np.ones((channel.n, int(channel.offset)))
         self.order = ORDER[channel.measures]
         self.forces = forces if forced_dofs(forces) else ()
+        if oscillators * (channel.n + sum(f.times.size for f in forces)) > MOST_FORCED:
+            self.forces = ()
+            if forced_dofs(forces) and self.order == 0:
+                self.fixed = np.hstack([self.fixed, force_by_dof(forces, channel.times).T])
 
     def columns(self, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
         """The columns that a wave adds, (n_omegas, n_decays, n, k): two of its own, and one for each forced DOF."""
         waves = _wave(self.times, omegas, decays)
-        if not self.forces or omegas.size * decays.size * self.times.size > MOST_FORCED:
+        if not self.forces:
             return waves
         key = tuple((f.times.tobytes(), f.values.tobytes(), str(f.hold), f.dof) for f in self.forces)
         plain = _forced(key, self.times.tobytes(), omegas.tobytes(), decays.tobytes())

@@ -87,3 +87,13 @@ def test_a_force_that_jumps_is_followed(system: str, method: str) -> None:
     assert estimate.parameters is not None
     for name, value in zip(estimate.parameters.names, np.exp(estimate.parameters.mean), strict=True):  # type: ignore[union-attr]
         assert value == pytest.approx(p[name], rel=0.04)
+
+
+@pytest.mark.parametrize("samples", [100, 300])
+def test_a_step_is_followed_in_short_and_long_records(samples: int) -> None:
+    """Above a hundred samples the scan takes the force itself for the oscillators' responses; bound below 2 %."""
+    override = ["method=prior", "system=sdof_step", "snr=20", f"system.samples={samples}"]
+    (problem, truth), *_ = expand(override, multirun=False)[0].cell().scenario.replicates(31, 1)
+    estimate = make_method("collocation", {}).identify(problem, np.random.default_rng(0))
+    assert estimate.parameters is not None
+    assert np.exp(estimate.parameters.mean[0]) == pytest.approx(truth.parameters["m"], rel=0.08)  # type: ignore[union-attr]

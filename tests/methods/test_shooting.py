@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from pathlib import Path
 
@@ -230,20 +231,24 @@ def test_the_air_track_glider() -> None:
 def test_a_damping_that_the_noise_hides_is_no_failure() -> None:
     """Next to no damping, no prior: in half of the noise the likelihood rises towards c = 0 and has no maximum.
 
-    Mass and stiffness are told to 2 % all the same (the bound), and the interval of c reaches from nearly nothing to
-    what the noise can hide.
+    Mass and stiffness are told to 2 % all the same (the bound). A third of the largest fitted c, 0.025, is certainly
+    hidden: the interval holds 0.008 of every data set, whatever the screening had made of its start, and is no wider
+    than the very wide prior's.
     """
     times, knots = np.linspace(0.0, 10.0, 40), np.linspace(0.0, 10.0, 201)
     force = Force(knots, np.cos(1.3 * knots) + np.cos(4.0 * knots))
     start, true = InitialState([0.0], [0.0]), {"m": 1.0, "c": 1e-6, "k": 9.0}
     clean = simulate(SDOF(), true, start, times, (force,)).displacement[0]
     messages = []
-    for seed in range(6):
+    for seed, iterations in itertools.product(range(6), (3, 15)):
         values = clean + 0.1 * np.std(clean) * np.random.default_rng(seed).standard_normal(40)
         record = Record((Channel(times, values),), (force,), start)
-        estimate = Shooting().identify(Problem(SDOF(), (record,)), np.random.default_rng(0))
+        estimate = fit(Problem(SDOF(), (record,)), screen_iterations=iterations)
         assert estimate.parameters is not None, estimate.message
         m, c, k = np.exp(estimate.parameters.mean)  # type: ignore[union-attr]
+        sd = float(np.sqrt(estimate.parameters.covariance[1, 1]))  # type: ignore[union-attr]
+        assert c * np.exp(-2.0 * sd) < 0.008 < c * np.exp(2.0 * sd)
+        assert sd < 3.01
         assert m == pytest.approx(1.0, rel=0.08)
         assert k == pytest.approx(9.0, rel=0.08)
         assert c < 0.1
