@@ -138,13 +138,18 @@ def _left(channels: Sequence[Channel], rates: np.ndarray) -> np.ndarray:
     return total
 
 
+def _fixed(problem: Problem) -> dict[str, float]:
+    """The gauge mass, 1 where nothing but a prior sets the scale; else nothing."""
+    return {} if problem.scale_told and problem.prior is None else {problem.system.gauge: 1.0}
+
+
 def _regressed(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves]) -> dict[str, float]:
     """Non-negative least squares of each rig's residual on its curves; gauge mass 1 where nothing sets the scale."""
     system = problem.system
     parts = [regression_columns(rig, *block) for rig, block in zip(rigs, blocks, strict=True)]
     columns, rest = np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])
     names = list(system.names)
-    fixed = {} if problem.scale_told and problem.prior is None else {system.gauge: 1.0}
+    fixed = _fixed(problem)
     right = -rest - sum((columns[:, names.index(name)] * value for name, value in fixed.items()), np.zeros(len(rest)))
     free = [name for name in names if name not in fixed]
     sizes = {name: float(np.sqrt(np.mean(columns[:, names.index(name)] ** 2))) or 1.0 for name in names}
@@ -161,7 +166,7 @@ def _fitted(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves]) 
     at the oscillator of the curves' frequency and at the prior's nominal values; the better end is kept.
     """
     system, prior = problem.system, problem.prior
-    fixed = {} if problem.scale_told and prior is None else {system.gauge: 1.0}
+    fixed = _fixed(problem)
     free = [name for name in system.names if name not in fixed]
     starts = [_oscillator(system, blocks)] + ([dict(prior.nominal)] if prior is not None else [])
     size = _size(starts[0], rigs, blocks)
@@ -183,8 +188,8 @@ def _oscillator(system: System, blocks: Sequence[Curves]) -> dict[str, float]:
     """The curves' frequency w as parameters, mass 1: a stiffness w², a damping w / 10, dimension time^-n else w^n."""
     speeds, sizes = (np.concatenate([np.ravel(part) for block in blocks for part in block[i]]) for i in (1, 0))
     w = float(np.linalg.norm(speeds) / (np.linalg.norm(sizes) or 1.0)) or 1.0
-    powers = {p.name: -p.dimension.time * (1.0 if p.kind != "mass" else 0.0) for p in system.parameters}
-    return {p.name: w ** powers[p.name] * (0.1 if p.kind == "damping" else 1.0) for p in system.parameters}
+    shares = {"mass": 1.0, "damping": 0.1}
+    return {p.name: shares.get(p.kind, 1.0) * w**-p.dimension.time for p in system.parameters}
 
 
 def _equations(p: Mapping[str, float], rigs: Sequence[System], blocks: Sequence[Curves]) -> np.ndarray:

@@ -57,12 +57,10 @@ from bench import (
     report,
     simulate,
 )
-from methods.spectral import LOG_LIMIT, OutputError, as_fine_as_noise, screened, silent
+from methods.spectral import LOG_LIMIT, PRIORLESS_SD, OutputError, as_fine_as_noise, screened, silent
 
 NOISE_CENTRE = float(np.log(0.1))
 NOISE_SD = 3.0
-PRIORLESS_SD = 3.0
-"""Standard deviation of the log-parameters where the problem has no prior."""
 STEPPED = 4
 MANY = 10
 """Unknowns beyond which slow mixing is put down to their number."""

@@ -48,14 +48,12 @@ from bench import (
     simulate,
 )
 from methods.rough import Start, fastest_rate, radians_a_step, rough_states
-from methods.spectral import OutputError, candidates, estimate_at, screened, screening, silent
+from methods.spectral import PRIORLESS_SD, OutputError, candidates, estimate_at, screened, screening, silent
 
 SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
 MAX_SUBSTEPS = SUBSTEPS[-1]
 SCREENED = 300
 """Samples of each channel on which the starts of a nonlinear system are compared."""
-WIDE = 3.0
-"""Log standard deviation of the prior that is used where the likelihood alone has no maximum: a factor of 20."""
 HELD = "the likelihood has no maximum at positive parameters: held by a prior of a factor of 20 about the data's start"
 POLISH = 3
 """Gauss-Newton steps in the reduced space after IPOPT, at most: they make the answer free of its tolerance."""
@@ -123,8 +121,9 @@ class Shooting(Identifier):
         good, message = self._fits(model, used), ""
         if model.prior is None and model.problem.scale_told and not _closed(model, good):
             # the likelihood rises towards a parameter of zero or without limit: the data say that it is small or large
-            model = _held(model, candidates(_head(model), self.starts + 1)[0])
-            good, message = self._fits(model, [_within(model, theta) for theta in used], exact=True), HELD
+            prior = _wide(candidates(_head(model), self.starts + 1)[0])
+            model = OutputError(replace(model.problem, prior=prior))
+            good, message = self._fits(model, [_within(prior, theta) for theta in used], exact=True), HELD
         iterations = sum(fit.iterations for fit in good)
         if not good:
             return Estimate.failed(
@@ -197,26 +196,24 @@ class _Fit:
 
 
 def _closed(model: OutputError, fits: Sequence[_Fit]) -> bool:
-    """Whether the best of the solutions leaves no parameter open by more than a factor of ``exp(WIDE)``."""
+    """Whether the best of the solutions leaves no parameter more open than the very wide prior would."""
     if not fits:
         return False
     best = min(fits, key=lambda fit: fit.profile)
     covariance = model.covariance(best.slopes, best.sigma)
-    return covariance is not None and bool(np.max(np.diag(covariance)[: len(model.free)]) <= WIDE**2)
+    return covariance is not None and bool(np.max(np.diag(covariance)[: len(model.free)]) <= PRIORLESS_SD**2)
 
 
-def _held(model: OutputError, nominal: dict[str, float]) -> OutputError:
-    """The model with a prior of log standard deviation ``WIDE`` about parameters that a scan of the data gave."""
-    return OutputError(replace(model.problem, prior=Prior(nominal, dict.fromkeys(nominal, WIDE))))
+def _wide(nominal: dict[str, float]) -> Prior:
+    """The very wide prior, about parameters that a scan of the data gave."""
+    return Prior(nominal, dict.fromkeys(nominal, PRIORLESS_SD))
 
 
-def _within(model: OutputError, theta: np.ndarray) -> np.ndarray:
-    """A start that had run away, back within a standard deviation of the prior."""
-    k, moved = len(model.free), theta.copy()
-    if model.prior is not None:
-        low, high = model.prior.log_mean - model.prior.log_sds, model.prior.log_mean + model.prior.log_sds
-        moved[:k] = np.clip(theta[:k], low, high)
-    return moved
+def _within(prior: Prior, theta: np.ndarray) -> np.ndarray:
+    """A start that had run away, back within a standard deviation of the prior on its first entries."""
+    k = prior.log_mean.size
+    logs = np.clip(theta[:k], prior.log_mean - prior.log_sds, prior.log_mean + prior.log_sds)
+    return np.concatenate([logs, theta[k:]])
 
 
 def _head(model: OutputError) -> OutputError:

@@ -38,7 +38,7 @@ from bench import (
     state_matrix,
 )
 from methods.equation_error import CYCLE_STEP, DECAYS, MAX_CYCLES, regression_starts
-from methods.rough import RADIANS_A_STEP, rough_readings
+from methods.rough import RADIANS_A_STEP, Start, rough_readings
 
 SIGMA_FLOOR = 1e-4
 """The noise assumed while fitting is at least this part of a channel's root mean square; see ``noise``."""
@@ -46,6 +46,9 @@ LOG_LIMIT = 40.0
 NOISE_SHARE = 0.05
 """Error of the integration over the standard error that the data allow."""
 HALVINGS = 4
+"""How often the steps are halved at most."""
+PRIORLESS_SD = 3.0
+"""Log standard deviation, a factor of 20, of the prior on parameters that the problem has none for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +116,10 @@ class OutputError:
         values = dict(zip(self.free, np.moveaxis(np.exp(theta[..., : len(self.free)]), -1, 0), strict=True))
         return {name: values.get(name, np.ones(theta.shape[:-1])) for name in self.system.names}
 
-    def starts(self, theta: np.ndarray) -> list[InitialState | tuple[np.ndarray, np.ndarray]]:
+    def starts(self, theta: np.ndarray) -> list[Start]:
         """Initial state by record: the told one, or displacement and velocity of shape (n_dof, ...)."""
         n, at = self.system.n_dof, len(self.free)
-        found: list[InitialState | tuple[np.ndarray, np.ndarray]] = []
+        found: list[Start] = []
         for record in self.problem.records:
             if record.initial_state is not None:
                 found.append(record.initial_state)
@@ -137,10 +140,14 @@ class OutputError:
         """Simulated measurements, shape (..., N); not finite where the response diverges."""
         p = self.parameters(theta)
         parts = [
-            readings(self.system, p, start, record)
+            self.readings(p, start, record)
             for start, record in zip(self.starts(theta), self.problem.records, strict=True)
         ]
         return np.concatenate(parts, -1) + self.offsets(theta)[..., self.channel_of]
+
+    def readings(self, p: dict[str, np.ndarray], start: Start, record: Record) -> np.ndarray:
+        """What the sensors of a record would show, channel after channel, shape (..., n), without offsets."""
+        return readings(self.system, p, start, record)
 
     def penalty(self, theta: np.ndarray) -> np.ndarray:
         """Standardised distances from the prior, shape (..., n_parameters); of no length without a prior."""
@@ -281,19 +288,12 @@ class Stepped(OutputError):
 
     radians: float = RADIANS_A_STEP
 
-    def predict(self, theta: np.ndarray) -> np.ndarray:
-        """Simulated measurements, shape (..., N); not finite where the response diverges."""
-        p = self.parameters(theta)
-        parts = [
-            rough_readings(self.system, p, start, record, self.radians)
-            for start, record in zip(self.starts(theta), self.problem.records, strict=True)
-        ]
-        return np.concatenate(parts, -1) + self.offsets(theta)[..., self.channel_of]
+    def readings(self, p: dict[str, np.ndarray], start: Start, record: Record) -> np.ndarray:
+        """As above; not finite where the response diverges."""
+        return rough_readings(self.system, p, start, record, self.radians)
 
 
-def readings(
-    system: System, p: dict[str, np.ndarray], start: InitialState | tuple[np.ndarray, np.ndarray], record: Record
-) -> np.ndarray:
+def readings(system: System, p: dict[str, np.ndarray], start: Start, record: Record) -> np.ndarray:
     """As :func:`bench.measurements`, with one simulation for all sensors that are read at the same times."""
     rig, motions, parts = record.rig(system), dict[bytes, Any](), []
     for channel in record.channels:
@@ -351,16 +351,16 @@ def as_fine_as_noise(model: OutputError, theta: np.ndarray) -> OutputError:
 
     Steps are halved until that moves no sample by more: no law of the error holds where a force is not smooth.
     """
-    if model.system.linear or model.system.n_hidden:
+    quick = screening(model)
+    if not isinstance(quick, Stepped):
         return model
-    quick = Stepped(model.problem)
     predicted = quick.predict(theta)
     sigma = model.noise(model.data - predicted, 0.0)
     allowed = NOISE_SHARE * sigma[model.channel_of] / np.sqrt(model.data.size)
     for _ in range(HALVINGS):
         finer = Stepped(model.problem, 0.5 * quick.radians)
         before, predicted = predicted, finer.predict(theta)
-        if np.all(np.abs(predicted - before) <= allowed):  # the finer one then errs by far less
+        if np.all(np.abs(predicted - before) <= allowed):
             break
         quick = finer
     return quick

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bench import Problem, Record
+from bench import Problem
 from methods.pinn import descent, levenberg
 from methods.pinn.ansatz import Basis, Sum
 from methods.pinn.forced import ForcedMotion, forced_dofs
@@ -19,7 +19,7 @@ from methods.pinn.laplace import laplace
 from methods.pinn.levenberg import Walk
 from methods.pinn.residuals import TERMS, Block, Residuals, Spread
 from methods.pinn.response import Assisted, Band, ExactStart, Function
-from methods.pinn.spectral import Guess
+from methods.pinn.spectral import ORDER, Guess
 
 if TYPE_CHECKING:
     from methods.pinn.ansatz import Ansatz
@@ -40,8 +40,6 @@ ROUNDS = 3
 """How often the noise may be estimated anew and the fit polished with it."""
 SETTLED = 0.03
 """Relative change of the noise below which it needs no further round."""
-POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
-"""A measured quantity is of the displacement's size times this power of the frequency."""
 
 
 @dataclass
@@ -146,10 +144,7 @@ class Attempt:
         if len(free) < logs.shape[1]:
             gauge = first.system.names.index(first.system.gauge)
             logs = logs - logs[:, gauge : gauge + 1]
-        self.forced = [
-            [_forced(p.records[k], guess, self.collocation) for p, guess in zip(problems, guesses, strict=True)]
-            for k in range(len(first.records))
-        ]
+        self.forced = [self._forced_motions(k, guesses) for k in range(len(first.records))]
         exact = self.omega if settings.start == "exact" else None
         self.residuals = Residuals(problems, self._ansatz, self.collocation, free, logs, settings.device, exact)
         weights = [self._first_coefficients(k, first.system.n_dof, rngs) for k in range(len(first.records))]
@@ -158,25 +153,38 @@ class Attempt:
         self.walk = Walk.start(torch.as_tensor(z, device=settings.device))
         self._measure(degrees_of_freedom(first))
 
+    def _forced_motions(self, k: int, guesses: Sequence[Guess]) -> list[ForcedMotion]:
+        """What the forces of record k alone would do, fit by fit; empty where there are none."""
+        if not forced_dofs(self.problems[0].records[k].forces):
+            return []
+        records = [problem.records[k] for problem in self.problems]
+        return [
+            ForcedMotion.of(r.forces, complex(-g.decay, g.omega), np.linspace(0.0, r.duration, self.collocation))
+            for r, g in zip(records, guesses, strict=True)
+        ]
+
     def _ansatz(self, k: int, block: Block) -> Ansatz:
         """What represents the response in record k: with what its forces alone would do, where there are any."""
         inner = self.settings.ansatz(block, self.resolution)
-        forced = [own for own in self.forced[k] if own is not None]
-        if not forced:
+        if not self.forced[k]:
             return inner
-        streams = np.stack([own.streams(times) for own, times in zip(forced, block.times, strict=True)])
+        streams = np.stack([own.streams(times) for own, times in zip(self.forced[k], block.times, strict=True)])
         return Sum(inner, Basis(torch.as_tensor(streams, device=block.values.device), block.n_dof))
 
     def _first_coefficients(self, k: int, n_dof: int, rngs: Sequence[np.random.Generator]) -> np.ndarray:
         own = self.settings.first_coefficients(n_dof, self.resolution, self.cycles, rngs)
-        added = [np.zeros((len(own), n_dof * f.sizes.size)) for f in self.forced[k][:1] if f is not None]
-        return np.concatenate([own, *added], 1)
+        return np.concatenate([own, np.zeros((len(own), n_dof * self._n_forced(k)))], 1)
+
+    def _n_forced(self, k: int) -> int:
+        """Functions that the forces of record k add for each DOF."""
+        return self.forced[k][0].sizes.size if self.forced[k] else 0
 
     def _measure(self, dof: float) -> None:
         """Sizes of the channels, (B, n_channels), and the first noise."""
         channels = [[c for record in p.records for c in record.channels] for p in self.problems]
         self.n = np.array([c.n for c in channels[0]])
-        power = np.array([POWER[c.measures] for c in channels[0]], float)
+        # a measured quantity is of the displacement's size times this power of the frequency
+        power = np.array([ORDER[c.measures] for c in channels[0]], float)
         self.to_displacement = self.omega[:, None] ** -power
         self.rms = np.array([[np.sqrt(np.mean(c.values**2)) if c.n else 0.0 for c in own] for own in channels])
         largest = np.max(self.rms * self.to_displacement, axis=1, keepdims=True)
@@ -310,22 +318,14 @@ class Attempt:
         """The response of fit i in record k."""
         block = self.residuals.blocks[k]
         duration, system = float(block.duration[i]), self.problems[i].system
-        forced = self.forced[k][i]
-        own = coefficients.size if forced is None else coefficients.size - system.n_dof * forced.sizes.size
+        own = coefficients.size - system.n_dof * self._n_forced(k)
         inner = self.settings.response(coefficients[:own], system.n_dof, self.resolution, duration)
-        if forced is not None:
-            inner = Assisted(inner, forced, coefficients[own:].reshape(system.n_dof, -1))
+        if self.forced[k]:
+            inner = Assisted(inner, self.forced[k][i], coefficients[own:].reshape(system.n_dof, -1))
         told = self.problems[i].records[k].initial_state
         if told is None or self.settings.start != "exact":
             return inner
         return ExactStart(inner, told.displacement, told.velocity, float(self.omega[i]))
-
-
-def _forced(record: Record, guess: Guess, points: int) -> ForcedMotion | None:
-    """What the forces of a record alone would do; None where there are none."""
-    if not forced_dofs(record.forces):
-        return None
-    return ForcedMotion.of(record.forces, complex(-guess.decay, guess.omega), np.linspace(0.0, record.duration, points))
 
 
 def _history(records: list[np.ndarray], deviations: np.ndarray, terms: np.ndarray) -> dict[str, np.ndarray]:

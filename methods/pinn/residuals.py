@@ -30,8 +30,8 @@ from torch import Tensor
 from bench import Ops, Problem, Record, System
 from methods.pinn.ansatz import Adjoints, Ansatz, Tape
 from methods.pinn.forced import forced_dofs
+from methods.pinn.spectral import ORDER
 
-STREAM = {"displacement": 0, "velocity": 1, "acceleration": 2}
 TERMS = ("data", "physics", "initial", "prior")
 CHUNK = 2**24
 """Entries of J formed at a time where the normal equations are built from its columns."""
@@ -102,7 +102,7 @@ class Block:
         self.values = tensor([np.concatenate([c.values for c in r.channels]) for r in records])
         forces = [r.force(grid, system.n_dof) for r, grid in zip(records, grids, strict=True)]
         self.force = [tensor([own[dof] for own in forces]) for dof in range(system.n_dof)]
-        stream = np.concatenate([np.full(c.n, STREAM[c.measures]) for c in first.channels])
+        stream = np.concatenate([np.full(c.n, ORDER[c.measures]) for c in first.channels])
         dof = np.concatenate([np.full(c.n, c.dof) for c in first.channels])
         self.channel = np.concatenate([np.full(c.n, i) for i, c in enumerate(first.channels)])
         self.data_points = collocation + torch.arange(self.n_data, device=device)

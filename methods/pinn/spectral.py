@@ -18,6 +18,7 @@ PER_HALF_CYCLE = 4
 MOST_FORCED = 1_000_000
 """Oscillators times samples, of the channel and of the forces, beyond which the scan takes a response for the force."""
 ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
+"""Derivative by time that a sensor measures."""
 
 
 @dataclass(frozen=True)
