@@ -51,6 +51,8 @@ from methods.regression import (
 RADIANS_A_STEP = 0.35
 """Step of the fourth-order integrator: its error, a phase of some 4e-5 radians a step, is far below the noise."""
 
+DEPENDENT = 1e-12
+"""A term of which the terms taken leave less than this part, squared, is one of their combinations."""
 EXACT = 1e-3
 """A misfit below this part of the motion is that of smoothing and integration: no further term is called for."""
 
@@ -277,7 +279,8 @@ def greedy(features: np.ndarray, target: np.ndarray, most: int) -> np.ndarray:
     """Models of 1 to ``most`` terms, (sets, most, terms), of features (sets, rows, terms) and target (sets, rows).
 
     Each step takes the term that, made orthogonal to those taken, explains most of the target. The vectorised twin of
-    ``pysindy.FROLS(alpha=0)``, for the bootstrap; a test holds the two together.
+    ``pysindy.FROLS(alpha=0)``, for the bootstrap; a test holds the two together. A term that the ones taken already
+    give is never taken; where no other is left, the larger models are the last one again.
     """
     norms = np.linalg.norm(features, axis=1)
     norms = np.where(norms > 0, norms, 1.0)
@@ -287,10 +290,10 @@ def greedy(features: np.ndarray, target: np.ndarray, most: int) -> np.ndarray:
     kept, models = np.zeros(norms.shape, bool), []
     for _ in range(most):
         power = np.sum(left**2, axis=1)
-        free = ~kept & (power > 1e-20)
+        free = ~kept & (power > DEPENDENT)
         gain = np.where(free, np.einsum("srk,sr->sk", left, target) ** 2 / np.where(free, power, 1.0), -1.0)
         best = np.argmax(gain, axis=1)
-        kept[rows, best] = True
+        kept[rows, best] |= free[rows, best]
         taken = left[rows, :, best] / np.sqrt(np.maximum(power[rows, best], 1e-300))[:, None]
         left = left - taken[:, :, None] * np.einsum("sr,srk->sk", taken, left)[:, None]
         square = np.where(kept[:, :, None] & kept[:, None, :], gram, np.eye(norms.shape[1]))

@@ -73,6 +73,17 @@ def test_the_bootstrap_chooses_terms_as_pysindy_does() -> None:
         np.testing.assert_allclose(models[i], expected, rtol=1e-6, atol=1e-9)
 
 
+def test_terms_that_others_give_are_not_taken() -> None:
+    """Three different terms, one of them twice and in a sum, and one that is zero: a fourth says nothing new."""
+    draw = np.random.default_rng(3)
+    own = draw.standard_normal((4, 20, 3))
+    features = np.concatenate([own, own[..., :1], own.sum(-1, keepdims=True), np.zeros((4, 20, 1))], axis=2)
+    target = own @ np.array([1.0, -2.0, 0.5])
+    models = greedy(features, target, 5)
+    assert np.all(np.count_nonzero(models, axis=2) == [1, 2, 3, 3, 3])
+    np.testing.assert_allclose(np.einsum("srk,sk->sr", features, models[:, -1]), target, atol=1e-9)
+
+
 def test_few_noisy_samples_give_a_covariance_of_the_right_size() -> None:
     scenario = Scenario("sdof", PLANT, ((0.8,), (0.5,)), 20.0)
     fits = [SINDy().identify(p, rng()).groups for p, _ in scenario.replicates(13, 16)]
