@@ -77,7 +77,7 @@ class DDNN(Identifier):
         tuning="9 ranges of first-layer slopes, 2 starts of the noise, 7 regressions (ends left out, weights), on 9-64"
         " development records at 5-40 dB, judged by displacement and k/m against the truth",
     )
-    serves: ClassVar[Serves] = Serves(several_records=True, several_channels=True, max_dof=None)
+    serves: ClassVar[Serves] = Serves(several_records=True, several_channels=True, max_dof=None, added_mass=True)
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"
 
@@ -88,8 +88,8 @@ class DDNN(Identifier):
         return super().objection(problem)
 
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The estimate for one problem; status ``diverged`` where the regression gives no positive parameters under
-        a force."""
+        """The estimate for one problem; status ``diverged`` where the regression gives no positive parameters
+        where it tells them all."""
         system = problem.system
         units = problem.natural_units()
         scaled = problem.expressed_in(units)
@@ -154,17 +154,17 @@ cycles."""
 def _regressions(
     problem: Problem, paths: Sequence[np.ndarray], forces: Sequence[list[np.ndarray]]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters at the fitted paths, (n,), and at each draw of them, (n_draws, n), gauge mass 1 in free vibration."""
+    """Parameters at the fitted paths, (n,), and at their draws, (n_draws, n); gauge mass 1 where nothing tells it."""
     system = problem.system
-    free = [i for i, name in enumerate(system.names) if problem.forced or name != system.gauge]
+    free = [i for i, name in enumerate(system.names) if problem.scale_told or name != system.gauge]
 
     def equation(draw: int) -> tuple[np.ndarray, np.ndarray]:
         columns, rest = [], []
-        for path, force in zip(paths, forces, strict=True):
+        for path, force, record in zip(paths, forces, problem.records, strict=True):
             x, v, a = (list(path[draw, s].T) for s in range(3))
-            block, b = regression_columns(system, x, v, a, force)
+            block, b = regression_columns(record.rig(system), x, v, a, force)
             columns.append(block[:, free])
-            rest.append(b if problem.forced else b + block[:, system.names.index(system.gauge)])
+            rest.append(b if problem.scale_told else b + block[:, system.names.index(system.gauge)])
         return np.concatenate(columns), np.concatenate(rest)
 
     systems = [equation(draw) for draw in range(paths[0].shape[0])]
@@ -177,14 +177,14 @@ def _regressions(
 def _estimate(
     problem: Problem, values: np.ndarray, covariance: np.ndarray, dof: float, common: dict[str, Any]
 ) -> Estimate:
-    """Groups in free vibration, parameters under a force; a failure where no belief can be stated."""
+    """Groups, or parameters where the scale is told; a failure where no belief can be stated."""
     system = problem.system
     if not (np.all(np.isfinite(values)) and np.all(np.isfinite(covariance))):
         return Estimate.failed(
             system, Status.NONFINITE, "the regression on the derivatives is not finite", common["cost"]
         )
     parameters = dict(zip(system.names, values, strict=True))
-    if not problem.forced:
+    if not problem.scale_told:
         names = tuple(group.name for group in system.groups)
         means = np.array([group.value(parameters) for group in system.groups])
         # every group is linear in each parameter once the gauge is one, to first order: p ∂g/∂p = exponent g

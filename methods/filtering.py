@@ -53,6 +53,7 @@ SERVES = Serves(
     offsets=True,
     max_dof=None,
     hidden_states=True,
+    added_mass=True,
 )
 
 

@@ -9,7 +9,7 @@ so that many nodes are passed at once. Everything is in natural units (:meth:`be
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
@@ -17,7 +17,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from bench import Ops, Record, acceleration, numpy_ops, rk4_step, state_rate
+from bench import Ops, Record, System, acceleration, numpy_ops, rk4_step, state_rate
 from methods.spectral import LOG_LIMIT, OutputError, candidates
 
 START = 3.0
@@ -45,6 +45,8 @@ def _solve(matrix: Sequence[Sequence[Any]], rhs: Sequence[Any]) -> Sequence[Any]
         return numpy_ops.solve(rows, [np.where(good, entry, np.nan) for entry in entries[n * n :]])
 
 
+OfRig = Callable[[System, np.ndarray, np.ndarray], np.ndarray]
+"""A rig, joint states (L, S, d) and the nodes (L,) or (1,) they belong to, to values (L, S, ...)."""
 OPS = cast(Ops, SimpleNamespace(**{**vars(numpy_ops), "solve": _solve}))
 
 
@@ -214,9 +216,33 @@ class Chain:
         """The numbers of the channels that gave a value at a node."""
         return np.flatnonzero(np.isfinite(self.values[node]))
 
+    @cached_property
+    def _rigs(self) -> tuple[tuple[System, ...], np.ndarray]:
+        """The rigs that moved, and which of them each node belongs to, (K,)."""
+        moved = [record.rig(self.joint.model.system) for record in self.joint.model.problem.records]
+        rigs = tuple(dict.fromkeys(moved))
+        lengths = np.diff([*self.first_of, self.nodes])
+        return rigs, np.repeat([rigs.index(rig) for rig in moved], lengths)
+
+    def _by_rig(self, of: OfRig, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        """``of`` for each rig at its own nodes; they differ where masses were added in some records."""
+        rigs, number = self._rigs
+        mine = number[nodes]
+        if np.all(mine == mine[0]):
+            return of(rigs[mine[0]], points, nodes)
+        parts = [(mine == i, rig) for i, rig in enumerate(rigs) if np.any(mine == i)]
+        found = [(which, of(rig, points[which], nodes[which])) for which, rig in parts]
+        whole = np.empty((len(nodes), *found[0][1].shape[1:]))
+        for which, own in found:
+            whole[which] = own
+        return whole
+
     def advance(self, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         """Joint states (L, S, d) carried to the nodes (L,) or (1,) from the ones before them."""
-        joint, system = self.joint, self.joint.model.system
+        return self._by_rig(self._advanced, points, nodes)
+
+    def _advanced(self, system: System, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        joint = self.joint
         p = joint.parameters(points)
         state = [points[..., i] for i in range(joint.states)]
         steps, pushes = self.steps[nodes], self.pushes[nodes]
@@ -227,7 +253,10 @@ class Chain:
 
     def observe(self, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         """What every channel would give, (L, S, C), at joint states (L, S, d) of the nodes (L,) or (1,)."""
-        joint, system = self.joint, self.joint.model.system
+        return self._by_rig(self._observed, points, nodes)
+
+    def _observed(self, system: System, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        joint = self.joint
         n, x = system.n_dof, [points[..., i] for i in range(joint.states)]
         seen = {"displacement": x[:n], "velocity": x[n : 2 * n]}
         if any(c.measures == "acceleration" for _, c in joint.model.channels):

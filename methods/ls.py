@@ -59,13 +59,15 @@ class LS(Identifier):
         tuning="finite: none; spline: on 3 development systems (damping 3-26 %, 2.7-5.4 cycles) at 40-5 dB tried "
         "penalty orders 2-4, 0-3 samples left out, weight by restricted likelihood or by simulation",
     )
-    serves: ClassVar[Serves] = Serves(several_records=True, several_channels=True, offsets=True, max_dof=None)
+    serves: ClassVar[Serves] = Serves(
+        several_records=True, several_channels=True, offsets=True, max_dof=None, added_mass=True
+    )
 
     def objection(self, problem: Problem) -> str | None:
         return super().objection(problem) or layout_objection(problem)
 
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The estimate for one problem: groups in free vibration, parameters with a known force."""
+        """The estimate for one problem: groups, or parameters where the scale is told."""
         units = problem.natural_units()
         try:
             regression = Regression.of(problem.expressed_in(units))

@@ -89,7 +89,7 @@ class NUTS(Identifier):
             return Estimate.failed(problem.system, Status.DIVERGED, sentence)
         with np.errstate(all="ignore"):
             # to ten digits: a path of leapfrog steps magnifies the last bit of the data to other draws
-            estimate = self._sample(OutputError(_rounded(scaled)), rng)
+            estimate = self._sample(OutputError(rounded(scaled)), rng)
         return replace(estimate, offsets=problem.offsets_from(units, estimate.offsets)).expressed_in(units.inverse)
 
     def _sample(self, model: OutputError, rng: np.random.Generator) -> Estimate:
@@ -152,13 +152,6 @@ class NUTS(Identifier):
             if health.converged(self):
                 break
         return centre + path @ root.T, health, gradients
-
-
-def _rounded(problem: Problem) -> Problem:
-    """The problem with its data to ten digits, added masses as they are."""
-    same = rounded(problem)
-    pairs = zip(same.records, problem.records, strict=True)
-    return replace(same, records=tuple(replace(new, added_mass=old.added_mass) for new, old in pairs))
 
 
 @dataclass(frozen=True)

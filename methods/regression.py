@@ -232,13 +232,14 @@ class Regression:
     """A problem as ``columns @ unknowns = target``.
 
     In free vibration the residual is homogeneous in the parameters: the gauge mass is set to 1, and the unknowns are
-    the identifiable groups, in the order of ``system.groups``. With a known force they are all parameters. An unknown
-    sensor offset of a linear system adds a constant to each equation of its record: a nuisance unknown after those.
+    the identifiable groups, in the order of ``system.groups``. Where a known force or an added mass tells the scale
+    they are all parameters. An unknown sensor offset of a linear system adds a constant to each equation of its record:
+    a nuisance unknown after those.
     """
 
     system: System
     records: tuple[Record, ...]
-    forced: bool
+    scale_told: bool
 
     @staticmethod
     def of(problem: Problem) -> Regression:
@@ -246,7 +247,7 @@ class Regression:
         objection = layout_objection(problem)
         if objection:
             raise Unusable(Status.UNSUPPORTED, objection)
-        regression = Regression(problem.system, problem.records, problem.forced)
+        regression = Regression(problem.system, problem.records, problem.scale_told)
         for values in regression.values:
             dead = [i for i, series in enumerate(values[:, 0]) if not np.any(series != series[0])]
             if dead:
@@ -264,17 +265,22 @@ class Regression:
         by_dof = [sorted(record.channels, key=lambda c: c.dof) for record in self.records]
         return tuple(np.stack([c.values for c in channels])[:, None] for channels in by_dof)
 
+    @property
+    def forced(self) -> bool:
+        """Whether a known force acts in any record."""
+        return any(record.forces for record in self.records)
+
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """What is identified: group names, or parameter names where a force is known."""
-        return self.system.names if self.forced else tuple(g.name for g in self.system.groups)
+        """What is identified: group names, or parameter names where a force or an added mass is known."""
+        return self.system.names if self.scale_told else tuple(g.name for g in self.system.groups)
 
     @cached_property
     def _unknown(self) -> tuple[str, ...]:
-        return self.system.names if self.forced else tuple(_numerator(g.exponents) for g in self.system.groups)
+        return self.system.names if self.scale_told else tuple(_numerator(g.exponents) for g in self.system.groups)
 
     def parameters(self, unknowns: np.ndarray) -> dict[str, np.ndarray]:
-        """Parameters, each (...), from unknowns (..., q); the gauge mass is 1 in free vibration."""
+        """Parameters, each (...), from unknowns (..., q); the gauge mass is 1 where nothing tells it."""
         values = {self.system.gauge: np.ones(unknowns.shape[:-1])}
         values |= {name: unknowns[..., i] for i, name in enumerate(self._unknown)}
         return {name: values[name] for name in self.system.names}
@@ -287,7 +293,7 @@ class Regression:
         for i, (record, motion) in enumerate(zip(self.records, motions, strict=True)):
             force = record.force(motion.times, n) if motion.force is None else motion.force
             a_matrix, offset = regression_columns(
-                self.system, list(motion.x), list(motion.v), list(motion.a), list(force)
+                record.rig(self.system), list(motion.x), list(motion.v), list(motion.a), list(force)
             )
             sets, rows = motion.x.shape[1:]
             # regression_columns stacks the DOFs on the first axis and the parameters on the second
@@ -298,7 +304,7 @@ class Regression:
                 first = n * sum(with_offset[:i])
                 nuisance[..., first : first + n] = np.tile(np.eye(n), (rows, 1))
             at = [self.system.names.index(name) for name in self._unknown]
-            gauge = 0.0 if self.forced else a_matrix[..., self.system.names.index(self.system.gauge)]
+            gauge = 0.0 if self.scale_told else a_matrix[..., self.system.names.index(self.system.gauge)]
             columns.append(np.concatenate([a_matrix[..., at], nuisance], axis=-1))
             targets.append(-offset - gauge)
         return np.concatenate(columns, axis=1), np.concatenate(targets, axis=1)
@@ -361,10 +367,10 @@ def responses(
     Gauss-Newton over the start by finite differences, one step for a linear system (exact), two from ``guess``
     (2 n_dof,) for others. Estimated offsets are in the response. NaN where it diverges.
     """
-    sets, n = np.shape(next(iter(p.values())))[0], system.n_dof
+    sets, n, rig = np.shape(next(iter(p.values())))[0], system.n_dof, record.rig(system)
     usable = np.all([np.isfinite(value) for value in p.values()], axis=0)
     if not system.linear:
-        usable &= ~too_fast(system, p, guess, record.channels[0].times)
+        usable &= ~too_fast(rig, p, guess, record.channels[0].times)
     # a set that is not simulated must not slow the others down
     p = {name: np.where(usable, value, 1.0) for name, value in p.items()}
     offset = np.zeros((n, 1, 1))
@@ -373,7 +379,7 @@ def responses(
     def at(theta: np.ndarray) -> np.ndarray:
         times = record.channels[0].times
         # starts (2n, trials, sets): the trials of a set share its parameters
-        x = simulate(system, p, (theta[:n], theta[n:]), times, record.forces).displacement
+        x = simulate(rig, p, (theta[:n], theta[n:]), times, record.forces).displacement
         data = y[:, None] if theta.ndim == 3 else y
         constant = np.mean(x - data, axis=-1, keepdims=True)
         return np.asarray(x - (offset[:, None] if theta.ndim == 3 else offset) * constant)
@@ -619,9 +625,9 @@ def answer(
     message: str = "",
     traces: Mapping[str, np.ndarray] | None = None,
 ) -> Estimate:
-    """The Estimate of unknowns (q,) in the problem's units: groups in free vibration, parameters with a known force.
+    """The Estimate of unknowns (q,) in the problem's units: groups, or parameters where the scale is told.
 
-    Nuisance unknowns are dropped. With a force the covariance goes to the logarithms to first order, and all
+    Nuisance unknowns are dropped. For parameters the covariance goes to the logarithms to first order, and all
     parameters must be positive.
     """
     system, d = regression.system, len(regression.names)
@@ -633,7 +639,7 @@ def answer(
     fitted_starts = sum(2 * system.n_dof for record in regression.records if record.initial_state is None)
     samples = sum(record.n for record in regression.records)
     dof = float(max(1, samples - unknowns.size - fitted_starts))
-    if not regression.forced:
+    if not regression.scale_told:
         groups = Normal(regression.names, mean, cov, log=False, dof=dof)
         return Estimate(system, groups=groups, message=message, traces=traces or {})
     if np.any(mean <= 0):

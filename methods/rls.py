@@ -69,7 +69,9 @@ class RLS(Identifier):
         settings_source="forgetting: Ljung, System Identification Toolbox user's guide (typically 0.97 to 0.995)",
         tuning="none",
     )
-    serves: ClassVar[Serves] = Serves(several_records=True, several_channels=True, offsets=True, max_dof=None)
+    serves: ClassVar[Serves] = Serves(
+        several_records=True, several_channels=True, offsets=True, max_dof=None, added_mass=True
+    )
 
     def __post_init__(self) -> None:
         if not 0 < self.forgetting <= 1:
@@ -81,7 +83,7 @@ class RLS(Identifier):
         return super().objection(problem) or layout_objection(problem)
 
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The estimate for one problem: groups in free vibration, parameters with a known force."""
+        """The estimate for one problem: groups, or parameters where the scale is told."""
         units = problem.natural_units()
         try:
             regression = Regression.of(problem.expressed_in(units))

@@ -42,7 +42,7 @@ SETTLED = 0.03
 """Relative change of the noise below which it needs no further round."""
 
 
-@dataclass
+@dataclass(eq=False)
 class Fit:
     """The outcome of one attempt, in numpy and natural units.
 
@@ -88,8 +88,10 @@ def first_logs(problem: Problem, guess: Guess) -> np.ndarray:
     A parameter of dimension time^-n is of size omega^n in natural units, a damping 2 decay omega^(n - 1): for one mass
     this is the wave's own oscillator, for others the right order of magnitude. Without a prior a mass is 1, and under a
     force omega^-2: the unit of mass is then such that a force of one moves it by one in a unit of time, and the force
-    is taken to be as large as that of the springs.
+    is taken to be as large as that of the springs. After an earlier fit: where it ended.
     """
+    if guess.logs is not None:
+        return guess.logs
     unit = guess.omega**-2.0 if problem.prior is None and problem.forced else 1.0
     values = []
     for parameter in problem.system.parameters:
@@ -105,9 +107,9 @@ def first_logs(problem: Problem, guess: Guess) -> np.ndarray:
 
 
 def free_parameters(problem: Problem) -> tuple[str, ...]:
-    """The parameters to estimate: without prior and force the gauge mass stays fixed, for the data cannot tell it."""
+    """The parameters to estimate: where neither prior nor data tell the scale, the gauge mass stays fixed."""
     names = problem.system.names
-    if problem.prior is None and not problem.forced:
+    if problem.prior is None and not problem.scale_told:
         return tuple(name for name in names if name != problem.system.gauge)
     return names
 
@@ -115,7 +117,7 @@ def free_parameters(problem: Problem) -> tuple[str, ...]:
 def degrees_of_freedom(problem: Problem) -> float:
     """Samples less the numbers that the data decide: parameters or groups, unknown starts, offsets; at least 1."""
     system = problem.system
-    own = len(system.names) if problem.forced else len(system.groups)
+    own = len(system.names) if problem.scale_told else len(system.groups)
     starts = sum(2 * system.n_dof for record in problem.records if record.initial_state is None)
     offsets = sum(c.offset for record in problem.records for c in record.channels)
     return float(max(problem.n - own - starts - offsets, 1))

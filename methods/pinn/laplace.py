@@ -37,6 +37,13 @@ def laplace(residuals: Residuals, state: State, deviations: Tensor) -> Laplace:
     return Laplace(covariance, bands)
 
 
+def _inverse(information: Tensor) -> Tensor:
+    """Inverses (B, n, n) of information matrices, each unknown in its own unit: what is hardly told comes out large."""
+    scale = information.diagonal(dim1=1, dim2=2).rsqrt()
+    both = scale[:, :, None] * scale[:, None]
+    return torch.linalg.pinv(information * both, hermitian=True, rtol=1e-14) * both
+
+
 def _displacements(residuals: Residuals, block: Block) -> tuple[Tensor, Tensor]:
     """Seeds and points of rows that are the displacements at the collocation points, DOF by DOF."""
     n, m = block.n_dof, block.collocation
@@ -59,7 +66,7 @@ def _dual(residuals: Residuals, state: State, deviations: Tensor) -> tuple[Tenso
     factor = torch.linalg.cholesky(matrix)
     solved = torch.cholesky_solve(linear.columns, factor)
     information = precision[:, None, None] * (linear.columns.mT @ solved)
-    covariance = torch.linalg.pinv(information, hermitian=True, rtol=1e-14)
+    covariance = _inverse(information)
     variances, at = [], 0
     for k, (block, ansatz, tape) in enumerate(zip(residuals.blocks, residuals.ansatzes, state.tapes, strict=True)):
         seeds, points = _displacements(residuals, block)
@@ -84,9 +91,7 @@ def _primal(residuals: Residuals, state: State, deviations: Tensor) -> tuple[Ten
     n_w = residuals.n_coefficients
     matrix, _, size = residuals.normal_equations(state, linear)
     matrix.diagonal(dim1=1, dim2=2)[:, :n_w] += PRECISION * size[:, None]
-    scale = matrix.diagonal(dim1=1, dim2=2).rsqrt()
-    whole = torch.linalg.pinv(matrix * scale[:, :, None] * scale[:, None], hermitian=True, rtol=1e-14)
-    whole = whole * scale[:, :, None] * scale[:, None]
+    whole = _inverse(matrix)
     variances, at = [], 0
     for k, (block, ansatz, tape) in enumerate(zip(residuals.blocks, residuals.ansatzes, state.tapes, strict=True)):
         seeds, points = _displacements(residuals, block)

@@ -10,6 +10,8 @@ The loss is minus the log posterior, whatever represents x(t):
   that fits the data best.
 - **A known force** is carried by functions of its own, added to what represents x(t): steps, pulses and rough forces
   would otherwise ask for an acceleration that no smooth function has (:mod:`methods.pinn.forced`).
+- **Open parameters**: with a known force or an added mass there may be no prior, and noise may hide a damping. The
+  likelihood then rises on towards zero; such a record is fitted again with a very wide prior, and the answer says so.
 - **A bad basin** shows in the residuals: the fit leaves more than twice what plain damped waves leave. It is then
   started again elsewhere, at most ``restarts`` times, and the best kept.
 
@@ -37,6 +39,7 @@ from bench import (
     InitialState,
     InputError,
     Normal,
+    Prior,
     Problem,
     Record,
     Serves,
@@ -45,6 +48,7 @@ from bench import (
 )
 from methods.pinn.response import Band, Function
 from methods.pinn.spectral import Guess, scan
+from methods.spectral import PRIORLESS_SD
 
 if TYPE_CHECKING:
     from methods.pinn.ansatz import Ansatz
@@ -111,6 +115,7 @@ class PhysicsInformed(Identifier):
         several_channels=True,
         offsets=True,
         max_dof=None,
+        added_mass=True,
     )
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"
@@ -153,6 +158,10 @@ class PhysicsInformed(Identifier):
                 else:
                     tasks.append((i, Task(problem, rng)))
             self.attempt([task for _, task in tasks])
+            hidden = [task for _, task in tasks if task.open]
+            for task in hidden:
+                task.hold()
+            self.attempt(hidden)
             if self.uncertainty != "laplace":
                 for _, task in tasks:
                     self._resample(task)
@@ -219,6 +228,8 @@ class PhysicsInformed(Identifier):
             sentence = "no attempt gave finite numbers; try other restarts, or check the record for outliers"
             return Estimate.failed(problem.system, Status.NONFINITE, sentence, cost)
         message = best.reason + (f"; {len(task.fits) - 1} restart(s)" if len(task.fits) > 1 else "")
+        if task.held:
+            message += "; the data leave a parameter open: held by a prior of a factor of 20 about the data's start"
         if not task.good(best):
             message += "; it leaves more than damped waves do, so this may be a local minimum"
         starts = [
@@ -278,9 +289,11 @@ class Task:
     def __init__(self, problem: Problem, rng: np.random.Generator) -> None:
         self.problem, self.rng, self.units = problem, rng, problem.natural_units()
         self.scaled = rounded(problem.expressed_in(self.units))
-        waves, self.reference = scan(self.scaled, self.scaled.system.n_dof, forced=True)
+        rigs = {record.rig(problem.system) for record in problem.records}
+        waves, self.reference = scan(self.scaled, self.scaled.system.n_dof * len(rigs), forced=True)
         self.guesses = _starts(waves, self.scaled.system.n_dof)
         self.fits: list[Fit] = []
+        self.held = False
         self.members: list[Fit] = []
         self.offset_flags = [c.offset for record in problem.records for c in record.channels]
 
@@ -297,6 +310,31 @@ class Task:
     @property
     def settled(self) -> bool:
         return any(self.good(fit) for fit in self.fits)
+
+    @property
+    def open(self) -> bool:
+        """Whether the best fit leaves a parameter more open than the very wide prior would; only without a prior."""
+        if self.scaled.prior is not None or not self.scaled.scale_told or self.best is None:
+            return False
+        return bool(np.any(np.diag(self.best.covariance) > PRIORLESS_SD**2))
+
+    def hold(self) -> None:
+        """Begin again with the very wide prior: it bounds what the data leave open.
+
+        It is about where a good fit ended, and for what that leaves open, or after a bad fit, about where it began.
+        """
+        from methods.pinn import engine
+
+        best = self.best
+        assert best is not None
+        guess = self.guesses[self.fits.index(best)]
+        logs = engine.first_logs(self.scaled, guess)
+        if self.good(best):
+            logs = np.where(np.diag(best.covariance) > PRIORLESS_SD**2, logs, best.logs)
+            self.guesses = [replace(guess, logs=logs)]
+        nominal = dict(zip(self.scaled.system.names, np.exp(logs), strict=True))
+        self.scaled = replace(self.scaled, prior=Prior(nominal, dict.fromkeys(nominal, PRIORLESS_SD)))
+        self.fits, self.held = [], True
 
     @property
     def best(self) -> Fit | None:
@@ -350,6 +388,7 @@ def rounded(problem: Problem) -> Problem:
                 tuple(replace(c, times=same(c.times), values=same(c.values)) for c in record.channels),
                 tuple(replace(f, times=same(f.times), values=same(f.values)) for f in record.forces),
                 InitialState(same(start.displacement), same(start.velocity)) if start is not None else None,
+                None if record.added_mass is None else same(record.added_mass),
             )
         )
     prior = problem.prior

@@ -63,7 +63,8 @@ def structure(problem: Problem) -> tuple[object, ...]:
         )
         for r in problem.records
     )
-    return problem.system, records, problem.prior is not None, problem.forced
+    rigs = tuple(record.rig(problem.system) for record in problem.records)
+    return rigs, records, problem.prior is not None, problem.forced
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,9 @@ class Spread:
 
 
 class Block:
-    """One record of every fit: the points its response is evaluated at, and which row looks at which point."""
+    """One record of every fit: the ``rig`` that moved, the points at which its response is evaluated, and which row
+    looks at which point.
+    """
 
     def __init__(
         self,
@@ -93,6 +96,7 @@ class Block:
             return torch.as_tensor(np.array(values), device=device)
 
         first = records[0]
+        self.rig = first.rig(system)
         self.n_dof, self.n_data, self.collocation = system.n_dof, first.n, collocation
         self.duration = np.array([r.duration for r in records])
         grids = [np.linspace(0.0, r.duration, collocation) for r in records]
@@ -329,7 +333,7 @@ class Residuals:
         parts = []
         for block, out in zip(self.blocks, outputs, strict=True):
             x, v, a = (list(out[:, s, : block.collocation].unbind(-1)) for s in range(3))
-            equations = self.system.residual(p, x, v, a, block.force, [], torch_ops)
+            equations = block.rig.residual(p, x, v, a, block.force, [], torch_ops)
             parts.append(torch.cat([equation / p[self.gauge] for equation in equations], 1))
         return parts
 
@@ -383,7 +387,7 @@ class Residuals:
         with torch.enable_grad():
             p = dict(zip(self.system.names, spread_logs.exp().unbind(-1), strict=True))
             x, v, a = (list(streams[:, s].unbind(-1)) for s in range(3))
-            for equation in self.system.residual(p, x, v, a, block.force, [], torch_ops):
+            for equation in block.rig.residual(p, x, v, a, block.force, [], torch_ops):
                 total = (equation / p[self.gauge]).sum()
                 slopes = torch.autograd.grad(total, (streams, spread_logs), retain_graph=True)
                 by_streams.append(slopes[0])

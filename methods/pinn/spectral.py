@@ -21,17 +21,18 @@ ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 """Derivative by time that a sensor measures."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Guess:
     """A damped wave ``exp(-decay t) (a cos(omega t) + b sin(omega t))`` and the share of the data that it leaves.
 
     ``omega`` (rad per unit of time), ``decay`` (per unit of time); ``left`` is its sum of squared residuals over that
-    of the data, with every channel scaled to unit size.
+    of the data, with every channel scaled to unit size. ``logs`` are log-parameters known from an earlier fit.
     """
 
     omega: float
     decay: float
     left: float
+    logs: np.ndarray | None = None
 
 
 def scan(problem: Problem, waves: int = 1, forced: bool = False) -> tuple[list[Guess], float]:

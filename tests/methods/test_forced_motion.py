@@ -97,3 +97,20 @@ def test_a_step_is_followed_in_short_and_long_records(samples: int) -> None:
     estimate = make_method("collocation", {}).identify(problem, np.random.default_rng(0))
     assert estimate.parameters is not None
     assert np.exp(estimate.parameters.mean[0]) == pytest.approx(truth.parameters["m"], rel=0.08)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("method", ["pinn", "collocation"])
+def test_a_damping_that_the_noise_hides_is_held(method: str) -> None:
+    """Two masses at 10 dB: in this record the likelihood of c2 rises towards zero. The very wide prior has a log
+    standard deviation of 3, so no interval is wider than its own, and none may be falsely narrow.
+    """
+    override = ["method=prior", "system=chain2_forced", "snr=10"]
+    problem, truth = expand(override, multirun=False)[0].cell().scenario.replicates(0, 2)[1]
+    estimate = make_method(method, {}).identify(problem, np.random.default_rng(0))
+    assert "held by a prior" in estimate.message
+    found = estimate.parameters
+    assert found is not None
+    widths = np.sqrt(np.diag(found.covariance))  # type: ignore[union-attr]
+    away = (found.mean - np.log([truth.parameters[name] for name in found.names])) / widths  # type: ignore[union-attr]
+    assert 1.0 < np.max(widths) <= 3.0
+    assert np.all(np.abs(away) < 4.0)
