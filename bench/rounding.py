@@ -22,10 +22,16 @@ def number(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:.3e}"
 
 
+MEANINGFUL = 1e6
+"""An excess of more says only that the estimate ran away, and how far is the optimiser's accident."""
+
+
 def excess_text(value: float) -> str:
-    """An excess as tables show it: two decimals, three digits where it is large."""
+    """An excess as tables show it: two decimals, three digits where it is large, no number where it says nothing."""
     if math.isnan(value):
         return "-"
+    if value > MEANINGFUL:
+        return f">{MEANINGFUL:.0e}".replace("e+0", "e")
     return f"{value:.2f}" if value < 10 else f"{value:.3g}"
 
 

@@ -58,7 +58,8 @@ RMSE. *oracle* is maximum a posteriori (without a prior: maximum likelihood) sta
 the successful replicates, *ok* of n; a failed one counts as an infinite error in medians and ranks. Bold: the method
 of least median error, and all that cannot be told from it on the same data (Wilcoxon's signed-rank test, Holm's
 adjustment, 5 %) or are less than 2 % from it, unless gross errors double its excess. A dash: the method states no
-interval. Time: processor time of the median fit. What a method cannot take is said below its panel."""
+interval. ×>1e6: some estimates ran away, and how far says nothing. Time: processor time of the median fit. What a
+method cannot take is said below its panel."""
 
 
 @dataclass(frozen=True)

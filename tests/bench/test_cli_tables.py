@@ -23,7 +23,7 @@ from bench.config import expand
 from bench.estimate import Status
 from bench.listing import listing
 from bench.plan import plan
-from bench.rounding import decimals, rounded
+from bench.rounding import decimals, excess_text, rounded
 from bench.row import Row
 from bench.score_tables import Closing, cell_table, record_page
 from bench.store import Store, StoredCell
@@ -95,6 +95,11 @@ def test_a_value_is_rounded_to_two_digits_of_half_its_interval(
     value: float, low: float, high: float, texts: tuple[str, str, str]
 ) -> None:
     assert rounded(value, low, high) == texts
+
+
+def test_an_excess_beyond_a_million_is_no_number() -> None:
+    shown = [excess_text(value) for value in (0.966, 12.34, 4321.0, 1e6, 3.7e29, math.inf, math.nan)]
+    assert shown == ["0.97", "12.3", "4.32e+03", "1e+06", ">1e6", ">1e6", "-"]
 
 
 def test_rounding_moves_a_value_by_less_than_a_twentieth_of_half_its_interval() -> None:
