@@ -87,12 +87,13 @@ def first_logs(problem: Problem, guess: Guess) -> np.ndarray:
 
     A parameter of dimension time^-n is of size omega^n in natural units, a damping 2 decay omega^(n - 1): for one mass
     this is the wave's own oscillator, for others the right order of magnitude. Without a prior a mass is 1, and under a
-    force omega^-2: the unit of mass is then such that a force of one moves it by one in a unit of time, and the force
-    is taken to be as large as that of the springs. After an earlier fit: where it ended.
+    force omega^-2 over the displacement: the unit of mass is then such that a force of one moves it by one in a unit of
+    time, and the force is taken to be as large as that of the springs. The displacement is 1 where it is measured, and
+    omega^-1 or omega^-2 where the largest signal is a velocity or an acceleration. After an earlier fit: its end.
     """
     if guess.logs is not None:
         return guess.logs
-    unit = guess.omega**-2.0 if problem.prior is None and problem.forced else 1.0
+    unit = guess.omega ** (_order(problem) - 2.0) if problem.prior is None and problem.forced else 1.0
     values = []
     for parameter in problem.system.parameters:
         power = -parameter.dimension.time
@@ -104,6 +105,12 @@ def first_logs(problem: Problem, guess: Guess) -> np.ndarray:
             value = unit * guess.omega**power
         values.append(value)
     return np.log(np.array(values))
+
+
+def _order(problem: Problem) -> int:
+    """The derivative by time that the largest signal is, in natural units: 0 for a displacement."""
+    channels = [c for record in problem.records for c in record.channels if c.n]
+    return ORDER[max(channels, key=lambda c: float(np.mean(c.values**2))).measures]
 
 
 def free_parameters(problem: Problem) -> tuple[str, ...]:

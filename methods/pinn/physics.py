@@ -360,13 +360,19 @@ def _simulated(problem: Problem, fit: Fit, rng: np.random.Generator) -> Problem:
 
 
 def _measured(response: Function, times: np.ndarray, measures: str, duration: float) -> np.ndarray:
-    """The response or its derivative by time, the latter by central differences."""
+    """The response or its derivative by time, the latter by central differences inside the record.
+
+    Outside it no force is known, so a time at its very ends takes the differences about one that is a step inside.
+    """
+    if measures == "displacement":
+        return response(times)
     h = 1e-3 * duration / 2.0
-    if measures == "velocity":
-        return np.asarray((response(times + h) - response(times - h)) / (2.0 * h))
+    inside = np.clip(times, h, duration - h)
+    behind, here, ahead = (response(inside + side) for side in (-h, 0.0, h))
+    acceleration = (ahead - 2.0 * here + behind) / h**2
     if measures == "acceleration":
-        return np.asarray((response(times + h) - 2.0 * response(times) + response(times - h)) / h**2)
-    return response(times)
+        return np.asarray(acceleration)
+    return np.asarray((ahead - behind) / (2.0 * h) + acceleration * (times - inside))
 
 
 def rounded(problem: Problem) -> Problem:

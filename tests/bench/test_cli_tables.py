@@ -27,7 +27,7 @@ from bench.rounding import decimals, excess_text, rounded
 from bench.row import Row
 from bench.score_tables import Closing, cell_table, record_page
 from bench.store import Store, StoredCell
-from bench.terminal import clipped, columns, guarded, table, wrapped
+from bench.terminal import clipped, columns, command, guarded, table, wrapped
 
 
 def places(line: str) -> int:
@@ -329,3 +329,16 @@ def test_letters_that_the_output_cannot_hold_are_no_traceback(python: Callable[.
 
 def test_a_guarded_command_gives_back_its_own_status() -> None:
     assert guarded("x", lambda: 3) == 3
+
+
+def test_a_command_shows_its_page_to_who_asks_and_never_runs_then(capsys: pytest.CaptureFixture[str]) -> None:
+    ran: list[list[str]] = []
+
+    def body(arguments: list[str]) -> int:
+        ran.append(arguments)
+        return 3
+
+    assert command("bench.some", "its page", ["--help", "field=1"], body) == 0
+    assert capsys.readouterr().out == "its page\n"
+    assert command("bench.some", "its page", ["field=1"], body) == 3
+    assert ran == [["field=1"]]
