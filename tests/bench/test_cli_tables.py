@@ -261,8 +261,8 @@ def test_identifiability_fits(arguments: list[str], capsys: pytest.CaptureFixtur
 
 
 def test_help_fits(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in (main, status.main, identifiability.main):
-        assert command(["--help"]) == 0
+    for page in (main, status.main, identifiability.main):
+        assert page(["--help"]) == 0
         out = capsys.readouterr().out
         assert widest(out) <= 80, [line for line in out.splitlines() if len(line) > 80]
 
