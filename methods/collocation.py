@@ -63,12 +63,12 @@ class Collocation(PhysicsInformed):
         for times, duration in zip(block.times, block.duration, strict=True):
             spline = BSpline(self._knots(resolution, duration), np.eye(self._count(resolution)), self.degree)
             streams.append(np.stack([spline(times, order) for order in range(3)]))
-        return Basis(torch.as_tensor(np.stack(streams), device=block.values.device), block.n_dof)
+        return Basis(torch.as_tensor(np.stack(streams), device=block.values.device), block.n_paths)
 
     def first_coefficients(
-        self, n_dof: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
+        self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
     ) -> np.ndarray:
-        return np.zeros((cycles.size, n_dof * self._count(resolution)))
+        return np.zeros((cycles.size, n_paths * self._count(resolution)))
 
-    def response(self, coefficients: np.ndarray, n_dof: int, resolution: int, duration: float) -> Function:
-        return SplineResponse(self._knots(resolution, duration), coefficients.reshape(n_dof, -1), self.degree)
+    def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> Function:
+        return SplineResponse(self._knots(resolution, duration), coefficients.reshape(n_paths, -1), self.degree)

@@ -107,6 +107,7 @@ class MCMC(Identifier):
         offsets=True,
         max_dof=None,
         added_mass=True,
+        hidden_states=True,
     )
     requires: ClassVar[tuple[str, ...]] = ("emcee",)
     extra: ClassVar[str] = "mcmc"

@@ -71,6 +71,7 @@ class NUTS(Identifier):
         offsets=True,
         max_dof=None,
         added_mass=True,
+        hidden_states=True,
     )
     requires: ClassVar[tuple[str, ...]] = ("blackjax",)
     extra: ClassVar[str] = "nuts"

@@ -61,6 +61,7 @@ class SingleShooting(Identifier):
         offsets=True,
         max_dof=None,
         added_mass=True,
+        hidden_states=True,
     )
 
     def __post_init__(self) -> None:

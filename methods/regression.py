@@ -422,15 +422,17 @@ def too_fast(system: System, p: Mapping[str, np.ndarray], state: np.ndarray, tim
     """Which parameter sets (sets,) move faster than samples can show: over π radians a step, at rest or at a state.
 
     The rates are the eigenvalues of the equation of motion linearised by finite differences. Not finite counts.
+    Hidden states are moved too; at the state they are zero.
     """
-    n, sets = 2 * system.n_dof, np.shape(next(iter(p.values())))[0]
+    n, sets = 2 * system.n_dof + system.n_hidden, np.shape(next(iter(p.values())))[0]
+    state, largest = np.append(state, np.zeros(system.n_hidden)), float(np.max(np.abs(state[: system.n_dof])))
     rest = [0.0] * system.n_dof
     fastest = np.zeros(sets)
     with np.errstate(all="ignore"):
         for level in (0.0, 1.0):
             jacobian = np.empty((sets, n, n))
             for j in range(n):
-                size = 1e-4 * float(np.max(np.abs(state[: n // 2])))
+                size = 1e-4 * largest
                 rates = []
                 for side in (size, -size):
                     moved = [np.full(sets, level * s + side * (i == j)) for i, s in enumerate(state)]

@@ -31,10 +31,11 @@ def radians_a_step(allowed: float, turned: float) -> float:
 def fastest_rate(system: System, p: dict[str, np.ndarray], start: Start) -> float:
     """Largest rate (1 / time) of the system linearised at rest and at its start; 0 where neither is finite.
 
-    Over all sets, where parameters and start are arrays; a set whose rates are not finite does not count.
+    Over all sets, where parameters and start are arrays; a set whose rates are not finite does not count. Hidden
+    states are moved too; at the start they are zero.
     """
     x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
-    amplitude = np.concatenate([x, v])
+    amplitude = np.concatenate([x, v, np.zeros((system.n_hidden, *np.shape(x)[1:]))])
     d, fastest = len(amplitude), 0.0
     # one step for all: a smaller one where the start is zero would show the rounding of stiff springs elsewhere
     step = 1e-6 * max(float(np.max(np.abs(amplitude[np.isfinite(amplitude)]), initial=0.0)), 1e-3)

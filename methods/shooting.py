@@ -94,6 +94,7 @@ class Shooting(Identifier):
         offsets=True,
         max_dof=None,
         added_mass=True,
+        hidden_states=True,
     )
     requires: ClassVar[tuple[str, ...]] = ("casadi",)
     extra: ClassVar[str] = "casadi"
@@ -315,7 +316,7 @@ def _casadi_ops() -> Ops:
 
 
 def _rates(system: System) -> Any:
-    """Rate of the state: (state, log-parameters, force on each DOF) -> velocities, accelerations.
+    """Rate of the state: (state, log-parameters, force on each DOF) -> velocities, accelerations, hidden rates.
 
     The mass matrix is the derivative of the residual by the accelerations: as a symbolic expression it is then as
     sparse as it is in truth, and the programme of ten masses eighteen times shorter than by unit accelerations.
@@ -323,13 +324,20 @@ def _rates(system: System) -> Any:
     import casadi as ca
 
     n, ops = system.n_dof, _casadi_ops()
-    state, logs, forces = ca.SX.sym("s", 2 * n), ca.SX.sym("p", len(system.names)), ca.SX.sym("f", n)
+    state, logs, forces = ca.SX.sym("s", _size(system)), ca.SX.sym("p", len(system.names)), ca.SX.sym("f", n)
     p = {name: ca.exp(logs[i]) for i, name in enumerate(system.names)}
-    x, v, a = state[:n], state[n:], ca.SX.sym("a", n)
-    parts = [ca.vertsplit(part) for part in (x, v, a, forces)]
-    residual = ca.vertcat(*system.residual(p, parts[0], parts[1], parts[2], parts[3], [], ops))
+    entries, a = ca.vertsplit(state), ca.SX.sym("a", n)
+    x, v, z, f = entries[:n], entries[n : 2 * n], entries[2 * n :], ca.vertsplit(forces)
+    residual = ca.vertcat(*system.residual(p, x, v, ca.vertsplit(a), f, z, ops))
     rest = ca.substitute(residual, a, ca.DM.zeros(n))
-    return ca.Function("rates", [state, logs, forces], [ca.vertcat(v, ca.solve(ca.jacobian(residual, a), -rest))])
+    hidden = system.hidden_rates(p, x, v, f, z, ops) if z else []
+    accelerations = ca.solve(ca.jacobian(residual, a), -rest)
+    return ca.Function("rates", [state, logs, forces], [ca.vertcat(*v, accelerations, *hidden)])
+
+
+def _size(system: System) -> int:
+    """Entries of a state: displacements, velocities, hidden states."""
+    return 2 * system.n_dof + system.n_hidden
 
 
 def _interval(system: System, substeps: int, degree: int) -> Any:
@@ -337,7 +345,7 @@ def _interval(system: System, substeps: int, degree: int) -> Any:
     import casadi as ca
 
     n, rates = system.n_dof, _rates(system)
-    state, logs = ca.SX.sym("s", 2 * n), ca.SX.sym("p", len(system.names))
+    state, logs = ca.SX.sym("s", _size(system)), ca.SX.sym("p", len(system.names))
     length, forces = ca.SX.sym("h"), ca.SX.sym("f", (degree + 1) * n)
     part, width = ca.SX.sym("part"), ca.SX.sym("width")
     start, middle, end = (ca.vertcat(*_polynomial(forces, part + d * width, n)) for d in (0.0, 0.5, 1.0))
@@ -381,7 +389,7 @@ def _programme(shape: _Shape, max_iterations: int) -> _Programme:
     offsets, states, given, misfits, joins = [], [], [], [], []
     for rig, cuts, degree, channels in shape.records:
         interval, rates = _interval(rig, shape.substeps, degree), _rates(rig)
-        path = ca.MX.sym("path", 2 * n, cuts)
+        path = ca.MX.sym("path", _size(system), cuts)
         steps, forces = ca.MX.sym("steps", 1, cuts - 1), ca.MX.sym("forces", (degree + 1) * n, cuts - 1)
         states.append(path)
         given += [steps, forces]
@@ -475,17 +483,18 @@ def _first_guess(model: OutputError, plans: tuple[_Plan, ...], theta: np.ndarray
                 states[channel.dof, at] = channel.values - offsets[number]
             number += 1
         if record.initial_state is not None:
-            states[:, 0] = np.concatenate([record.initial_state.displacement, record.initial_state.velocity])
+            told = np.concatenate([record.initial_state.displacement, record.initial_state.velocity])
+            states[: told.size, 0] = told
         parts.append(states.T.ravel())
     return np.concatenate(parts)
 
 
 def _simulated(system: System, p: dict[str, float], start: Start, record: Record, grid: np.ndarray) -> np.ndarray:
-    """States (2 n_dof, cuts) at the cuts, as finely as a first guess needs."""
-    if not system.linear:
+    """States (2 n_dof + n_hidden, cuts) at the cuts, as finely as a first guess needs."""
+    if not system.linear and not system.n_hidden:
         return rough_states(system, {name: np.array(value) for name, value in p.items()}, start, record, grid)
     motion = simulate(record.rig(system), p, start, grid, record.forces)
-    return np.concatenate([motion.displacement, motion.velocity])
+    return np.concatenate([motion.displacement, motion.velocity, motion.hidden])
 
 
 @dataclass(frozen=True)
@@ -498,7 +507,7 @@ class _Layout:
 
     @staticmethod
     def of(model: OutputError, plans: tuple[_Plan, ...]) -> _Layout:
-        names, n = model.system.names, 2 * model.system.n_dof
+        names, n, moving = model.system.names, _size(model.system), 2 * model.system.n_dof
         logs = [names.index(name) for name in model.free]
         at = len(names) + len(model.offset_channels)
         offsets = list(range(len(names), at))
@@ -506,7 +515,8 @@ class _Layout:
         dependent: list[int] = []
         fixed = [i for i, name in enumerate(names) if name not in model.free]
         for record, plan in zip(model.problem.records, plans, strict=True):
-            (starts if record.initial_state is None else fixed).extend(range(at, at + n))
+            (starts if record.initial_state is None else fixed).extend(range(at, at + moving))
+            fixed.extend(range(at + moving, at + n))  # hidden states start at zero
             dependent += range(at + n, at + n * plan.grid.size)
             at += n * plan.grid.size
         return _Layout(np.array([*logs, *starts, *offsets], int), np.array(dependent, int), np.array(fixed, int))

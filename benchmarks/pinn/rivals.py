@@ -80,11 +80,12 @@ def descend(seed: int, rng: np.random.Generator, iterations: int, tolerance: flo
     settings = PINN()
     cycles = np.array([np.sqrt(FIRST["k"]) * DURATION / (2.0 * np.pi)])
     with torch_threads(1), torch.no_grad():
-        residuals = Residuals([problem], lambda _, block: settings.ansatz(block, 0), COLLOCATION, ("c", "k"), logs)
+        omega = 2.0 * np.pi * cycles
+        residuals = Residuals([problem], lambda _, b: settings.ansatz(b, 0), COLLOCATION, ("c", "k"), logs, omega)
         # rows whose squared length is the rivals' loss: theirs are means, in metres and seconds
         data, physics = np.sqrt(SAMPLES) / scale, np.sqrt(COLLOCATION / WEIGHT) * DURATION**2 / scale
         one = np.ones(1)
-        deviations = residuals.deviations(Spread(np.full((1, 1), data), physics * one, one, one))
+        deviations = residuals.deviations(Spread(np.full((1, 1), data), physics * one, one, one, one))
         first = np.concatenate([settings.first_coefficients(1, 0, cycles, [rng]), logs[:, 1:]], 1)
         whole = torch.as_tensor(first)
         heads, short = residuals.heads(whole)

@@ -1,7 +1,7 @@
 """What represents x(t): a function of time with coefficients, and the pieces of its Jacobian that optimisers need.
 
 Every tensor has a leading axis over fits (B), so that one fit or a hundred are the same code. The value and the first
-and second time derivative of the function are its *streams*, (B, 3, n_points, n_dof). A *row* is a scalar
+and second time derivative of the function are its *streams*, (B, 3, n_points, n_paths). A *row* is a scalar
 ``sum(seeds[:, :, k] * streams[:, :, points[k]])`` of the streams at one point; the adjoints of all rows are found in
 one reverse pass, and from them the Jacobian of the rows by the coefficients, its Gram matrix, or its transpose times a
 vector, without forming what is not asked for.
@@ -21,7 +21,7 @@ class Tape:
     """What a forward pass leaves for the adjoint: the streams into each layer, and tanh's slope in each hidden one.
 
     ``inputs[l]`` has shape (B, 3, n_points, n_in of layer l); ``slopes[l]`` is (B, n_points, width); ``output`` is
-    (B, 3, n_points, n_dof).
+    (B, 3, n_points, n_paths).
     """
 
     inputs: list[Tensor]
@@ -44,7 +44,7 @@ class Ansatz(ABC):
 
     @abstractmethod
     def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
-        """Adjoints of rows with ``seeds`` (B, 3, n_rows, n_dof) at ``points`` (n_rows,); None: one row a point."""
+        """Adjoints of rows with ``seeds`` (B, 3, n_rows, n_paths) at ``points`` (n_rows,); None: one row a point."""
 
     @abstractmethod
     def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
@@ -79,13 +79,13 @@ class Basis(Ansatz):
     """
 
     functions: Tensor
-    n_dof: int
+    n_paths: int
 
     def __post_init__(self) -> None:
-        self.count = self.n_dof * self.functions.shape[-1]
+        self.count = self.n_paths * self.functions.shape[-1]
 
     def forward(self, theta: Tensor) -> Tape:
-        coefficients = theta.unflatten(1, (self.n_dof, -1))
+        coefficients = theta.unflatten(1, (self.n_paths, -1))
         return Tape([self.functions], [], self.functions @ coefficients.mT[:, None])
 
     def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
@@ -157,13 +157,13 @@ class Sum(Ansatz):
     def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
         own, rest = self._split(theta)
         basis, coefficients = self.inner.head(own)
-        both = [part.unflatten(1, (basis.n_dof, -1)) for part in (coefficients, rest)]
+        both = [part.unflatten(1, (basis.n_paths, -1)) for part in (coefficients, rest)]
         functions = torch.cat([basis.functions, self.fixed.functions], 3)
-        return Basis(functions, basis.n_dof), torch.cat(both, 2).flatten(1)
+        return Basis(functions, basis.n_paths), torch.cat(both, 2).flatten(1)
 
     def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
         own, _ = self._split(theta)
-        by_dof = coefficients.unflatten(1, (self.fixed.n_dof, -1))
+        by_dof = coefficients.unflatten(1, (self.fixed.n_paths, -1))
         added = self.fixed.functions.shape[-1]
         inner = self.inner.with_head(own, by_dof[..., :-added].flatten(1))
         return torch.cat([inner, by_dof[..., -added:].flatten(1)], 1)

@@ -18,7 +18,7 @@ from methods.pinn.forced import ForcedMotion, forced_dofs
 from methods.pinn.laplace import laplace
 from methods.pinn.levenberg import Walk
 from methods.pinn.residuals import TERMS, Block, Residuals, Spread
-from methods.pinn.response import Assisted, Band, ExactStart, Function
+from methods.pinn.response import Assisted, Band, Displacements, ExactStart, Function
 from methods.pinn.spectral import ORDER, Guess
 
 if TYPE_CHECKING:
@@ -154,9 +154,11 @@ class Attempt:
             gauge = first.system.names.index(first.system.gauge)
             logs = logs - logs[:, gauge : gauge + 1]
         self.forced = [self._forced_motions(k, guesses) for k in range(len(first.records))]
-        exact = self.omega if settings.start == "exact" else None
-        self.residuals = Residuals(problems, self._ansatz, self.collocation, free, logs, settings.device, exact)
-        weights = [self._first_coefficients(k, first.system.n_dof, rngs) for k in range(len(first.records))]
+        self.residuals = Residuals(
+            problems, self._ansatz, self.collocation, free, logs, self.omega, settings.device, settings.start == "exact"
+        )
+        self.n_paths = first.system.n_dof + first.system.n_hidden
+        weights = [self._first_coefficients(k, rngs) for k in range(len(first.records))]
         offsets = np.zeros((len(problems), len(self.residuals.offsets)))
         z = np.concatenate([*weights, logs[:, self.residuals.free], offsets], 1)
         self.walk = Walk.start(torch.as_tensor(z, device=settings.device))
@@ -178,14 +180,14 @@ class Attempt:
         if not self.forced[k]:
             return inner
         streams = np.stack([own.streams(times) for own, times in zip(self.forced[k], block.times, strict=True)])
-        return Sum(inner, Basis(torch.as_tensor(streams, device=block.values.device), block.n_dof))
+        return Sum(inner, Basis(torch.as_tensor(streams, device=block.values.device), block.n_paths))
 
-    def _first_coefficients(self, k: int, n_dof: int, rngs: Sequence[np.random.Generator]) -> np.ndarray:
-        own = self.settings.first_coefficients(n_dof, self.resolution, self.cycles, rngs)
-        return np.concatenate([own, np.zeros((len(own), n_dof * self._n_forced(k)))], 1)
+    def _first_coefficients(self, k: int, rngs: Sequence[np.random.Generator]) -> np.ndarray:
+        own = self.settings.first_coefficients(self.n_paths, self.resolution, self.cycles, rngs)
+        return np.concatenate([own, np.zeros((len(own), self.n_paths * self._n_forced(k)))], 1)
 
     def _n_forced(self, k: int) -> int:
-        """Functions that the forces of record k add for each DOF."""
+        """Functions that the forces of record k add for each path."""
         return self.forced[k][0].sizes.size if self.forced[k] else 0
 
     def _measure(self, dof: float) -> None:
@@ -206,12 +208,15 @@ class Attempt:
 
         The physics is a nearly hard constraint: the equation of motion may be off by a white acceleration of standard
         deviation a at each of n collocation points. Over a record of duration T this moves an undamped mode of
-        frequency w by a standard deviation of ``a T / (w sqrt(2 n))``; a is such that this is ``slack`` noises.
+        frequency w by a standard deviation of ``a T / (w sqrt(2 n))``; a is such that this is ``slack`` noises,
+        ``softness`` times as many at first. Hidden states are never soft: no data hold them.
         """
         noise = np.min(self.sigmas * self.to_displacement, axis=1)
-        drift = self.settings.slack * softness * noise
-        acceleration = drift * self.omega * np.sqrt(2.0 * self.collocation) / self.duration
-        return Spread(self.sigmas, acceleration, START * noise, START * noise * self.omega)
+        soft, hard = (
+            self.settings.slack * share * noise * self.omega * np.sqrt(2.0 * self.collocation) / self.duration
+            for share in (softness, 1.0)
+        )
+        return Spread(self.sigmas, soft, hard, START * noise, START * noise * self.omega)
 
     def errors(self, rows: Tensor, deviations: Tensor) -> np.ndarray:
         """Sum of squared data residuals of each channel, (B, n_channels), in natural units."""
@@ -292,7 +297,8 @@ class Attempt:
         bands = [np.asarray(own.cpu()) for own in posterior.bands]
         parts, logs, offsets = residuals.split(walk.z)
         coefficients = [np.asarray(part.cpu()) for part in parts]
-        starts = [np.asarray(out[:, :2, 0].cpu()) for out in state.outputs]
+        n_dof = self.problems[0].system.n_dof
+        starts = [np.asarray(out[:, :2, 0, :n_dof].cpu()) for out in state.outputs]
         errors, terms = self.errors(state.rows, deviations), np.asarray(state.terms.cpu())
         # minus the log likelihood at the estimated noise: its determinant counts when fits of different noise are
         # compared
@@ -327,10 +333,12 @@ class Attempt:
         """The response of fit i in record k."""
         block = self.residuals.blocks[k]
         duration, system = float(block.duration[i]), self.problems[i].system
-        own = coefficients.size - system.n_dof * self._n_forced(k)
-        inner = self.settings.response(coefficients[:own], system.n_dof, self.resolution, duration)
+        own = coefficients.size - self.n_paths * self._n_forced(k)
+        inner = self.settings.response(coefficients[:own], self.n_paths, self.resolution, duration)
         if self.forced[k]:
-            inner = Assisted(inner, self.forced[k][i], coefficients[own:].reshape(system.n_dof, -1))
+            inner = Assisted(inner, self.forced[k][i], coefficients[own:].reshape(self.n_paths, -1))
+        if system.n_hidden:
+            inner = Displacements(inner, system.n_dof)
         told = self.problems[i].records[k].initial_state
         if told is None or self.settings.start != "exact":
             return inner

@@ -48,8 +48,8 @@ def _displacements(residuals: Residuals, block: Block) -> tuple[Tensor, Tensor]:
     """Seeds and points of rows that are the displacements at the collocation points, DOF by DOF."""
     n, m = block.n_dof, block.collocation
     points = torch.arange(m, device=residuals.device).repeat(n)
-    seeds = torch.zeros(residuals.n_fits, 3, n * m, n, dtype=torch.float64, device=residuals.device)
-    seeds[:, 0] = torch.eye(n, dtype=torch.float64, device=residuals.device).repeat_interleave(m, 0)
+    seeds = torch.zeros(residuals.n_fits, 3, n * m, block.n_paths, dtype=torch.float64, device=residuals.device)
+    seeds[:, 0, :, :n] = torch.eye(n, dtype=torch.float64, device=residuals.device).repeat_interleave(m, 0)
     return residuals.response_adjoint(block, seeds, points), points
 
 

@@ -62,8 +62,8 @@ class PINN(PhysicsInformed):
         if not (np.isfinite(self.adam_rate) and self.adam_rate > 0):
             raise InputError("method.adam_rate", self.adam_rate, "a positive number")
 
-    def _widths(self, n_dof: int, resolution: int) -> tuple[int, ...]:
-        return (1, *[max(self.width, UNITS_A_CYCLE * resolution)] * self.depth, n_dof)
+    def _widths(self, n_paths: int, resolution: int) -> tuple[int, ...]:
+        return (1, *[max(self.width, UNITS_A_CYCLE * resolution)] * self.depth, n_paths)
 
     def ansatz(self, block: Block, resolution: int) -> Ansatz:
         import torch
@@ -73,22 +73,22 @@ class PINN(PhysicsInformed):
         tau = 2.0 * block.times / block.duration[:, None] - 1.0
         device = block.values.device
         rate = torch.as_tensor(2.0 / block.duration, device=device)
-        return Network(self._widths(block.n_dof, resolution), torch.as_tensor(tau, device=device), rate)
+        return Network(self._widths(block.n_paths, resolution), torch.as_tensor(tau, device=device), rate)
 
     def first_coefficients(
-        self, n_dof: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
+        self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
     ) -> np.ndarray:
         from methods.pinn import network
 
-        widths = self._widths(n_dof, resolution)
+        widths = self._widths(n_paths, resolution)
         return np.stack(
             [network.flat(network.initial_layers(widths, own, rng)) for own, rng in zip(cycles, rngs, strict=True)]
         )
 
-    def response(self, coefficients: np.ndarray, n_dof: int, resolution: int, duration: float) -> Function:
+    def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> Function:
         from methods.pinn import network
 
-        return NetworkResponse(network.unflat(coefficients, self._widths(n_dof, resolution)), duration)
+        return NetworkResponse(network.unflat(coefficients, self._widths(n_paths, resolution)), duration)
 
     def train(self, attempt: Attempt) -> None:
         if self.optimizer == "lm":

@@ -12,6 +12,7 @@ The loss is minus the log posterior, whatever represents x(t):
   would otherwise ask for an acceleration that no smooth function has (:mod:`methods.pinn.forced`).
 - **Open parameters**: with a known force or an added mass there may be no prior, and noise may hide a damping. The
   likelihood then rises on towards zero; such a record is fitted again with a very wide prior, and the answer says so.
+- **Hidden states** are paths of the ansatz beside the displacements, held to their own rates.
 - **A bad basin** shows in the residuals: the fit leaves more than twice what plain damped waves leave. It is then
   started again elsewhere, at most ``restarts`` times, and the best kept.
 
@@ -116,6 +117,7 @@ class PhysicsInformed(Identifier):
         offsets=True,
         max_dof=None,
         added_mass=True,
+        hidden_states=True,
     )
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"
@@ -126,13 +128,13 @@ class PhysicsInformed(Identifier):
 
     @abstractmethod
     def first_coefficients(
-        self, n_dof: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
+        self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
     ) -> np.ndarray:
         """The coefficients to start from, (B, count), for responses of ``cycles`` (B,) oscillations."""
 
     @abstractmethod
-    def response(self, coefficients: np.ndarray, n_dof: int, resolution: int, duration: float) -> Function:
-        """The response by time, in numpy."""
+    def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> Function:
+        """The paths by time, in numpy: displacements, then hidden states."""
 
     def train(self, attempt: Attempt) -> None:
         """Minimise."""
@@ -168,6 +170,11 @@ class PhysicsInformed(Identifier):
             for i, task in tasks:
                 found[i] = self._estimate(task)
         return [found[i] for i in range(len(problems))]
+
+    def objection(self, problem: Problem) -> str | None:
+        if problem.system.n_hidden and self.start == "exact":
+            return "start=exact cannot start hidden states; use start=penalty"
+        return super().objection(problem)
 
     def _obstacle(self, problem: Problem) -> Estimate | None:
         if not any(np.any(c.values) for record in problem.records for c in record.channels):

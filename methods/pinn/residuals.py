@@ -4,8 +4,10 @@ The vector holds, each row divided by its standard deviation, so that half its s
 posterior:
 
 data      response minus measurement, over the channel's noise
-physics   the system's residual at the collocation points, divided by the gauge mass (an acceleration), over ``slack``
-initial   response minus told state at time 0, over a small part of the noise (absent where the ansatz has it exactly)
+physics   the system's residual at the collocation points, divided by the gauge mass (an acceleration), over ``slack``;
+          likewise the rate of each hidden state less what it should be, times the frequency in the data
+initial   response minus told state at time 0, over a small part of the noise (absent where the ansatz has it exactly);
+          hidden states start at zero
 prior     log-parameters minus their nominal values, over the prior's standard deviations
 
 Dividing the equation of motion by the gauge mass matters: m x'' + c x' + k x itself becomes small when all parameters
@@ -18,7 +20,7 @@ many samples, and nothing else in common.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import cast
@@ -69,12 +71,14 @@ def structure(problem: Problem) -> tuple[object, ...]:
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviations of the rows, fit by fit: of the channels (B, n_channels), record by record, of the physics
-    (an acceleration), and of the told start's displacement and velocity, (B,) each; natural units.
+    """Standard deviations of the rows, fit by fit, in natural units: of the channels (B, n_channels), record by record;
+    of the equation of motion and of the hidden states' (accelerations), and of the told start's displacement and
+    velocity, (B,) each.
     """
 
     channels: np.ndarray
     physics: np.ndarray
+    hidden: np.ndarray
     displacement: np.ndarray
     velocity: np.ndarray
 
@@ -90,7 +94,8 @@ class Block:
         system: System,
         collocation: int,
         device: torch.device,
-        exact: np.ndarray | None,
+        omega: np.ndarray,
+        exact: bool,
     ) -> None:
         def tensor(values: object) -> Tensor:
             return torch.as_tensor(np.array(values), device=device)
@@ -98,6 +103,8 @@ class Block:
         first = records[0]
         self.rig = first.rig(system)
         self.n_dof, self.n_data, self.collocation = system.n_dof, first.n, collocation
+        self.n_paths = system.n_dof + system.n_hidden
+        self.omega = tensor(omega)[:, None]
         self.duration = np.array([r.duration for r in records])
         grids = [np.linspace(0.0, r.duration, collocation) for r in records]
         self.times = np.stack(
@@ -110,21 +117,25 @@ class Block:
         dof = np.concatenate([np.full(c.n, c.dof) for c in first.channels])
         self.channel = np.concatenate([np.full(c.n, i) for i, c in enumerate(first.channels)])
         self.data_points = collocation + torch.arange(self.n_data, device=device)
-        self.pick = tensor(np.eye(3)[:, stream, None] * np.eye(system.n_dof)[dof])  # (3, n_data, n_dof), 0 and 1
+        self.pick = tensor(np.eye(3)[:, stream, None] * np.eye(self.n_paths)[dof])  # (3, n_data, n_paths), 0 and 1
         told = None
         if first.initial_state is not None:
             states = [r.initial_state for r in records if r.initial_state is not None]
             told = np.stack([np.stack([s.displacement, s.velocity]) for s in states])
-        self.lift = self.shape = self.start = None
-        if told is not None and exact is None:
-            self.start = tensor(told)
-        if told is not None and exact is not None:
-            lift, shape = exact_start(self.times, told, exact)
+        self.lift = self.shape = None
+        # rows of the start: displacements, then velocities, then the hidden states, which are zero
+        n_told = 2 * self.n_dof if told is not None and not exact else 0
+        n_start = n_told + system.n_hidden
+        self.start = torch.zeros(len(records), n_start, dtype=torch.float64, device=device)
+        if told is not None and n_told:
+            self.start[:, :n_told] = tensor(told).flatten(1)
+        self.start_stream = [i // self.n_dof for i in range(n_told)] + [0] * system.n_hidden
+        self.start_path = [i % self.n_dof for i in range(n_told)] + list(range(self.n_dof, self.n_paths))
+        if told is not None and exact:
+            lift, shape = exact_start(self.times, told, omega)
             self.lift, self.shape = tensor(lift), tensor(shape)
-        n_start = 0 if self.start is None else 2 * self.n_dof
-        # rows: data, physics (DOF by DOF), start (displacements, then velocities); time 0 is the first collocation
-        # point
-        physics = torch.arange(collocation, device=device).repeat(self.n_dof)
+        # rows: data, physics (path by path), start; time 0 is the first collocation point
+        physics = torch.arange(collocation, device=device).repeat(self.n_paths)
         self.points = torch.cat([self.data_points, physics, torch.zeros(n_start, dtype=torch.long, device=device)])
         self.n_rows = self.points.shape[0]
         self.slices = {
@@ -138,7 +149,7 @@ class Block:
         which = np.asarray(who.cpu())
         other.times, other.duration = self.times[which], self.duration[which]
         other.values, other.force = self.values[who], [f[who] for f in self.force]
-        other.start = None if self.start is None else self.start[who]
+        other.start, other.omega = self.start[who], self.omega[who]
         if self.lift is not None and self.shape is not None:
             other.lift, other.shape = self.lift[who], self.shape[who]
         return other
@@ -200,8 +211,8 @@ class Residuals:
     """The residual vectors of problems (in natural units) as a function of ``z``: coefficients, then other unknowns.
 
     The other unknowns are the logarithms of the ``free`` parameters, then one offset for each channel that has one;
-    the parameters that are not free keep their value in ``log_fixed`` (B, n_parameters). ``exact`` (B,), frequencies
-    for :func:`exact_start`, asks for an ansatz that has the told start by construction.
+    the parameters that are not free keep their value in ``log_fixed`` (B, n_parameters). ``omega`` (B,) are the
+    frequencies of the data; ``exact`` asks for an ansatz that has the told start by construction (:func:`exact_start`).
     """
 
     def __init__(
@@ -211,14 +222,15 @@ class Residuals:
         collocation: int,
         free: Sequence[str],
         log_fixed: np.ndarray,
+        omega: np.ndarray,
         device: str = "cpu",
-        exact: np.ndarray | None = None,
+        exact: bool = False,
     ) -> None:
         self.device = torch.device(device)
         first = problems[0]
         self.system = first.system
         self.blocks = [
-            Block([p.records[i] for p in problems], self.system, collocation, self.device, exact)
+            Block([p.records[i] for p in problems], self.system, collocation, self.device, omega, exact)
             for i in range(len(first.records))
         ]
         self.ansatzes = [make_ansatz(i, block) for i, block in enumerate(self.blocks)]
@@ -295,10 +307,10 @@ class Residuals:
             part = np.empty((self.n_fits, block.n_rows))
             n_channels = int(block.channel[-1]) + 1
             part[:, block.slices["data"]] = spread.channels[:, at : at + n_channels][:, block.channel]
-            part[:, block.slices["physics"]] = spread.physics[:, None]
-            if block.start is not None:
-                own = np.stack([spread.displacement, spread.velocity], 1)
-                part[:, block.slices["initial"]] = np.repeat(own, block.n_dof, axis=1)
+            physics = np.stack([spread.physics] * block.n_dof + [spread.hidden] * (block.n_paths - block.n_dof), 1)
+            part[:, block.slices["physics"]] = np.repeat(physics, block.collocation, axis=1)
+            own = np.stack([spread.displacement, spread.velocity], 1)
+            part[:, block.slices["initial"]] = own[:, block.start_stream]
             parts.append(part)
             at += n_channels
         deviations = torch.as_tensor(np.concatenate(parts, 1), device=self.device)
@@ -328,14 +340,21 @@ class Residuals:
         return torch.einsum("bkst,bsko->btko", shape, seeds)
 
     def _physics(self, outputs: Sequence[Tensor], logs: Tensor) -> list[Tensor]:
-        """The equations of motion over the gauge mass, record by record and DOF by DOF, (B, collocation) each."""
+        """The equations, record by record and path by path, (B, n_paths * collocation) each."""
         p = {name: value[:, None] for name, value in zip(self.system.names, logs.exp().unbind(1), strict=True)}
-        parts = []
-        for block, out in zip(self.blocks, outputs, strict=True):
-            x, v, a = (list(out[:, s, : block.collocation].unbind(-1)) for s in range(3))
-            equations = block.rig.residual(p, x, v, a, block.force, [], torch_ops)
-            parts.append(torch.cat([equation / p[self.gauge] for equation in equations], 1))
-        return parts
+        return [
+            torch.cat(self._equations(block, p, out[:, :, : block.collocation]), 1)
+            for block, out in zip(self.blocks, outputs, strict=True)
+        ]
+
+    def _equations(self, block: Block, p: Mapping[str, Tensor], streams: Tensor) -> list[Tensor]:
+        """The equations of motion over the gauge mass, then those of the hidden states' rates, (B, m) each."""
+        n, rig = block.n_dof, block.rig
+        paths, rates, accelerations = (list(streams[:, s].unbind(-1)) for s in range(3))
+        x, v, a, z = paths[:n], rates[:n], accelerations[:n], paths[n:]
+        motion = [r / p[self.gauge] for r in rig.residual(p, x, v, a, block.force, z, torch_ops)]
+        wanted = rig.hidden_rates(p, x, v, block.force, z, torch_ops)
+        return motion + [block.omega * (rate - own) for rate, own in zip(rates[n:], wanted, strict=True)]
 
     def _rows(self, outputs: Sequence[Tensor], physics: Sequence[Tensor], logs: Tensor, offsets: Tensor) -> Tensor:
         """The residual vectors, not yet scaled."""
@@ -343,8 +362,7 @@ class Residuals:
         for block, out, own in zip(self.blocks, outputs, physics, strict=True):
             measured = (out[:, :, block.data_points] * block.pick).sum((1, 3))
             parts += [measured - block.values, own]
-            if block.start is not None:
-                parts.append((out[:, :2, 0] - block.start).flatten(1))
+            parts.append(out[:, block.start_stream, 0, block.start_path] - block.start)
         if self.prior is not None:
             parts.append(logs[:, self.free] - self.prior[0])
         rows = torch.cat(parts, 1)
@@ -374,8 +392,8 @@ class Residuals:
         return torch.as_tensor(columns, device=self.device)
 
     def _physics_slopes(self, block: Block, output: Tensor, logs: Tensor) -> tuple[Tensor, Tensor]:
-        """Derivatives of the scaled equations by the streams, (B, 3, n_dof, m, n_dof), and by the log-parameters,
-        (B, n_dof, m, n_parameters).
+        """Derivatives of the scaled equations by the streams, (B, 3, n_paths, m, n_paths), and by the log-parameters,
+        (B, n_paths, m, n_parameters).
 
         The residual acts point by point, so one reverse pass over the sum of its values gives the slopes at every
         point.
@@ -386,10 +404,8 @@ class Residuals:
         by_streams, by_logs = [], []
         with torch.enable_grad():
             p = dict(zip(self.system.names, spread_logs.exp().unbind(-1), strict=True))
-            x, v, a = (list(streams[:, s].unbind(-1)) for s in range(3))
-            for equation in block.rig.residual(p, x, v, a, block.force, [], torch_ops):
-                total = (equation / p[self.gauge]).sum()
-                slopes = torch.autograd.grad(total, (streams, spread_logs), retain_graph=True)
+            for equation in self._equations(block, p, streams):
+                slopes = torch.autograd.grad(equation.sum(), (streams, spread_logs), retain_graph=True)
                 by_streams.append(slopes[0])
                 by_logs.append(slopes[1])
         return torch.stack(by_streams, 2), torch.stack(by_logs, 1)
@@ -414,16 +430,13 @@ class Residuals:
         return Linear(adjoints, columns / deviations[..., None])
 
     def _seeds(self, block: Block, output: Tensor, logs: Tensor) -> tuple[Tensor, Tensor]:
-        """Slopes of a record's rows by the ansatz' streams at their points, (B, 3, n_rows, n_dof), not yet scaled."""
+        """Slopes of a record's rows by the ansatz' streams at their points, (B, 3, n_rows, n_paths), not yet scaled."""
         by_streams, by_logs = self._physics_slopes(block, output, logs)
-        seeds = torch.zeros(self.n_fits, 3, block.n_rows, block.n_dof, dtype=torch.float64, device=self.device)
+        seeds = torch.zeros(self.n_fits, 3, block.n_rows, block.n_paths, dtype=torch.float64, device=self.device)
         seeds[:, :, block.slices["data"]] = block.pick
         seeds[:, :, block.slices["physics"]] = by_streams.flatten(2, 3)
-        if block.start is not None:
-            eye = torch.eye(block.n_dof, dtype=torch.float64, device=self.device)
-            first = block.slices["initial"].start
-            seeds[:, 0, first : first + block.n_dof] = eye
-            seeds[:, 1, first + block.n_dof :] = eye
+        for row, (stream, path) in enumerate(zip(block.start_stream, block.start_path, strict=True)):
+            seeds[:, stream, block.slices["initial"].start + row, path] = 1.0
         return self.response_adjoint(block, seeds, block.points), by_logs
 
     def gram(self, state: State, linear: Linear, unknowns: bool = True) -> Tensor:
@@ -502,8 +515,7 @@ class Residuals:
         for k, (block, ansatz, tape) in enumerate(zip(self.blocks, self.ansatzes, tapes, strict=True)):
             own = own_pulled[k]
             seeds[k][:, :, block.data_points] = own[:, None, : block.n_data, None] * block.pick
-            if block.start is not None:
-                seeds[k][:, :2, 0] += own[:, block.slices["initial"]].unflatten(1, (2, -1))
+            seeds[k][:, block.start_stream, 0, block.start_path] += own[:, block.slices["initial"]]
             adjoints = ansatz.adjoint(parts[k], tape, self.response_adjoint(block, seeds[k]))
             gradients.append(ansatz.pull_back(tape, adjoints, None))
         by_unknowns = by_logs[:, self.free]

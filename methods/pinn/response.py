@@ -58,6 +58,18 @@ class Assisted:
 
 
 @dataclass(frozen=True, eq=False)
+class Displacements:
+    """The first ``n_dof`` of the paths of ``inner``: those after them are hidden states."""
+
+    inner: Function
+    n_dof: int
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        """Displacement, shape (n_dof, n_times), at times of shape (n_times,)."""
+        return self.inner(times)[: self.n_dof]
+
+
+@dataclass(frozen=True, eq=False)
 class ExactStart:
     """A response that has the told start by construction: ``(x0 + v0 t) g + (1 - g) n(t)``, ``g = exp(-(omega t)²)``.
 

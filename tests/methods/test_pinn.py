@@ -12,7 +12,7 @@ from scipy.optimize import least_squares, minimize
 
 from bench import Channel, Force, InitialState, InputError, Prior, Problem, Record, Status, System, Units, simulate
 from bench.problem import Measures
-from bench.systems import SDOF, Chain, Duffing
+from bench.systems import SDOF, BoucWen, Chain, Duffing
 from methods.collocation import Collocation
 from methods.pinn import PINN
 from methods.pinn.physics import PhysicsInformed
@@ -64,7 +64,7 @@ def polynomials(_: int, block: Block) -> Basis:
     n = np.arange(5)
     t = block.times[..., None]
     streams = [t**n, n * t ** np.maximum(n - 1, 0), n * (n - 1) * t ** np.maximum(n - 2, 0)]
-    return Basis(torch.as_tensor(np.stack(streams, 1)), block.n_dof)
+    return Basis(torch.as_tensor(np.stack(streams, 1)), block.n_paths)
 
 
 def plain_problem(
@@ -85,7 +85,7 @@ def plain_problem(
 
 def spread(n_fits: int) -> Spread:
     one = np.ones(n_fits)
-    return Spread(np.tile([0.1, 0.2, 0.3, 0.4], (n_fits, 1)), 5.0 * one, 0.05 * one, 0.5 * one)
+    return Spread(np.tile([0.1, 0.2, 0.3, 0.4], (n_fits, 1)), 5.0 * one, 2.0 * one, 0.05 * one, 0.5 * one)
 
 
 def small(
@@ -99,14 +99,15 @@ def small(
     """Residuals of different problems of one structure with a small ansatz; a point and deviations."""
     problems = [plain_problem(system, offset, known, seed, 1.0 + 0.2 * seed) for seed in range(n_fits)]
     names = problems[0].system.names
-    widths = (1, 4, 3, 3, problems[0].system.n_dof)
+    widths = (1, 4, 3, 3, problems[0].system.n_dof + problems[0].system.n_hidden)
     residuals = Residuals(
         problems,
         {"network": networks(widths), "assisted": assisted(widths), "spline": polynomials}[ansatz],
         7,
         names,
         np.zeros((n_fits, len(names))),
-        exact=np.full(n_fits, 2.0) if exact else None,
+        np.full(n_fits, 2.0),
+        exact=exact,
     )
     z = 0.3 * np.random.default_rng(2).standard_normal((n_fits, residuals.n_z))
     if ansatz == "network":
@@ -144,6 +145,9 @@ CASES: list[tuple[System, dict[str, Any]]] = [
     (SDOF(), {"ansatz": "assisted", "exact": True}),
     (Chain(2), {"ansatz": "spline", "exact": True}),
     (Duffing(), {"n_fits": 3}),
+    (BoucWen(), {}),
+    (BoucWen(exponent=2.0), {"known": False, "n_fits": 2}),
+    (BoucWen(), {"ansatz": "assisted"}),
 ]
 
 
@@ -170,7 +174,7 @@ def test_jacobian_gradient_and_gram_agree_with_autograd(system: System, options:
 
 
 def _displacement(block: Block, ansatz: Ansatz, part: torch.Tensor, times: torch.Tensor) -> torch.Tensor:
-    """The trainable function, (n_points, n_dof), written once more."""
+    """The trainable function, (n_points, n_paths), written once more."""
     if isinstance(ansatz, Sum):
         own, rest = part[:, : ansatz.inner.count], part[:, ansatz.inner.count :]
         return _displacement(block, ansatz.inner, own, times) + _displacement(block, ansatz.fixed, rest, times)
@@ -181,7 +185,7 @@ def _displacement(block: Block, ansatz: Ansatz, part: torch.Tensor, times: torch
             h = torch.tanh(h @ weight[0].T + bias[0])
         return h @ last[0][0].T + last[1][0]
     powers = torch.stack([times[0] ** k for k in range(5)], -1)
-    return powers @ part[0].unflatten(0, (block.n_dof, -1)).T
+    return powers @ part[0].unflatten(0, (block.n_paths, -1)).T
 
 
 def _autograd_jacobian(residuals: Residuals, z: torch.Tensor, deviations: torch.Tensor) -> torch.Tensor:
@@ -266,11 +270,11 @@ def test_levenberg_goes_lower_than_scipys_lbfgs() -> None:
     problem = Problem(SDOF(), (record(0.05, known=True),), PRIOR)
     scaled = problem.expressed_in(problem.natural_units())
     widths = (1, 12, 12, 1)
-    residuals = Residuals([scaled], networks(widths), 60, SDOF().names, np.zeros((1, 3)))
+    residuals = Residuals([scaled], networks(widths), 60, SDOF().names, np.zeros((1, 3)), np.ones(1))
     weights = network.flat(network.initial_layers(widths, 3.6, np.random.default_rng(0)))
     z = torch.as_tensor(np.r_[weights, 0.0, np.log([6.0, 500.0])])[None]
     one = np.ones(1)
-    deviations = residuals.deviations(Spread(np.full((1, 1), 0.1), 10.0 * one, 0.02 * one, 0.4 * one))
+    deviations = residuals.deviations(Spread(np.full((1, 1), 0.1), 10.0 * one, 10.0 * one, 0.02 * one, 0.4 * one))
 
     def loss(at: np.ndarray) -> tuple[float, np.ndarray]:
         state, gradient = residuals.gradient(torch.as_tensor(at[None]), deviations)
