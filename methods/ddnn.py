@@ -8,7 +8,7 @@ centred at the random weights that the fit starts from. A step is solved in the 
 few, with the weights scaled by their prior.
 
 The exact x, x', x'' of the network on a dense grid then give the parameters by least squares on the equation of
-motion: in free vibration with the gauge mass fixed at one (its groups), under a known force all of them. This
+motion: all of them where a force or an added mass is known, else its groups, the gauge mass fixed at one. This
 inherits the bias of any regression on noisy regressors, and that of the smoothing: five samples a cycle do not tell
 a network the curvature between them.
 

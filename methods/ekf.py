@@ -54,7 +54,7 @@ class EKF(Identifier):
         return Settings(self.passes, self.tolerance, self.drift, self.open_sd)
 
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """All parameters, or the groups in free vibration without a prior. Uses no randomness."""
+        """All parameters, or the groups where nothing tells the scale. Uses no randomness."""
         return identify(problem, tangent, self._settings())
 
 

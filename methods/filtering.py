@@ -25,8 +25,9 @@ fitted, ``sum H P H' / R``: the fixed point of the EM step of R. H. Shumway, D. 
 3:253, 1982). Parameters are constants, so their process noise, ``drift``, is zero unless it is asked for.
 
 **First belief.** Log-parameters: the prior. Without one: the best start of the scan of :mod:`methods.spectral`, and
-``open_sd`` about it; in free vibration the gauge mass is then 1 and the answer is the groups. A start that is not told:
-rest, with a standard deviation of ``START`` times the largest displacement (times the fastest rate for velocities).
+``open_sd`` about it; where nothing tells the scale the gauge mass is 1 and the answer is the groups. A start that is
+not told: rest, with a standard deviation of ``START`` times the largest displacement (times the fastest rate for
+velocities).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Equation-error least squares on numerically differentiated displacement: the paper's baseline.
 
 The measured displacement is differentiated, velocity and acceleration are put into the equation of motion, and the
-parameters (free vibration: the identifiable groups, e.g. k/m and c/m) are the least-squares solution of the resulting
-linear equations, one a sample and degree of freedom.
+parameters (where nothing tells the scale: the identifiable groups, e.g. k/m and c/m) are the least-squares solution of
+the resulting linear equations, one a sample and degree of freedom.
 
 ``derivative="finite"`` differentiates by central differences over three samples: the baseline of the paper. It has a
 bias without any noise: at a rate ``s`` (a root of the system) and step ``h`` the second difference of ``e^{st}`` is

@@ -70,7 +70,7 @@ class SingleShooting(Identifier):
                 raise InputError(f"method.{name}", getattr(self, name), "at least 1")
 
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The estimate: all parameters, or the groups in free vibration without a prior. Uses no randomness."""
+        """The estimate: all parameters, or the groups where nothing tells the scale. Uses no randomness."""
         units = problem.natural_units()
         scaled = problem.expressed_in(units)
         if silent(scaled):

@@ -265,11 +265,6 @@ class Regression:
         by_dof = [sorted(record.channels, key=lambda c: c.dof) for record in self.records]
         return tuple(np.stack([c.values for c in channels])[:, None] for channels in by_dof)
 
-    @property
-    def forced(self) -> bool:
-        """Whether a known force acts in any record."""
-        return any(record.forces for record in self.records)
-
     @cached_property
     def names(self) -> tuple[str, ...]:
         """What is identified: group names, or parameter names where a force or an added mass is known."""
@@ -329,7 +324,7 @@ class Regression:
             spline, inner = smoothing_spline(times, order), times[trim : times.size - trim]
             weights = spline.weights[which]
             motion = spline.motion(spline.fit(y, weights), inner)
-            if self.forced:
+            if any(other.forces for other in self.records):
                 pushes = np.array(record.force(times, self.system.n_dof))[:, None]
                 motion = motion._replace(force=spline.motion(spline.fit(pushes, weights), inner).x)
             motions.append(motion)
@@ -425,7 +420,7 @@ def too_fast(system: System, p: Mapping[str, np.ndarray], state: np.ndarray, tim
     Hidden states are moved too; at the state they are zero.
     """
     n, sets = 2 * system.n_dof + system.n_hidden, np.shape(next(iter(p.values())))[0]
-    state, largest = np.append(state, np.zeros(system.n_hidden)), float(np.max(np.abs(state[: system.n_dof])))
+    state, largest = np.append(state, np.zeros(system.n_hidden)), float(np.max(np.abs(state[: system.n_dof]))) or 1.0
     rest = [0.0] * system.n_dof
     fastest = np.zeros(sets)
     with np.errstate(all="ignore"):

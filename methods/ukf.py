@@ -65,7 +65,7 @@ class UKF(Identifier):
         return Settings(self.passes, self.tolerance, self.drift, self.open_sd)
 
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """All parameters, or the groups in free vibration without a prior. Uses no randomness."""
+        """All parameters, or the groups where nothing tells the scale. Uses no randomness."""
         return identify(problem, partial(regression, kappa=self.kappa), self._settings())
 
 

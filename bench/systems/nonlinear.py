@@ -10,6 +10,9 @@ from bench.errors import InputError
 from bench.systems.contract import FORCE, LENGTH, MEASURED, STIFFNESS, Dimension, Parameter, Quantity, System
 from bench.systems.linear import SDOF
 
+TINY = 1e-30
+"""Added below a broken power, whose slope at zero would be 0 times infinity; no number notices."""
+
 
 @dataclass(frozen=True)
 class Duffing(System):
@@ -169,6 +172,8 @@ class BoucWen(System):
         # a whole exponent as an integer, which every library can raise to
         n = int(self.exponent) if self.exponent == int(self.exponent) else self.exponent
         size = ops.abs(z[0])
+        if n != int(n):
+            size = size + TINY
         # |z|^(n-1) is left out at n = 1, where its slope at z = 0 would be 0 times infinity
         bent, power = (z[0] * size ** (n - 1), size**n) if n != 1 else (z[0], size)
         return [v[0] - p["beta"] * ops.abs(v[0]) * bent - p["gamma"] * v[0] * power]

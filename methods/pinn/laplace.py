@@ -16,6 +16,11 @@ from methods.pinn.residuals import Block, Residuals, State
 PRECISION = 1e-10
 """Precision of the coefficients, relative to the largest squared row of J."""
 
+LEAST_INFORMATION = 1e-100
+"""On an unknown, so that one that nothing depends on has a variance, a huge one."""
+SINGULAR = 1e-14
+"""The least eigenvalue of the scaled information over the largest that rounding leaves."""
+
 
 @dataclass
 class Laplace:
@@ -38,10 +43,15 @@ def laplace(residuals: Residuals, state: State, deviations: Tensor) -> Laplace:
 
 
 def _inverse(information: Tensor) -> Tensor:
-    """Inverses (B, n, n) of information matrices, each unknown in its own unit: what is hardly told comes out large."""
-    scale = information.diagonal(dim1=1, dim2=2).rsqrt()
+    """Inverses (B, n, n) of information matrices, each unknown in its own unit.
+
+    A combination of unknowns that nothing tells comes out with a large variance, never with none.
+    """
+    scale = information.diagonal(dim1=1, dim2=2).clamp(min=LEAST_INFORMATION).rsqrt()
     both = scale[:, :, None] * scale[:, None]
-    return torch.linalg.pinv(information * both, hermitian=True, rtol=1e-14) * both
+    values, axes = torch.linalg.eigh(information * both)
+    values = values.clamp(min=SINGULAR * values[:, -1:])
+    return (axes / values[:, None]) @ axes.mT * both
 
 
 def _displacements(residuals: Residuals, block: Block) -> tuple[Tensor, Tensor]:

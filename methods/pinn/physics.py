@@ -49,7 +49,7 @@ from bench import (
 )
 from methods.pinn.response import Band, Function
 from methods.pinn.spectral import Guess, scan
-from methods.spectral import PRIORLESS_SD
+from methods.spectral import PRIORLESS_SD, records_by_load
 
 if TYPE_CHECKING:
     from methods.pinn.ansatz import Ansatz
@@ -160,10 +160,10 @@ class PhysicsInformed(Identifier):
                 else:
                     tasks.append((i, Task(problem, rng)))
             self.attempt([task for _, task in tasks])
-            hidden = [task for _, task in tasks if task.open]
-            for task in hidden:
+            opened = [task for _, task in tasks if task.open]
+            for task in opened:
                 task.hold()
-            self.attempt(hidden)
+            self.attempt(opened)
             if self.uncertainty != "laplace":
                 for _, task in tasks:
                     self._resample(task)
@@ -230,13 +230,16 @@ class PhysicsInformed(Identifier):
 
     def _estimate(self, task: Task) -> Estimate:
         problem, best = task.scaled, task.best
-        cost = Cost(sum(fit.evaluations for fit in task.fits), sum(fit.iterations for fit in task.fits))
+        every = [*task.given_up, *task.fits]
+        cost = Cost(sum(fit.evaluations for fit in every), sum(fit.iterations for fit in every))
         if best is None:
             sentence = "no attempt gave finite numbers; try other restarts, or check the record for outliers"
             return Estimate.failed(problem.system, Status.NONFINITE, sentence, cost)
         message = best.reason + (f"; {len(task.fits) - 1} restart(s)" if len(task.fits) > 1 else "")
         if task.held:
-            message += "; the data leave a parameter open: held by a prior of a factor of 20 about the data's start"
+            message += "; the data leave a parameter open: held by a very wide prior, a factor of 20"
+        if task.scaled.system.n_hidden:
+            message += "; its smooth paths cannot follow the kinks of a hysteresis, so the intervals may be too narrow"
         if not task.good(best):
             message += "; it leaves more than damped waves do, so this may be a local minimum"
         starts = [
@@ -296,10 +299,11 @@ class Task:
     def __init__(self, problem: Problem, rng: np.random.Generator) -> None:
         self.problem, self.rng, self.units = problem, rng, problem.natural_units()
         self.scaled = rounded(problem.expressed_in(self.units))
-        rigs = {record.rig(problem.system) for record in problem.records}
-        waves, self.reference = scan(self.scaled, self.scaled.system.n_dof * len(rigs), forced=True)
+        loads = records_by_load(self.scaled)
+        waves, self.reference = scan(self.scaled, self.scaled.system.n_dof * len(loads), forced=True)
         self.guesses = _starts(waves, self.scaled.system.n_dof)
         self.fits: list[Fit] = []
+        self.given_up: list[Fit] = []
         self.held = False
         self.members: list[Fit] = []
         self.offset_flags = [c.offset for record in problem.records for c in record.channels]
@@ -335,13 +339,16 @@ class Task:
         best = self.best
         assert best is not None
         guess = self.guesses[self.fits.index(best)]
-        logs = engine.first_logs(self.scaled, guess)
+        starts = [engine.first_logs(self.scaled, own) for own in self.guesses]
+        logs = starts[self.guesses.index(guess)]
         if self.good(best):
             logs = np.where(np.diag(best.covariance) > PRIORLESS_SD**2, logs, best.logs)
             self.guesses = [replace(guess, logs=logs)]
+        else:
+            self.guesses = [replace(own, logs=start) for own, start in zip(self.guesses, starts, strict=True)]
         nominal = dict(zip(self.scaled.system.names, np.exp(logs), strict=True))
         self.scaled = replace(self.scaled, prior=Prior(nominal, dict.fromkeys(nominal, PRIORLESS_SD)))
-        self.fits, self.held = [], True
+        self.given_up, self.fits, self.held = self.fits, [], True
 
     @property
     def best(self) -> Fit | None:

@@ -405,7 +405,9 @@ class Residuals:
         with torch.enable_grad():
             p = dict(zip(self.system.names, spread_logs.exp().unbind(-1), strict=True))
             for equation in self._equations(block, p, streams):
-                slopes = torch.autograd.grad(equation.sum(), (streams, spread_logs), retain_graph=True)
+                slopes = torch.autograd.grad(
+                    equation.sum(), (streams, spread_logs), retain_graph=True, allow_unused=True, materialize_grads=True
+                )
                 by_streams.append(slopes[0])
                 by_logs.append(slopes[1])
         return torch.stack(by_streams, 2), torch.stack(by_logs, 1)

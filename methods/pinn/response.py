@@ -9,21 +9,21 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 Function = Callable[[np.ndarray], np.ndarray]
-"""Times (n,) to displacements (n_dof, n)."""
+"""Times (n,) to paths (n_paths, n): displacements, and hidden states behind them where there are any."""
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkResponse:
-    """Displacement by time: a tanh network of ``2 t / duration - 1``.
+    """Paths by time: a tanh network of ``2 t / duration - 1``.
 
-    ``layers`` holds weights (n_out, n_in) and biases (n_out,); the last layer is linear, with one output a DOF.
+    ``layers`` holds weights (n_out, n_in) and biases (n_out,); the last layer is linear, with one output a path.
     """
 
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
     duration: float
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
-        """Displacement, shape (n_dof, n_times), at times of shape (n_times,)."""
+        """Paths, shape (n_paths, n_times), at times of shape (n_times,)."""
         h = (2.0 * np.asarray(times, float) / self.duration - 1.0)[:, None]
         for weight, bias in self.layers[:-1]:
             h = np.tanh(h @ weight.T + bias)
@@ -33,27 +33,27 @@ class NetworkResponse:
 
 @dataclass(frozen=True, eq=False)
 class SplineResponse:
-    """Displacement by time: a B-spline with ``knots`` and ``coefficients`` (n_dof, n_functions)."""
+    """Paths by time: a B-spline with ``knots`` and ``coefficients`` (n_paths, n_functions)."""
 
     knots: np.ndarray
     coefficients: np.ndarray
     degree: int
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
-        """Displacement, shape (n_dof, n_times), at times of shape (n_times,)."""
+        """Paths, shape (n_paths, n_times), at times of shape (n_times,)."""
         return np.asarray(BSpline(self.knots, self.coefficients.T, self.degree)(np.asarray(times, float)).T)
 
 
 @dataclass(frozen=True, eq=False)
 class Assisted:
-    """A trained function plus multiples, ``coefficients`` (n_dof, n_fixed), of fixed ones (see forced.py)."""
+    """A trained function plus multiples, ``coefficients`` (n_paths, n_fixed), of fixed ones (see forced.py)."""
 
     inner: Function
     fixed: Function
     coefficients: np.ndarray
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
-        """Displacement, shape (n_dof, n_times), at times of shape (n_times,)."""
+        """Paths, shape (n_paths, n_times), at times of shape (n_times,)."""
         return np.asarray(self.inner(times) + self.coefficients @ self.fixed(times))
 
 

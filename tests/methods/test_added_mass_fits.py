@@ -9,6 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 from bench import Channel, Estimate, Identifier, InitialState, Problem, Record, Status, Units
+from bench.config import expand
 from bench.registry import make_method, missing_package
 from bench.systems import SDOF, Chain, System
 from bench.truth import closed_form
@@ -161,3 +162,31 @@ def test_the_gradient_sampler_has_the_density_of_mcmc() -> None:
     )
     own = [float(log_density(layout, data, phi)) for phi in points]
     np.testing.assert_allclose(own, posterior(points), rtol=1e-5, atol=1e-4)
+
+
+def test_parameters_that_run_off_together_are_held() -> None:
+    """At 0 dB a record leaves m, c and k open as one: their ratios are told, so each alone seems to have a width."""
+    pytest.importorskip("torch")
+    scenario = expand(["method=prior", "system=sdof_added_mass", "snr=0"], multirun=False)[0].cell().scenario
+    given, truth = scenario.replicates(0, 6)[2]
+    estimate = make_method("collocation", {}).identify(given, np.random.default_rng(0))
+    assert "very wide prior" in estimate.message
+    found = estimate.marginal(SDOF().quantity("m"))
+    assert found is not None
+    low, high = found.interval(0.999)
+    assert low < truth.parameters["m"] < high
+
+
+def test_what_nothing_tells_has_a_large_variance() -> None:
+    """The inverse of a regular matrix, and of ones whose information is on a sum alone, or of one unknown none."""
+    torch = pytest.importorskip("torch")
+    from methods.pinn.laplace import _inverse
+
+    regular = torch.tensor([[[4.0, 1.0], [1.0, 3e6]]], dtype=torch.float64)
+    np.testing.assert_allclose(_inverse(regular) @ regular, np.eye(2)[None], atol=1e-9)
+    sums = torch.ones(1, 2, 2, dtype=torch.float64)
+    assert float(_inverse(sums)[0, 0, 0]) > 1e10
+    assert float(torch.ones(1, 2, dtype=torch.float64) @ _inverse(sums)[0] @ torch.ones(2, dtype=torch.float64)) < 2.0
+    lone = torch.diag(torch.tensor([2.0, 0.0], dtype=torch.float64))[None]
+    assert float(_inverse(lone)[0, 0, 0]) == pytest.approx(0.5)
+    assert float(_inverse(lone)[0, 1, 1]) > 1e10

@@ -147,7 +147,7 @@ CASES: list[tuple[System, dict[str, Any]]] = [
     (Duffing(), {"n_fits": 3}),
     (BoucWen(), {}),
     (BoucWen(exponent=2.0), {"known": False, "n_fits": 2}),
-    (BoucWen(), {"ansatz": "assisted"}),
+    (BoucWen(exponent=1.5), {"ansatz": "assisted"}),
 ]
 
 
