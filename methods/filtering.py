@@ -229,6 +229,16 @@ def _restart(
     return np.broadcast_to(keep, covariance.shape), mean, covariance
 
 
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """NaN where there is none: a level of the noise at which the filter is lost must not stop the others."""
+    if np.all(np.isfinite(matrix)):
+        try:
+            return np.linalg.inv(matrix)
+        except np.linalg.LinAlgError:
+            pass
+    return np.full_like(matrix, np.nan)
+
+
 def _update(
     h: Affine,
     values: np.ndarray,
@@ -249,7 +259,7 @@ def _update(
         # a level that is lost must not stop the others
         lost = ~np.all(np.isfinite(total), axis=(1, 2))
         total = np.where(lost[:, None, None], np.nan, total)
-    precision = np.stack([np.linalg.inv(t) if np.all(np.isfinite(t)) else np.full_like(t, np.nan) for t in total])
+    precision = np.stack([_inverse(t) for t in total])
     gain = cross @ precision
     mean = mean + (gain @ innovation[..., None])[..., 0]
     left = np.eye(d) - gain @ slopes

@@ -16,7 +16,7 @@ from bench.simulate import measurements, simulate
 from bench.systems import SDOF, Chain, Dimension, Duffing, Parameter
 from bench.truth import closed_form
 from methods.ekf import EKF, tangent
-from methods.filtering import filtered
+from methods.filtering import _inverse, filtered
 from methods.joint import Chain as Nodes
 from methods.joint import first_belief
 from methods.output_error import SingleShooting
@@ -274,3 +274,11 @@ def test_settings_out_of_range_are_refused(setting: dict[str, float]) -> None:
             method(**setting)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="kappa"):
         UKF(kappa=-1.0)
+
+
+def test_a_level_without_an_inverse_is_lost_alone() -> None:
+    """The innovations' covariance of a runaway level may be singular; the others must go on."""
+    inverses = [_inverse(np.array(m)) for m in ([[1.0, 1.0], [1.0, 1.0]], [[2.0, 0.0], [0.0, 4.0]], [[np.inf]])]
+    assert np.all(np.isnan(inverses[0]))
+    np.testing.assert_allclose(inverses[1], [[0.5, 0.0], [0.0, 0.25]])
+    assert np.all(np.isnan(inverses[2]))
