@@ -53,13 +53,14 @@ data tell (root mean square over replicates and quantities of error over Cramér
 unbiased method can do); **RMSE**, the median displacement error (m) and after × its excess; **95 %**, the share of
 the 95 % intervals of all parameters that held the truth. With a known force, or a known added mass, the data tell
 every parameter, there is no prior, and the errors of m, c and k are true errors; in free vibration the data tell
-ratios, and the prior (a weighed mass) tells the scale. The row *bound* gives the bound: pooled in percent, and of the
-RMSE. *oracle* is maximum a posteriori (without a prior: maximum likelihood) started at the truth. Excesses are over
-the successful replicates, *ok* of n; a failed one counts as an infinite error in medians and ranks. Bold: the method
-of least median error, and all that cannot be told from it on the same data (Wilcoxon's signed-rank test, Holm's
-adjustment, 5 %) or are less than 2 % from it, unless gross errors double its excess. A dash: the method states no
-interval. ×>1e6: some estimates ran away, and how far says nothing. Time: processor time of the median fit. What a
-method cannot take is said below its panel."""
+ratios, and the prior (a weighed mass) tells the scale. The row *bound* gives the bound: pooled in percent, and of
+the RMSE. *oracle* is maximum a posteriori (without a prior: maximum likelihood) started at the truth. Excesses are
+over the successful replicates, *ok* of n; a failed one counts as an infinite error in medians and ranks. Bold: the
+method of least median error, and all that cannot be told from it on the same data (Wilcoxon's signed-rank test,
+Holm's adjustment, 5 %) or are less than 2 % from it, unless gross errors double its excess. A dash for a share:
+the method states no interval. ×>1e6: some estimates ran away, and how far says nothing. Time: processor time of the
+median fit. A dash for an error: the experiment does not ask for it. What a method cannot take is said below
+its panel."""
 
 
 @dataclass(frozen=True)
@@ -329,7 +330,7 @@ def _panel(panel: Panel, classes: Mapping[str, str]) -> Table:
             entry = panel.at(method, level)
             stored = entry.stored if entry else None
             if stored is None or not stored.n_ok:
-                cells += [stored.status.value if stored else "not run", "", ""]
+                cells += [stored.status.value if stored else "not run" if entry else "-", "", ""]
                 oks.append(f"0/{len(stored.rows)}" if stored else "-")
                 continue
             cells += _entry(panel, stored, method, level, contests)

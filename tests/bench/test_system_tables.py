@@ -122,14 +122,16 @@ def test_a_table_of_missing_failed_and_good_cells():
         Entry("", _cell("system=sdof_forced"), good),
         Entry("", _cell("system=sdof_forced", method="pinn"), bad),
         Entry("", _cell("system=sdof_forced", method="ls"), None),
+        Entry("", _cell("system=sdof_forced", "snr=10", method="rls"), None),
     ]
     text = markdown("T", tables_of(found), "command")
     assert "3/5" in text
     assert "2 × PINN: diverged, lost" in text
-    assert "1 cells were not run" in text
+    assert "2 cells were not run" in text
     panel = text.partition("Errors at")[0]
     lines = {line.split("|")[1].strip(): line for line in panel.splitlines() if line.startswith("| ")}
     assert "**×1.55**" in lines["Multiple shooting"]  # sqrt((1 + 4 + 2.25) / 3)
-    assert "not run" in lines["LS, finite differences"]
+    assert [cell.strip() for cell in lines["LS, finite differences"].split("|")[2:6]] == ["not run", "", "", "-"]
+    assert [cell.strip() for cell in lines["RLS"].split("|")[2:6]] == ["-", "", "", "not run"]
     data = tidy("6", found)
     assert data[(data.method == "pinn") & (data.metric == "told_pooled")].excess.iloc[0] == pytest.approx(9.0)
