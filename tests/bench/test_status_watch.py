@@ -30,6 +30,11 @@ SWEEP = ["method=prior,oracle,ls", "replicates=2,3,4,5"]
 ENVIRONMENT = {**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "80"}
 
 
+def interruptible() -> None:
+    """For a child that is to be interrupted: a suite in the background of a shell ignores Ctrl-C, and so would it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def cells_of(reference: Scenario, *replicates: int) -> list[Cell]:
     return [Cell(reference, "prior", {}, n, 0, "prior") for n in replicates]
 
@@ -176,7 +181,12 @@ def test_a_running_sweep_is_followed_to_its_end(new_store: StoreFactory) -> None
 def interrupted(arguments: Sequence[str]) -> tuple[int, str, str]:
     """Exit status, output and errors of a command that is sent Ctrl-C after its first line."""
     process = subprocess.Popen(
-        command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT
+        command(*arguments),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=ENVIRONMENT,
+        preexec_fn=interruptible,
     )
     assert process.stdout is not None
     first = process.stdout.readline()
@@ -211,7 +221,7 @@ def test_on_a_terminal_a_look_takes_the_place_of_the_one_before(store: Store) ->
     ours, theirs = pty.openpty()
     environment = {**ENVIRONMENT, "TERM": "xterm", "NO_COLOR": "1", "COLUMNS": "60"}
     watching = command("bench.status", "method=prior", "replicates=2,3", f"store={store.folder}", "watch=0.1")
-    process = subprocess.Popen(watching, stdout=theirs, stderr=theirs, env=environment)
+    process = subprocess.Popen(watching, stdout=theirs, stderr=theirs, env=environment, preexec_fn=interruptible)
     os.close(theirs)
     text, deadline = "", time.monotonic() + 120
     while text.count("\x1b[J") < 2 and time.monotonic() < deadline:

@@ -107,7 +107,7 @@ def test_a_damping_that_the_noise_hides_is_held(method: str) -> None:
     override = ["method=prior", "system=chain2_forced", "snr=10"]
     problem, truth = expand(override, multirun=False)[0].cell().scenario.replicates(0, 2)[1]
     estimate = make_method(method, {}).identify(problem, np.random.default_rng(0))
-    assert "held by a prior" in estimate.message
+    assert "very wide prior" in estimate.message
     found = estimate.parameters
     assert found is not None
     widths = np.sqrt(np.diag(found.covariance))  # type: ignore[union-attr]
