@@ -255,10 +255,6 @@ def _update(
     innovation = values[measured] - (slopes @ mean[..., None])[..., 0] - h[1][:, measured]
     cross = covariance @ slopes.swapaxes(1, 2)
     total = slopes @ cross + error
-    if not np.all(np.isfinite(total)):
-        # a level that is lost must not stop the others
-        lost = ~np.all(np.isfinite(total), axis=(1, 2))
-        total = np.where(lost[:, None, None], np.nan, total)
     precision = np.stack([_inverse(t) for t in total])
     gain = cross @ precision
     mean = mean + (gain @ innovation[..., None])[..., 0]

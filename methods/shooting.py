@@ -47,8 +47,9 @@ from bench import (
     System,
     simulate,
 )
+from methods.held import left_open, very_wide
 from methods.rough import Start, fastest_rate, radians_a_step, rough_states
-from methods.spectral import PRIORLESS_SD, OutputError, candidates, estimate_at, screened, screening, silent
+from methods.spectral import OutputError, candidates, estimate_at, screened, screening, silent
 
 SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
 MAX_SUBSTEPS = SUBSTEPS[-1]
@@ -122,7 +123,7 @@ class Shooting(Identifier):
         good, message = self._fits(model, used), ""
         if model.prior is None and model.problem.scale_told and not _closed(model, good):
             # the likelihood rises towards a parameter of zero or without limit: the data say that it is small or large
-            prior = _wide(candidates(_head(model), self.starts + 1)[0])
+            prior = very_wide(candidates(_head(model), self.starts + 1)[0])
             model = OutputError(replace(model.problem, prior=prior))
             good, message = self._fits(model, [_within(prior, theta) for theta in used], exact=True), HELD
         iterations = sum(fit.iterations for fit in good)
@@ -202,12 +203,7 @@ def _closed(model: OutputError, fits: Sequence[_Fit]) -> bool:
         return False
     best = min(fits, key=lambda fit: fit.profile)
     covariance = model.covariance(best.slopes, best.sigma)
-    return covariance is not None and bool(np.max(np.diag(covariance)[: len(model.free)]) <= PRIORLESS_SD**2)
-
-
-def _wide(nominal: dict[str, float]) -> Prior:
-    """The very wide prior, about parameters that a scan of the data gave."""
-    return Prior(nominal, dict.fromkeys(nominal, PRIORLESS_SD))
+    return covariance is not None and not np.any(left_open(np.diag(covariance)[: len(model.free)]))
 
 
 def _within(prior: Prior, theta: np.ndarray) -> np.ndarray:
@@ -330,7 +326,7 @@ def _rates(system: System) -> Any:
     x, v, z, f = entries[:n], entries[n : 2 * n], entries[2 * n :], ca.vertsplit(forces)
     residual = ca.vertcat(*system.residual(p, x, v, ca.vertsplit(a), f, z, ops))
     rest = ca.substitute(residual, a, ca.DM.zeros(n))
-    hidden = system.hidden_rates(p, x, v, f, z, ops) if z else []
+    hidden = system.hidden_rates(p, x, v, f, z, ops)
     accelerations = ca.solve(ca.jacobian(residual, a), -rest)
     return ca.Function("rates", [state, logs, forces], [ca.vertcat(*v, accelerations, *hidden)])
 

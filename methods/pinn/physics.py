@@ -40,16 +40,16 @@ from bench import (
     InitialState,
     InputError,
     Normal,
-    Prior,
     Problem,
     Record,
     Serves,
     Status,
     report,
 )
+from methods.held import left_open, very_wide
 from methods.pinn.response import Band, Function
 from methods.pinn.spectral import Guess, scan
-from methods.spectral import PRIORLESS_SD, records_by_load
+from methods.spectral import records_by_load
 
 if TYPE_CHECKING:
     from methods.pinn.ansatz import Ansatz
@@ -236,9 +236,9 @@ class PhysicsInformed(Identifier):
             sentence = "no attempt gave finite numbers; try other restarts, or check the record for outliers"
             return Estimate.failed(problem.system, Status.NONFINITE, sentence, cost)
         message = best.reason + (f"; {len(task.fits) - 1} restart(s)" if len(task.fits) > 1 else "")
-        if task.held:
+        if task.given_up:
             message += "; the data leave a parameter open: held by a very wide prior, a factor of 20"
-        if task.scaled.system.n_hidden:
+        if task.scaled.system.n_hidden and not task.scaled.system.smooth:
             message += "; its smooth paths cannot follow the kinks of a hysteresis, so the intervals may be too narrow"
         if not task.good(best):
             message += "; it leaves more than damped waves do, so this may be a local minimum"
@@ -303,8 +303,7 @@ class Task:
         waves, self.reference = scan(self.scaled, self.scaled.system.n_dof * len(loads), forced=True)
         self.guesses = _starts(waves, self.scaled.system.n_dof)
         self.fits: list[Fit] = []
-        self.given_up: list[Fit] = []
-        self.held = False
+        self.given_up: list[Fit] = []  # before the parameters that were open were held
         self.members: list[Fit] = []
         self.offset_flags = [c.offset for record in problem.records for c in record.channels]
 
@@ -327,7 +326,7 @@ class Task:
         """Whether the best fit leaves a parameter more open than the very wide prior would; only without a prior."""
         if self.scaled.prior is not None or not self.scaled.scale_told or self.best is None:
             return False
-        return bool(np.any(np.diag(self.best.covariance) > PRIORLESS_SD**2))
+        return bool(np.any(left_open(np.diag(self.best.covariance))))
 
     def hold(self) -> None:
         """Begin again with the very wide prior: it bounds what the data leave open.
@@ -338,17 +337,16 @@ class Task:
 
         best = self.best
         assert best is not None
-        guess = self.guesses[self.fits.index(best)]
-        starts = [engine.first_logs(self.scaled, own) for own in self.guesses]
-        logs = starts[self.guesses.index(guess)]
+        # as parameters, for with a prior the engine would take the masses from it
+        begun = [replace(own, logs=engine.first_logs(self.scaled, own)) for own in self.guesses]
+        at = self.fits.index(best)
+        logs = engine.first_logs(self.scaled, self.guesses[at])
         if self.good(best):
-            logs = np.where(np.diag(best.covariance) > PRIORLESS_SD**2, logs, best.logs)
-            self.guesses = [replace(guess, logs=logs)]
-        else:
-            self.guesses = [replace(own, logs=start) for own, start in zip(self.guesses, starts, strict=True)]
+            logs = np.where(left_open(np.diag(best.covariance)), logs, best.logs)
+            begun = [replace(begun[at], logs=logs)]
         nominal = dict(zip(self.scaled.system.names, np.exp(logs), strict=True))
-        self.scaled = replace(self.scaled, prior=Prior(nominal, dict.fromkeys(nominal, PRIORLESS_SD)))
-        self.given_up, self.fits, self.held = self.fits, [], True
+        self.scaled = replace(self.scaled, prior=very_wide(nominal))
+        self.guesses, self.given_up, self.fits = begun, self.fits, []
 
     @property
     def best(self) -> Fit | None:
