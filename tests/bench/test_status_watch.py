@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -30,9 +30,16 @@ SWEEP = ["method=prior,oracle,ls", "replicates=2,3,4,5"]
 ENVIRONMENT = {**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "80"}
 
 
-def interruptible() -> None:
-    """For a child that is to be interrupted: a suite in the background of a shell ignores Ctrl-C, and so would it."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+@pytest.fixture(autouse=True)
+def interruptible() -> Iterator[None]:
+    """Children can be interrupted, also from a suite in the background of a shell, which ignores Ctrl-C.
+
+    An ignored signal is inherited, a handled one goes back to its default in the child; so nothing is run between
+    fork and exec, where JAX, which the suite may have imported, warns.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def cells_of(reference: Scenario, *replicates: int) -> list[Cell]:
@@ -186,7 +193,6 @@ def interrupted(arguments: Sequence[str]) -> tuple[int, str, str]:
         stderr=subprocess.PIPE,
         text=True,
         env=ENVIRONMENT,
-        preexec_fn=interruptible,
     )
     assert process.stdout is not None
     first = process.stdout.readline()
@@ -221,7 +227,7 @@ def test_on_a_terminal_a_look_takes_the_place_of_the_one_before(store: Store) ->
     ours, theirs = pty.openpty()
     environment = {**ENVIRONMENT, "TERM": "xterm", "NO_COLOR": "1", "COLUMNS": "60"}
     watching = command("bench.status", "method=prior", "replicates=2,3", f"store={store.folder}", "watch=0.1")
-    process = subprocess.Popen(watching, stdout=theirs, stderr=theirs, env=environment, preexec_fn=interruptible)
+    process = subprocess.Popen(watching, stdout=theirs, stderr=theirs, env=environment)
     os.close(theirs)
     text, deadline = "", time.monotonic() + 120
     while text.count("\x1b[J") < 2 and time.monotonic() < deadline:
