@@ -47,6 +47,8 @@ NOISE_SHARE = 0.05
 """Error of the integration over the standard error that the data allow."""
 HALVINGS = 4
 """How often the steps are halved at most."""
+ALIAS_MARGIN = 6.0
+"""By how much in minus twice the log-posterior: odds of 20 to 1."""
 PRIORLESS_SD = 3.0
 """Log standard deviation, a factor of 20, of the prior on parameters that the problem has none for."""
 
@@ -179,8 +181,10 @@ class OutputError:
 
     def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Prediction (..., N) and its derivatives (..., N, size), by central differences, at ``theta`` (..., size)."""
-        d = theta.shape[-1]
-        step = 1e-5 * np.maximum(1.0, np.abs(theta))
+        d, k = theta.shape[-1], len(self.free)
+        # one step for all log-parameters: raised together they change nothing where no force tells the scale, and the
+        # errors of the differences, which cancel to the same degree then, would otherwise pass for information
+        step = 1e-5 * np.where(np.arange(d) < k, 1.0, np.maximum(1.0, np.abs(theta)))
         moves = step[..., None] * np.eye(d)
         sets = np.concatenate([theta[..., None, :], theta[..., None, :] + moves, theta[..., None, :] - moves], axis=-2)
         with np.errstate(all="ignore"):
@@ -378,8 +382,8 @@ def silent(problem: Problem) -> bool:
 def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 8) -> list[tuple[float, np.ndarray]]:
     """The best ``n`` separate starts after a few output-error steps each: (profile, theta), best first.
 
-    The sampling is taken to resolve the motion: a linear system whose slowest oscillation came to lie above half the
-    sampling rate is an alias of a slower one, and is dropped unless there is nothing else.
+    The sampling is taken to resolve the motion: where the slowest oscillation of a linear system came to lie above
+    half the sampling rate, it is dropped as the alias of a slower one, unless data and prior clearly prefer it.
     """
     found: list[tuple[float, np.ndarray]] = []
     quick = screening(model)
@@ -389,8 +393,10 @@ def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 
         near = [other for _, other in found if np.max(np.abs(other - theta)[: len(model.free)]) < 1e-2]
         if np.isfinite(value) and not near:
             found.append((value, theta))
+    found.sort(key=lambda pair: pair[0])
     resolved = [pair for pair in found if not _aliased(model, pair[1])]
-    return sorted(resolved or found, key=lambda pair: pair[0])[:n]
+    clear = not resolved or found[0][0] + ALIAS_MARGIN < resolved[0][0]
+    return (found if clear else resolved)[:n]
 
 
 def _aliased(model: OutputError, theta: np.ndarray) -> bool:
@@ -423,6 +429,8 @@ def candidates(model: OutputError, n: int) -> list[dict[str, float]]:
 def scan(problem: Problem, n: int) -> list[dict[str, float]]:
     """The ``n`` best separate minima of the projected misfit over a grid of frequency and decay.
 
+    The grid goes to half the sampling rate, and on to the rate itself as far as the prior expects the motion there.
+
     All stiffnesses are raised together, and all dampings, from the prior's nominal proportions or from equal ones;
     for one degree of freedom that is the whole space.
     """
@@ -435,7 +443,8 @@ def _minima(problem: Problem, n: int, fixed_scale: bool) -> list[tuple[float, di
     misfit: np.ndarray | float = 0.0
     strength: np.ndarray | float = 0.0
     grid = np.zeros((0, 2))
-    cycles = max(_most_cycles(record) for record in problem.records)
+    resolved = max(_most_cycles(record) for record in problem.records)
+    cycles = max(resolved, min(_expected_cycles(problem), 2 * resolved))
     for record in problem.records:
         grid, responses = _grid_responses(problem.system, base, _signature(record), cycles, _told(record))
         rss, scale = _projected(record, responses, fixed_scale)
@@ -521,6 +530,20 @@ def _most_cycles(record: Record) -> float:
     """Highest frequency of the scan in cycles per unit of time: half the sampling rate of the densest channel."""
     gaps = [float(np.median(np.diff(c.times))) for c in record.channels if c.n > 1]
     return float(min(0.5 / min(gaps, default=0.1), MAX_CYCLES))
+
+
+def _expected_cycles(problem: Problem) -> float:
+    """The same for what the prior expects: its frequency two standard deviations up; 0 without a prior.
+
+    Rounded up to whole cycles, so that records with priors much alike share their grid.
+    """
+    if problem.prior is None:
+        return 0.0
+    system, prior = problem.system, problem.prior
+    stiffness = next((p.name for p in system.parameters if p.kind == "stiffness"), system.gauge)
+    log_rate = 0.5 * np.log(prior.nominal[stiffness] / prior.nominal[system.gauge])
+    sd = 0.5 * np.hypot(prior.log_sd[stiffness], prior.log_sd[system.gauge])
+    return float(min(np.ceil(np.exp(min(log_rate + 2 * sd, LOG_LIMIT)) / (2 * np.pi)), MAX_CYCLES))
 
 
 def _by_kind(system: System, base: Sequence[float], frequency: np.ndarray, decay: np.ndarray) -> dict[str, np.ndarray]:
