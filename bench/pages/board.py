@@ -11,6 +11,7 @@ import numpy as np
 from bench.estimate import Status
 from bench.pages.gather import ERROR, Gathered, Panel, decibels, label_of
 from bench.pages.standing import Ranking, fit_seconds, rank
+from bench.pages.typical import typical
 from bench.pages.words import heading, number, percent, seconds, title_of
 from bench.reference import REFERENCES
 from bench.store import StoredCell
@@ -66,14 +67,15 @@ def rankings(gathered: Gathered) -> Rankings:
 
 
 def board(gathered: Gathered, ranked: Rankings) -> Board:
-    """The leaderboard of the store, tables first, as far as there is room."""
-    lines: list[Line] = []
-    for i, panel in enumerate(gathered.panels):
-        own = panel_lines(panel, {metric: ranked.get((i, metric)) for metric in panel.metrics})
-        if lines and len(lines) + len(own) > MOST_LINES:
-            return Board(tuple(lines), len(gathered.panels) - i)
-        lines += own
-    return Board(tuple(lines), 0)
+    """The leaderboard of the store, tables first, as far as there is room: first for one scenario of every system."""
+    panels = gathered.panels
+    own = [panel_lines(p, {metric: ranked.get((i, metric)) for metric in p.metrics}) for i, p in enumerate(panels)]
+    first = [i for i in typical(panels) if panels[i].experiments]
+    taken: set[int] = set()
+    for i in [*first, *(i for i in range(len(panels)) if i not in first)]:
+        if not taken or sum(len(own[j]) for j in taken) + len(own[i]) <= MOST_LINES:
+            taken.add(i)
+    return Board(tuple(line for i in sorted(taken) for line in own[i]), len(panels) - len(taken))
 
 
 def panel_lines(panel: Panel, ranked: dict[str, Ranking | None]) -> list[Line]:

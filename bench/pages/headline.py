@@ -11,10 +11,9 @@ from bench.compare import Comparison
 from bench.pages.board import Rankings
 from bench.pages.gather import ERROR, Gathered, Panel, label_of
 from bench.pages.standing import Ranking, fit_seconds
+from bench.pages.typical import SNR_DB
 from bench.pages.words import joined, number, percent, quantity, seconds, title_of
 from bench.store import StoredCell
-
-SNR_DB = 20.0
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from bench.errors import InputError
 from bench.pages import beside, board, cards, headline, origin
 from bench.pages.gather import Gathered, Panel, decibels, gather, label_of
 from bench.pages.kept import system_of
+from bench.pages.typical import typical
 from bench.pages.words import number, percent, quantity, title_of
 from bench.store import Store
 from bench.terminal import command
@@ -50,28 +51,10 @@ class Drawn:
 
 
 def chosen(gathered: Gathered, places: Sequence[int]) -> list[int]:
-    """The scenarios that are shown in full: those of the first screen, then one of every other system, undisturbed.
-
-    Of a system the scenario nearest to 20 dB, start unknown if there is such a one, of the one with most methods.
-    """
-    found = list(places)
+    """The scenarios that are shown in full: those of the first screen, then the typical one of every other system."""
     seen = {gathered.panels[i].system for i in places}
-    order = sorted(
-        range(len(gathered.panels)),
-        key=lambda i: (
-            not gathered.panels[i].plain, _far(gathered.panels[i].snr_db), gathered.panels[i].told != "unknown",
-            -len(gathered.panels[i].methods), i,
-        ),
-    )  # fmt: skip
-    for i in order:
-        if gathered.panels[i].system not in seen and gathered.panels[i].methods:
-            seen.add(gathered.panels[i].system)
-            found.append(i)
-    return [*places, *sorted(set(found) - set(places))][:MOST_DRAWN]
-
-
-def _far(snr_db: float) -> float:
-    return math.inf if math.isnan(snr_db) else abs(snr_db - headline.SNR_DB)
+    others = [i for i in typical(gathered.panels) if gathered.panels[i].system not in seen]
+    return [*places, *others][:MOST_DRAWN]
 
 
 def told(panel: Panel) -> tuple[tuple[str, str], ...]:

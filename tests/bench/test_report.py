@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -24,9 +25,10 @@ from bench.bound import Bound
 from bench.estimate import Status
 from bench.pages import beside, board, draw, headline, kept, origin, page
 from bench.pages.draw import chance_band
-from bench.pages.gather import Panel
+from bench.pages.gather import Experiment, Panel, gather
 from bench.pages.page import main
 from bench.pages.standing import rank
+from bench.pages.typical import typical
 from bench.row import Row
 from bench.statistics import summarise
 from bench.store import Store, StoredCell
@@ -293,6 +295,28 @@ def test_robustness_says_how_many_data_sets_and_what_a_size_is(tmp_path: Path) -
     assert table.headers == ("Method", "Data sets", "undisturbed", "late trigger, 0.02 s", "other kind, 3")
     assert table.groups == (("", 2), ("start unknown", 1), ("start known", 2))
     assert [row[1] for row in table.rows] == ["100", "20"]
+
+
+def test_where_there_is_no_room_every_system_of_a_table_has_a_place(
+    cells: Cells, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four scenarios of a line a quantity; the first system's others give way to the second's, not to a lone cell's."""
+    given = [
+        stored("ls", snr=40.0),
+        stored("ls", snr=20.0),
+        stored("ls", snr=10.0, system="b"),
+        stored("ls", system="c"),
+    ]
+    found = gather(cells(*given))
+    table = (Experiment("t", 1, frozenset()),)
+    panels = tuple(replace(p, experiments=() if p.system == "c" else table) for p in found.panels)
+    panels = tuple(sorted(panels, key=lambda p: (p.system != "sdof", p.system, -p.snr_db)))
+    assert [panels[i].snr_db for i in typical(panels)] == [20.0, 10.0, 20.0]
+    each = len(panels[0].metrics)
+    monkeypatch.setattr(board, "MOST_LINES", 2 * each)
+    made_of = board.board(replace(found, panels=panels), {})
+    assert [(line.system, line.snr) for line in made_of.lines] == [("sdof", "20")] * each + [("b", "10")] * each
+    assert made_of.left_out == 2
 
 
 def test_a_scenario_without_a_picture_is_left_out_unless_it_is_on_the_first_screen(cells: Cells) -> None:
