@@ -167,6 +167,9 @@ def _rounds(launcher: Any, sweep: Job, folder: Path, how: Launch) -> None:
             for done in returns:
                 _ = done.return_value  # raises what the job raised
             lost = ""
+        except Abandoned:
+            remedy = "was removed while the sweep ran; start it again, what was stored is kept"
+            raise InputError("store", folder, remedy) from None
         except Exception as error:
             if how.local or isinstance(error, InputError):
                 raise

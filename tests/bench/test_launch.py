@@ -166,10 +166,17 @@ def test_a_full_store_is_not_tried_again(cells: list[Cell], make_store: Callable
         launch._rounds(Full(), Job(tuple(plan(cells, store)), {}, store, Limits()), tmp_path, Launch(("x",)))
 
 
+@pytest.mark.parametrize("more", [("hydra/launcher=basic", "cells_per_job=4"), ()])
 def test_a_job_ends_with_its_sweep(
-    make_store: Callable[[], Store], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    more: tuple[str, ...],
+    make_store: Callable[[], Store],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Whoever waits for a job removes the sweep's folder when it ends: the job sees it after its next fit."""
+    """Whoever waits for a job removes the sweep's folder when it ends: the job sees it after its next fit.
+
+    Where somebody else removes it, the sweep says so in one line.
+    """
     store, after = make_store(), []
 
     def interrupted(planned: Any, store: Store, limits: Limits, on_progress: Any) -> None:
@@ -178,6 +185,8 @@ def test_a_job_ends_with_its_sweep(
         after.append(planned)
 
     monkeypatch.setattr(launch, "run_cells", interrupted)
-    assert _run(store, "basic", "cells_per_job=4") == 1
+    assert main(["-m", *SWEEP, f"store={store.folder}", *more]) == 2
     assert after == []
-    assert "Abandoned" in capsys.readouterr().err
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("bench: store=")
+    assert "was removed while the sweep ran; start it again" in last
