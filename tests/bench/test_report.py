@@ -319,6 +319,13 @@ def test_where_there_is_no_room_every_system_of_a_table_has_a_place(
     assert made_of.left_out == 2
 
 
+def test_the_leaderboard_says_how_many_scenarios_it_has(cells: Cells, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = cells(stored("ls"), stored("ls", system="other"))
+    assert "in every scenario" in words(made(store))
+    monkeypatch.setattr(board, "MOST_LINES", 1)
+    assert "in 1 of 2 scenarios; the store holds the others" in words(made(store))
+
+
 def test_a_scenario_without_a_picture_is_left_out_unless_it_is_on_the_first_screen(cells: Cells) -> None:
     """None of these cells keeps arrays."""
     text = made(cells(stored("ls"), stored("ls", system="other")))
