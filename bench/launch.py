@@ -75,10 +75,6 @@ class Launch:
         return self.launcher == "local"
 
 
-class Abandoned(Exception):
-    """The sweep's folder is gone, and with it whoever waits for the job."""
-
-
 def launch(planned: Sequence[Planned], store: Store, limits: Limits, how: Launch) -> None:
     """Have the cells of a plan that are to be run computed and stored.
 
@@ -129,8 +125,9 @@ def run_job(config: Any) -> dict[str, int]:
     with _progress(job.planned, left, bool(launcher.get("progress"))) as on_progress:  # shown by the local launcher
 
         def on_fits(cell: Cell, n: int) -> None:
-            if not path.exists():
-                raise Abandoned("the sweep that the job belongs to has ended")
+            if not path.exists():  # and with it whoever waits for the job
+                remedy = "was removed while the sweep ran; start it again, what was stored is kept"
+                raise InputError("store", path.parent, remedy)
             on_progress(cell, n)
 
         run_cells(left, job.store, limits, on_fits)
@@ -167,9 +164,6 @@ def _rounds(launcher: Any, sweep: Job, folder: Path, how: Launch) -> None:
             for done in returns:
                 _ = done.return_value  # raises what the job raised
             lost = ""
-        except Abandoned:
-            remedy = "was removed while the sweep ran; start it again, what was stored is kept"
-            raise InputError("store", folder, remedy) from None
         except Exception as error:
             if how.local or isinstance(error, InputError):
                 raise

@@ -68,14 +68,14 @@ def rankings(gathered: Gathered) -> Rankings:
 
 def board(gathered: Gathered, ranked: Rankings) -> Board:
     """The leaderboard of the store, tables first, as far as there is room: first for one scenario of every system."""
-    panels = gathered.panels
-    own = [panel_lines(p, {metric: ranked.get((i, metric)) for metric in p.metrics}) for i, p in enumerate(panels)]
+    panels, room = gathered.panels, MOST_LINES
     first = [i for i in typical(panels) if panels[i].experiments]
-    taken: set[int] = set()
+    lines: dict[int, list[Line]] = {}
     for i in [*first, *(i for i in range(len(panels)) if i not in first)]:
-        if not taken or sum(len(own[j]) for j in taken) + len(own[i]) <= MOST_LINES:
-            taken.add(i)
-    return Board(tuple(line for i in sorted(taken) for line in own[i]), len(panels) - len(taken))
+        own = panel_lines(panels[i], {metric: ranked.get((i, metric)) for metric in panels[i].metrics})
+        if not lines or len(own) <= room:
+            lines[i], room = own, room - len(own)
+    return Board(tuple(line for i in sorted(lines) for line in lines[i]), len(panels) - len(lines))
 
 
 def panel_lines(panel: Panel, ranked: dict[str, Ranking | None]) -> list[Line]:
