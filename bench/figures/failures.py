@@ -92,7 +92,7 @@ def _heat(axis: Any, grid: dict[tuple[int, int], Shown], shape: tuple[int, int],
         if status is not None:
             number = f"{100 * total:.0f}" if total >= 0.01 else "<1"
             text = f"{number}{between}{LETTERS[status]}"
-            style = {"ha": "center", "va": "center", "fontsize": 7}
+            style = {"ha": "center", "va": "center", "fontsize": 7 if len(text) < 4 else 5.5}  # a narrow cell
             axis.text(column, row, text, color="white" if total > 0.6 else "black", **style)
     axis.set_xticks(np.arange(-0.5, shape[1]), minor=True)
     axis.set_yticks(np.arange(-0.5, shape[0]), minor=True)
