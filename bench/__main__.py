@@ -3,6 +3,6 @@
 import sys
 
 if __name__ == "__main__":
-    from bench.cli import main
+    from bench.commands.main import main
 
     sys.exit(main())

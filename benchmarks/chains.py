@@ -21,23 +21,22 @@ import numpy as np
 import pandas as pd
 from tabulate import tabulate
 
-from bench.cell import Cell
-from bench.cli import read_fields, whole
-from bench.config import expand, jobs_to_cells
+from bench.commands.guard import command, read_fields, whole
+from bench.config.config import expand, jobs_to_cells
+from bench.contract.estimate import Status
+from bench.entrants.reference import REFERENCES
+from bench.entrants.registry import default_settings, method_names
 from bench.errors import InputError
-from bench.estimate import Status
-from bench.figures import STYLES, pyplot, save_figure
-from bench.launch import complete
-from bench.reference import REFERENCES
-from bench.registry import default_settings, method_names
-from bench.rounding import excess_text, number
-from bench.scenario import Scenario
-from bench.slots import Limits
-from bench.store import Store, StoredCell
-from bench.system_tables import pooled_excess
+from bench.reporting.figures.style import STYLES, pyplot, save_figure
+from bench.reporting.rounding import excess_text, number
+from bench.reporting.tables.systems import pooled_excess
+from bench.reporting.tables.tables import TITLES
+from bench.scenario.scenario import Scenario
+from bench.store.cell import Cell
+from bench.store.store import Store, StoredCell
+from bench.sweep.launch import complete
+from bench.sweep.workers import Limits
 from bench.systems import Chain
-from bench.tables import TITLES
-from bench.terminal import command
 
 SIZES = (1, 2, 3, 5, 10, 20)
 SEED = 0

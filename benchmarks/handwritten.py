@@ -26,20 +26,19 @@ from tabulate import tabulate
 from tqdm import tqdm
 
 from bench import Estimate, Normal, Problem, Status
-from bench.bound import load_bounds
-from bench.cli import read_fields, whole
-from bench.combine import combine_with_prior
-from bench.config import expand, jobs_to_cells
-from bench.failure import one_line
-from bench.processes import single_threaded
-from bench.registry import make_method
-from bench.rounding import excess_text, number
-from bench.scenario import METHOD, Scenario
-from bench.score import score
-from bench.statistics import wilson_interval
-from bench.store import Store
-from bench.terminal import command
-from bench.truth import Truth
+from bench.commands.guard import command, read_fields, whole
+from bench.config.config import expand, jobs_to_cells
+from bench.entrants.registry import make_method
+from bench.information.fisher import load_bounds
+from bench.isolation.failure import one_line
+from bench.isolation.processes import single_threaded
+from bench.reporting.rounding import excess_text, number
+from bench.scenario.scenario import METHOD, Scenario
+from bench.scenario.truth import Truth
+from bench.scoring.combination import combine_with_prior
+from bench.scoring.score import score
+from bench.scoring.summary import wilson_interval
+from bench.store.store import Store
 
 SEED = 4242
 """A seed that nothing was tuned on and no table uses."""

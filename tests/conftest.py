@@ -19,12 +19,14 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import pytest  # noqa: E402
 
-from bench import benchmark, registry, runner  # noqa: E402
-from bench.bound import Bound, bound_identity, load_bounds  # noqa: E402
-from bench.registry import load_method  # noqa: E402
-from bench.scenario import PriorSpec, Scenario  # noqa: E402
-from bench.store import Store  # noqa: E402
-from bench.version import cell_version  # noqa: E402
+from bench.commands import benchmark  # noqa: E402
+from bench.entrants import registry  # noqa: E402
+from bench.entrants.registry import load_method  # noqa: E402
+from bench.information.fisher import Bound, bound_identity, load_bounds  # noqa: E402
+from bench.scenario.scenario import PriorSpec, Scenario  # noqa: E402
+from bench.store.store import Store  # noqa: E402
+from bench.store.version import cell_version  # noqa: E402
+from bench.sweep import runner  # noqa: E402
 
 REPOSITORY = Path(__file__).parents[1]
 

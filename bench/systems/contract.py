@@ -3,7 +3,7 @@
 A system is written once, as the residual of its equation of motion, in plain operators on sequences of
 degree-of-freedom (DOF) components. numpy, jax, torch, casadi and sympy all run that same line; everything
 else (regression columns, mass matrix, acceleration, simulation, sensitivities) is derived from it in
-:mod:`bench.mechanics`, :mod:`bench.simulate` and :mod:`bench.bound`.
+:mod:`bench.dynamics.mechanics`, :mod:`bench.dynamics.simulate` and :mod:`bench.information.fisher`.
 
 No true value stands here: a system knows names, units and dimensions, never numbers.
 """

@@ -16,12 +16,11 @@ from pathlib import Path
 from tabulate import tabulate
 from tqdm import tqdm
 
-from bench.cli import read_fields, whole
-from bench.config import expand, jobs_to_cells
+from bench.commands.guard import command, read_fields, whole
+from bench.config.config import expand, jobs_to_cells
 from bench.errors import InputError
-from bench.processes import single_threaded
-from bench.store import Store
-from bench.terminal import command
+from bench.isolation.processes import single_threaded
+from bench.store.store import Store
 from benchmarks.pinn.common import Part
 
 PARTS = ("rivals", "memory", "accuracy", "systems", "initialisations", "starting_values", "loss", "scaling")

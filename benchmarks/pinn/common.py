@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from bench import Identifier
-from bench.bound import load_bounds
-from bench.combine import combine_with_prior
-from bench.config import expand, jobs_to_cells
-from bench.reference import oracle_estimate
-from bench.scenario import METHOD, Scenario
-from bench.score import score
-from bench.statistics import metric_bounds
-from bench.store import Store
+from bench.config.config import expand, jobs_to_cells
+from bench.entrants.reference import oracle_estimate
+from bench.information.fisher import load_bounds
+from bench.scenario.scenario import METHOD, Scenario
+from bench.scoring.combination import combine_with_prior
+from bench.scoring.score import score
+from bench.scoring.summary import metric_bounds
+from bench.store.store import Store
 
 SEED = 31337
 """A seed that nothing was tuned on and no table uses."""

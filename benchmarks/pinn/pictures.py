@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.figures import STYLES, pyplot, save_figure
-from bench.figures.style import FULL, MM, legend_below
+from bench.reporting.figures.style import FULL, MM, STYLES, legend_below, pyplot, save_figure
 
 LABELS = {
     "pinn": "PINN (Levenberg-Marquardt)",

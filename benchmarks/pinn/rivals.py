@@ -20,9 +20,9 @@ import numpy as np
 import torch
 
 from bench import Channel, Problem, Record
-from bench.registry import make_method
+from bench.entrants.registry import make_method
+from bench.scenario.truth import closed_form
 from bench.systems import SDOF
-from bench.truth import closed_form
 from benchmarks.pinn.common import Part, scenario
 from methods.pinn import levenberg
 from methods.pinn.engine import torch_threads

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bench.registry import make_method
+from bench.entrants.registry import make_method
 from benchmarks.pinn.common import SEED, Part, compare, scenario
 from methods.pinn.method import PINN
 from methods.pinn.physics import PhysicsInformed, Task
@@ -114,11 +114,11 @@ def _k_over_m(method: PhysicsInformed, task: Task) -> float:
 
 MEMORY = """
 import resource, numpy as np, torch
-from bench.processes import single_threaded
+from bench.isolation.processes import single_threaded
 single_threaded()
 from bench import Channel, InitialState, Prior, Problem, Record
 from bench.systems import SDOF
-from methods.collocation import Collocation
+from methods.pinn.collocation import Collocation
 from methods.pinn import PINN, engine
 times = np.linspace(0.0, 10.0, 25)
 values = np.exp(-0.2 * times) * np.cos(2.8 * times) + 0.04 * np.random.default_rng(0).standard_normal(25)

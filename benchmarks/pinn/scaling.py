@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from bench import Identifier
-from bench.scenario import Scenario
+from bench.scenario.scenario import Scenario
 from benchmarks.pinn.common import Part, compare, scenario
-from methods.collocation import Collocation
+from methods.pinn.collocation import Collocation
 from methods.pinn.method import PINN
 
 Advance = Callable[[int], object]

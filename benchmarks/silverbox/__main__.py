@@ -26,18 +26,17 @@ from bench import (
     rk4_step,
     simulate,
 )
-from bench.alone import Outcome, fit_alone
-from bench.cli import read_fields, whole
-from bench.combine import combine_with_prior
-from bench.config import expand, jobs_to_cells
+from bench.commands.guard import command, read_fields, whole
+from bench.config.config import expand, jobs_to_cells
+from bench.contract.problem import Hold
+from bench.entrants.registry import make_method, missing_package, registered
 from bench.errors import InputError
-from bench.problem import Hold
-from bench.processes import single_threaded
-from bench.registry import make_method, missing_package, registered
-from bench.score import point_parameters
-from bench.slots import Limits
-from bench.store import Store
-from bench.terminal import command
+from bench.isolation.processes import single_threaded
+from bench.measured.fit import Outcome, fit_alone
+from bench.scoring.combination import combine_with_prior
+from bench.scoring.score import point_parameters
+from bench.store.store import Store
+from bench.sweep.workers import Limits
 from benchmarks.silverbox.record import (
     ARROW,
     RATE,

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from bench import Channel, Dimension, Force, InputError, Parameter, Problem, Quantity, Record, regression_columns
-from bench.problem import Hold
+from bench.contract.problem import Hold
 from bench.systems import Duffing
 
 RATE = 1e7 / 2**14

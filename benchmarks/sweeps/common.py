@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from bench import view
-from bench.store import Store
+from bench.store import index as view
+from bench.store.store import Store
 
 ROOT = Path(__file__).parents[2]
 METHODS = {"empty": "benchmarks.sweeps.doubles:Empty", "busy": "benchmarks.sweeps.doubles:Busy"}

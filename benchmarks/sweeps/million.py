@@ -24,15 +24,16 @@ import numpy as np
 import pyarrow.parquet as pq
 from tabulate import tabulate
 
-from bench import launch, view
-from bench.bound import compute_bound, load_bounds
-from bench.cell import Cell
-from bench.config import expand, jobs_to_cells
-from bench.launch import Job, Launch
-from bench.plan import plan
-from bench.runner import run_cells
-from bench.slots import Limits
-from bench.store import Store, StoredCell
+from bench.config.config import expand, jobs_to_cells
+from bench.information.fisher import compute_bound, load_bounds
+from bench.store import index as view
+from bench.store.cell import Cell
+from bench.store.store import Store, StoredCell
+from bench.sweep import launch
+from bench.sweep.launch import Job, Launch
+from bench.sweep.plan import plan
+from bench.sweep.runner import run_cells
+from bench.sweep.workers import Limits
 
 MILLION = 1_000_000
 CORES = 16

@@ -8,11 +8,11 @@ from typing import Any
 import hydra
 import numpy as np
 
-from bench.combine import combine_with_prior
-from bench.config import Config, register_methods
-from bench.registry import make_method
-from bench.scenario import PriorSpec, Scenario
-from bench.score import score
+from bench.config.config import Config, register_methods
+from bench.entrants.registry import make_method
+from bench.scenario.scenario import PriorSpec, Scenario
+from bench.scoring.combination import combine_with_prior
+from bench.scoring.score import score
 
 
 @hydra.main(config_path="../../conf", config_name="config", version_base="1.3")

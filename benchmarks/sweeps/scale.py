@@ -20,8 +20,8 @@ from benchmarks.sweeps.common import bench, environment, finish
 TABLES = """
 import resource, sys, time
 from pathlib import Path
-from bench import view
-from bench.store import Store
+from bench.store import index as view
+from bench.store.store import Store
 started = time.perf_counter()
 table = view.summaries(Store(Path(sys.argv[1])), ["k_over_m_error_pct", "c_over_m_error_pct", "rmse"])
 lines = table.groupby(["label", "system", "snr_db", "initial_state", "metric"])[["median", "excess"]].median()

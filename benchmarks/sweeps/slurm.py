@@ -21,7 +21,7 @@ from typing import Any
 
 from tabulate import tabulate
 
-from bench.store import Store
+from bench.store.store import Store
 from benchmarks.sweeps.apart import run_apart, wait_for, why_not
 from benchmarks.sweeps.journal import Journal
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import psutil
 
-from bench.store import Store
+from bench.store.store import Store
 from benchmarks.sweeps.common import bench, cell_files, csv, finish, report
 
 KILLS = 20

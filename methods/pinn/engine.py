@@ -12,13 +12,13 @@ import torch
 from torch import Tensor
 
 from bench import Problem
+from methods.network.response import Assisted, Band, Displacements, ExactStart, Function
 from methods.pinn import descent, levenberg
 from methods.pinn.ansatz import Basis, Sum
 from methods.pinn.forced import ForcedMotion, forced_dofs
 from methods.pinn.laplace import laplace
 from methods.pinn.levenberg import Walk
 from methods.pinn.residuals import TERMS, Block, Residuals, Spread
-from methods.pinn.response import Assisted, Band, Displacements, ExactStart, Function
 from methods.pinn.spectral import ORDER, Guess
 
 if TYPE_CHECKING:

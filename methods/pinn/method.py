@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from bench import Card, InputError
+from methods.network.response import Function, NetworkResponse
 from methods.pinn.physics import PhysicsInformed
-from methods.pinn.response import Function, NetworkResponse
 
 if TYPE_CHECKING:
     from methods.pinn.ansatz import Ansatz
@@ -68,7 +68,7 @@ class PINN(PhysicsInformed):
     def ansatz(self, block: Block, resolution: int) -> Ansatz:
         import torch
 
-        from methods.pinn.network import Network
+        from methods.network.tanh import Network
 
         tau = 2.0 * block.times / block.duration[:, None] - 1.0
         device = block.values.device
@@ -78,17 +78,17 @@ class PINN(PhysicsInformed):
     def first_coefficients(
         self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
     ) -> np.ndarray:
-        from methods.pinn import network
+        from methods.network import tanh
 
         widths = self._widths(n_paths, resolution)
         return np.stack(
-            [network.flat(network.initial_layers(widths, own, rng)) for own, rng in zip(cycles, rngs, strict=True)]
+            [tanh.flat(tanh.initial_layers(widths, own, rng)) for own, rng in zip(cycles, rngs, strict=True)]
         )
 
     def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> Function:
-        from methods.pinn import network
+        from methods.network import tanh
 
-        return NetworkResponse(network.unflat(coefficients, self._widths(n_paths, resolution)), duration)
+        return NetworkResponse(tanh.unflat(coefficients, self._widths(n_paths, resolution)), duration)
 
     def train(self, attempt: Attempt) -> None:
         if self.optimizer == "lm":

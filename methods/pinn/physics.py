@@ -44,12 +44,12 @@ from bench import (
     Record,
     Serves,
     Status,
-    report,
+    report_progress,
 )
-from methods.held import left_open, very_wide
-from methods.pinn.response import Band, Function
+from methods.network.response import Band, Function
 from methods.pinn.spectral import Guess, scan
-from methods.spectral import records_by_load
+from methods.starts.open_parameters import left_open, very_wide
+from methods.starts.spectral import records_by_load
 
 if TYPE_CHECKING:
     from methods.pinn.ansatz import Ansatz
@@ -207,7 +207,7 @@ class PhysicsInformed(Identifier):
     def _report(self, tasks: Sequence[Task], results: Callable[[], list[Fit]]) -> None:
         """Say how far the fits have come."""
         for i, task in enumerate(tasks):
-            report(task.problem, lambda i=i, task=task: self._estimate(task.with_fit(results()[i])))  # type: ignore[misc]
+            report_progress(task.problem, lambda i=i, task=task: self._estimate(task.with_fit(results()[i])))  # type: ignore[misc]
 
     def _resample(self, task: Task) -> None:
         """Spread of the parameters and of the response over an ensemble or a bootstrap, in place of the linearised."""

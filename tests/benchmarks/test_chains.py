@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bench.estimate import Status
-from bench.row import Row
-from bench.store import Store, StoredCell
+from bench.contract.estimate import Status
+from bench.scoring.row import Row
+from bench.store.store import Store, StoredCell
 from bench.systems import Chain
 from benchmarks import chains
 from benchmarks.chains import PER_PERIOD, PERIODS, main, natural_frequencies, page, picture, reach, scenario

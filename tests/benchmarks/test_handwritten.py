@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bench import Estimate, Problem, Status
-from bench.config import expand, jobs_to_cells
-from bench.scenario import Scenario
+from bench.config.config import expand, jobs_to_cells
+from bench.scenario.scenario import Scenario
 from benchmarks.handwritten import Outcome, attempt, by_hand, chain_rates, duffing_rates, main, page, row
 
 
@@ -61,7 +61,7 @@ def test_success_needs_convergence_and_a_small_error() -> None:
     problem, truth = scenario("duffing", 20).replicates(0, 1)[0]
 
     def nominal(problem: Problem, rng: np.random.Generator) -> Estimate:
-        from bench.estimate import Normal
+        from bench.contract.estimate import Normal
 
         assert problem.prior is not None
         return Estimate(problem.system, parameters=Normal(problem.prior.names, problem.prior.log_mean, None, True))

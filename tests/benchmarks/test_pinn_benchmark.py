@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.scenario import Scenario
+from bench.scenario.scenario import Scenario
 from benchmarks.pinn.__main__ import main, options, page
 from benchmarks.pinn.scaling import chain, horizon
 

@@ -87,7 +87,7 @@ def test_absent_data_are_one_line_and_status_2(tmp_path: Path, capsys: pytest.Ca
 def test_shooting_on_a_stretch_is_near_the_fit_to_the_whole_record() -> None:
     """Reference: a fit of the same equation to all training samples gave 68.32 Hz and a damping ratio of 0.0488."""
     pytest.importorskip("casadi")
-    from methods.shooting import Shooting
+    from methods.trajectory.shooting import Shooting
 
     where = folder()
     assert where is not None

@@ -9,11 +9,11 @@ import pytest
 from scipy.linalg import expm
 
 from bench import Channel, Estimate, Identifier, InitialState, Problem, Record, Status, Units
-from bench.config import expand
-from bench.registry import make_method, missing_package
+from bench.config.config import expand
+from bench.entrants.registry import make_method, missing_package
+from bench.scenario.truth import closed_form
 from bench.systems import SDOF, Chain, System
-from bench.truth import closed_form
-from methods.spectral import OutputError, candidates, unloaded
+from methods.starts.spectral import OutputError, candidates, unloaded
 
 P = {"m": 1.3, "c": 0.6, "k": 9.0}
 ADDED = 0.7
@@ -148,8 +148,8 @@ def test_the_gradient_sampler_has_the_density_of_mcmc() -> None:
     pytest.importorskip("blackjax")
     import jax
 
-    from methods.differentiable import log_density, prepare
-    from methods.mcmc import Posterior
+    from methods.sampling.differentiable import log_density, prepare
+    from methods.sampling.mcmc import Posterior
 
     jax.config.update("jax_enable_x64", True)
     given = problem(0.02)

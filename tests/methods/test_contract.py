@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from bench import Channel, Estimate, Force, Identifier, InitialState, Prior, Problem, Record, Status, Units
-from bench.combine import combine_with_prior
-from bench.identifier import Card
-from bench.registry import load_method, make_method, registered
+from bench.contract.method import Card
+from bench.entrants.registry import load_method, make_method, registered
+from bench.scenario.truth import closed_form
+from bench.scoring.combination import combine_with_prior
 from bench.systems import SDOF
-from bench.truth import closed_form
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "ls_spline": {"name": "ls", "derivative": "spline"},
@@ -172,7 +172,7 @@ def test_without_a_prior_only_ratios_are_claimed(method: Identifier) -> None:
 def test_with_a_known_force_and_no_prior_the_mass_is_claimed_or_the_case_is_declined(method: Identifier) -> None:
     times = np.linspace(0.0, 8.0, 40)
     force = Force(np.linspace(0.0, 8.0, 161), 3.0 * np.sin(np.linspace(0.0, 8.0, 161) * 2.0))
-    from bench.simulate import matrix_exponential_response
+    from bench.dynamics.simulate import matrix_exponential_response
 
     start = InitialState(np.array([0.5]), np.array([0.0]))
     clean = matrix_exponential_response(SDOF(), P, start, times, (force,))[0]

@@ -9,8 +9,8 @@ import pytest
 from scipy.signal import lsim
 
 from bench import Channel, Force, Problem, simulate
-from bench.config import expand
-from bench.registry import make_method, missing_package
+from bench.config.config import expand
+from bench.entrants.registry import make_method, missing_package
 from methods.pinn.forced import ForcedMotion, forced_motion
 from methods.pinn.spectral import scan
 

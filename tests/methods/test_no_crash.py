@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from bench import Channel, Estimate, Problem, Record, Status
-from bench.config import expand
-from bench.registry import make_method
+from bench.config.config import expand
+from bench.entrants.registry import make_method
 from bench.systems import SDOF
-from methods.regression import _shortest
+from methods.regression.equation import _shortest
 
 
 def _problem(*overrides: str, replicate: int = 0) -> Problem:

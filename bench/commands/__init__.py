@@ -1,0 +1,2 @@
+"""The commands, one module a verb: ``python -m bench.<verb>``, and ``python -m bench`` in
+:mod:`bench.commands.main`."""

@@ -1,0 +1,73 @@
+"""``python -m bench.benchmark``: time Tables 3 to 5, method by method, on two workers, and print the table.
+
+It runs the cells in a temporary store, so nothing stored is used or touched. ``replicates=`` and ``method=``
+shorten it; the time for the full number of replicates is then extrapolated in proportion, and marked.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from tabulate import tabulate
+
+from bench.commands.guard import command
+from bench.config.config import expand, jobs_to_cells
+from bench.information.fisher import bound_identity, load_bounds
+from bench.store.cell import Cell
+from bench.store.store import Store
+from bench.sweep.launch import complete
+from bench.sweep.workers import Limits
+
+EXPERIMENTS = ("table3", "table4", "table5")
+
+
+def _cells(extra: Sequence[str]) -> list[Cell]:
+    """The different cells of the three tables."""
+    cells = [c for e in EXPERIMENTS for c in jobs_to_cells(expand([f"experiment={e}", *extra], multirun=True))]
+    return list({cell.identity: cell for cell in cells}.values())
+
+
+def _place(cell: Cell) -> tuple[str, str]:
+    """The method and scenario of a cell, whatever its number of replicates."""
+    return cell.label, bound_identity(cell.scenario, 0)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Time the methods; exit status 2 for bad input."""
+    usage = "usage: python -m bench.benchmark [replicates=<n>] [method=a,b] [workers=2]"
+    return command("bench.benchmark", f"{usage}\n\n{__doc__}", argv, _main)
+
+
+def _main(arguments: Sequence[str]) -> int:
+    extra = [a for a in arguments if not a.startswith("workers=")]
+    asked = [a for a in arguments if a.startswith("workers=")] or ["workers=2"]
+    workers = expand(["method=prior", *asked], multirun=True)[0].config.workers or 2
+    full = {_place(c): c.replicates for c in _cells([a for a in extra if a.startswith("method=")])}
+    cells = _cells(extra)
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        store = Store(Path(folder))
+        load_bounds([(cell.scenario, cell.seed) for cell in cells], store.bounds)
+        for label in dict.fromkeys(cell.label for cell in cells):
+            own = [cell for cell in cells if cell.label == label]
+            fits = sum(cell.replicates for cell in own)
+            started = time.perf_counter()
+            complete(own, store, Limits(workers))
+            seconds = time.perf_counter() - started
+            results = [found for cell in own if (found := store.load(cell.identity))]
+            cpu = sorted(row.cpu_s for result in results for row in result.rows)
+            wanted = sum(full[_place(c)] for c in own)
+            whole = seconds * wanted / fits
+            mark = "" if wanted == fits else " (extrapolated)"
+            rows.append([label, len(own), fits, f"{cpu[len(cpu) // 2]:.3g}", f"{seconds:.1f}", f"{whole:.0f}{mark}"])
+    headers = ["method", "cells", "fits", "cpu s/fit", "wall s", f"wall s, tables 3-5, {workers} workers"]
+    print(tabulate(rows, headers=headers, disable_numparse=True))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

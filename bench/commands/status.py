@@ -1,0 +1,158 @@
+"""``python -m bench.status``: what is stored, failed, stale and missing, and why; reads only, computes nothing.
+
+Alone it describes a store; with the fields of a sweep (``experiment=table3``, ``method=ls,pinn snr=20,10``) it says how
+far that sweep is, and with ``watch=true`` follows it until it is done.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from bench.commands.guard import command
+from bench.commands.watch import Progress, follow
+from bench.contract.estimate import Status
+from bench.entrants.registry import method_names
+from bench.errors import InputError
+from bench.reporting.plan_table import listing
+from bench.reporting.terminal import table, wrapped
+from bench.store import index as view
+from bench.store.cell import Cell
+from bench.store.store import Store
+from bench.sweep.plan import Reasons, State, plan, read_retry
+
+USAGE = """usage: python -m bench.status [store=<folder>]                         a store
+       python -m bench.status experiment=table3 [watch=true]          a sweep
+       python -m bench.status method=ls,pinn snr=40,20 [watch=10]     a sweep
+
+fields (defaults in brackets):
+  store          [results/rows] where cells are kept
+  watch          [false] true: follow the sweep while a run computes it, with a
+                 look every 2 s; a number: with a look every so many seconds.
+                 In place on a terminal, else a line a look. It ends when every
+                 cell is stored, or with Ctrl-C (status 130; the run goes on)
+  experiment, method, ...    the sweep, as for python -m bench -m
+"""
+OWN_FIELDS = ("store", "watch")
+MOST_REASONS = 3
+WATCH_S, SHORTEST_S, LONGEST_S = 2.0, 0.1, 3600.0
+
+
+def states(store: Store) -> pd.DataFrame:
+    """One line a stored cell: ``label``, ``replicates``, ``wall_s``, ``state`` and ``why``, indexed by identity."""
+    columns = ("problem", "method", "kind", "label", "statuses", "version", "replicates", "wall_s")
+    found = view.cells(store, columns)
+    reasons = Reasons(store)
+    kinds = found[["problem", "method", "kind", "statuses", "version"]].fillna("").astype(object)
+    state, why = np.empty(len(found), object), np.empty(len(found), object)
+    for kind, places in kinds.groupby(list(kinds.columns)).indices.items():
+        state[places], why[places] = _state(str(found.index[places[0]]), kind, reasons)
+    return found.assign(state=state, why=why)
+
+
+def _state(identity: str, kind: tuple[str, ...], reasons: Reasons) -> tuple[str, str]:
+    problem, method, system, statuses, version = kind
+    if problem:
+        return "damaged", problem
+    if method not in method_names():
+        return "foreign", f"no method {method} is installed here"
+    state, why = reasons.standing(identity, method, system, version, statuses)
+    return state.value, why
+
+
+def store_page(store: Store) -> str:
+    """The store by method and state, and the reasons of what is not done."""
+    found = states(store)
+    if found.empty:
+        return f"{store.folder}: no cells yet; python -m bench method=ls computes a first one"
+    labels = found["label"].fillna("?")
+    counts = found.groupby([labels, "state"]).size().unstack(fill_value=0)
+    order = [name for name in (*(s.value for s in State), "foreign", "damaged") if name in counts]
+    spent = found.groupby(labels)["wall_s"].sum()
+    fits = found.groupby(labels)["replicates"].sum()
+    rows = [
+        [
+            str(label),
+            *(str(int(counts.loc[label, name]) or "") for name in order),
+            str(int(fits[label])),
+            f"{spent[label]:.0f}",
+        ]
+        for label in counts.index
+    ]
+    total = found["state"].value_counts()
+    headers = ["method", *order, "fits", "fit s"]
+    said = f"{len(found)} cells: " + ", ".join(f"{total[s]} {s}" for s in order)
+    lines = [table(rows, headers), "", wrapped(said), f"store: {store.folder}"]
+    return "\n".join([*lines, *_reasons(found)])
+
+
+def _reasons(found: pd.DataFrame) -> list[str]:
+    lines = []
+    for state in ("stale", "failed", "foreign", "damaged"):
+        own = found[found["state"] == state]
+        for why, n in own["why"].value_counts().head(MOST_REASONS).items():
+            labels = ", ".join(sorted(set(own.loc[own["why"] == why, "label"].dropna()))[:6])
+            said = f"{state}: {n} x {_short(str(why))}" + (f" ({labels})" if labels else "")
+            lines.append(wrapped(said, "    ", "  "))
+    return lines
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 160 else f"{text[:157]}..."
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the page; exit status 2 for bad input."""
+    return command("bench.status", USAGE, argv, _main, "no longer watched; a run that is under way goes on")
+
+
+def _main(arguments: Sequence[str]) -> int:
+    fields = [argument for argument in arguments if argument.partition("=")[0] not in OWN_FIELDS]
+    given = {key: value for key, _, value in (argument.partition("=") for argument in arguments) if key in OWN_FIELDS}
+    if given.get("store") == "":
+        raise InputError("store", "", "name a folder")
+    store, seconds = Store(Path(given.get("store", "results/rows"))), read_watch(given.get("watch", "false"))
+    if seconds and not fields:
+        raise InputError("watch", given["watch"], "say what to follow: experiment=<name>, or the fields of the sweep")
+    sweep = _sweep(fields) if fields else None  # first, so that a misspelt field is said whatever the store is
+    if not store.folder.is_dir():
+        raise InputError("store", store.folder, "there is no such folder; run a sweep first, or name another")
+    if sweep is None:
+        print(store_page(store))
+    elif seconds:
+        follow(Progress(sweep[0], store, sweep[1]), seconds)
+    else:
+        print(listing(plan(sweep[0], store, sweep[1]), store, os.cpu_count() or 1))
+    return 0
+
+
+def read_watch(text: str) -> float:
+    """Seconds between two looks; 0 for none. Raises InputError."""
+    known = {"false": 0.0, "true": WATCH_S}
+    try:
+        seconds = known[text] if text in known else float(text)
+    except ValueError:
+        seconds = math.nan
+    if text not in known and not SHORTEST_S <= seconds <= LONGEST_S:
+        raise InputError(
+            "watch", text, f"true, false, or the seconds between two looks, {SHORTEST_S:g} to {LONGEST_S:g}"
+        )
+    return seconds
+
+
+def _sweep(fields: Sequence[str]) -> tuple[list[Cell], frozenset[Status]]:
+    """The cells of a sweep, and the failures that it tries again."""
+    from bench.config.config import expand, jobs_to_cells
+
+    jobs = expand(fields, multirun=True)
+    return jobs_to_cells(jobs), read_retry(jobs[0].config.retry)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

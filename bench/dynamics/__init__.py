@@ -1,0 +1,1 @@
+"""What follows from a system's one residual: acceleration, matrices, responses in time, modes."""

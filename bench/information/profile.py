@@ -1,0 +1,212 @@
+"""Profile likelihoods of one replicate: how far a quantity can move while everything else makes up for it.
+
+A quantity is held at values around its estimate and the rest is fitted again (Raue et al., Bioinformatics 25:1923,
+2009; Bates and Watts, Nonlinear Regression Analysis, Wiley 1988, chapter 6). No prior enters: a flat profile is a
+quantity that the data do not tell, one that never reaches the threshold on a side a quantity that they tell badly.
+The noise level of each channel is profiled out: ``-log L = sum over channels of n log(rss) / 2``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+from bench.contract.problem import Record
+from bench.dynamics.simulate import measurements
+from bench.information.fisher import Information
+from bench.information.structural import Structure
+from bench.scenario.scenario import Scenario
+from bench.systems import Quantity, System
+
+THRESHOLD = float(chi2.ppf(0.95, 1)) / 2
+"""The fall of the log-likelihood at the ends of a 95 % interval (Wilks, Ann. Math. Statistics 9:60, 1938)."""
+POINTS = 8
+"""Points on each side of the estimate."""
+REACH, FARTHEST = 3.2, math.log(4.0)
+"""How far from the estimate: bounds on the standard deviation, but no farther than this in the logarithm."""
+TOO_FAR = FARTHEST + 2.5
+ROUNDS, HALVINGS = 8, 6
+STEP = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """The profile of one quantity: ``drop`` of the log-likelihood below its maximum at ``values``, both (n,)."""
+
+    quantity: Quantity
+    estimate: float
+    values: np.ndarray
+    drop: np.ndarray
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval; 0 or inf for a side on which the profile does not reach the threshold, or breaks off.
+
+        Interpolated in the square root of the drop, which is a straight line for a parabola.
+        """
+        root, logs, middle = np.sqrt(self.drop), np.log(self.values), int(np.searchsorted(self.values, self.estimate))
+        ends = []
+        for side, outside in ((range(middle, -1, -1), 0.0), (range(middle, len(root)), math.inf)):
+            end = outside
+            for i, j in zip(side, list(side)[1:], strict=False):
+                if math.isinf(root[j]):
+                    break
+                if root[i] < math.sqrt(THRESHOLD) <= root[j]:
+                    part = (math.sqrt(THRESHOLD) - root[i]) / (root[j] - root[i])
+                    end = float(np.exp(logs[i] + part * (logs[j] - logs[i])))
+                    break
+            ends.append(end)
+        return ends[0], ends[1]
+
+
+class _Likelihood:
+    """The log-likelihood over ``phi``: log-parameters, then the start over its scale where it is not told.
+
+    Log-parameters stay within TOO_FAR of ``centre``.
+    """
+
+    def __init__(self, system: System, record: Record, centre: np.ndarray) -> None:
+        self.system, self.record, self.centre = system, record, centre
+        self.y = np.concatenate([channel.values for channel in record.channels])
+        self.counts = [channel.n for channel in record.channels]
+        size = float(np.max(np.abs(self.y))) or 1.0
+        self.scale = np.repeat([size, size / record.duration], system.n_dof)
+
+    def residuals(self, phi: np.ndarray) -> np.ndarray:
+        """Shape (*sets, n_samples) for ``phi`` of shape (n_phi, *sets)."""
+        names, n = self.system.names, self.system.n_dof
+        p = {name: np.exp(phi[i]) for i, name in enumerate(names)}
+        told = self.record.initial_state
+        if told is not None:
+            return measurements(self.system, p, told, self.record) - self.y
+        start = phi[len(names) :] * self.scale.reshape(-1, *(1,) * (phi.ndim - 1))
+        return measurements(self.system, p, (start[:n], start[n:]), self.record) - self.y
+
+    def _trial(self, phi: np.ndarray) -> np.ndarray:
+        """The residuals of one ``phi``, infinite where it is too far: a step that the solver takes back."""
+        far = np.abs(phi[: len(self.centre)] - self.centre) > TOO_FAR
+        return np.full(self.y.size, np.inf) if np.any(far) else self.residuals(phi)
+
+    def _levels(self, residuals: np.ndarray) -> np.ndarray:
+        """The noise level of each channel by its residuals, never quite zero."""
+        parts = np.split(residuals, np.cumsum(self.counts)[:-1])
+        return np.array([max(float(np.sqrt(np.mean(part**2))), 1e-14 * self.scale[0]) for part in parts])
+
+    def maximise(self, base: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, float]:
+        """The best point of ``base + directions @ u`` from u = 0, directions (n_phi, n_free), and its log-likelihood.
+
+        Least squares with the channels weighted by their own residuals, until the weights stay: where they do, the
+        gradient is that of the likelihood with the noise levels profiled out. Where ``base`` is too far or its response
+        diverges the log-likelihood is -inf.
+        """
+        if not np.all(np.isfinite(self._trial(base))):
+            return base, -math.inf
+        levels = self._levels(self.residuals(base))
+        for _ in range(ROUNDS if len(self.counts) > 1 else 1):
+            weights = 1.0 / np.repeat(levels, self.counts)
+
+            def misfit(u: np.ndarray, base: np.ndarray = base, weights: np.ndarray = weights) -> np.ndarray:
+                return np.asarray(weights * self._trial(base + directions @ u))
+
+            def slopes(u: np.ndarray, base: np.ndarray = base, weights: np.ndarray = weights) -> np.ndarray:
+                both = np.concatenate([STEP * directions, -STEP * directions], axis=1)
+                plus, minus = np.split(self.residuals((base + directions @ u)[:, None] + both), 2)
+                return np.asarray((weights * (plus - minus) / (2 * STEP)).T)
+
+            if directions.shape[1]:
+                zero = np.zeros(directions.shape[1])
+                fit = least_squares(misfit, zero, jac=slopes, xtol=1e-8, ftol=1e-10, gtol=1e-10, max_nfev=60)
+                base = base + directions @ fit.x
+            before, levels = levels, self._levels(self.residuals(base))
+            if np.allclose(levels, before, rtol=1e-5, atol=0):
+                break
+        return base, -float(np.dot(self.counts, np.log(levels)))
+
+
+def profiles(
+    scenario: Scenario,
+    structure: Structure,
+    told: Information,
+    quantities: Sequence[Quantity],
+    seed: int = 0,
+    measured: Sequence[int] = (),
+) -> list[Profile]:
+    """The profiles of quantities on the first replicate of a seed, over the ``measured`` DOFs (all by default).
+
+    ``told`` sets how far to look. The first fit starts at the truth, as the oracle's does: this is no method. Along the
+    scalings of ``structure``, on which the response does not depend, it stays where it starts.
+    """
+    system = scenario.make_system()
+    problem, _ = scenario.replicates(seed, 1)[0]
+    record = problem.records[0]
+    if measured:
+        record = replace(record, channels=tuple(c for c in record.channels if c.dof in measured))
+    first = np.log([scenario.parameters[name] for name in system.names])
+    likelihood = _Likelihood(system, record, first)
+    if scenario.told == "unknown":
+        start = np.concatenate([scenario.start.displacement, scenario.start.velocity])
+        first = np.concatenate([first, start / likelihood.scale])
+    scalings = np.zeros((len(structure.scalings), len(first)))
+    scalings[:, : len(system.names)] = np.reshape(structure.scalings, (-1, len(system.names)))
+    best, highest = likelihood.maximise(first, _complement(scalings))
+    data = replace(told, precision=np.zeros_like(told.precision))
+    return [_profile(likelihood, q, best, highest, scalings, math.sqrt(data.variance(q))) for q in quantities]
+
+
+def _complement(rows: np.ndarray) -> np.ndarray:
+    """Orthonormal columns that span everything orthogonal to independent rows."""
+    return np.asarray(np.linalg.svd(rows)[2][len(rows) :].T)
+
+
+def _profile(
+    likelihood: _Likelihood, quantity: Quantity, best: np.ndarray, highest: float, scalings: np.ndarray, sd: float
+) -> Profile:
+    names = likelihood.system.names
+    w = np.zeros((1, len(best)))
+    w[0, : len(names)] = quantity.vector(names)
+    step = min(REACH * sd, FARTHEST) / POINTS
+    way = w[0] @ scalings.T @ scalings
+    if np.any(way):
+        # a scaling changes the quantity: along it the response, hence the maximum, should stay as it is; no fit is
+        # needed, only the likelihood there
+        directions = np.zeros((len(best), 0))
+    else:
+        # scalings leave the quantity as it is: the fit need not walk along them
+        way, directions = w[0], _complement(np.concatenate([w, scalings]))
+    move = step * way / (w @ way).item()
+    drops, fitted = {0.0: 0.0}, {0.0: best}
+
+    def visit(at: float, start: np.ndarray, fallback: np.ndarray) -> None:
+        phi, height = likelihood.maximise(start, directions)
+        if height == -math.inf:
+            phi, height = likelihood.maximise(fallback, directions)
+        drops[at], fitted[at] = highest - height, phi
+
+    for side in (-1.0, 1.0):
+        phi, before = best, best - side * move
+        for i in range(1, POINTS + 1):
+            # start where the last two points point to, at the wanted value of the quantity
+            ahead = 2 * phi - before
+            ahead += move * (side - (w @ (ahead - phi)).item() / step)
+            visit(side * i, ahead, phi + side * move)
+            phi, before = fitted[side * i], phi
+        low = next((i for i in range(POINTS) if drops[side * (i + 1)] >= THRESHOLD), None)
+        if low is not None:
+            inner, outer = side * low, side * (low + 1)
+            for _ in range(HALVINGS):  # a fit that comes to an end, at a parameter of zero, has a kink there
+                if math.sqrt(max(drops[outer], 0)) - math.sqrt(max(drops[inner], 0)) < 1.0:
+                    break
+                middle = (inner + outer) / 2
+                start = fitted[inner] + (middle - inner) * move
+                visit(middle, start, start)
+                inner, outer = (middle, outer) if drops[middle] < THRESHOLD else (inner, middle)
+    estimate = float(quantity.value({n: math.exp(v) for n, v in zip(names, best, strict=False)}))
+    order = sorted(drops)
+    drop = np.array([drops[i] for i in order])
+    # a fit on the way that found more than the first one did is the maximum
+    return Profile(quantity, estimate, estimate * np.exp(step * np.array(order)), drop - drop.min())

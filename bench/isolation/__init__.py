@@ -1,0 +1,1 @@
+"""Child processes: started without the program of their parent, watched, limited, and ended."""

@@ -1,0 +1,1 @@
+"""Measured records: read, fitted, reported; there is no truth to score against."""

@@ -1,0 +1,51 @@
+"""A plan for reading: its cells, where each stands and why, and how long what is to be computed may take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bench.reporting.terminal import table, wrapped
+from bench.reporting.terminal_tables import described
+from bench.store.durations import fit_seconds
+from bench.store.store import Store
+from bench.sweep.plan import Planned
+
+
+def counted(planned: Sequence[Planned]) -> str:
+    """How many of a plan's cells are there already, and why the others are to be computed."""
+    counts: dict[str, int] = {}
+    for one in planned:
+        state = f"{one.state.value}{'' if one.run or one.state.value == 'done' else ' (kept; retry=failed)'}"
+        counts[state] = counts.get(state, 0) + 1
+    return f"{len(planned)} cells: " + ", ".join(f"{n} {state}" for state, n in counts.items())
+
+
+def listing(planned: Sequence[Planned], store: Store, workers: int) -> str:
+    """A plan as a table, with an estimate of the time from what stored cells of each method took."""
+    seconds, total, unknown, rows = fit_seconds(store), 0.0, set(), []
+    for one in planned:
+        cell = one.cell
+        each = seconds.get(cell.label)
+        takes = "" if not one.run else "?" if each is None else f"{each * cell.replicates:.1f}"
+        if one.run and each is None:
+            unknown.add(cell.label)
+        total += each * cell.replicates if one.run and each is not None else 0.0
+        state = [one.state.value, takes, one.why[:60]]
+        rows.append([cell.identity[:8], cell.label, described(cell.scenario), str(cell.replicates), *state])
+    headers = ["cell", "method", "scenario", "fits", "state", "s", "why"]
+    wanted = [one for one in planned if one.run]
+    lines = [table(rows, headers, (0, 1, 2, 4, 6)), "", wrapped(f"{counted(planned)}; {len(wanted)} to run")]
+    if wanted:
+        about = f"about {duration(total / workers)} on {workers} worker(s), as stored cells of the same methods took"
+        lines.append(wrapped(about))
+    if unknown:
+        lines.append(wrapped(f"nothing known of {', '.join(sorted(unknown))}"))
+    return "\n".join(lines)
+
+
+def duration(seconds: float) -> str:
+    """A time in the unit that suits it."""
+    for size, unit in ((86400.0, "d"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= 1.5 * size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.0f} s"

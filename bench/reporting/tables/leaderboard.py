@@ -1,0 +1,104 @@
+"""All scenarios of Tables 4 and 5 together: how much worse each method is than the best, and how sure that is.
+
+Every method is compared with the best one on the same data sets, over scenarios as clusters
+(:mod:`bench.scoring.comparison`); performance profiles say on what share of the data sets it is within a factor of the
+least error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from tabulate import tabulate
+
+from bench.entrants.reference import REFERENCES
+from bench.reporting.rounding import number
+from bench.reporting.tables.tables import PRIMARY, TITLES, Entry, entries, errors_of
+from bench.scoring.comparison import Errors, compare, profile
+from bench.store.store import Store
+
+EXPERIMENTS = ("table4", "table5")
+FACTORS = (1.1, 1.5, 2.0, 5.0)
+NAMES = {"k_over_m_error_pct": "k/m", "c_over_m_error_pct": "c/m", "rmse": "displacement"}
+LEGEND = """Over the scenarios of Tables 4 and 5, on the first {n} replicates of each, which every method was given.
+Ratio: median over the data sets of a method's error over that of the best (the one of least median rank), with its
+95 % interval from a bootstrap that resamples scenarios as clusters and replicates within them; a failed fit is
+infinitely bad. Bold: cannot be told from the best (Wilcoxon's signed-rank test over the data sets, Holm's
+adjustment, 5 %), or less than 2 % from it. Within: share of the data sets on which the error is within so many
+times the least of all methods (performance profile); near-ties make small factors a lottery."""
+
+
+def collected(found: Sequence[Entry], metric: str) -> Errors | None:
+    """The errors of every method on the replicates that all of them were given; None where a cell is missing."""
+    own = [entry for entry in found if entry.cell.method not in REFERENCES]
+    if not own or any(entry.stored is None for entry in own):
+        return None
+    fewest = min(len(entry.stored.rows) for entry in own if entry.stored)
+    cells = {entry.cell.identity: entry for entry in own}  # the reference system at 20 dB stands in two tables
+    methods = list(dict.fromkeys(entry.cell.label for entry in cells.values()))
+    values = {
+        method: [errors_of(e.stored, metric)[:fewest] for e in cells.values() if e.cell.label == method and e.stored]
+        for method in methods
+    }
+    n = len(next(iter(values.values())))
+    joined = {method: np.concatenate(parts) for method, parts in values.items()}
+    return Errors(joined, np.repeat(np.arange(n), fewest))
+
+
+def lines(errors: Errors) -> list[dict[str, Any]]:
+    """One line a method, best first."""
+    ranks = np.argsort(np.argsort(np.stack(list(errors.values.values())), axis=0), axis=0)
+    order = dict(zip(errors.values, np.median(ranks, axis=1) + 1e-3 * ranks.mean(axis=1), strict=True))
+    best = min(order, key=lambda method: order[method])
+    within = profile(errors, FACTORS)
+    others = [method for method in errors.values if method != best]
+    found = {c.a: c for c in compare(errors, [(method, best) for method in others])}
+    rows: list[dict[str, Any]] = []
+    for method in errors.values:
+        c = found.get(method)
+        rows.append(
+            {
+                "method": method, "ratio": c.ratio if c else 1.0, "low": c.low if c else math.nan,
+                "high": c.high if c else math.nan, "p_holm": c.adjusted if c else math.nan,
+                "tie": c.tie if c else True,
+                **{f"within_{factor:g}": share for factor, share in zip(FACTORS, within[method], strict=True)},
+            }
+        )  # fmt: skip
+    return sorted(rows, key=lambda row: row["ratio"])
+
+
+def leaderboard(store: Store) -> dict[str, str]:
+    """The files by name; none where a cell of the two tables is missing."""
+    found = [entry for experiment in EXPERIMENTS for entry in entries(experiment, store)[2]]
+    parts, rows = ["# Leaderboard", ""], []
+    for told in ("unknown", "known"):
+        panel = [entry for entry in found if entry.cell.scenario.told == told]
+        for metric in PRIMARY:
+            errors = collected(panel, metric)
+            if errors is None:
+                return {}
+            own = lines(errors)
+            n = int(np.sum(errors.scenario == 0))
+            parts[1] = LEGEND.format(n=n)
+            rows += [{"initial_state": told, "metric": metric, **line} for line in own]
+            parts += [f"## Error of {NAMES[metric]}, initial state {told}", _table(own)]
+    parts.append("Regenerate: `python -m bench -m experiment=table4,table5 && python -m bench.tables`")
+    csv = pd.DataFrame(rows).to_csv(index=False, float_format="%.5g")
+    return {"leaderboard.md": "\n\n".join(parts) + "\n", "leaderboard.csv": csv}
+
+
+def _table(own: Sequence[dict[str, Any]]) -> str:
+    rows = []
+    for line in own:
+        title = TITLES.get(line["method"], line["method"])
+        interval = "" if math.isnan(line["low"]) else f" ({number(line['low'])} to {number(line['high'])})"
+        ratio = f"×{line['ratio']:.3g}{interval}"
+        p = "" if math.isnan(line["p_holm"]) else f"{line['p_holm']:.2g}"
+        shares = [f"{100 * line[f'within_{factor:g}']:.0f} %" for factor in FACTORS]
+        rows.append([f"**{title}**" if line["tie"] else title, ratio, p, *shares])
+    headers = ["method", "error over the best's", "p (Holm)", *(f"within ×{factor:g}" for factor in FACTORS)]
+    return tabulate(rows, headers=headers, tablefmt="github", disable_numparse=True)

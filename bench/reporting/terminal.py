@@ -1,0 +1,76 @@
+"""What a terminal shows: tables and sentences that are no wider than it, whatever script their names are in.
+
+Widths are those on a screen, where a letter of some scripts takes two places and an accent none (package wcwidth).
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Collection, Sequence
+
+import wcwidth
+from tabulate import tabulate
+
+WIDTH, NARROWEST = 80, 40
+LEAST_COLUMN = 6
+GAP = 2
+
+
+def columns() -> int:
+    """Places in a line: those of the terminal, 40 to 80; 80 where there is none. ``COLUMNS`` overrides."""
+    return max(NARROWEST, min(WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns))
+
+
+def width(text: str) -> int:
+    """Places that one line of text takes on a screen."""
+    return int(wcwidth.width(text))
+
+
+def wrapped(text: str, hanging: str = "  ", start: str = "") -> str:
+    """A sentence on as many lines as it needs. Words stay whole unless one is longer than a line."""
+    return "\n".join(
+        wcwidth.wrap(text, columns(), initial_indent=start, subsequent_indent=hanging, break_on_hyphens=False) or [""]
+    )
+
+
+def clipped(text: str) -> str:
+    """The start of a text, as much as stands on one line."""
+    most = columns() - 1  # a full line would make some terminals begin another
+    return text if width(text) <= most else f"{wcwidth.clip(text, 0, most - 1).rstrip()}…"
+
+
+def table(rows: Sequence[Sequence[str]], headers: Sequence[str], words: Collection[int] = (0,)) -> str:
+    """A table no wider than the terminal: ``words`` are the columns of words, the others hold numbers.
+
+    Words stand on the left, and on several lines where the table would be too wide, as headings do; numbers stand on
+    the right and are never broken, so a table of many numbers may still be wider than a narrow terminal.
+    """
+    lines = [list(headers), *(list(row) for row in rows)]
+    widths = _widths(lines, words)
+    lines = [[_cell(text, widths[i]) for i, text in enumerate(line)] for line in lines]
+    sides = ["left" if i in words else "right" for i in range(len(headers))]
+    text = tabulate(lines, tablefmt="plain", disable_numparse=True, colalign=sides)
+    shown = [line.rstrip() for line in text.splitlines()]
+    height = max(cell.count("\n") for cell in lines[0]) + 1
+    broad = [max(width(part) for line in lines for part in line[i].split("\n")) for i in range(len(headers))]
+    rule = (" " * GAP).join("-" * places for places in broad)
+    return "\n".join([*shown[:height], rule, *shown[height:]])
+
+
+def _cell(text: str, places: int) -> str:
+    return "\n".join(wcwidth.wrap(text, places)) if width(text) > places else text
+
+
+def _widths(lines: Sequence[Sequence[str]], words: Collection[int]) -> list[int]:
+    """Places of every column; of a table too wide, headings of numbers give way first, then the widest words."""
+    every = range(len(lines[0]))
+    widths = [max(width(line[i]) for line in lines) for i in every]
+    numbers = [max((width(line[i]) for line in lines[1:]), default=0) for i in every]
+    longest = [max((width(word) for word in text.split()), default=0) for text in lines[0]]
+    least = [LEAST_COLUMN if i in words else max(numbers[i], longest[i]) for i in every]
+    over = sum(widths) + GAP * (len(widths) - 1) - columns()
+    for chosen in ([i for i in every if i not in words], [i for i in every if i in words]):
+        while over > 0 and any(widths[i] > least[i] for i in chosen):
+            widths[max((i for i in chosen if widths[i] > least[i]), key=lambda i: widths[i])] -= 1
+            over -= 1
+    return widths

@@ -1,0 +1,229 @@
+"""Scores for reading in a terminal: of one cell, of a sweep with its best methods marked, of a measured record."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from statistics import median_high
+from typing import Any
+
+import numpy as np
+
+from bench.contract.estimate import Status
+from bench.entrants.reference import REFERENCES
+from bench.reporting.rounding import excess_text, number, readable, rounded
+from bench.reporting.terminal import table, wrapped
+from bench.scenario.scenario import Scenario
+from bench.store.cell import Cell
+from bench.store.store import Store, StoredCell
+
+MOST_LISTED = 100
+"""Cells of a sweep that are listed one by one."""
+RMSES = {"rmse": "displacement RMSE m", "rmse_simulated": "simulated RMSE m", "rmse_forecast": "forecast RMSE m"}
+MARK = "+"
+COLUMNS = ("method", "system", "dB", "start", "disturbance")
+"""What a line of a sweep's table is about; what all lines share is said once above."""
+
+
+def disturbance_of(scenario: Scenario) -> str:
+    """The disturbance of a scenario with its size, or ``none``."""
+    return f"{scenario.disturbance.kind} {scenario.disturbance.size:g}" if scenario.disturbance else "none"
+
+
+def described(scenario: Scenario) -> str:
+    """A scenario in a few words."""
+    text = f"{scenario.label} {scenario.snr_db:g} dB {scenario.told}"
+    return f"{text}, {disturbance_of(scenario)}" if scenario.disturbance else text
+
+
+def cell_table(cell: Cell, stored: StoredCell) -> str:
+    """The scores of one cell: a line for every quantity, and what each column is."""
+    scenario = cell.scenario
+    disturbed = f"disturbance {disturbance_of(scenario)}, " if scenario.disturbance else ""
+    head = (
+        f"{cell.label} on {scenario.label}, {scenario.snr_db:g} dB, initial state {scenario.told}, {disturbed}"
+        f"{stored.n_ok}/{len(stored.rows)} ok"
+    )
+    labels = {f"{q.name}_error_pct": f"{readable(q.name)} error %" for q in scenario.make_system().quantities} | RMSES
+    rows = [_score_row(stored, name, label) for name, label in labels.items() if name in stored.summary]
+    headers = ["", "median", "95 % low", "95 % high", "bound", "excess", "cover %"]
+    lines = [wrapped(head), "", table(rows, headers), ""]
+    lines += [wrapped(f"{n} x {status}: {message}", "    ", "  ") for (status, message), n in _failures(stored).items()]
+    seconds = [row.wall_s for row in stored.rows if math.isfinite(row.wall_s)]
+    if seconds:
+        lines.append(f"median {number(sorted(seconds)[len(seconds) // 2])} s a fit")
+    legend = "median over replicates, with its 95 % interval; bound: Cramér-Rao bound on the root mean square;"
+    lines.append(wrapped(f"{legend} excess: root mean square / bound; cover: how often 95 % intervals hold the truth"))
+    if any(row[0].endswith(" *") for row in rows):
+        lines.append(wrapped("* not identifiable from these data: the prior sets the scale"))
+    return "\n".join(lines)
+
+
+def _score_row(stored: StoredCell, name: str, label: str) -> list[str]:
+    s = stored.summary[name]
+    quantity = name.removesuffix("_error_pct")
+    star = "" if stored.identifiable.get(quantity, True) else " *"
+    coverage = stored.summary.get(f"{quantity}_coverage_95", {}).get("mean", math.nan)
+    cover = "-" if math.isnan(coverage) or name in RMSES else f"{100 * coverage:.0f}"
+    numbers = rounded(s["median"], s["ci_low"], s["ci_high"])
+    return [label + star, *numbers, number(s["bound"]), _excess(s["excess"]), cover]
+
+
+def _failures(stored: StoredCell) -> dict[tuple[str, str], int]:
+    counts: dict[tuple[str, str], int] = {}
+    for row in stored.rows:
+        if row.status is not Status.OK:
+            key = (row.status.value, row.message[:120])
+            counts[key] = counts.get(key, 0) + 1
+    return counts
+
+
+class Closing:
+    """What is said at the end of a sweep, gathered cell by cell so that no more than a line of each is held.
+
+    Up to :data:`MOST_LISTED` cells are listed, and the best method of each scenario is marked with all that cannot be
+    told from it; of more, one line stands for all that differ by seed or settings only, with the medians over them.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.listed = n <= MOST_LISTED
+        self.lines: dict[tuple[str, ...], list[tuple[int, int, list[dict[str, float]]]]] = {}
+        self.kinds: dict[tuple[str, str, str], tuple[int, Path]] = {}
+        self.seen: set[str] = set()
+        self.lost = 0
+        self.groups: dict[tuple[str, ...], str] = {}
+        self.contests: dict[str, dict[tuple[str, ...], list[np.ndarray]]] = {}
+
+    def add(self, cell: Cell, stored: StoredCell | None, store: Store) -> None:
+        """One cell's result; None where there is none."""
+        self.seen.add(cell.identity)
+        if stored is None:
+            self.lost += 1
+            return
+        scenario = cell.scenario
+        group = scenario.make_system().groups[0].name
+        metrics = (f"{group}_error_pct", "rmse")
+        key: tuple[str, ...] = (
+            cell.label,
+            scenario.label,
+            f"{scenario.snr_db:g}",
+            scenario.told,
+            disturbance_of(scenario),
+        )
+        key = (*key, cell.identity) if self.listed else key
+        self.groups[key] = readable(group)
+        found = [stored.summary.get(metric, {}) for metric in metrics]
+        self.lines.setdefault(key, []).append((stored.n_ok, len(stored.rows), found))
+        if self.listed and cell.method not in REFERENCES:
+            what = json.dumps([scenario.data_identity(), scenario.told_identity(), cell.seed], default=str)
+            errors = [np.array([row.scores.get(metric, math.inf) for row in stored.rows]) for metric in metrics]
+            self.contests.setdefault(what, {})[key] = errors
+        for (status, message), n in _failures(stored).items():
+            kind = (cell.label, status, message)
+            before, path = self.kinds.get(kind, (0, store.errors(cell.identity)))
+            self.kinds[kind] = before + n, path
+
+    def table(self) -> str:
+        """The sweep as a table."""
+        marks = [self._leading(i) for i in range(2)]
+        names = sorted(set(self.groups.values()))
+        varying = [i for i in range(1, 5) if len({key[i] for key in self.lines}) > 1]
+        by_group = len(names) > 1
+        rows = []
+        for key, own in self.lines.items():
+            ok = f"{sum(n_ok for n_ok, _, _ in own)}/{sum(n for _, n, _ in own)}"
+            head = [key[0], *(key[i] for i in varying), *([self.groups[key]] if by_group else [])]
+            scores = [_median_and_excess([found[i] for _, _, found in own]) for i in range(2)]
+            cells = [_beside(*scores[i], key in marks[i], bool(marks[i])) for i in range(2)]
+            rows.append([*head, *([] if self.listed else [str(len(own))]), ok, *cells[0], *cells[1]])
+        first = ["method", *(COLUMNS[i] for i in varying), *(["group"] if by_group else [])]
+        many = [] if self.listed else ["cells"]
+        titles = ("error %" if by_group else f"{''.join(names)} %", "RMSE m")
+        metrics = [_beside(title, "excess", False, bool(marks[i])) for i, title in enumerate(titles)]
+        headers = [*first, *many, "ok", *metrics[0], *metrics[1]]
+        text = table(rows, headers, [i for i, name in enumerate(first) if name != "dB"])
+        shared = [f"{COLUMNS[i]} {key[i]}" for key in list(self.lines)[:1] for i in range(1, 5) if i not in varying]
+        if shared:
+            text = wrapped(f"every cell: {', '.join(shared)}") + "\n\n" + text
+        if any(marks):
+            legend = "least median error on the same data, or not told from it (Wilcoxon, Holm, 5 %; or 2 % apart)"
+            text += "\n\n" + wrapped(f"{MARK} {legend}")
+        return text
+
+    def _leading(self, i: int) -> set[tuple[str, ...]]:
+        """Of the i-th metric, the best methods of all scenarios that several methods were fitted to."""
+        from bench.reporting.tables.tables import leads
+        from bench.scoring.comparison import against_best
+
+        found: set[tuple[str, ...]] = set()
+        for contest in self.contests.values():
+            values = {str(n): errors[i] for n, errors in enumerate(contest.values())}
+            if len(values) < 2 or all(np.isinf(own).any() and np.isinf(np.median(own)) for own in values.values()):
+                continue
+            excess = {str(n): self.lines[key][0][2][i].get("excess", math.nan) for n, key in enumerate(contest)}
+            ranking = against_best(values)
+            found |= {key for n, key in enumerate(contest) if leads(ranking, str(n), excess)}
+        return found
+
+    def said_of_failures(self) -> int:
+        """Say on the error stream what failed, once a kind, and where a traceback is; the exit status, 0 or 1.
+
+        1 where a cell is not there at all: what ran elsewhere may be lost with its node.
+        """
+        if len(self.lines) > 1:
+            for (label, status, message), (n, errors) in self.kinds.items():
+                where = f" (traceback: {errors})" if errors.exists() else ""
+                print(f"bench: {label}: {n} x {status}: {message}{where}", file=sys.stderr)
+        if self.lost:
+            print(f"bench: {self.lost} cells were not computed; the same command computes them", file=sys.stderr)
+        return 1 if self.lost else 0
+
+
+def _beside(median: str, excess: str, marked: bool, any_marked: bool) -> list[str]:
+    """A metric's columns: its mark, where any row has one, stands between median and excess."""
+    return [median, *([MARK if marked else ""] if any_marked else []), excess]
+
+
+def _excess(value: float) -> str:
+    """An excess without a power of ten, which takes much room, unless it is huge."""
+    return f"{value:.0f}" if 1000 <= value < 1e6 else excess_text(value)
+
+
+def _median_and_excess(found: Sequence[Mapping[str, float]]) -> tuple[str, str]:
+    """Of one cell the median, rounded to its interval; of several the medians over them. And the excess."""
+    if len(found) == 1:
+        s = found[0]
+        ends = (s.get(key, math.nan) for key in ("median", "ci_low", "ci_high"))
+        return rounded(*ends)[0], _excess(s.get("excess", math.nan))
+    values = [[s[key] for s in found if not math.isnan(s.get(key, math.nan))] for key in ("median", "excess")]
+    median, excess = (median_high(own) if own else math.nan for own in values)
+    return number(median), _excess(excess)
+
+
+def record_page(label: str, data: Path, result: Mapping[str, Any], scale_is_free: bool) -> str:
+    """What a method found in a measured record: values with intervals, and what is left of the signal.
+
+    ``result`` is that of :func:`bench.measured.record.report`; ``scale_is_free`` where nothing tells masses from
+    ratios.
+    """
+    lines = [f"record: {data}", wrapped(f"{label}: {result['samples']} samples, {result['status']}")]
+    if result["message"]:
+        lines.append(wrapped(result["message"], "    ", "  "))
+    if result["estimates"]:
+        rows = [
+            [readable(name), *rounded(e["value"], e["low"], e["high"]), e["unit"]]
+            for name, e in result["estimates"].items()
+        ]
+        lines += ["", table(rows, ["", "value", "95 % low", "95 % high", "unit"], (0, 4)), ""]
+        if scale_is_free:
+            free = "free vibration without a prior: m, c and k themselves cannot be told, only their ratios"
+            lines.append(wrapped(free))
+    r = result["residuals"]
+    if r:
+        said = f"residuals: rms {number(r['rms'])} {r['unit']} ({100 * r['part_of_signal']:.2g} % of the signal)"
+        correlation = f"lag-1 autocorrelation {r['lag1_autocorrelation']:.2f}"
+        lines.append(wrapped(f"{said}, {correlation}, offset {number(r['offset'])} {r['unit']}"))
+    return "\n".join(lines)

@@ -1,0 +1,88 @@
+"""Whether a sparse regression found the terms of the equation of motion, no more and no fewer."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from functools import cache
+from types import SimpleNamespace
+from typing import Any, cast
+
+from bench.contract.estimate import Status
+from bench.dynamics.mechanics import acceleration
+from bench.scenario.scenario import Scenario
+from bench.store.store import StoredCell
+from bench.systems import Ops, System
+
+
+@cache
+def true_terms(system: System, forced: frozenset[int]) -> tuple[frozenset[str], ...] | None:
+    """By DOF, the monomials of displacement (x), velocity (v) and force (f) in the acceleration, e.g. ``{x, v, x^3}``.
+
+    With several DOFs they are numbered from 1. ``forced``: the DOFs a force acts on. None where the acceleration is no
+    polynomial: then no library of monomials holds it.
+    """
+    import sympy
+
+    n, single = system.n_dof, system.n_dof == 1
+    number = [""] if single else [str(i + 1) for i in range(n)]
+    x, v, f = ([sympy.Symbol(f"{s}{i}", real=True) for i in number] for s in "xvf")
+    p = {name: sympy.Symbol(f"p_{name}", positive=True) for name in system.names}
+
+    def solve(matrix: Any, right: Any) -> list[Any]:
+        return list(sympy.Matrix(matrix).LUsolve(sympy.Matrix(right)))
+
+    ops = cast(
+        Ops,
+        SimpleNamespace(
+            sin=sympy.sin, cos=sympy.cos, tanh=sympy.tanh, exp=sympy.exp, abs=sympy.Abs, solve=solve,
+            where=lambda c, a, b: sympy.Piecewise((a, c), (b, True)),
+        ),
+    )  # fmt: skip
+    if system.n_hidden:
+        return None
+    pushed = [f[i] if i in forced else sympy.Integer(0) for i in range(n)]
+    states, found = [*x, *v, *f], []
+    for one in acceleration(system, p, x, v, pushed, [], ops):
+        try:
+            polynomial = sympy.Poly(sympy.expand(sympy.simplify(one)), *states)
+        except sympy.PolynomialError:
+            return None
+        found.append(frozenset(_name(powers, [str(s) for s in states]) for powers in polynomial.monoms()))
+    return tuple(found)
+
+
+def _name(powers: tuple[int, ...], states: list[str]) -> str:
+    return " ".join(f"{s}^{k}" if k > 1 else s for s, k in zip(states, powers, strict=True) if k) or "1"
+
+
+def kept_terms(message: str) -> tuple[frozenset[str], ...] | None:
+    """By DOF, the terms that a method's sentence names after ``terms kept of N:``; None where it says nothing."""
+    match = re.search(r"terms kept of \d+: (.*)", message)
+    if not match:
+        return None
+    parts = [re.sub(r" \(DOF \d+\)$", "", part.strip()) for part in match.group(1).split(";")]
+    return tuple(frozenset() if part == "none" else frozenset(t.strip() for t in part.split(",")) for part in parts)
+
+
+def terms_found(stored: StoredCell, scenario: Scenario) -> str:
+    """In words: in how many replicates the right terms were found, and what is found most often instead."""
+    kept = [kept_terms(row.message) for row in stored.rows if row.status is Status.OK]
+    models = [model for model in kept if model is not None]
+    if not models:
+        return "no terms stated"
+    forced = frozenset({scenario.force.dof}) if scenario.force else frozenset()
+    wanted = true_terms(scenario.make_system(), forced)
+    usual, times = Counter(models).most_common(1)[0]
+    often = f"most often {_told(usual)} ({times} of {len(models)})"
+    if wanted is None:
+        return f"its library does not hold the equation of motion; {often}"
+    right = sum(model == wanted for model in models)
+    held = sum(all(w <= m for w, m in zip(wanted, model, strict=True)) for model in models)
+    return f"exactly the right terms in {right} of {len(models)}, these and more in {held - right}" + (
+        "" if usual == wanted else f"; {often}"
+    )
+
+
+def _told(model: tuple[frozenset[str], ...]) -> str:
+    return "; ".join(", ".join(sorted(terms, key=lambda t: (t.count(" "), t))) or "none" for terms in model)

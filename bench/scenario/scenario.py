@@ -1,0 +1,314 @@
+"""A scenario: which system, at which true parameters, sampled how, told what. It makes the replicates."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from bench.contract.prior import Prior, draw_prior, wrong_prior
+from bench.contract.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Record
+from bench.errors import InputError
+from bench.scenario.disturbance import Disturbance
+from bench.scenario.force import ForceSpec
+from bench.scenario.truth import Truth, reference_response
+from bench.systems import Loaded, System, make_system
+
+NOISE, NOMINAL, FORCE_AXIS, METHOD, DISTURBANCE, FORCE_NOISE = range(6)
+"""Axes of the seed tree: what a random stream is for. Streams of different axes never meet."""
+
+
+SNR_SPREAD = 10.0
+"""Half the range (dB) from which the SNR is drawn where the truth is."""
+
+
+@dataclass(frozen=True)
+class PriorSpec:
+    """How wide the nominal prior is, by kind of parameter, and whether its nominal values are calibrated.
+
+    ``draws``: ``nominal`` values are drawn around a fixed truth, replicate by replicate; or the ``truth`` (and with it
+    the noise level, uniform within :data:`SNR_SPREAD` dB) is drawn around fixed nominal values, as simulation-based
+    calibration asks (S. Talts et al., arXiv:1804.06788).
+    """
+
+    name: str
+    sd_by_kind: Mapping[str, float]
+    wrong: bool = False
+    draws: Literal["nominal", "truth"] = "nominal"
+
+
+def _later(record: int) -> tuple[int, ...]:
+    """The key of a record's random stream: none for the first, which is then as it is alone."""
+    return (record,) if record else ()
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Everything that decides the data, and what is told of them; SI units.
+
+    ``initial`` is the true displacement and velocity of each DOF at time 0, ``told`` whether a method knows it.
+    ``samples`` uniform displacement samples of every ``measured`` DOF (from 0; None: all) over ``duration``, both ends
+    included; noise at ``snr_db``, DOF by DOF. Hidden states start at 0. Displacement errors and their bound are over
+    the measured DOFs: what is said of a mass without a sensor may be arbitrarily bad.
+    ``added_mass`` (kg, one a DOF) asks for a second record, of the rig with these known masses added, from the same
+    start under the same force; displacements are scored on the first.
+    ``disturbance`` breaks what methods assume of the data; noise draw, noise level, nominal values and bound stay those
+    of the undisturbed scenario.
+    """
+
+    system: str
+    parameters: Mapping[str, float]
+    initial: tuple[tuple[float, ...], tuple[float, ...]]
+    snr_db: float
+    duration: float = 10.0
+    samples: int = 25
+    told: Literal["known", "unknown"] = "known"
+    prior: PriorSpec | None = None
+    force: ForceSpec | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    dense: int = 1000
+    forecast: float = 10.0
+    label: str = ""
+    disturbance: Disturbance | None = None
+    measured: tuple[int, ...] | None = None
+    added_mass: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        system = self.make_system()
+        if set(self.parameters) != set(system.names):
+            raise InputError("system.parameters", sorted(self.parameters), f"needed: {', '.join(system.names)}")
+        for name, value in self.parameters.items():
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"system.parameters.{name}", value, "a positive number")
+        for part in self.initial:
+            if len(part) != system.n_dof or not np.all(np.isfinite(part)):
+                raise InputError("system.initial", list(part), f"{system.n_dof} finite number(s), one a DOF")
+        if not np.isfinite(self.snr_db):
+            raise InputError("snr", self.snr_db, "a finite number of decibels")
+        if not (np.isfinite(self.duration) and self.duration > 0):
+            raise InputError("duration", self.duration, "a positive number of seconds")
+        if self.samples < MIN_SAMPLES:
+            raise InputError("samples", self.samples, f"at least {MIN_SAMPLES}")
+        if not np.any(np.asarray(self.initial)) and self.force is None:
+            raise InputError("system.initial", list(map(list, self.initial)), "a start away from rest, or a force")
+        if self.disturbance is not None:
+            self.disturbance.check(self.duration, self.force is not None)
+        if self.measured is not None and (
+            not self.measured or sorted(set(self.measured) & set(range(system.n_dof))) != list(self.measured)
+        ):
+            remedy = f"DOFs with a sensor, increasing, of 0 to {system.n_dof - 1}"
+            raise InputError("system.measured", list(self.measured), remedy)
+        if self.added_mass is not None and (
+            len(self.added_mass) != system.n_dof or min(self.added_mass) < 0 or not 0 < sum(self.added_mass) < np.inf
+        ):
+            remedy = f"{system.n_dof} mass(es) in kg, one a DOF, none negative and not all zero"
+            raise InputError("system.added_mass", list(self.added_mass), remedy)
+        if self.force is not None:
+            if not 0 <= self.force.dof < system.n_dof:
+                raise InputError("system.force.dof", self.force.dof, f"one of 0 to {system.n_dof - 1}")
+            self.force.draw(
+                self.duration, np.random.default_rng(0)
+            )  # a shape that its samples cannot show is said here
+
+    def make_system(self) -> System:
+        return make_system(self.system, self.options)
+
+    def data_identity(self) -> dict[str, Any]:
+        """What decides the data, and nothing else: neither the label nor what is told of them."""
+        disturbance = {"disturbance": self.disturbance.identity()} if self.disturbance else {}
+        drawn = {"truth": "drawn"} if self.truth_drawn else {}
+        force = {"force": self.force.identity()} if self.force else {}
+        measured: dict[str, Any] = {} if self.measured is None else {"measured": list(self.measured)}
+        if self.added_mass is not None:
+            measured["added_mass"] = list(map(float, self.added_mass))
+        return self._undisturbed_identity() | force | measured | disturbance | drawn
+
+    def _undisturbed_identity(self) -> dict[str, Any]:
+        return {
+            "system": self.system,
+            "options": dict(self.options),
+            "parameters": {name: float(self.parameters[name]) for name in sorted(self.parameters)},
+            "initial": [list(map(float, part)) for part in self.initial],
+            "snr_db": float(self.snr_db),
+            "duration": float(self.duration),
+            "samples": self.samples,
+            "force": self.force.identity(with_noise=False) if self.force else None,
+        }
+
+    def told_identity(self) -> dict[str, Any]:
+        """What a method is told beyond the data."""
+        return {
+            "initial_state": self.told,
+            "prior": None
+            if self.prior is None
+            else {**{k: float(v) for k, v in self.prior.sd_by_kind.items()}, "wrong": self.prior.wrong},
+        }
+
+    def stream(self, axis: int, seed: int, replicate: int, *key: int) -> np.random.Generator:
+        """The random stream of one axis, replicate and scenario; independent of every other.
+
+        A disturbed scenario has the streams of the undisturbed one: they differ by the disturbance alone. So do those
+        that differ in which DOFs are measured, or in how well the force is.
+        """
+        sequence = np.random.SeedSequence(seed, spawn_key=(axis, *self._key, replicate, *key))
+        return np.random.default_rng(sequence)
+
+    @cached_property
+    def _key(self) -> tuple[int, ...]:
+        digest = hashlib.sha256(json.dumps(self._undisturbed_identity(), sort_keys=True).encode()).digest()
+        return tuple(int.from_bytes(digest[i : i + 4], "big") for i in (0, 4))
+
+    @property
+    def truth_drawn(self) -> bool:
+        """Whether each replicate has a truth of its own."""
+        return self.prior is not None and self.prior.draws == "truth"
+
+    @cached_property
+    def undisturbed(self) -> Scenario:
+        """The same scenario without its disturbance."""
+        return self if self.disturbance is None else replace(self, disturbance=None)
+
+    @cached_property
+    def times(self) -> np.ndarray:
+        """Uniform sample times (s), shape (samples,)."""
+        return np.linspace(0.0, self.duration, self.samples)
+
+    @cached_property
+    def dense_times(self) -> np.ndarray:
+        """Times (s) on which the displacement is scored, shape (dense,)."""
+        return np.linspace(0.0, self.duration, self.dense)
+
+    @cached_property
+    def forecast_times(self) -> np.ndarray:
+        """Times (s) after the record on which the forecast is scored, shape (dense,)."""
+        return self.duration + np.linspace(0.0, self.forecast, self.dense + 1)[1:]
+
+    @cached_property
+    def start(self) -> InitialState:
+        """The initial state of the motion, which is what is told of it."""
+        return InitialState(np.array(self.initial[0]), np.array(self.initial[1]))
+
+    def rigs(self) -> tuple[System, ...]:
+        """The system of each record: as it is, and with the added mass where one is."""
+        system = self.make_system()
+        return (system,) if self.added_mass is None else (system, Loaded(system, tuple(map(float, self.added_mass))))
+
+    @property
+    def measured_dofs(self) -> tuple[int, ...]:
+        """The DOFs that have a sensor."""
+        return tuple(range(len(self.initial[0]))) if self.measured is None else self.measured
+
+    def forces(self, seed: int) -> tuple[Force, ...]:
+        """The forces that act: one draw a scenario and seed, the same for every replicate and every noise level."""
+        if self.force is None:
+            return ()
+        return (self.force.draw(self.duration, replace(self, snr_db=0.0).stream(FORCE_AXIS, seed, 0)),)
+
+    def told_forces(self, seed: int, index: int, record: int = 0) -> tuple[Force, ...]:
+        """The forces as a method is told them in one record of a replicate, with the noise of their sensor."""
+        if self.force is None:
+            return ()
+        rng = self.stream(FORCE_NOISE, seed, index, *_later(record))
+        return tuple(self.force.told(force, rng) for force in self.forces(seed))
+
+    def _response(self, times: np.ndarray, seed: int, record: int = 0) -> np.ndarray:
+        """True displacement at times of a record; its disturbance may say by what integrator, or how late."""
+        response = self.disturbance.response if self.disturbance else reference_response
+        return response(self.rigs()[record], self.parameters, self.start, times, self.forces(seed))
+
+    def replicates(self, seed: int, n: int) -> list[tuple[Problem, Truth]]:
+        """The first ``n`` replicates of a seed: the same noise and nominal values for every method."""
+        make = self.maker(seed)
+        return [make(i) for i in range(n)]
+
+    def maker(self, seed: int) -> Callable[[int], tuple[Problem, Truth]]:
+        """What makes any one replicate of a seed, by its number; what all share is computed once, here."""
+        if self.truth_drawn:
+            return lambda i: self._drawn(seed, i)
+        clean, dense = self._response(self.times, seed), self._response(self.dense_times, seed)
+        forecast, sigma = self._response(self.forecast_times, seed), self.sigmas(seed)
+        return lambda i: self._replicate(seed, i, clean, dense, forecast, sigma)
+
+    def _drawn(self, seed: int, index: int) -> tuple[Problem, Truth]:
+        """A replicate whose truth is drawn around the nominal values, which are this scenario's parameters."""
+        assert self.prior is not None
+        system, rng = self.make_system(), self.stream(NOMINAL, seed, index)
+        drawn = draw_prior(system, self.parameters, self.prior.sd_by_kind, rng)
+        snr = self.snr_db + rng.uniform(-SNR_SPREAD, SNR_SPREAD)
+        own = replace(self, parameters=drawn.nominal, snr_db=snr, prior=replace(self.prior, draws="nominal"))
+        clean, dense = own._response(own.times, seed), own._response(own.dense_times, seed)
+        forecast = own._response(own.forecast_times, seed)
+        problem, truth = own._replicate(seed, index, clean, dense, forecast, own.sigmas(seed))
+        return replace(problem, prior=Prior(dict(self.parameters), drawn.log_sd)), truth
+
+    def sigmas(self, seed: int, record: int = 0) -> np.ndarray:
+        """Noise standard deviation of each DOF's sensor (m): mean square of the clean samples over 10^(SNR/10)."""
+        clean = self.undisturbed._response(self.times, seed, record)
+        return np.asarray(np.sqrt(np.mean(clean**2, axis=1) / 10.0 ** (self.snr_db / 10.0)))
+
+    def _replicate(
+        self, seed: int, index: int, clean: np.ndarray, dense: np.ndarray, forecast: np.ndarray, sigma: np.ndarray
+    ) -> tuple[Problem, Truth]:
+        system = self.make_system()
+        measured = list(self.measured_dofs)
+        start = self.start if self.told == "known" else None
+        records, ideals, errors, levels = [], [], [], []
+        for number, rig in enumerate(self.rigs()):
+            if number:
+                clean, sigma = self._response(self.times, seed, number), self.sigmas(seed, number)
+            times, ideal, error = self._samples(seed, index, clean, sigma, number)
+            ideal, error = ideal[measured], error[measured]
+            channels = tuple(Channel(times, values, dof=i) for i, values in zip(measured, ideal + error, strict=True))
+            added = np.array(rig.added) if isinstance(rig, Loaded) else None
+            records.append(Record(channels, self.told_forces(seed, index, number), start, added))
+            ideals.append(ideal)
+            errors.append(error)
+            levels.append(sigma[measured])
+        problem = Problem(system, tuple(records), self.draw_prior(system, seed, index), name=self.label)
+        truth = Truth(
+            parameters=dict(self.parameters),
+            initial_state=self._true_start,
+            dense_times=self.dense_times,
+            dense_displacement=dense,
+            forecast_times=self.forecast_times,
+            forecast_displacement=forecast,
+            sigma=tuple(map(float, np.concatenate(levels))),
+            realised_snr_db=float(10 * np.log10(np.sum(np.square(ideals)) / np.sum(np.square(errors)))),
+            sigma_over_peak=float(np.max(levels[0] / np.max(np.abs(dense[measured]), axis=1))),
+            measured=self.measured,
+        )
+        return problem, truth
+
+    def _samples(
+        self, seed: int, index: int, clean: np.ndarray, sigma: np.ndarray, record: int = 0
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Stated times, the true displacement at them, and what the samples are off by: noise and disturbance."""
+        base = self.stream(NOISE, seed, index, *_later(record)).standard_normal(clean.shape)
+        if self.disturbance is None:
+            return self.times, clean, sigma[:, None] * base
+        rng = self.stream(DISTURBANCE, seed, index, *_later(record))
+        stated, actual = self.disturbance.sampling(self.times, rng)
+        ideal = clean if stated is self.times else self._response(stated, seed, record)
+        taken = ideal if actual is stated else self._response(actual, seed, record)
+        rms = sigma * 10.0 ** (self.snr_db / 20.0)  # of the clean samples, by the definition of the SNR
+        systematic = rms[:, None] * self.disturbance.reading_error(stated)
+        return stated, ideal, taken - ideal + systematic + sigma[:, None] * self.disturbance.noise(base, rng)
+
+    @cached_property
+    def _true_start(self) -> InitialState:
+        """The true state at time 0 of the record."""
+        if self.disturbance is None:
+            return self.start
+        return self.disturbance.start(self.make_system(), self.parameters, self.start)
+
+    def draw_prior(self, system: System, seed: int, index: int) -> Prior | None:
+        """The nominal prior of one replicate, drawn around the truth."""
+        if self.prior is None:
+            return None
+        draw = wrong_prior if self.prior.wrong else draw_prior
+        return draw(system, self.parameters, self.prior.sd_by_kind, self.stream(NOMINAL, seed, index))

@@ -1,0 +1,131 @@
+"""The truth of a replicate, and the reference solutions it is made by.
+
+The truth never comes from an integrator that a method fits with: closed form for the linear SDOF, matrix
+exponential with the exact hold of the force for other linear systems, an explicit Runge-Kutta method of order
+eight at tight tolerance for the nonlinear ones.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from bench.contract.problem import Force, InitialState
+from bench.dynamics.mechanics import numpy_ops, state_rate
+from bench.dynamics.simulate import matrix_exponential_response
+from bench.systems import System
+from bench.systems.linear import SDOF
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What scores an estimate. No method ever receives one.
+
+    ``dense_displacement`` has shape (n_dof, n_dense) on ``dense_times`` (s, over the record), ``forecast_displacement``
+    likewise over what follows the record. ``sigma`` is the noise standard deviation of each channel (in its unit),
+    ``realised_snr_db`` the SNR of all that the samples are off by, ``sigma_over_peak`` the noise over the largest
+    displacement; ``measured`` the DOFs that have a sensor (None: all).
+    """
+
+    parameters: Mapping[str, float]
+    initial_state: InitialState
+    dense_times: np.ndarray
+    dense_displacement: np.ndarray
+    forecast_times: np.ndarray
+    forecast_displacement: np.ndarray
+    sigma: tuple[float, ...]
+    realised_snr_db: float
+    sigma_over_peak: float
+    measured: tuple[int, ...] | None = None
+
+    def scored(self, displacement: np.ndarray) -> np.ndarray:
+        """Of displacements (n_dof, n), those of the DOFs with a sensor, which are scored."""
+        return displacement if self.measured is None else displacement[list(self.measured)]
+
+
+def reference_response(
+    system: System,
+    p: Mapping[str, float],
+    start: InitialState,
+    times: np.ndarray,
+    forces: Sequence[Force] = (),
+) -> np.ndarray:
+    """Displacement (m), shape (n_dof, n_times), at increasing times >= 0 (s)."""
+    if isinstance(system, SDOF) and not forces:
+        return closed_form(p, float(start.displacement[0]), float(start.velocity[0]), times)[None]
+    if system.linear:
+        return matrix_exponential_response(system, p, start, times, forces)
+    return integrated_response(system, p, start, times, forces)
+
+
+def reference_state(system: System, p: Mapping[str, float], start: InitialState, time: float) -> InitialState:
+    """State at a time > 0 (s) of the free motion from ``start``."""
+    n = system.n_dof
+    state = _integrated(system, p, start, np.array([time]), ())[:, 0]
+    return InitialState(state[:n], state[n : 2 * n])
+
+
+def integrated_response(
+    system: System,
+    p: Mapping[str, float],
+    start: InitialState,
+    times: np.ndarray,
+    forces: Sequence[Force] = (),
+    method: str = "DOP853",
+    rtol: float = 1e-11,
+    atol: float = 1e-13,
+) -> np.ndarray:
+    """Displacement (m), shape (n_dof, n_times), by an integrator of ``scipy.integrate.solve_ivp`` at a tolerance."""
+    return _integrated(system, p, start, times, forces, method, rtol, atol)[: system.n_dof]
+
+
+def closed_form(p: Mapping[str, float], x0: float, v0: float, times: np.ndarray) -> np.ndarray:
+    """Free response of ``m x'' + c x' + k x = 0``, shape of ``times``, for any damping.
+
+    ``x = e^(-a t) (x0 C + (v0 + a x0) S)`` with ``a = c/2m``, ``d = a² - k/m``, and C, S = cos, sin/w at
+    ``w = sqrt(-d)`` below critical damping, cosh, sinh/w at ``w = sqrt(d)`` above, 1 and t at it
+    (Inman, Engineering Vibration, chapter 1).
+    """
+    t = np.asarray(times, float)
+    a = p["c"] / (2 * p["m"])
+    root = np.emath.sqrt(a * a - p["k"] / p["m"])
+    cosh = (np.exp((root - a) * t) + np.exp(-(root + a) * t)) / 2
+    sinh = (np.exp((root - a) * t) - np.exp(-(root + a) * t)) / (2 * root) if root != 0 else t * np.exp(-a * t)
+    return np.real(x0 * cosh + (v0 + a * x0) * sinh)
+
+
+def _integrated(
+    system: System,
+    p: Mapping[str, float],
+    start: InitialState,
+    times: np.ndarray,
+    forces: Sequence[Force],
+    method: str = "DOP853",
+    rtol: float = 1e-11,
+    atol: float = 1e-13,
+) -> np.ndarray:
+    """Displacement, velocity and hidden states, shape (2 n_dof + n_hidden, n_times)."""
+    n = system.n_dof
+
+    def rate(t: float, state: np.ndarray) -> list[float]:
+        f = [0.0] * n
+        for force in forces:
+            f[force.dof] += float(force(np.array(t)))
+        return state_rate(system, p, list(state), f, numpy_ops)
+
+    # the force has kinks at its samples: integrate from one to the next
+    ends = np.unique(np.concatenate([[0.0, times[-1]], *[f.times[f.times < times[-1]] for f in forces]]))
+    state = np.concatenate([start.displacement, start.velocity, np.zeros(system.n_hidden)])
+    path = np.empty((state.size, times.size))
+    path[:, times == 0.0] = state[:, None]
+    for t0, t1 in itertools.pairwise(ends):
+        inside = (times > t0) & (times <= t1)
+        solution = solve_ivp(rate, (t0, t1), state, method=method, rtol=rtol, atol=atol, dense_output=True)
+        if np.any(inside):
+            path[:, inside] = solution.sol(times[inside])
+        state = solution.y[:, -1]
+    return path

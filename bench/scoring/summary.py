@@ -1,0 +1,104 @@
+"""From the replicates of a cell to one line a metric: mean, median with its interval, bound and excess."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+from bench.contract.estimate import Status
+from bench.information.fisher import Bound
+from bench.scoring.row import Row
+
+RESAMPLES = 2000
+Z95 = float(ndtri(0.975))
+ALWAYS = ("rmse", "rmse_simulated", "rmse_forecast")
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One metric of one cell. Failed replicates count as infinite errors in mean, median and interval.
+
+    ``excess`` is the root mean square over the successful replicates divided by ``bound`` (1 is the best an unbiased
+    method can do); for a coverage, mean and interval are of the fraction (Wilson's interval), over the successful; for
+    a level at the truth (``_pit``) and a share of the record, they are of the mean, likewise.
+    """
+
+    mean: float
+    median: float
+    ci_low: float
+    ci_high: float
+    bound: float
+    excess: float
+    n_ok: int
+
+
+def metric_bounds(bound: Bound) -> dict[str, float]:
+    """The bound on the root mean square of each metric that has one."""
+    errors = {f"{name}_error_pct": 100.0 * sd for name, sd in bound.relative_sd.items()}
+    return errors | {"rmse": bound.rmse, "rmse_simulated": bound.rmse, "rmse_forecast": bound.rmse_forecast}
+
+
+def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Summary]:
+    """A summary of every metric that any replicate has, plus the metrics every cell has (NaN where none succeeded)."""
+    bounds = metric_bounds(bound)
+    ok = [row for row in rows if row.status is Status.OK]
+    own = (name for row in ok for name in row.scores if not name.endswith("_ratio"))
+    names = list(dict.fromkeys([*own, *(name for name in bounds if not ok), *ALWAYS]))
+    index = np.random.default_rng(0).integers(0, len(rows), (RESAMPLES, len(rows)))
+    result = {}
+    for name in names:
+        if name.endswith("_pit") or name.startswith("band_inside"):
+            result[name] = _share(np.array([row.scores[name] for row in ok if name in row.scores]))
+        elif "_coverage_" in name:
+            result[name] = _coverage(np.array([row.scores[name] for row in ok if name in row.scores]))
+        else:
+            values = np.array([row.scores.get(name, np.inf) if row.status is Status.OK else np.inf for row in rows])
+            result[name] = _error(values, index, bounds.get(name, float("nan")))
+    return result
+
+
+def _error(values: np.ndarray, index: np.ndarray, bound: float) -> Summary:
+    good = values[np.isfinite(values)]
+    medians = np.sort(_medians(values[index]))
+    low, high = medians[math.ceil(0.025 * RESAMPLES) - 1], medians[math.ceil(0.975 * RESAMPLES) - 1]
+    excess = float(np.sqrt(np.mean(good**2)) / bound) if good.size and np.isfinite(bound) and bound > 0 else np.nan
+    mean = float(np.mean(values)) if good.size == values.size else float("inf")
+    median = float(_medians(values[None])[0])
+    return Summary(mean, median, float(low), float(high), bound, excess, int(good.size))
+
+
+def _medians(values: np.ndarray) -> np.ndarray:
+    """Row medians, of which some values may be infinite: a mean of a number and infinity is infinity, never NaN."""
+    ordered = np.sort(values, axis=1)
+    n = ordered.shape[1]
+    return np.asarray(0.5 * (ordered[:, (n - 1) // 2] + ordered[:, n // 2]))
+
+
+def _share(values: np.ndarray) -> Summary:
+    """Of numbers between 0 and 1 that are not errors, over the successful; the interval is the mean's (Student's t)."""
+    nan = float("nan")
+    if values.size < 2:
+        only = float(values[0]) if values.size else nan
+        return Summary(only, only, nan, nan, nan, nan, int(values.size))
+    half = float(stdtrit(values.size - 1, 0.975) * values.std(ddof=1) / np.sqrt(values.size))
+    mean = float(values.mean())
+    return Summary(mean, float(np.median(values)), mean - half, mean + half, nan, nan, int(values.size))
+
+
+def _coverage(hits: np.ndarray) -> Summary:
+    nan = float("nan")
+    if not hits.size:
+        return Summary(nan, nan, nan, nan, nan, nan, 0)
+    low, high = wilson_interval(int(hits.sum()), hits.size)
+    return Summary(float(hits.mean()), float(np.median(hits)), low, high, nan, nan, int(hits.size))
+
+
+def wilson_interval(k: int, n: int) -> tuple[float, float]:
+    """95 % interval of a fraction, ``k`` of ``n`` seen (E. B. Wilson, J. Am. Stat. Assoc. 22:209, 1927)."""
+    z2 = Z95**2
+    half = Z95 * np.sqrt(k * (n - k) / n + z2 / 4)
+    return max(0.0, float((k + z2 / 2 - half) / (n + z2))), min(1.0, float((k + z2 / 2 + half) / (n + z2)))

@@ -1,0 +1,57 @@
+"""A cell: one scenario, one method with its settings, so many replicates of a seed; known by what it computes.
+
+The identity is that of the question: it names the cell's file. What answers it, the code and the packages, is the
+cell's version (:mod:`bench.store.version`): a stored answer of another version is stale.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from bench.scenario.scenario import Scenario
+from bench.store.version import Version, cell_version
+
+FORMAT = 2
+"""Raised when scores change their meaning, so that older rows are not taken for new ones."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """``settings`` are all settings of the method, defaults included; ``label`` is what tables call the variant."""
+
+    scenario: Scenario
+    method: str
+    settings: Mapping[str, Any]
+    replicates: int
+    seed: int
+    label: str
+
+    def description(self) -> dict[str, Any]:
+        """What is computed, by name: this and nothing else decides the identity."""
+        return {
+            "format": FORMAT,
+            "method": self.method,
+            "settings": dict(self.settings),
+            "replicates": self.replicates,
+            "seed": self.seed,
+            "data": self.scenario.data_identity(),
+            "told": self.scenario.told_identity(),
+            "dense": self.scenario.dense,
+            "forecast": float(self.scenario.forecast),
+        }
+
+    @property
+    def version(self) -> Version:
+        """What would compute the cell now."""
+        return cell_version(self.method, self.scenario.system)
+
+    @cached_property
+    def identity(self) -> str:
+        """Hash of the description: not of labels, limits, machine or place."""
+        text = json.dumps(self.description(), sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()[:20]

@@ -1,0 +1,209 @@
+"""The collected view of a store: one line a cell in Parquet, for reading many cells at once.
+
+Derived from the cells' files, and brought up to date whenever it is read: only files that are new or changed are
+opened. It may be deleted at any time. ``pandas.read_parquet("results/rows/view")`` reads it, too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import uuid
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from bench.errors import InputError
+from bench.store.store import Store, StoredCell
+
+PLAIN = {
+    "identity": pa.string(), "mtime_ns": pa.int64(), "size": pa.int64(), "problem": pa.string(),
+    "method": pa.string(), "label": pa.string(), "kind": pa.string(), "system": pa.string(), "snr_db": pa.float64(),
+    "initial_state": pa.string(), "disturbance": pa.string(), "replicates": pa.int64(), "seed": pa.int64(),
+    "n_ok": pa.int64(), "statuses": pa.string(), "version": pa.string(), "wall_s": pa.float64(),
+    "cpu_s": pa.float64(), "peak_memory_mb": pa.float64(), "started": pa.string(), "commit": pa.string(),
+    "data": pa.string(), "metrics": pa.string(),
+}  # fmt: skip
+STATISTICS = ("mean", "median", "ci_low", "ci_high", "bound", "excess")
+LISTS = {name: pa.list_(pa.float64()) for name in STATISTICS}
+SCHEMA = pa.schema({**PLAIN, **LISTS})
+MOST_PARTS = 8
+BATCH = 5_000
+"""Cells read before a part is written: bounds the memory of a first collection."""
+
+
+def cells(store: Store, columns: Iterable[str] = tuple(PLAIN)) -> pd.DataFrame:
+    """One line a stored cell, indexed by identity; ``columns`` of :data:`SCHEMA`.
+
+    ``problem`` is empty, or says in one line why a file is not a cell; ``statuses`` is a JSON object of counts. The
+    lists ``median`` etc. run in parallel with the names in ``metrics``, which blanks separate.
+    """
+    if not store.folder.is_dir():
+        return pd.DataFrame(columns=list(columns)).rename_axis("identity")
+    wanted = list(dict.fromkeys(["identity", "mtime_ns", "size", *columns]))
+    there, found = _files(store), _load(store, wanted)
+    fresh = _current(found, there)
+    changed = [name for name in there if name not in fresh]
+    unsaved = []
+    for i in range(0, len(changed), BATCH):
+        part = pa.Table.from_pylist([_line(store, n, there[n]) for n in changed[i : i + BATCH]], SCHEMA)
+        if not _write(store, part):
+            unsaved.append(part.select(wanted))
+    if found.num_rows > 2 * len(fresh) + BATCH or len(_parts(store)) > MOST_PARTS:
+        _compact(store, there)
+    if changed:
+        found = pa.concat_tables([_load(store, wanted), *unsaved])
+        fresh = _current(found, there)
+    lines = found.take(pa.array([fresh[name] for name in sorted(fresh)], pa.int64())).to_pandas()
+    return lines.set_index("identity")[[name for name in columns if name != "identity"]]
+
+
+def summaries(store: Store, metrics: Sequence[str]) -> pd.DataFrame:
+    """One line a cell and metric: the cell's plain columns and the statistics of the metrics asked for."""
+    cells(store, ())  # brings the view up to date
+    there, pieces = _files(store), []
+    seen: set[str] = set()
+    for batch in _batches(store):
+        lines = {name: i for name, i in _current(batch, there).items() if name not in seen}
+        seen.update(lines)
+        own = batch.take(pa.array(list(lines.values()), pa.int64()))
+        pieces.append(_flat(own, metrics))
+    if not pieces:
+        return pd.DataFrame(columns=[*(name for name in PLAIN if name != "metrics"), "metric", *STATISTICS])
+    return pd.concat(pieces).sort_values("identity", kind="stable", ignore_index=True)
+
+
+def _batches(store: Store) -> Iterator[pa.Table]:
+    """The view a few thousand cells at a time; where it could not be written, the cells themselves."""
+    parts = _parts(store)
+    for part in parts:
+        for batch in pq.ParquetFile(part).iter_batches(batch_size=BATCH):
+            yield pa.Table.from_batches([batch]).cast(SCHEMA)
+    if not parts:
+        there = _files(store)
+        yield pa.Table.from_pylist([_line(store, name, there[name]) for name in there], SCHEMA)
+
+
+def _flat(batch: pa.Table, metrics: Sequence[str]) -> pd.DataFrame:
+    """The lines of some cells, one a metric."""
+    batch = batch.filter(pc.equal(batch["problem"], ""))
+    texts = batch["metrics"].to_pylist()
+    names = {text: np.array(text.split(), object) for text in set(texts)}
+    metric = np.concatenate([names[text] for text in texts] or [np.empty(0, object)])
+    chosen = np.isin(metric.astype(str), list(metrics))
+    row = np.repeat(np.arange(len(texts)), [len(names[text]) for text in texts])[chosen]
+    flat = {name: pc.list_flatten(batch[name]).to_numpy()[chosen] for name in STATISTICS}
+    plain = batch.drop_columns([*STATISTICS, "metrics"]).take(pa.array(row)).to_pandas()
+    return plain.assign(metric=metric[chosen], **flat)
+
+
+def _files(store: Store) -> dict[str, tuple[int, int]]:
+    """Time of change and size of every cell's file, by identity."""
+    found: dict[str, tuple[int, int]] = {}
+    if not store.folder.is_dir():
+        return found
+    with os.scandir(store.folder) as entries:
+        for entry in entries:
+            if entry.name.endswith(".json"):
+                with contextlib.suppress(OSError):  # gone in between
+                    stat = entry.stat()
+                    found[entry.name[: -len(".json")]] = (stat.st_mtime_ns, stat.st_size)
+    return found
+
+
+def _parts(store: Store) -> list[str]:
+    with contextlib.suppress(OSError):
+        return sorted(str(path) for path in store.view.glob("*.parquet"))
+    return []
+
+
+def _load(store: Store, columns: Sequence[str]) -> pa.Table:
+    tables = [pa.schema([SCHEMA.field(name) for name in columns]).empty_table()]
+    for part in _parts(store):
+        # a part that another reader has just merged away, or that a stranger put there, is read anew from the cells
+        with contextlib.suppress(OSError, pa.ArrowException, KeyError):
+            tables.append(pq.read_table(part, columns=list(columns)).cast(tables[0].schema))
+    return pa.concat_tables(tables)
+
+
+def _current(found: pa.Table, there: Mapping[str, tuple[int, int]]) -> dict[str, int]:
+    """The line of every cell whose file is as it was when that line was written."""
+    names, times, sizes = (found[name].to_pylist() for name in ("identity", "mtime_ns", "size"))
+    stamps = zip(names, zip(times, sizes, strict=True), strict=True)
+    return {name: i for i, (name, stamp) in enumerate(stamps) if there.get(name) == stamp}
+
+
+def _write(store: Store, part: pa.Table) -> bool:
+    """Write a part whole; False where the store cannot be written, which a reader need not be able to."""
+    if not part.num_rows:
+        return True
+    path = store.view / f"{uuid.uuid4().hex}.parquet"
+    temporary = path.with_suffix(".tmp")
+    try:
+        store.view.mkdir(exist_ok=True)
+        pq.write_table(part, temporary, compression="zstd")
+        os.replace(temporary, path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        return False
+    return True
+
+
+def _compact(store: Store, there: Mapping[str, tuple[int, int]]) -> None:
+    """All parts in one, part by part; a reader that meets one going reads those cells anew."""
+    parts = _parts(store)
+    seen: set[str] = set()
+    path = store.view / f"{uuid.uuid4().hex}.parquet"
+    temporary = path.with_suffix(".tmp")
+    with contextlib.suppress(OSError, pa.ArrowException):
+        with pq.ParquetWriter(temporary, SCHEMA, compression="zstd") as writer:
+            for part in parts:
+                table = pq.read_table(part, schema=SCHEMA)
+                lines = _current(table, there)
+                keep = [i for name, i in lines.items() if name not in seen]
+                seen.update(lines)
+                writer.write_table(table.take(pa.array(keep, pa.int64())))
+        os.replace(temporary, path)
+        for part in parts:
+            os.unlink(part)
+
+
+def _line(store: Store, identity: str, stamp: tuple[int, int]) -> dict[str, Any]:
+    line: dict[str, Any] = {"identity": identity, "mtime_ns": stamp[0], "size": stamp[1], "problem": ""}
+    try:
+        cell = store.load(identity)
+    except InputError as error:
+        return line | {"problem": str(error)}
+    return line if cell is None else line | _described(cell)
+
+
+def _described(cell: StoredCell) -> dict[str, Any]:
+    what, come = cell.cell, cell.provenance
+    disturbance = what.get("data", {}).get("disturbance") or {}
+    cpu = [row.cpu_s for row in cell.rows if np.isfinite(row.cpu_s)]
+    memory = [row.peak_memory_mb for row in cell.rows if np.isfinite(row.peak_memory_mb)]
+    return {
+        **{name: what.get(name) for name in ("method", "label", "system", "snr_db", "initial_state", "seed")},
+        "disturbance": str(disturbance.get("kind", "none")),
+        "replicates": len(cell.rows),
+        "n_ok": cell.n_ok,
+        "statuses": json.dumps(Counter(row.status.value for row in cell.rows)),
+        "version": cell.version.get("digest", ""),
+        "wall_s": cell.wall_s,
+        "cpu_s": float(np.sum(cpu)) if cpu else None,
+        "peak_memory_mb": max(memory, default=None),
+        "started": come.get("started"),
+        "commit": come.get("commit"),
+        "data": come.get("data"),
+        "kind": what.get("data", {}).get("system"),
+        "metrics": " ".join(cell.summary),
+        **{name: [summary.get(name) for summary in cell.summary.values()] for name in STATISTICS},
+    }

@@ -1,0 +1,75 @@
+"""Where a result comes from: the commit, the packages, the machine, and when."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from bench.store.version import Version
+
+
+@cache
+def _commit() -> dict[str, Any]:
+    """The commit of this checkout and whether its tracked files differ from it; nothing where it is none."""
+    root = Path(__file__).parents[2]
+    if not (root / ".git").exists():
+        return {"commit": None, "dirty": None}
+
+    def git(*arguments: str) -> str:
+        done = subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True, timeout=30, check=True)
+        return done.stdout.strip()
+
+    try:
+        changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", ":(exclude)results")
+        return {"commit": git("rev-parse", "HEAD"), "dirty": bool(changed)}
+    except (OSError, subprocess.SubprocessError):
+        return {"commit": None, "dirty": None}
+
+
+@cache
+def _machine() -> dict[str, Any]:
+    return {
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "threads_per_fit": 1,
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor()
+
+
+@cache
+def _installed(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def provenance(
+    computed_by: Version, workers: int, timeout_s: float, memory_mb: float, started: float
+) -> dict[str, Any]:
+    """Of one cell; ``started`` in seconds since the epoch. The seeds and the configuration are the cell's own."""
+    installed = {name: _installed(name) or public for name, public in computed_by.packages.items()}
+    return {
+        **_commit(),
+        **_machine(),
+        "packages": {"vibration-bench": _installed("vibration-bench"), **installed},
+        "workers": workers,
+        "limits": {"timeout_s": timeout_s, "memory_mb": memory_mb},
+        "started": datetime.fromtimestamp(started, UTC).isoformat(timespec="seconds"),
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+    }

@@ -1,0 +1,281 @@
+"""The store: one JSON file a cell, written whole or not at all, named by the hash of the question it answers.
+
+Beside it lie, written first, the arrays of one of its replicates (``.npz``) and the tracebacks of those that failed
+(``.errors.txt``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import math
+import os
+import time
+import uuid
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.contract.estimate import Status
+from bench.errors import InputError
+from bench.scoring.row import Row
+
+FORMAT = 2
+DIGITS = 6
+ABANDONED_S = 3600.0
+"""Age at which a temporary file has no writer any more."""
+PLAIN = ("replicate", "message", "wall_s", "cpu_s", "peak_memory_mb", "evaluations", "data")
+
+
+@dataclass(frozen=True)
+class StoredCell:
+    """What a cell's file holds: its full description, its rows, the summary of every metric, and whence they come.
+
+    ``wall_s`` is the time of all fits together, ``version`` what computed it, ``arrays`` the file beside it.
+    """
+
+    identity: str
+    cell: dict[str, Any]
+    rows: tuple[Row, ...]
+    summary: dict[str, dict[str, float]]
+    prior_share: dict[str, float]
+    identifiable: dict[str, bool]
+    wall_s: float
+    provenance: dict[str, Any] = field(default_factory=dict)
+    version: dict[str, Any] = field(default_factory=dict)
+    arrays: str = ""
+
+    @property
+    def n_ok(self) -> int:
+        return sum(row.status is Status.OK for row in self.rows)
+
+    @property
+    def status(self) -> Status:
+        """``ok`` where any replicate succeeded, else the most frequent failure."""
+        statuses = [row.status for row in self.rows]
+        return Status.OK if Status.OK in statuses else max(set(statuses), key=statuses.count)
+
+
+def _to_json(value: Any, digits: int = DIGITS) -> Any:
+    """JSON has no infinity: numbers that are not finite become strings, the others keep so many digits."""
+    if isinstance(value, float):
+        return float(f"{value:.{digits}g}") if math.isfinite(value) else str(value)
+    if isinstance(value, Mapping):
+        return {key: _to_json(item, digits) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_to_json(item, digits) for item in value]
+    return value
+
+
+def _number(value: Any) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _columns(rows: Sequence[Row]) -> dict[str, Any]:
+    """Rows as columns: smaller files, and one list a metric (null where a replicate lacks it)."""
+    names = list(dict.fromkeys(name for row in rows for name in row.scores))
+    return {
+        "status": [row.status.value for row in rows],
+        **{key: [getattr(row, key) for row in rows] for key in PLAIN},
+        "scores": {name: [row.scores.get(name) for row in rows] for name in names},
+    }
+
+
+def _rows(columns: Mapping[str, Any]) -> tuple[Row, ...]:
+    scores = columns["scores"]
+    return tuple(
+        Row(
+            replicate=columns["replicate"][i],
+            status=Status(status),
+            message=columns["message"][i],
+            scores={name: _number(values[i]) for name, values in scores.items() if values[i] is not None},
+            wall_s=_number(columns["wall_s"][i]),
+            cpu_s=_number(columns["cpu_s"][i]),
+            peak_memory_mb=_number(columns["peak_memory_mb"][i]),
+            evaluations=columns["evaluations"][i],
+            data=columns["data"][i],
+        )
+        for i, status in enumerate(columns["status"])
+    )
+
+
+def _cell_file(cell: StoredCell) -> bytes:
+    content = {
+        "format": FORMAT,
+        "identity": cell.identity,
+        "cell": cell.cell,
+        "status": cell.status.value,
+        "n_ok": cell.n_ok,
+        "n": len(cell.rows),
+        "wall_s": cell.wall_s,
+        "version": cell.version,
+        "arrays": cell.arrays,
+        "summary": cell.summary,
+        "prior_share": cell.prior_share,
+        "identifiable": cell.identifiable,
+        "provenance": cell.provenance,
+        "rows": _columns(cell.rows),
+    }
+    exact = _to_json(cell.cell, 17)  # what was computed, as opposed to what came out, is kept to the last digit
+    text = json.dumps({**_to_json(content), "cell": exact}, ensure_ascii=False, separators=(",", ":"))
+    return f"{text}\n".encode()
+
+
+def _arrays_file(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """A compressed npz whose bytes depend on the arrays alone (the usual writer puts the time into it)."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in sorted(arrays):
+            values = np.asarray(arrays[name])
+            item = io.BytesIO()
+            np.lib.format.write_array(item, values.astype("f4") if values.dtype == float else values)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), item.getvalue(), zipfile.ZIP_DEFLATED, 1)
+    return buffer.getvalue()
+
+
+class Store:
+    """A folder with one ``<identity>.json`` a cell; bounds lie in a folder beside them, under another ending."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @property
+    def bounds(self) -> Path:
+        return self.folder / "bounds"
+
+    @property
+    def view(self) -> Path:
+        """Folder of the collected view (:mod:`bench.store.index`)."""
+        return self.folder / "view"
+
+    @property
+    def claims(self) -> Path:
+        """Folder of the claims of runs under way (:mod:`bench.store.locks`)."""
+        return self.folder / "claims"
+
+    def prepare(self) -> None:
+        """Make the folder and check that it can be written; raises InputError before anything runs."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            probe = self.folder / f".write-test.{os.getpid()}"
+            probe.write_bytes(b"")
+            probe.unlink()
+        except OSError as error:
+            reason = f"cannot be written ({error.strerror}); name another folder"
+            raise InputError("store", self.folder, reason) from None
+        for left in self.folder.glob("*.tmp"):  # of writers that were killed
+            with contextlib.suppress(OSError):
+                if time.time() - left.stat().st_mtime > ABANDONED_S:
+                    left.unlink()
+
+    def path(self, identity: str) -> Path:
+        return self.folder / f"{identity}.json"
+
+    def stamp(self, identity: str) -> int:
+        """When a stored cell was written (ns); 0 where there is none."""
+        try:
+            return self.path(identity).stat().st_mtime_ns
+        except OSError:
+            return 0
+
+    def load(self, identity: str) -> StoredCell | None:
+        """The stored cell, or None; a damaged or foreign file raises InputError and is left alone."""
+        path = self.path(identity)
+        return self._read(path) if path.exists() else None
+
+    def save(
+        self, cell: StoredCell, arrays: Mapping[str, np.ndarray] | None = None, tracebacks: str = ""
+    ) -> StoredCell:
+        """Write a cell whole, in the place of any before it: what it refers to first, itself last, in one step.
+
+        Returns the cell with the name of its arrays. Raises OSError where there is no room; what was there then stays.
+        """
+        content = _arrays_file(arrays) if arrays else b""
+        name = f"{cell.identity}.{hashlib.sha256(content).hexdigest()[:8]}.npz" if content else ""
+        stored = replace(cell, arrays=name)
+        if content and not (self.folder / name).exists():
+            self._write(self.folder / name, content)
+        before = self._arrays_before(cell.identity)
+        errors = self.errors(cell.identity)
+        if tracebacks:
+            self._write(errors, tracebacks.encode())
+        self._write(self.path(cell.identity), _cell_file(stored))
+        if not tracebacks:
+            errors.unlink(missing_ok=True)
+        if before and before != name:
+            (self.folder / before).unlink(missing_ok=True)
+        return stored
+
+    def restate(self, cell: StoredCell) -> None:
+        """Write what is said of a stored cell anew, and leave its arrays and tracebacks as they are."""
+        self._write(self.path(cell.identity), _cell_file(cell))
+
+    def _arrays_before(self, identity: str) -> str:
+        with contextlib.suppress(InputError):
+            before = self.load(identity)
+            return before.arrays if before else ""
+        return ""
+
+    def errors(self, identity: str) -> Path:
+        """Where the tracebacks of a cell's failed replicates are."""
+        return self.folder / f"{identity}.errors.txt"
+
+    def arrays(self, cell: StoredCell) -> dict[str, np.ndarray]:
+        """The arrays kept of one replicate; none where the cell has none."""
+        if not cell.arrays:
+            return {}
+        with np.load(self.folder / cell.arrays, allow_pickle=False) as found:
+            return {name: found[name] for name in found.files}
+
+    def _write(self, path: Path, content: bytes) -> None:
+        """To a temporary file, flushed to disk, then renamed."""
+        temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex}.tmp")  # two machines can have the same process ids
+        try:
+            with temporary.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        except OSError:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise
+
+    def identities(self) -> list[str]:
+        """The names of all stored cells, in order."""
+        return sorted(entry.name[: -len(".json")] for entry in os.scandir(self.folder) if entry.name.endswith(".json"))
+
+    def __iter__(self) -> Iterator[StoredCell]:
+        for identity in self.identities():
+            yield self._read(self.path(identity))
+
+    def _read(self, path: Path) -> StoredCell:
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            if content["format"] != FORMAT:
+                remedy = f"a cell of format {content['format']}, this version reads {FORMAT}; move it away"
+                raise InputError("store", path, remedy)
+            if content["identity"] != path.stem:
+                raise InputError("store", path, f"it holds the cell {content['identity']}; move it away")
+            return StoredCell(
+                identity=content["identity"],
+                cell=content["cell"],
+                rows=_rows(content["rows"]),
+                summary={m: {k: _number(v) for k, v in s.items()} for m, s in content["summary"].items()},
+                prior_share={k: _number(v) for k, v in content["prior_share"].items()},
+                identifiable=content["identifiable"],
+                wall_s=_number(content["wall_s"]),
+                provenance=content["provenance"],
+                version=content["version"],
+                arrays=content["arrays"],
+            )
+        except InputError:
+            raise
+        except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError):
+            raise InputError("store", path, "not a whole cell of this benchmark; move it away and run again") from None

@@ -1,0 +1,244 @@
+"""The process of a method: it gets problems and never a truth, and answers in plain numbers.
+
+One process serves one cell, with one thread. What goes wrong in a fit of several replicates is tried again one by one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import os
+import pickle
+import resource
+import sys
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any, Protocol
+
+import numpy as np
+
+from bench.contract.estimate import Estimate, Status
+from bench.contract.method import Identifier
+from bench.contract.problem import Problem
+from bench.contract.progress import listen
+from bench.entrants.reference import REFERENCES
+from bench.isolation.failure import one_line
+from bench.isolation.processes import READY_S, Child, Children, Died
+from bench.scenario.truth import Truth
+from bench.sweep.wire import pack, plain
+
+CPU_MARGIN_S = 60.0
+
+
+class Fit(Protocol):
+    """What a fitter runs: payloads and random streams to estimates."""
+
+    def __call__(self, payloads: Sequence[Any], rngs: Sequence[np.random.Generator]) -> list[Estimate]: ...
+
+
+@dataclass(frozen=True)
+class ReferenceFit:
+    """A reference row: its payloads are pairs of problem and truth."""
+
+    name: str
+
+    def __call__(
+        self, payloads: Sequence[tuple[Problem, Truth]], rngs: Sequence[np.random.Generator]
+    ) -> list[Estimate]:
+        return [REFERENCES[self.name](problem, truth) for problem, truth in payloads]
+
+
+@dataclass(frozen=True)
+class MethodFit:
+    """A method, past its own objection to a problem."""
+
+    method: Identifier
+
+    def __call__(self, payloads: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        objections = [self.method.objection(problem) for problem in payloads]
+        taken = [i for i, objection in enumerate(objections) if objection is None]
+        found = self.method.identify_many([payloads[i] for i in taken], [rngs[i] for i in taken]) if taken else []
+        answers = dict(zip(taken, found, strict=True))
+        return [
+            answers[i] if objection is None else Estimate.failed(payloads[i].system, Status.UNSUPPORTED, objection)
+            for i, objection in enumerate(objections)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Replicates to be fitted together; ``times`` (s) are those at which their reconstructions are wanted.
+
+    ``fit`` is a pickled :class:`Fit`, which only the process that runs it rebuilds.
+    """
+
+    fit: bytes
+    replicates: tuple[int, ...]
+    payloads: tuple[Any, ...]
+    rngs: tuple[np.random.Generator, ...]
+    times: tuple[np.ndarray, ...]
+    timeout_s: float
+
+    def part(self, i: int) -> Task:
+        """The task of one of the replicates alone."""
+        own = slice(i, i + 1)
+        return Task(self.fit, self.replicates[own], self.payloads[own], self.rngs[own], self.times[own], self.timeout_s)
+
+
+def serve(connection: Connection) -> None:
+    """Be told what to import and how much memory there is; then fit task after task until nobody asks any more."""
+    requires, memory_mb = pickle.loads(connection.recv_bytes())
+    for package in requires:  # imported before the clock runs
+        with contextlib.suppress(ImportError):
+            importlib.import_module(package)
+    _limit_memory(memory_mb)
+    connection.send_bytes(b"ready")
+    while True:
+        content = connection.recv_bytes()
+        connection.send_bytes(b"d" + pack(perform(content, connection)))
+
+
+def ready(children: Children, spare: Child | None, requires: Sequence[str], memory_mb: float | None) -> Child:
+    """A fitter that has imported what its method needs, from a spare process where there is one; raises Died."""
+    child = spare or children.start(serve)
+    child.send(pickle.dumps((tuple(requires), memory_mb)))
+    child.receive(READY_S)
+    return child
+
+
+def answers(
+    child: Child, task: bytes, n: int, timeout_s: float, memory_mb: float, on_report: Callable[[bytes], None]
+) -> bytes:
+    """The packed outcomes of a task of ``n`` replicates; raises Died, within ``n`` times the limit of one.
+
+    ``on_report`` gets what the fit reports on its way, packed.
+    """
+    child.send(task)
+    deadline = time.monotonic() + timeout_s * n
+    try:
+        while (message := child.receive(max(0.0, deadline - time.monotonic()), memory_mb))[:1] != b"d":
+            on_report(message[1:])
+    except Died as died:
+        if died.reason == "timeout":
+            died.message = f"stopped after the limit of {timeout_s:g} s"
+        raise
+    return message[1:]
+
+
+def perform(content: bytes, connection: Connection | None = None) -> list[dict[str, Any]]:
+    """The outcome of each replicate of a pickled task, in plain numbers."""
+    task: Task = pickle.loads(content)
+    _limit_processor_time(task.timeout_s * len(task.replicates) + CPU_MARGIN_S)
+    if connection is not None:
+        listen(_Reporter(connection, task))
+    try:
+        return _outcomes(task)
+    except Exception:
+        if len(task.replicates) == 1:
+            return [_failure(task.replicates[0])]
+    outcomes = []
+    for i in range(len(task.replicates)):
+        fresh: Task = pickle.loads(content)  # random streams as they were
+        try:
+            outcomes += _outcomes(fresh.part(i))
+        except Exception:
+            outcomes.append(_failure(task.replicates[i]))
+    return outcomes
+
+
+def _outcomes(task: Task) -> list[dict[str, Any]]:
+    n = len(task.replicates)
+    fit: Fit = pickle.loads(task.fit)
+    before = _peak_memory_mb()
+    wall, cpu = time.perf_counter(), time.process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        estimates = fit(task.payloads, task.rngs)
+    took = {
+        "wall_s": (time.perf_counter() - wall) / n,
+        "cpu_s": (time.process_time() - cpu) / n,
+        "peak_memory_mb": max(_peak_memory_mb() - before, 0.0),
+    }
+    if not isinstance(estimates, list | tuple) or len(estimates) != n:
+        raise TypeError(f"a list of {n} Estimate objects was expected")
+    found = []
+    for replicate, estimate, times in zip(task.replicates, estimates, task.times, strict=True):
+        if not isinstance(estimate, Estimate):
+            raise TypeError(f"an Estimate was expected, not {type(estimate).__name__}")
+        found.append({"replicate": replicate, **_answer(estimate, times), **took})
+    return found
+
+
+def _answer(estimate: Estimate, times: np.ndarray) -> dict[str, Any]:
+    """The plain answer, or ``invalid``: an estimate that the contract does not allow costs its own replicate only."""
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            return {"answer": plain(estimate, times)}
+    except Exception as error:
+        message = f"the estimate cannot be scored: {one_line(error)}"
+        return {"status": Status.INVALID.value, "message": message, "traceback": traceback.format_exc()}
+
+
+def _failure(replicate: int) -> dict[str, Any]:
+    error = sys.exc_info()[1]
+    assert error is not None
+    if isinstance(error, MemoryError):
+        status, message = Status.OOM, "out of memory"
+    else:
+        status, message = Status.CRASHED, one_line(error)
+    return {
+        "replicate": replicate, "status": status.value, "message": message, "traceback": traceback.format_exc(),
+    }  # fmt: skip
+
+
+def _peak_memory_mb() -> float:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 2**20 if sys.platform == "darwin" else peak / 2**10
+
+
+def _limit_memory(memory_mb: float | None) -> None:
+    """Let one allocation beyond the limit fail at once, as an error that can be caught."""
+    if memory_mb is None or not sys.platform.startswith("linux"):
+        return
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (int(memory_mb * 2**20) + _data_bytes(), hard))
+
+
+def _data_bytes() -> int:
+    """Data segment in use now, what RLIMIT_DATA counts."""
+    with open("/proc/self/status", encoding="ascii") as lines:
+        return next((int(line.split()[1]) * 1024 for line in lines if line.startswith("VmData")), 0)
+
+
+def _limit_processor_time(seconds: float) -> None:
+    """The kernel's own end of a fit that hangs where no other process can watch it any more."""
+    usage = os.times()
+    _, hard = resource.getrlimit(resource.RLIMIT_CPU)
+    limit = int(usage.user + usage.system + seconds) + 1
+    if hard == resource.RLIM_INFINITY or limit < hard:
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, hard))
+
+
+class _Reporter:
+    """Sends the best answer so far of each replicate, so that a fit that is ended can be scored as it stood."""
+
+    interval_s = 1.0
+
+    def __init__(self, connection: Connection, task: Task) -> None:
+        self.connection = connection
+        self.places = {id(p): i for i, p in enumerate(task.payloads) if isinstance(p, Problem)}
+        self.task, self.last = task, dict.fromkeys(self.places.values(), time.monotonic())
+
+    def __call__(self, problem: Problem, estimate: Callable[[], Estimate]) -> None:
+        i = self.places.get(id(problem))
+        now = time.monotonic()
+        if i is None or now - self.last[i] < self.interval_s:
+            return
+        self.last[i] = now
+        outcome = {"replicate": self.task.replicates[i], **_answer(estimate(), self.task.times[i])}
+        self.connection.send_bytes(b"b" + pack(outcome))

@@ -1,0 +1,100 @@
+"""What of a sweep is there already, and what has to be computed, and why."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from bench.contract.estimate import Status
+from bench.entrants.registry import missing_package
+from bench.errors import InputError
+from bench.store import index as view
+from bench.store.cell import Cell
+from bench.store.store import Store
+from bench.store.version import cell_version
+
+FAILURES = frozenset(Status) - {Status.OK, Status.UNSUPPORTED, Status.MISSING_DEPENDENCY}
+"""What ``retry=failed`` tries again; a method that cannot take a problem will not be able to the next time either."""
+
+
+class State(StrEnum):
+    """Where a cell stands."""
+
+    DONE = "done"
+    MISSING = "missing"
+    STALE = "stale"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A cell, where it stands and why; ``run`` says whether it is to be computed."""
+
+    cell: Cell
+    state: State
+    why: str
+    run: bool
+
+
+def read_retry(text: str) -> frozenset[Status]:
+    """The statuses that a command line wants tried again: ``none``, ``failed`` for all, or some by name."""
+    if text == "none":
+        return frozenset()
+    if text == "failed":
+        return FAILURES
+    names = [part.strip() for part in text.split(",")]
+    if not set(names) <= FAILURES:
+        raise InputError("retry", text, f"none, failed, or of: {', '.join(sorted(FAILURES))}")
+    return frozenset(Status(name) for name in names)
+
+
+def plan(cells: Sequence[Cell], store: Store, retry: Collection[Status] = ()) -> list[Planned]:
+    """Every cell once, in order. Raises InputError where the file of one of them is damaged or foreign."""
+    unique = {cell.identity: cell for cell in cells}
+    lines = view.cells(store, ("problem", "version", "statuses"))
+    lines = lines[lines.index.isin(unique)]
+    stored = dict(zip(lines.index, lines.itertuples(index=False), strict=True))
+    reasons = Reasons(store)
+    return [_planned(cell, stored.get(identity), reasons, retry) for identity, cell in unique.items()]
+
+
+def _planned(cell: Cell, stored: Any, reasons: Reasons, retry: Collection[Status]) -> Planned:
+    if stored is None:
+        return Planned(cell, State.MISSING, "not computed yet", True)
+    if stored.problem:
+        reasons.store.load(cell.identity)  # says it
+    state, why = reasons.standing(cell.identity, cell.method, cell.scenario.system, stored.version, stored.statuses)
+    if state is State.FAILED:
+        counts = {Status(name) for name in json.loads(stored.statuses)}
+        installable = Status.MISSING_DEPENDENCY in counts and missing_package(cell.method) is None
+        return Planned(cell, state, why, installable or bool(counts & set(retry)))
+    return Planned(cell, state, why, state is State.STALE)
+
+
+class Reasons:
+    """Where stored cells stand, and what has changed since they were computed; each version is looked up once."""
+
+    def __init__(self, store: Store) -> None:
+        self.store = store
+        self._known: dict[tuple[str, str, str], str] = {}
+
+    def standing(self, identity: str, method: str, system: str, digest: str, statuses: str) -> tuple[State, str]:
+        """The state of a stored cell, and why; ``statuses`` is a JSON object of counts."""
+        if digest != cell_version(method, system).digest:
+            return State.STALE, self._changed(identity, method, system, digest)
+        counts = {Status(name): n for name, n in json.loads(statuses).items()}
+        if Status.MISSING_DEPENDENCY in counts:
+            return State.FAILED, missing_package(method) or "its package is installed now"
+        total = sum(counts.values())
+        why = ", ".join(f"{n} of {total} {status}" for status, n in counts.items() if status in FAILURES)
+        return (State.FAILED, why) if why else (State.DONE, "")
+
+    def _changed(self, identity: str, method: str, system: str, digest: str) -> str:
+        kind = method, system, digest
+        if kind not in self._known:
+            stored = self.store.load(identity)
+            self._known[kind] = cell_version(method, system).changed_since(stored.version) if stored else "it is gone"
+        return self._known[kind]

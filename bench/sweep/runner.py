@@ -1,0 +1,72 @@
+"""A run: every cell that is wanted becomes a stored row, whatever its method does."""
+
+from __future__ import annotations
+
+import multiprocessing
+import queue
+from collections.abc import Callable, Collection, Sequence
+from importlib.util import find_spec
+
+from bench.entrants.reference import REFERENCES
+from bench.entrants.registry import load_method
+from bench.information.fisher import load_bounds
+from bench.isolation.processes import Children
+from bench.store.cell import Cell
+from bench.store.store import Store
+from bench.sweep.plan import Planned
+from bench.sweep.queue import Board, work_of
+from bench.sweep.workers import Hand, Limits, Slot, Writer
+
+SLOTS_A_WRITER = 4
+
+Progress = Callable[[Cell, int], None]
+
+
+def run_cells(planned: Sequence[Planned], store: Store, limits: Limits, on_progress: Progress | None = None) -> None:
+    """Compute and store the cells of a plan that are to be run.
+
+    ``on_progress(cell, n)`` is called when ``n`` more replicates of a cell are done. Raises InputError where the store
+    can no longer be written; all that was stored stays.
+    """
+    wanted = [one for one in planned if one.run]
+    if not wanted:
+        return
+    _make_bounds(wanted, store)
+    board = Board([work_of(one, store, limits.workers) for one in wanted], store)
+    children = Children(needed(limits.preload, {one.cell.method for one in wanted}))
+    slots = [Slot(board, children, limits) for _ in range(max(1, min(limits.workers, board.batches)))]
+    writers = [Writer(board, children, limits, slots) for _ in range(-(-len(slots) // SLOTS_A_WRITER))]
+    hands: list[Hand] = [*slots, *writers]
+    try:
+        for hand in hands:
+            hand.start()
+        while any(hand.is_alive() for hand in hands) or not board.events.empty():
+            try:
+                event = board.events.get(timeout=0.1)
+            except queue.Empty:
+                continue
+            if isinstance(event, BaseException):
+                raise event
+            if on_progress is not None:
+                on_progress(*event)
+    finally:
+        board.stop()
+        children.close()
+        board.claims.release_all()
+
+
+def _make_bounds(wanted: Sequence[Planned], store: Store) -> None:
+    """The bounds of all cells, in the store; an interrupt does not wait for the process that computes them."""
+    try:
+        load_bounds([(one.cell.scenario, one.cell.seed) for one in wanted], store.bounds)
+    except KeyboardInterrupt:
+        for child in multiprocessing.active_children():
+            child.kill()
+        raise
+
+
+def needed(packages: Sequence[str], methods: Collection[str]) -> list[str]:
+    """Those of the packages that a method requires and that are there."""
+    own = set(methods) - set(REFERENCES)
+    required = {package for name in own for package in load_method(name).requires}
+    return [package for package in packages if package in required and find_spec(package) is not None]

@@ -1,0 +1,243 @@
+"""The process that knows the truth: makes the data of a cell, scores what a method answered, stores the cell.
+
+It never runs a line of a method, and a method's process never holds what this one does: between them go problems one
+way and plain numbers the other, as bytes that the run's own process passes on unread.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from bench.contract.estimate import Draws, Estimate, Status
+from bench.contract.problem import Problem
+from bench.entrants.reference import REFERENCES
+from bench.information.fisher import Bound, bound_identity, load_bounds
+from bench.isolation.failure import one_line
+from bench.scenario.scenario import METHOD
+from bench.scenario.truth import Truth
+from bench.scoring.combination import combine_with_prior
+from bench.scoring.row import Row
+from bench.scoring.score import score
+from bench.scoring.summary import summarise
+from bench.store.cell import Cell
+from bench.store.store import Store, StoredCell
+from bench.sweep.method_process import Task
+from bench.sweep.wire import rebuilt, unpack
+
+KEPT_DRAWS = 500
+"""How many draws of a belief are kept, evenly thinned, for the replicate whose arrays are."""
+KEPT = 0
+"""The replicate whose record, reconstruction and traces are kept for pictures."""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """The row of one replicate, a traceback where it failed, for one replicate the arrays worth keeping, and ``facts``
+    of the data that all replicates share."""
+
+    row: Row
+    traceback: str = ""
+    arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a fit gave no answer: its process died, hung or grew too large; ``best`` is its last report, packed."""
+
+    status: Status
+    message: str
+    log: str = ""
+    best: bytes | None = None
+
+
+def serve(connection: Connection) -> None:
+    """Do what the run asks, one request after another; the answers, or what went wrong, are pickled."""
+    judge = Judge()
+    requests: dict[str, Callable[..., Any]] = {
+        "open": judge.open,
+        "score": judge.score,
+        "fail": judge.fail,
+        "finish": judge.finish,
+    }
+    connection.send_bytes(b"ready")
+    while True:
+        request, *arguments = pickle.loads(connection.recv_bytes())
+        try:
+            answer = True, requests[request](*arguments)
+        except Exception as error:
+            answer = False, (one_line(error), traceback.format_exc())
+        connection.send_bytes(pickle.dumps(answer))
+
+
+class Judge:
+    """Holds the replicates of one cell at a time."""
+
+    def __init__(self) -> None:
+        self.cell: Cell | None = None
+        self.make: Callable[[int], tuple[Problem, Truth]] | None = None
+        self.pairs: dict[int, tuple[Problem, Truth]] = {}
+        self.bounds: dict[str, Bound] = {}
+
+    def _pair(self, cell: Cell, replicate: int) -> tuple[Problem, Truth]:
+        if self.make is None or self.cell != cell:
+            self.cell, self.pairs, self.make = cell, {}, cell.scenario.maker(cell.seed)
+        if replicate not in self.pairs:
+            self.pairs[replicate] = self.make(replicate)
+        return self.pairs[replicate]
+
+    def open(self, cell: Cell, fit: bytes, replicates: Sequence[int], timeout_s: float) -> bytes:
+        """The task of some replicates, pickled, as a method's process takes it."""
+        pairs = [self._pair(cell, i) for i in replicates]
+        name = int.from_bytes(cell.method.encode(), "big") % 2**32
+        task = Task(
+            fit=fit,
+            replicates=tuple(replicates),
+            payloads=tuple(pairs) if cell.method in REFERENCES else tuple(problem for problem, _ in pairs),
+            rngs=tuple(cell.scenario.stream(METHOD, cell.seed, i, name) for i in replicates),
+            times=tuple(truth.dense_times for _, truth in pairs),
+            timeout_s=timeout_s,
+        )
+        return pickle.dumps(task)
+
+    def score(self, cell: Cell, answers: bytes) -> list[Scored]:
+        """The rows of what a method's process answered."""
+        scored = [self._scored(cell, outcome) for outcome in unpack(answers)]
+        return [replace(one, facts=facts(self._pair(cell, one.row.replicate)[1])) for one in scored]
+
+    def fail(self, cell: Cell, replicate: int, failure: Failure, wall_s: float) -> list[Scored]:
+        """The row of a replicate without an answer; with a last report, the scores of that."""
+        problem, truth = self._pair(cell, replicate)
+        scores: Mapping[str, float] = {}
+        if failure.best is not None:
+            scores = self._scored(cell, unpack(failure.best)).row.scores
+        row = Row(replicate, failure.status, failure.message, scores, wall_s=wall_s, data=data_digest(problem))
+        return [Scored(row, failure.log, facts=facts(truth))]
+
+    def _bound(self, cell: Cell, store: Store) -> Bound:
+        identity = bound_identity(cell.scenario, cell.seed)
+        if identity not in self.bounds:
+            self.bounds = {identity: load_bounds([(cell.scenario, cell.seed)], store.bounds)[0]}
+        return self.bounds[identity]
+
+    def _scored(self, cell: Cell, outcome: Mapping[str, Any]) -> Scored:
+        replicate = outcome["replicate"]
+        problem, truth = self._pair(cell, replicate)
+        took = {key: outcome[key] for key in ("wall_s", "cpu_s", "peak_memory_mb") if key in outcome}
+        common = {"replicate": replicate, "data": data_digest(problem), **took}
+        if "answer" not in outcome:
+            row = Row(status=Status(outcome["status"]), message=outcome["message"], **common)
+            return Scored(row, outcome.get("traceback", ""))
+        estimate = rebuilt(outcome["answer"], problem.system)
+        common["evaluations"] = estimate.cost.evaluations
+        try:
+            with np.errstate(all="ignore"):
+                estimate = combine_with_prior(estimate.checked(), problem.prior).checked()
+                scores = score(estimate, problem, truth)
+        except Exception as error:  # names or shapes that the contract does not allow
+            message = f"the estimate cannot be scored: {one_line(error)}"
+            return Scored(Row(status=Status.INVALID, message=message, **common))
+        if estimate.status is not Status.OK:
+            return Scored(Row(status=estimate.status, message=estimate.message, **common))
+        scores["realised_snr_db"] = truth.realised_snr_db
+        arrays = kept_arrays(estimate, problem, truth) if replicate == KEPT else {}
+        return Scored(Row(status=Status.OK, message=estimate.message, scores=scores, **common), arrays=arrays)
+
+    def finish(
+        self,
+        cell: Cell,
+        store: Store,
+        rows: Sequence[Row],
+        arrays: Mapping[str, np.ndarray],
+        known: Mapping[str, Any],
+        tracebacks: str,
+        version: dict[str, Any],
+        provenance: Mapping[str, Any],
+    ) -> str:
+        """Summarise and store a cell; returns why it could not be written, or nothing."""
+        ordered = tuple(sorted(rows, key=lambda row: row.replicate))
+        bound = self._bound(cell, store)
+        stored = StoredCell(
+            identity=cell.identity,
+            cell={
+                **cell.description(),
+                "label": cell.label,
+                "system": cell.scenario.label,
+                "snr_db": cell.scenario.snr_db,
+                "initial_state": cell.scenario.told,
+                **(known or facts(self._pair(cell, 0)[1])),
+            },
+            rows=ordered,
+            summary={name: dict(vars(summary)) for name, summary in summarise(ordered, bound).items()},
+            prior_share=bound.prior_share,
+            identifiable=bound.identifiable,
+            wall_s=float(np.nansum([row.wall_s for row in ordered])),
+            version=version,
+            provenance={**provenance, "data": combined_digest(ordered)},
+        )
+        try:
+            store.save(stored, arrays, tracebacks)
+        except OSError as error:
+            return error.strerror or str(error)
+        return ""
+
+
+def facts(truth: Truth) -> dict[str, Any]:
+    """What tables say of the data: the noise of each channel, and the noise over the largest displacement."""
+    return {"sigma": list(truth.sigma), "sigma_over_peak": truth.sigma_over_peak}
+
+
+def data_digest(problem: Problem) -> str:
+    """Digest of all that a method is given but the system: samples, forces, start, prior."""
+    digest = hashlib.sha256()
+    for record in problem.records:
+        for channel in record.channels:
+            digest.update(np.ascontiguousarray(channel.times).tobytes())
+            digest.update(np.ascontiguousarray(channel.values).tobytes())
+        for force in record.forces:
+            digest.update(np.ascontiguousarray(force.times).tobytes())
+            digest.update(np.ascontiguousarray(force.values).tobytes())
+        start = record.initial_state
+        if start is not None:
+            digest.update(np.concatenate([start.displacement, start.velocity]).tobytes())
+    if problem.prior is not None:
+        digest.update(repr([sorted(problem.prior.nominal.items()), sorted(problem.prior.log_sd.items())]).encode())
+    return digest.hexdigest()[:12]
+
+
+def combined_digest(rows: Sequence[Row]) -> str:
+    """Digest of the data of all replicates."""
+    return hashlib.sha256(" ".join(row.data for row in rows).encode()).hexdigest()[:16]
+
+
+def kept_arrays(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, np.ndarray]:
+    """Record, truth, reconstruction, band, belief and traces of one replicate, for pictures."""
+    record = problem.records[0]
+    arrays = {
+        "sample_times": np.concatenate([c.times for c in record.channels]),
+        "sample_values": np.concatenate([c.values for c in record.channels]),
+        "sample_dof": np.concatenate([np.full(c.times.size, c.dof) for c in record.channels]),
+        "dense_times": truth.dense_times,
+        "true_displacement": truth.dense_displacement,
+    }
+    if estimate.reconstructions:
+        arrays["displacement"] = estimate.reconstructions[0](truth.dense_times)
+    if estimate.bands:
+        arrays["displacement_sd"] = estimate.bands[0](truth.dense_times)
+    belief = estimate.belief
+    if isinstance(belief, Draws):
+        step = max(1, len(belief.samples) // KEPT_DRAWS)
+        arrays["draws"] = belief.samples[::step][:KEPT_DRAWS]
+    elif belief is not None:
+        arrays["mean"] = belief.mean
+        if belief.covariance is not None:
+            arrays["covariance"] = belief.covariance
+    return arrays | {f"trace_{name}": values for name, values in estimate.traces.items()}

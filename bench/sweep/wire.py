@@ -1,0 +1,144 @@
+"""An estimate as plain numbers: what crosses from the process of a method to the one that scores.
+
+Functions of time are replaced by their values at the times that the harness asks for, in the process of the method; so
+nothing of the method is ever run, or rebuilt, where a truth is.
+"""
+
+from __future__ import annotations
+
+import io
+import pickle
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bench.contract.estimate import Belief, Cost, Draws, Estimate, Normal, Reconstruction, Status
+from bench.contract.problem import InitialState
+from bench.systems import System
+
+Plain = Mapping[str, Any]
+"""Nested dictionaries and tuples of strings, numbers and numpy arrays of numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """A function of time known at some times only: shapes (n,) and (n_dof, n)."""
+
+    times: np.ndarray
+    values: np.ndarray
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        if not np.array_equal(times, self.times):
+            raise ValueError("the displacement is known at the times that were asked for only")
+        return self.values
+
+
+def plain(estimate: Estimate, times: np.ndarray) -> dict[str, Any]:
+    """The estimate as plain numbers, its functions evaluated at ``times``; raises what these raise."""
+    starts, n_dof = estimate.initial_states, estimate.system.n_dof
+    return {
+        "parameters": _plain_belief(estimate.parameters),
+        "groups": _plain_belief(estimate.groups),
+        "times": np.array(times, float),
+        "reconstructions": [_values(function, times, n_dof) for function in estimate.reconstructions],
+        "bands": [_values(function, times, n_dof) for function in estimate.bands],
+        "initial_states": None
+        if starts is None
+        else [(np.array(s.displacement, float), np.array(s.velocity, float)) for s in starts],
+        "offsets": None if estimate.offsets is None else [float(offset) for offset in estimate.offsets],
+        "status": str(Status(estimate.status)),
+        "message": str(estimate.message),
+        "cost": (int(estimate.cost.evaluations), int(estimate.cost.iterations)),
+        "traces": {str(name): np.array(values, float) for name, values in estimate.traces.items()},
+    }
+
+
+def rebuilt(answer: Plain, system: System) -> Estimate:
+    """The estimate of a plain answer; its functions of time know the times of :func:`plain` only."""
+    times, starts, offsets = answer["times"], answer["initial_states"], answer["offsets"]
+    groups = _belief(answer["groups"])
+    assert groups is None or isinstance(groups, Normal)
+    return Estimate(
+        system,
+        parameters=_belief(answer["parameters"]),
+        groups=groups,
+        reconstructions=tuple(Sampled(times, values) for values in answer["reconstructions"]),
+        bands=tuple(Sampled(times, values) for values in answer["bands"]),
+        initial_states=None if starts is None else tuple(InitialState(x, v) for x, v in starts),
+        offsets=None if offsets is None else tuple(offsets),
+        status=Status(answer["status"]),
+        message=answer["message"],
+        cost=Cost(*answer["cost"]),
+        traces=answer["traces"],
+    )
+
+
+def _values(function: Reconstruction, times: np.ndarray, n_dof: int) -> np.ndarray:
+    values = np.array(function(times), float)
+    if values.shape != (n_dof, times.size):
+        raise ValueError(f"a reconstruction of shape {(n_dof, times.size)} was expected, not {values.shape}")
+    return values
+
+
+def _plain_belief(belief: Belief | None) -> dict[str, Any] | None:
+    if belief is None:
+        return None
+    names = [str(name) for name in belief.names]
+    if isinstance(belief, Draws):
+        return {"kind": "draws", "names": names, "samples": _shaped(belief.samples, (None, len(names)))}
+    if not isinstance(belief, Normal):
+        raise TypeError(f"a belief is a Normal or Draws, not {type(belief).__name__}")
+    n = len(names)
+    return {
+        "kind": "normal",
+        "names": names,
+        "mean": _shaped(belief.mean, (n,)),
+        "covariance": None if belief.covariance is None else _shaped(belief.covariance, (n, n)),
+        "log": bool(belief.log),
+        "dof": None if belief.dof is None else float(belief.dof),
+    }
+
+
+def _shaped(values: Any, shape: Sequence[int | None]) -> np.ndarray:
+    array = np.array(values, float)
+    fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
+    if not fits:
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        raise ValueError(f"an array of shape ({wanted}) was expected, not {array.shape}")
+    return array
+
+
+def _belief(plain_belief: Plain | None) -> Belief | None:
+    if plain_belief is None:
+        return None
+    names = tuple(plain_belief["names"])
+    if plain_belief["kind"] == "draws":
+        return Draws(names, plain_belief["samples"])
+    return Normal(names, plain_belief["mean"], plain_belief["covariance"], plain_belief["log"], plain_belief["dof"])
+
+
+class _PlainUnpickler(pickle.Unpickler):
+    """Rebuilds numbers, texts and numpy arrays, and nothing that runs code of a method."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        if module.partition(".")[0] == "numpy" and name in {
+            "_reconstruct",
+            "ndarray",
+            "dtype",
+            "scalar",
+            "_frombuffer",
+        }:
+            return super().find_class(module, name)
+        raise pickle.UnpicklingError(f"{module}.{name} is not plain")
+
+
+def pack(content: Any) -> bytes:
+    """Plain content as bytes."""
+    return pickle.dumps(content, protocol=pickle.HIGHEST_PROTOCOL)
+
+
+def unpack(content: bytes) -> Any:
+    """What :func:`pack` was given; raises UnpicklingError for anything that is not plain."""
+    return _PlainUnpickler(io.BytesIO(content)).load()

@@ -1,0 +1,1 @@
+"""State and parameters together, by Kalman filters and smoothers."""

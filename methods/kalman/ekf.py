@@ -1,0 +1,68 @@
+"""Extended Kalman filter for state and parameters together, iterated: each map is replaced by its tangent.
+
+``f(s) ~ f(m) + F (s - m)`` about the mean m of the belief, F by central differences. What is common to it and the
+unscented filter (joint state, smoother, iteration, noise) is in :mod:`methods.kalman.filtering`.
+
+The extended filter is the oldest way to identify a structure on line (C. B. Yun, M. Shinozuka, J. Structural Mechanics
+8:187, 1980), iterated over the record since M. Hoshiya, E. Saito (J. Engineering Mechanics 110:1757, 1984). Its first
+pass takes the tangent at the belief that it has, however wide: from a prior as wide as a factor of two in stiffness it
+may lose the motion, and then no later pass finds it again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from bench import Card, Estimate, Identifier, Problem, Serves
+from methods.kalman.filtering import SERVES, Affine, Map, Settings, identify
+
+SMALL = 1e-5
+"""Step of the differences, in natural units and in log-parameters."""
+
+
+@dataclass(frozen=True)
+class EKF(Identifier):
+    """At most ``passes`` over the record, until no parameter moves by ``tolerance`` of its standard deviation.
+
+    ``drift``: standard deviation of the random walk of a log-parameter over the record (its process noise).
+    ``open_sd``: that of a log-parameter at first, where no prior is given.
+    """
+
+    passes: int = 30
+    tolerance: float = 1e-4
+    drift: float = 0.0
+    open_sd: float = 1.0
+
+    card: ClassVar[Card] = Card(
+        summary="extended Kalman filter and smoother for state and log-parameters, iterated over the record",
+        start="used when known",
+        scale="native",
+        reconstruction="own",
+        uncertainty="covariance of the last smoothing pass, Student t with N - p degrees of freedom",
+        settings_source="no process noise, since parameters are constants; passes until they settle",
+        tuning="none",
+    )
+    serves: ClassVar[Serves] = SERVES
+
+    def __post_init__(self) -> None:
+        self._settings()
+
+    def _settings(self) -> Settings:
+        return Settings(self.passes, self.tolerance, self.drift, self.open_sd)
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """All parameters, or the groups where nothing tells the scale. Uses no randomness."""
+        return identify(problem, tangent, self._settings())
+
+
+def tangent(function: Map, means: np.ndarray, covariances: np.ndarray) -> Affine:
+    """The map's value and slopes at the means; no error is attributed to it."""
+    d = means.shape[1]
+    offsets = SMALL * np.concatenate([np.zeros((1, d)), np.eye(d), -np.eye(d)])
+    values = function(means[:, None] + offsets)
+    slopes = (values[:, 1 : d + 1] - values[:, d + 1 :]).swapaxes(1, 2) / (2 * SMALL)
+    constants = values[:, 0] - (slopes @ means[..., None])[..., 0]
+    return slopes, constants, np.zeros((*constants.shape, constants.shape[1]))

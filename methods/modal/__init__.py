@@ -1,0 +1,1 @@
+"""Free decays read as modes: logarithmic decrement, matrix pencil, eigensystem realisation."""

@@ -1,0 +1,355 @@
+"""Data-driven neural network: a tanh network fitted to displacement alone, then regression on its derivatives.
+
+The network never sees the equation of motion. It is fitted with Bayesian regularisation: Gaussian priors on its
+weights, one precision for each layer's weights and biases, and Gaussian noise, whose sizes follow from the evidence
+(D. J. C. MacKay, Neural Comput. 4:448, 1992; with Levenberg-Marquardt: F. D. Foresee and M. T. Hagan, Proc. ICNN
+1997, p. 1930). So nothing is stopped by looking at a truth, and no sample is spent on validation. The priors are
+centred at the random weights that the fit starts from. A step is solved in the space of the residuals, which are
+few, with the weights scaled by their prior.
+
+The exact x, x', x'' of the network on a dense grid then give the parameters by least squares on the equation of
+motion: all of them where a force or an added mass is known, else its groups, the gauge mass fixed at one. This
+inherits the bias of any regression on noisy regressors, and that of the smoothing: five samples a cycle do not tell
+a network the curvature between them.
+
+Uncertainty: draws of the weights from the linearised (Laplace) posterior, the regression repeated on each, and the
+second moment of the results about the estimate: so the bias by noisy derivatives is counted, as far as the posterior
+knows of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from bench import (
+    Card,
+    Cost,
+    Estimate,
+    Identifier,
+    InitialState,
+    Normal,
+    Problem,
+    Record,
+    Serves,
+    Status,
+    regression_columns,
+)
+from methods.network.response import NetworkResponse
+from methods.pinn.spectral import scan
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from methods.network.tanh import Network
+    from methods.pinn.ansatz import Tape
+
+LEAST_NOISE, MOST_NOISE = 1e-6, 0.7
+"""Range of the noise over the root mean square of the data: the upper end says that at least half of the data's
+power is motion. Without it the evidence, below 10 dB, calls everything noise."""
+
+
+@dataclass(frozen=True)
+class DDNN(Identifier):
+    """Settings: ``iterations`` of each fit, ``grid`` points of the regression, ``draws`` of its covariance.
+
+    ``edge`` is the share of the record left out of the regression at either end, where derivatives are worst.
+    """
+
+    width: int = 64
+    depth: int = 2
+    iterations: int = 60
+    grid: int = 200
+    edge: float = 0.1
+    draws: int = 100
+    threads: int = 1
+
+    card: ClassVar[Card] = Card(
+        summary="neural network on displacement alone, parameters by regression on its derivatives",
+        start="not used",
+        scale="groups",
+        reconstruction="own",
+        uncertainty="spread of the regression over draws of the weights from the Laplace posterior",
+        settings_source="64-64 tanh: the paper; regularisation and first-layer slopes by the evidence",
+        tuning="9 ranges of first-layer slopes, 2 starts of the noise, 7 regressions (ends left out, weights), on 9-64"
+        " development records at 5-40 dB, judged by displacement and k/m against the truth",
+    )
+    serves: ClassVar[Serves] = Serves(several_records=True, several_channels=True, max_dof=None, added_mass=True)
+    requires: ClassVar[tuple[str, ...]] = ("torch",)
+    extra: ClassVar[str] = "torch"
+
+    def objection(self, problem: Problem) -> str | None:
+        system = problem.system
+        if not system.affine_in_parameters:
+            return f"its regression needs a residual affine in the parameters, which that of {system.name} is not"
+        return super().objection(problem)
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """The estimate for one problem; status ``diverged`` where the regression gives no positive parameters
+        where it tells them all."""
+        system = problem.system
+        units = problem.natural_units()
+        scaled = problem.expressed_in(units)
+        if not any(np.any(c.values) for record in problem.records for c in record.channels):
+            sentence = "every measured value is zero: there is no motion to identify; check the sensor"
+            return Estimate.failed(system, Status.DIVERGED, sentence)
+        if any({c.dof for c in record.channels} != set(range(system.n_dof)) for record in problem.records):
+            sentence = "a regression needs the displacement of every DOF in every record: measure them all"
+            return Estimate.failed(system, Status.UNSUPPORTED, sentence)
+        with np.errstate(all="ignore"):
+            estimate = self._identified(scaled, rng)
+        return estimate.expressed_in(units.inverse)
+
+    def _identified(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        import torch
+
+        threads = torch.get_num_threads()
+        torch.set_num_threads(self.threads)
+        try:
+            with torch.no_grad():
+                return self._fitted(problem, rng)
+        finally:
+            torch.set_num_threads(threads)
+
+    def _fitted(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        guesses, _ = scan(problem)
+        smoothers = []
+        for record in problem.records:
+            cycles = guesses[0].omega * record.duration / (2.0 * np.pi)
+            trials = [
+                Smoother(record, problem.system.n_dof, self.width, self.depth, factor * cycles, rng)
+                for factor in BANDWIDTHS
+            ]
+            for trial in trials:
+                trial.fit(self.iterations)
+            # a fit that calls most of the data noise has lost the motion, whatever its evidence
+            smoothers.append(max(trials, key=lambda trial: (trial.left < MOST_NOISE**2, trial.evidence)))
+        cost = Cost(sum(s.evaluations for s in smoothers), sum(s.steps for s in smoothers))
+        grids = [np.linspace(self.edge, 1.0 - self.edge, self.grid) * record.duration for record in problem.records]
+        paths = [s.paths(grid, self.draws, rng) for s, grid in zip(smoothers, grids, strict=True)]
+        forces = [r.force(grid, problem.system.n_dof) for r, grid in zip(problem.records, grids, strict=True)]
+        values, draws = _regressions(problem, paths, forces)
+        n_used = sum(s.used for s in smoothers)
+        common: dict[str, Any] = {
+            "reconstructions": tuple(s.response() for s in smoothers),
+            "initial_states": tuple(InitialState(*s.streams(np.zeros(1))[:2, 0]) for s in smoothers),
+            "cost": cost,
+            "message": f"the evidence left the network {n_used:.1f} effective weights for {problem.n} samples",
+            "traces": {"sigma": np.concatenate([s.sigmas for s in smoothers])},
+        }
+        # second moment about the estimate, not about the draws' mean: how far noisy derivatives pull the regression
+        # counts
+        covariance = (draws - values).T @ (draws - values) / len(draws)
+        return _estimate(problem, values, covariance, max(problem.n - n_used, 1.0), common)
+
+
+BANDWIDTHS = (1.0, 2.0, 4.0, 6.0)
+"""Networks that differ in the slopes of their first layer are tried, and the evidence chooses: times the data's own
+cycles."""
+
+
+def _regressions(
+    problem: Problem, paths: Sequence[np.ndarray], forces: Sequence[list[np.ndarray]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters at the fitted paths, (n,), and at their draws, (n_draws, n); gauge mass 1 where nothing tells it."""
+    system = problem.system
+    free = [i for i, name in enumerate(system.names) if problem.scale_told or name != system.gauge]
+
+    def equation(draw: int) -> tuple[np.ndarray, np.ndarray]:
+        columns, rest = [], []
+        for path, force, record in zip(paths, forces, problem.records, strict=True):
+            x, v, a = (list(path[draw, s].T) for s in range(3))
+            block, b = regression_columns(record.rig(system), x, v, a, force)
+            columns.append(block[:, free])
+            rest.append(b if problem.scale_told else b + block[:, system.names.index(system.gauge)])
+        return np.concatenate(columns), np.concatenate(rest)
+
+    systems = [equation(draw) for draw in range(paths[0].shape[0])]
+    solved = [np.linalg.lstsq(a, -b, rcond=None)[0] for a, b in systems]
+    full = np.ones((len(solved), len(system.names)))
+    full[:, free] = solved
+    return full[0], full[1:]
+
+
+def _estimate(
+    problem: Problem, values: np.ndarray, covariance: np.ndarray, dof: float, common: dict[str, Any]
+) -> Estimate:
+    """Groups, or parameters where the scale is told; a failure where no belief can be stated."""
+    system = problem.system
+    if not (np.all(np.isfinite(values)) and np.all(np.isfinite(covariance))):
+        return Estimate.failed(
+            system, Status.NONFINITE, "the regression on the derivatives is not finite", common["cost"]
+        )
+    parameters = dict(zip(system.names, values, strict=True))
+    if not problem.scale_told:
+        names = tuple(group.name for group in system.groups)
+        means = np.array([group.value(parameters) for group in system.groups])
+        # every group is linear in each parameter once the gauge is one, to first order: p ∂g/∂p = exponent g
+        slopes = np.array([group.vector(system.names) for group in system.groups]) * means[:, None] / values
+        return Estimate(
+            system, groups=Normal(names, means, slopes @ covariance @ slopes.T, log=False, dof=dof), **common
+        )
+    if np.any(values <= 0):
+        sentence = (
+            "the regression gives a parameter that is not positive; more samples a cycle or less noise are needed"
+        )
+        return Estimate.failed(system, Status.DIVERGED, sentence, common["cost"])
+    mean, logs = np.log(values), covariance / np.outer(values, values)
+    if problem.prior is not None:
+        precision = np.linalg.pinv(logs, hermitian=True)
+        weigh = np.diag(problem.prior.log_sds**-2.0)
+        combined = np.linalg.inv(precision + weigh)
+        mean = combined @ (precision @ mean + weigh @ problem.prior.log_mean)
+        return Estimate(system, parameters=Normal(system.names, mean, combined, log=True, dof=dof), **common)
+    return Estimate(system, parameters=Normal(system.names, mean, logs, log=True, dof=dof), **common)
+
+
+class Smoother:
+    """A network fitted to the displacement of one record by Bayesian regularisation.
+
+    ``sds`` are the prior standard deviations of the weights about their first values, layer by layer; ``sigma`` that
+    of the noise, over the root mean square of each channel.
+    """
+
+    def __init__(
+        self, record: Record, n_dof: int, width: int, depth: int, cycles: float, rng: np.random.Generator
+    ) -> None:
+        import torch
+
+        from methods.network import tanh
+
+        self.tanh, self.torch = tanh, torch
+        self.widths = (1, *[width] * depth, n_dof)
+        self.duration = record.duration
+        layers = tanh.initial_layers(self.widths, cycles, rng)
+        self.first = torch.as_tensor(tanh.flat(layers))
+        self.theta = self.first.clone()
+        self.layer = np.concatenate([np.full(w.size + b.size, i) for i, (w, b) in enumerate(layers)])
+        self.sds = np.full(len(layers), 1.0 / np.sqrt(width))
+        times = np.concatenate([c.times for c in record.channels])
+        self.ansatz = self._at(times)
+        self.dof = torch.as_tensor(np.concatenate([np.full(c.n, c.dof) for c in record.channels]))
+        self.values = torch.as_tensor(np.concatenate([c.values for c in record.channels]))
+        sizes = np.array([np.sqrt(np.mean(c.values**2)) if c.n else 0.0 for c in record.channels])
+        sizes = np.maximum(sizes, 1e-3 * max(float(sizes.max()), 1e-300))
+        self.scale = torch.as_tensor(
+            np.concatenate([np.full(c.n, s) for c, s in zip(record.channels, sizes, strict=True)])
+        )
+        self.n = int(times.size)
+        self.sigma, self.used, self.left, self.evidence = 0.1, 0.0, np.inf, -np.inf
+        self.evaluations = self.steps = 0
+        self.sigmas: list[float] = []
+
+    def _at(self, times: np.ndarray) -> Network:
+        """The network at other times."""
+        tau = self.torch.as_tensor(2.0 * times / self.duration - 1.0)[None]
+        return self.tanh.Network(self.widths, tau, self.torch.full((1,), 2.0 / self.duration, dtype=tau.dtype))
+
+    def errors(self, theta: Tensor) -> tuple[Tape, Tensor]:
+        """The forward pass and the residuals over each channel's size, (n_samples,)."""
+        self.evaluations += 1
+        tape = self.ansatz.forward(theta[None])
+        index = self.torch.arange(self.n)
+        return tape, (tape.output[0, 0, index, self.dof] - self.values) / self.scale
+
+    def jacobian(self, tape: Tape) -> Tensor:
+        """Of the residuals by the weights, (n_samples, n_weights)."""
+        seeds = self.torch.zeros_like(tape.output)
+        index = self.torch.arange(self.n)
+        seeds[0, 0, index, self.dof] = 1.0 / self.scale
+        adjoints = self.ansatz.adjoint(self.theta[None], tape, seeds)
+        return self.ansatz.jacobian(tape, adjoints, index)[0]
+
+    def spread(self) -> Tensor:
+        """Prior standard deviation of every weight, (n_weights,)."""
+        return self.torch.as_tensor(self.sds[self.layer])
+
+    def objective(self, theta: Tensor, errors: Tensor) -> float:
+        """Minus the log posterior of the weights at the present noise and precisions, up to a constant."""
+        u = (theta - self.first) / self.spread()
+        return 0.5 * float(errors @ errors) / self.sigma**2 + 0.5 * float(u @ u)
+
+    def fit(self, iterations: int) -> None:
+        """Levenberg-Marquardt steps in the dual, the noise and the precisions estimated anew after each."""
+        torch, damping = self.torch, 1e-2
+        tape, errors = self.errors(self.theta)
+        jacobian = self.jacobian(tape)
+        for _ in range(iterations):
+            self.steps += 1
+            loss = self.objective(self.theta, errors)
+            spread = self.spread()
+            scaled = jacobian * spread / self.sigma
+            u = (self.theta - self.first) / spread
+            # (JᵀJ + (1 + d) I) step = -(Jᵀ r + u), by the push-through identity
+            right = scaled.T @ (errors / self.sigma) + u
+            matrix = scaled @ scaled.T
+            matrix.diagonal().add_(1.0 + damping)
+            step = (right - scaled.T @ torch.linalg.solve(matrix, scaled @ right)) / (1.0 + damping)
+            trial = self.theta - spread * step
+            trial_tape, trial_errors = self.errors(trial)
+            after = self.objective(trial, trial_errors)
+            if not after < loss:
+                damping *= 4.0
+                if damping > 1e8:
+                    break
+                continue
+            damping = max(damping / 4.0, 1e-6)
+            self.theta, errors, tape = trial, trial_errors, trial_tape
+            jacobian = self.jacobian(tape)
+            if self.update(jacobian, errors) < 1e-3 and loss - after < 1e-3:
+                break
+
+    def update(self, jacobian: Tensor, errors: Tensor) -> float:
+        """MacKay's fixed point for noise and precisions; sets the evidence too. Returns the largest relative change."""
+        torch = self.torch
+        scaled = jacobian * self.spread() / self.sigma
+        shares = [scaled[:, self.layer == i] @ scaled[:, self.layer == i].T for i in range(self.sds.size)]
+        matrix = torch.stack(shares).sum(0)
+        matrix.diagonal().add_(1.0)
+        inverse = torch.linalg.inv(matrix)
+        gammas = np.array([float((inverse * share).sum()) for share in shares])
+        self.evidence = (
+            -self.objective(self.theta, errors) - 0.5 * float(torch.logdet(matrix)) - self.n * np.log(self.sigma)
+        )
+        moved = ((self.theta - self.first) ** 2).numpy()
+        squares = np.array([moved[self.layer == i].sum() for i in range(self.sds.size)])
+        sds = np.clip(np.sqrt(squares / np.maximum(gammas, 1e-3)), 1e-4, 1e2)
+        self.used = float(gammas.sum())
+        self.left = float(errors @ errors) / self.n
+        sigma = float(np.sqrt(float(errors @ errors) / max(self.n - self.used, 0.5)))
+        sigma = min(max(sigma, LEAST_NOISE), MOST_NOISE)
+        change = max(abs(np.log(sigma / self.sigma)), float(np.max(np.abs(np.log(sds / self.sds)))))
+        # half way in the logarithm: the full step can run from one extreme to the other
+        self.sigma = float(np.sqrt(sigma * self.sigma))
+        self.sds = np.sqrt(sds * self.sds)
+        self.sigmas.append(self.sigma)
+        return change
+
+    def paths(self, times: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
+        """x, x', x'' at the times: first the fit, then draws from the linearised posterior, (1 + draws, 3, n_times,
+        n_dof).
+
+        A draw is a prior draw corrected by the data (Matheron's rule), through the network's derivative by its weights.
+        """
+        torch = self.torch
+        tape, _ = self.errors(self.theta)
+        spread = self.spread()
+        scaled = self.jacobian(tape) * spread / self.sigma
+        matrix = scaled @ scaled.T
+        matrix.diagonal().add_(1.0)
+        prior = torch.as_tensor(rng.standard_normal((draws, self.theta.numel())))
+        noise = torch.as_tensor(rng.standard_normal((draws, self.n)))
+        moves = (prior - torch.linalg.solve(matrix, (prior @ scaled.T + noise).T).T @ scaled) * spread
+        centre, size = self.streams(times), 1e-5
+        paths = [(self.streams(times, size * move) - centre) / size for move in moves]
+        return np.stack([centre, *[centre + path for path in paths]])
+
+    def streams(self, times: np.ndarray, move: Tensor | float = 0.0) -> np.ndarray:
+        """x, x', x'' of the fit, or with its weights moved, (3, n_times, n_dof)."""
+        return np.asarray(self._at(times).forward((self.theta + move)[None]).output[0])
+
+    def response(self) -> NetworkResponse:
+        return NetworkResponse(self.tanh.unflat(self.theta.numpy().copy(), self.widths), self.duration)

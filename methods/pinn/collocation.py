@@ -1,0 +1,74 @@
+"""Spline collocation: the PINN's residual vector and optimiser with a quintic B-spline in place of the network.
+
+The ablation of the network: data, equation of motion at the same points, start and prior are those of
+:mod:`methods.pinn.physics`, and so are noise, stages, restarts and uncertainty. The response is linear in its
+coefficients, so for a linear system an iteration differs from linear least squares by the parameters alone.
+Collocation with splines for parameter estimation is older than the PINN by decades (J. M. Varah, SIAM J. Sci. Stat.
+Comput. 3:28, 1982; J. O. Ramsay et al., J. R. Stat. Soc. B 69:741, 2007).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from bench import Card
+from methods.network.response import Function, SplineResponse
+from methods.pinn.physics import PhysicsInformed
+
+if TYPE_CHECKING:
+    from methods.pinn.ansatz import Ansatz
+    from methods.pinn.residuals import Block
+
+
+@dataclass(frozen=True)
+class Collocation(PhysicsInformed):
+    """The settings: ``degree`` of the spline, and collocation points for each of its intervals."""
+
+    degree: int = 5
+    points_an_interval: int = 3
+
+    card: ClassVar[Card] = Card(
+        summary="quintic B-spline fitted to data, equation of motion, start and prior together (the PINN's residuals)",
+        start="used when known",
+        scale="native",
+        reconstruction="own",
+        uncertainty="Gauss-Newton covariance of the log-parameters, spline coefficients profiled out, Student's t",
+        settings_source="those of the PINN; degree and intervals from the spline's resolution",
+        tuning="none of its own",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._at_least({"degree": 3, "points_an_interval": 1})
+
+    def _knots(self, resolution: int, duration: float) -> np.ndarray:
+        """Uniform, the ends repeated ``degree`` times more."""
+        inner = np.linspace(0.0, duration, self.points(resolution) // self.points_an_interval + 1)
+        return np.concatenate([np.zeros(self.degree), inner, np.full(self.degree, duration)])
+
+    def _count(self, resolution: int) -> int:
+        return self.points(resolution) // self.points_an_interval + self.degree
+
+    def ansatz(self, block: Block, resolution: int) -> Ansatz:
+        import torch
+
+        from methods.pinn.ansatz import Basis
+
+        streams = []
+        for times, duration in zip(block.times, block.duration, strict=True):
+            spline = BSpline(self._knots(resolution, duration), np.eye(self._count(resolution)), self.degree)
+            streams.append(np.stack([spline(times, order) for order in range(3)]))
+        return Basis(torch.as_tensor(np.stack(streams), device=block.values.device), block.n_paths)
+
+    def first_coefficients(
+        self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
+    ) -> np.ndarray:
+        return np.zeros((cycles.size, n_paths * self._count(resolution)))
+
+    def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> Function:
+        return SplineResponse(self._knots(resolution, duration), coefficients.reshape(n_paths, -1), self.degree)

@@ -1,0 +1,1 @@
+"""Equation-error regressions: derivatives of samples, the regression, its bootstrap; LS, RLS, SINDy."""

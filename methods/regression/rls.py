@@ -1,0 +1,107 @@
+"""Recursive least squares: the finite-difference regression of LS, taken one sample at a time.
+
+The update is the standard one with exponential forgetting (Ljung, System Identification: Theory for the User, 2nd ed.
+1999, section 11.2): with row ``φ``, target ``y`` and forgetting factor ``λ``,
+``K = P φ / (λ + φᵀ P φ)``, ``θ <- θ + K (y - φᵀ θ)``, ``P <- (P - K φᵀ P) / λ``.
+A sample of several degrees of freedom brings several rows; it forgets once.
+
+It starts from nothing: ``θ = 0`` and a diffuse ``P``, ``diffuse`` times the identity in the problem's natural units
+(displacement of order one). The prior does not enter here; the harness combines it with the groups, once. The
+forgetting factor is a textbook value for parameters that hardly move; since they do not move at all, any forgetting
+costs something: ``forgetting=1`` is the batch LS.
+
+Told: the equations, the samples, the known force. A told start is used in the bootstrap's noise level only. It has the
+bias of finite differences (see LS). No own reconstruction. The uncertainty is a parametric bootstrap's spread. The
+trace ``trajectory`` keeps the estimate after each sample (n_samples, n_identified), ``trajectory_times`` its times (s).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from bench import Card, Estimate, Identifier, InputError, Problem, Serves
+from methods.regression.equation import (
+    Regression,
+    Unusable,
+    answer,
+    bootstrap_covariance,
+    layout_objection,
+    scales,
+    spline_fit,
+)
+
+
+def recursive_least_squares(
+    columns: np.ndarray, target: np.ndarray, forgetting: float, diffuse: float, rows_per_sample: int = 1
+) -> np.ndarray:
+    """Estimates after each sample, (n_samples, sets, q), for columns (sets, rows, q) and target (sets, rows)."""
+    sets, rows, q = columns.shape
+    theta, p = np.zeros((sets, q)), np.broadcast_to(diffuse * np.eye(q), (sets, q, q))
+    path = np.empty((rows // rows_per_sample, sets, q))
+    with np.errstate(all="ignore"):
+        for i in range(rows):
+            phi, rate = columns[:, i], forgetting if i % rows_per_sample == 0 else 1.0
+            p_phi = (p @ phi[..., None])[..., 0]
+            gain = p_phi / (rate + np.sum(phi * p_phi, axis=-1, keepdims=True))
+            theta = theta + gain * (target[:, i] - np.sum(phi * theta, axis=-1))[:, None]
+            p = (p - gain[..., None] * p_phi[:, None]) / rate
+            path[i // rows_per_sample] = theta
+    return path
+
+
+@dataclass(frozen=True)
+class RLS(Identifier):
+    """Recursive least squares with ``forgetting`` (0 to 1) and initial covariance ``diffuse``; see the module."""
+
+    forgetting: float = 0.98
+    diffuse: float = 1e6
+    bootstrap: int = 100
+
+    card: ClassVar[Card] = Card(
+        summary="recursive least squares over finite differences, sample by sample, with a forgetting factor",
+        start="used when known",
+        scale="groups",
+        reconstruction="simulated",
+        uncertainty="covariance of a parametric bootstrap: spread only, not the bias of differentiation",
+        settings_source="forgetting: Ljung, System Identification Toolbox user's guide (typically 0.97 to 0.995)",
+        tuning="none",
+    )
+    serves: ClassVar[Serves] = Serves(
+        several_records=True, several_channels=True, offsets=True, max_dof=None, added_mass=True
+    )
+
+    def __post_init__(self) -> None:
+        if not 0 < self.forgetting <= 1:
+            raise InputError("method.forgetting", self.forgetting, "a number above 0, at most 1")
+        if not (self.diffuse > 0 and np.isfinite(self.diffuse)):
+            raise InputError("method.diffuse", self.diffuse, "a positive number, large against 1")
+
+    def objection(self, problem: Problem) -> str | None:
+        return super().objection(problem) or layout_objection(problem)
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """The estimate for one problem: groups, or parameters where the scale is told."""
+        units = problem.natural_units()
+        try:
+            regression = Regression.of(problem.expressed_in(units))
+            columns, target = regression.finite(regression.values)
+            if columns.shape[1] < columns.shape[2]:
+                columns = columns * np.nan  # fewer equations than unknowns: the diffuse start would answer
+            fit = spline_fit(regression)
+        except Unusable as reason:
+            return Estimate.failed(problem.system, reason.status, str(reason))
+        path = self._path(regression, columns, target)
+        covariance = bootstrap_covariance(
+            fit, lambda values: self._path(regression, *regression.finite(values))[-1], rng, self.bootstrap
+        )
+        traces = {
+            "trajectory": path[:, 0, : len(regression.names)] * scales(problem, regression),
+            "trajectory_times": np.concatenate([t[1:-1] for t in regression.times]) * units.time,
+        }
+        return answer(regression, path[-1, 0], covariance, traces=traces).expressed_in(units.inverse)
+
+    def _path(self, regression: Regression, columns: np.ndarray, target: np.ndarray) -> np.ndarray:
+        return recursive_least_squares(columns, target, self.forgetting, self.diffuse, regression.system.n_dof)

@@ -1,0 +1,1 @@
+"""Samplers of the posterior: emcee and the No-U-Turn sampler."""

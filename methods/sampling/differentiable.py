@@ -1,0 +1,221 @@
+"""The posterior of a problem as a jax function, compiled once for all problems of one layout: for gradient samplers.
+
+It is that of :class:`methods.sampling.mcmc.Posterior`, term by term, in jax and with the response differentiable: of
+the one residual (:func:`bench.state_rate`, :func:`bench.rk4_step`), in natural units.
+
+- **Linear systems**: state and force over an interval in which the force is linear obey one constant-coefficient system
+  (C. F. Van Loan, IEEE Trans. Automatic Control 23:395, 1978). Its matrix exponential, by scaling, a Taylor polynomial
+  of degree 8 and squaring, carries the state from node to node: exact to rounding, at any step.
+- **Others**: Runge-Kutta steps of order four, of at most ``STEP`` radians of the fastest rate at the mode.
+
+What decides the compiled code is a :class:`Layout`; all numbers are arguments, so the replicates of a cell share it.
+jax is imported in functions: this module costs nothing where it is not used.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+
+from bench import Ops, System, acceleration, rk4_step, state_rate
+from methods.kalman import joint as joint_model
+from methods.kalman.joint import Chain, Joint, fastest_rate
+from methods.sampling.mcmc import NOISE_SD, Posterior
+
+STEP = 0.3
+"""Integration step in radians of the fastest rate: the natural frequency is then off by at most 7 parts in 100,000."""
+RATE_RATIO = 1.5
+"""Rates are rounded up to a power of this, so that problems that are alike take the same steps."""
+REACH = 4.0
+"""How much faster than at the mode the motion may become before the matrix exponential loses digits."""
+TAYLOR = 8
+
+Data = dict[str, Any]
+"""All numbers of a problem, as arrays: a tree that jax takes as an argument."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What decides the compiled code: the system, what is estimated, which records and sensors; hashable.
+
+    ``rigs`` by record: the system that moved, with what was added to it. ``told`` by record: whether its start is.
+    ``channels``: record, what is measured, DOF, and which of the offsets is added, -1 for none. ``squarings`` of the
+    matrix exponential.
+    """
+
+    system: System
+    free: tuple[str, ...]
+    rigs: tuple[System, ...]
+    told: tuple[bool, ...]
+    channels: tuple[tuple[int, str, int, int], ...]
+    forced: bool
+    squarings: int
+
+    @property
+    def offsets(self) -> int:
+        return sum(channel[3] >= 0 for channel in self.channels)
+
+    @property
+    def size(self) -> int:
+        """Length of theta; the log-noise of each channel follows it."""
+        return len(self.free) + 2 * self.system.n_dof * self.told.count(False) + self.offsets
+
+
+def prepare(posterior: Posterior) -> tuple[Layout, Data]:
+    """Layout and numbers of a problem, its steps sized by the fastest rate at the posterior's mode."""
+    model, k = posterior.model, len(posterior.model.free)
+    system, records = model.system, model.problem.records
+    logs = posterior.mode[:k]
+    speed = RATE_RATIO ** np.ceil(np.log(fastest_rate(model, logs)) / np.log(RATE_RATIO))
+    joint = Joint(model, logs, np.zeros(k), np.zeros(k), speed)
+    # a linear system needs steps at the samples of a force only
+    chain = Chain.of(joint, 1e-9 if system.linear else joint_model.STEP / STEP)
+    bounds = [*chain.first_of, chain.nodes]
+    tables = [_table(chain, first, last) for first, last in itertools.pairwise(bounds)]
+    longest = max(float(np.max(table["gaps"])) for table in tables)
+    squarings = max(0, int(np.ceil(np.log2(2.0 * REACH * speed * longest)))) if system.linear else 0
+    order = {channel: i for i, channel in enumerate(model.offset_channels)}
+    channels = tuple((r, c.measures, c.dof, order.get(i, -1)) for i, (r, c) in enumerate(model.channels))
+    told = tuple(record.initial_state is not None for record in records)
+    rigs = tuple(record.rig(system) for record in records)
+    layout = Layout(system, model.free, rigs, told, channels, bool(np.any(chain.pushes)), squarings)
+    times = [np.unique(np.concatenate([[0.0], *[c.times for c in record.channels]])) for record in records]
+    data: Data = {
+        "tables": tables,
+        "starts": [
+            np.concatenate([r.initial_state.displacement, r.initial_state.velocity])
+            for r in records
+            if r.initial_state is not None
+        ],
+        "at": [np.searchsorted(times[r], c.times) for r, c in model.channels],
+        "values": [c.values for _, c in model.channels],
+        "centre": posterior.centre,
+        "sds": posterior.sds,
+        "noise_centre": posterior.noise_centre,
+    }
+    return layout, data
+
+
+def _table(chain: Chain, first: int, last: int) -> dict[str, np.ndarray]:
+    """Steps of one record: lengths (J,), forces (J, 3, n_dof), the step after which a node is reached (K,)."""
+    steps, pushes = chain.steps[first:last], chain.pushes[first:last]
+    real = steps > 0
+    h, push = steps[real], pushes[real]
+    gaps, which = np.unique(np.round(h, 11), return_inverse=True)
+    reached = np.concatenate([[0], np.cumsum(np.count_nonzero(real, axis=1))[1:]])
+    return {"h": h, "push": push, "reached": reached, "gaps": gaps, "which": which, "forces": chain.forces[first:last]}
+
+
+def jax_ops() -> Ops:
+    """The jax functions that a residual may call."""
+    import jax.numpy as jnp
+
+    def solve(matrix: Sequence[Sequence[Any]], rhs: Sequence[Any]) -> list[Any]:
+        entries = jnp.broadcast_arrays(*[entry for row in matrix for entry in row], *rhs)
+        n = len(rhs)
+        stacked = jnp.stack(entries[: n * n], -1).reshape(*entries[0].shape, n, n)
+        solution = jnp.linalg.solve(stacked, jnp.stack(entries[n * n :], -1)[..., None])[..., 0]
+        return [solution[..., i] for i in range(n)]
+
+    return cast(
+        Ops,
+        SimpleNamespace(
+            sin=jnp.sin, cos=jnp.cos, tanh=jnp.tanh, exp=jnp.exp, abs=jnp.abs, where=jnp.where, solve=solve
+        ),
+    )
+
+
+def log_density(layout: Layout, data: Data, phi: Any) -> Any:
+    """The log-posterior of ``phi = [theta, log sigma by channel]``, up to a constant; -inf where it is not finite."""
+    import jax.numpy as jnp
+
+    k, logs, log_sigma = len(layout.free), phi[: len(layout.free)], phi[layout.size :]
+    value = -0.5 * jnp.sum(((logs - data["centre"]) / data["sds"]) ** 2)
+    value -= 0.5 * jnp.sum(((log_sigma - data["noise_centre"]) / NOISE_SD) ** 2)
+    p = {name: jnp.exp(phi[layout.free.index(name)]) if name in layout.free else 1.0 for name in layout.system.names}
+    paths, at, told = [], k, iter(data["starts"])
+    for rig, known, table in zip(layout.rigs, layout.told, data["tables"], strict=True):
+        start = next(told) if known else phi[at : at + 2 * layout.system.n_dof]
+        at += 0 if known else 2 * layout.system.n_dof
+        paths.append(_path(layout, rig, p, start, table))
+    for i, (r, measures, dof, offset) in enumerate(layout.channels):
+        seen = _measured(layout.rigs[r], p, paths[r], data["tables"][r]["forces"], measures, dof)[data["at"][i]]
+        shift = phi[layout.size - layout.offsets + offset] if offset >= 0 else 0.0
+        left = (data["values"][i] - seen - shift) * jnp.exp(-log_sigma[i])
+        value -= 0.5 * jnp.sum(left**2) + data["values"][i].size * log_sigma[i]
+    return jnp.where(jnp.isfinite(value), value, -jnp.inf)
+
+
+def _measured(system: System, p: Mapping[str, Any], path: Any, forces: Any, measures: str, dof: int) -> Any:
+    """What an ideal sensor gives at every node, (K,), from the states there (K, d)."""
+    n = system.n_dof
+    if measures == "displacement":
+        return path[:, dof]
+    if measures == "velocity":
+        return path[:, n + dof]
+    x, v, z = (list(part.T) for part in (path[:, :n], path[:, n : 2 * n], path[:, 2 * n :]))
+    return acceleration(system, p, x, v, list(forces.T), z, jax_ops())[dof]
+
+
+def _path(layout: Layout, system: System, p: Mapping[str, Any], start: Any, table: Mapping[str, Any]) -> Any:
+    """States ``[x, v, z]`` at the nodes of a record, (K, d)."""
+    import jax
+    import jax.numpy as jnp
+
+    ops = jax_ops()
+    n, first = system.n_dof, jnp.concatenate([jnp.asarray(start), jnp.zeros(system.n_hidden)])
+
+    def runge_kutta(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
+        h, push = inputs
+        f = [[push[i, j] for j in range(n)] for i in range(3)]
+        new = jnp.stack(rk4_step(system, p, list(state), h, (f[0], f[1], f[2]), ops))
+        return new, new
+
+    def exact(state: Any, inputs: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+        h, push, which = inputs
+        whole = jnp.concatenate([state, push[0], (push[2] - push[0]) / h]) if layout.forced else state
+        new = carriers[which] @ whole
+        return new, new
+
+    if system.linear:
+        carriers = _carriers(layout, system, p, table["gaps"])
+        _, path = jax.lax.scan(exact, first, (table["h"], table["push"], table["which"]))
+    else:
+        _, path = jax.lax.scan(runge_kutta, first, (table["h"], table["push"]))
+    return jnp.concatenate([first[None], path])[table["reached"]]
+
+
+def _carriers(layout: Layout, system: System, p: Mapping[str, Any], gaps: Any) -> Any:
+    """The upper rows of the matrix exponentials that carry ``[x, v]`` (and force and its slope) over each gap."""
+    import jax
+    import jax.numpy as jnp
+
+    n = system.n_dof
+    unit = np.eye(3 * n)
+    # a linear residual: the rate at unit states and unit forces is the matrix, column by column
+    columns = [
+        state_rate(system, p, list(unit[j, : 2 * n]), list(unit[j, 2 * n :]), jax_ops())
+        for j in range(3 * n if layout.forced else 2 * n)
+    ]
+    matrix = jnp.stack([jnp.stack([jnp.asarray(entry, float) for entry in column]) for column in columns], axis=1)
+    if layout.forced:
+        lower = np.zeros((2 * n, 4 * n))
+        lower[:n, 3 * n :] = np.eye(n)
+        matrix = jnp.concatenate([jnp.concatenate([matrix, jnp.zeros((2 * n, n))], axis=1), lower])
+
+    def exponential(gap: Any) -> Any:
+        x = matrix * (gap / 2**layout.squarings)
+        one = jnp.eye(x.shape[0])
+        e = one
+        for order in range(TAYLOR, 0, -1):
+            e = one + x @ e / order
+        for _ in range(layout.squarings):
+            e = e @ e
+        return e[: 2 * n]
+
+    return jax.vmap(exponential)(gaps)

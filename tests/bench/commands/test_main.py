@@ -1,0 +1,323 @@
+"""The command line: one line and exit status 2 for bad input, JSON for machines, nothing computed twice."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.commands.main import main
+from bench.reporting.rounding import number
+from bench.store.store import Store
+from bench.sweep import runner
+
+HEAVY = ("torch", "casadi", "pysindy", "emcee", "jax", "matplotlib")
+
+
+@pytest.fixture
+def store(tmp_path: Path, bounds_folder: Path) -> Path:
+    folder = tmp_path / "rows"
+    folder.mkdir()
+    shutil.copytree(bounds_folder, folder / "bounds")
+    return folder
+
+
+def snapshot(folder: Path) -> dict[str, tuple[int, bytes]]:
+    """Every file below a folder with its time of change and content."""
+    return {
+        str(p): (p.stat().st_mtime_ns, p.read_bytes())
+        for p in sorted(folder.rglob("*"))
+        if p.is_file() and p.parent.name != "view"
+    }
+
+
+BAD: dict[str, tuple[str, str, str]] = {
+    # command line: (field, value, part of the remedy)
+    "method=pin": ("method", "pin", "known: "),
+    "method=": ("method", "", "known: "),
+    "snr=20": ("method", "", "choose one"),
+    "method=oracle snr=nan": ("snr", "nan", "finite"),
+    "method=oracle snr=-inf": ("snr", "-inf", "finite"),
+    "method=oracle snr=abc": ("snr", "abc", "number"),
+    "method=oracle snr=": ("snr", "", "number"),
+    "method=oracle snr=[20]": ("snr", "[20]", "number"),
+    "method=oracle +foo=1": ("+foo", "1", "not a field"),
+    "method=oracle foo=1": ("foo", "1", "not a field; fields: method"),
+    "~method": ("~method", "", "not a field"),
+    "method=oracle method": ("argument", "'method'", "field=value"),
+    "method=oracle system.parameters.m=-1": ("system.parameters.m", "-1", "greater than 0"),
+    "method=oracle system.parameters.q=1": ("system.parameters.q", "1", ""),
+    "method=oracle system.colour=red": ("system.colour", "red", "no such field"),
+    "method=oracle system=beam": ("system", "beam", "known: "),
+    "method=oracle prior=flat": ("prior", "flat", "known: "),
+    "method=ls disturbance=foo": ("disturbance", "foo", "known: bias, coloured, drift"),
+    "method=oracle disturbance=jitter disturbance.size=0": ("disturbance.size", "0.0", "above 0, at most 0.25"),
+    "method=oracle disturbance=jitter disturbance.size=abc": ("disturbance.size", "abc", "number"),
+    "method=oracle disturbance=bias disturbance.size=nan": ("disturbance.size", "nan", "finite"),
+    "method=oracle disturbance=bias disturbance.size=null": ("disturbance", "bias", "its settings are size"),
+    "method=oracle disturbance=bias disturbance.share=0.1": ("disturbance.share", "0.1", "no such field"),
+    "method=oracle disturbance=bias disturbance.kind=foo": ("disturbance.kind", "foo", "known: none, integrator"),
+    "method=oracle disturbance.size=0.1": ("disturbance.size", "0.1", "no such field"),
+    "method=oracle disturbance=outliers disturbance.share=1": ("disturbance.share", "1.0", "between 0 and 1"),
+    "method=oracle disturbance=late_trigger system=sdof_forced": ("disturbance", "late_trigger", "free vibration"),
+    "-m method=oracle disturbance=late_trigger disturbance.size=0.02,10": ("disturbance.size", "10.0", "duration"),
+    "method=ls disturbance=bias data=nowhere.csv": ("disturbance", "bias", "taken as it is"),
+    "method=oracle replicates=0": ("replicates", "0", "greater than or equal to 1"),
+    "method=oracle replicates=2.5": ("replicates", "2.5", "integer"),
+    "method=oracle seed=-1": ("seed", "-1", "greater than or equal to 0"),
+    "method=oracle workers=0": ("workers", "0", "greater than or equal to 1"),
+    "method=oracle timeout_s=0": ("timeout_s", "0", "greater than 0"),
+    "method=oracle initial_state=maybe": ("initial_state", "maybe", "'known' or 'unknown'"),
+    "method=oracle format=xml": ("format", "xml", "'table' or 'json'"),
+    "-m method=glob(x*)": ("method", "glob(x*)", "matches nothing"),
+    "-m method=oracle snr=range(0,0)": ("snr", "range(0,0)", "sweeps over nothing"),
+    "method=oracle,prior": ("method", "oracle,prior", "-m"),
+    "method=oracle snr=40,20": ("snr", "40,20", "-m"),
+    "-m method=oracle snr=20,nan": ("snr", "nan", "finite"),
+    "experiment=table9": ("experiment", "table9", "known: "),
+    "method=oracle --resume": ("option", "--resume", "options are"),
+    "method=oracle method.depth=3": ("method.depth", "3", "no such field"),
+    "method=ls data=nowhere.csv": ("data", "nowhere.csv", "cannot be read"),
+}
+
+
+@pytest.mark.parametrize("line", BAD)
+def test_bad_input_is_one_line_with_field_value_and_remedy_and_leaves_the_store(
+    line: str, store: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    field, value, remedy = BAD[line]
+    before = snapshot(store)
+    assert main([*line.split(), f"store={store}"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.splitlines()) == 1
+    assert err.startswith(f"bench: {field}={value}: "), err
+    assert remedy in err
+    assert snapshot(store) == before
+
+
+def test_a_bad_cell_late_in_a_sweep_stops_it_before_the_first_runs(
+    store: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = snapshot(store)
+    assert main(["-m", "method=prior", "replicates=2", "snr=20,500", f"store={store}"]) == 2
+    assert capsys.readouterr().err.startswith("bench: snr=500: ")
+    assert snapshot(store) == before
+
+
+@pytest.mark.parametrize("below", ["", "/deeper"])
+def test_a_store_that_cannot_be_written_is_one_line(
+    below: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("precious")
+    assert main(["method=prior", f"store={tmp_path}/file{below}"]) == 2
+    err = capsys.readouterr().err
+    assert len(err.splitlines()) == 1
+    assert err.startswith(f"bench: store={tmp_path}/file{below}: cannot be written")
+    assert (tmp_path / "file").read_text() == "precious"
+
+
+def test_a_damaged_cell_is_one_line_and_stays(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["method=prior", "replicates=2", "workers=1", f"store={store}"]) == 0
+    (path,) = store.glob("*.json")
+    path.write_bytes(path.read_bytes()[:100])
+    before = snapshot(store)
+    capsys.readouterr()
+    assert main(["method=prior", "replicates=2", "workers=1", f"store={store}"]) == 2
+    err = capsys.readouterr().err
+    assert [line for line in err.splitlines() if line.startswith("bench:")] == [
+        f"bench: store={path}: not a whole cell of this benchmark; move it away and run again"
+    ]
+    assert snapshot(store) == before
+
+
+def no_constants(constant: str) -> None:
+    raise AssertionError(f"{constant} is not JSON")
+
+
+def test_json_is_one_object_with_the_documented_keys(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["method=oracle", "snr=20", "replicates=2", "workers=1", "format=json", f"store={store}"]) == 0
+    out = capsys.readouterr().out
+    assert len(out.splitlines()) == 1
+    result = json.loads(out, parse_constant=no_constants)
+    keys = {"method", "system", "snr", "replicates", "seed", "n_ok", "status", "wall_s", "metrics"}
+    assert keys <= set(result)
+    stated = ("method", "system", "snr", "replicates", "seed", "n_ok", "status")
+    assert [result[key] for key in stated] == ["oracle", "sdof", 20.0, 2, 0, 2, "ok"]
+    for name in ("m_error_pct", "k_over_m_error_pct", "c_over_m_error_pct", "rmse", "rmse_simulated", "rmse_forecast"):
+        metric = result["metrics"][name]
+        assert set(metric) == {"mean", "median", "ci_low", "ci_high", "bound", "excess"}
+        assert metric["ci_low"] <= metric["median"] <= metric["ci_high"]
+    assert result["metrics"]["rmse"]["bound"] == pytest.approx(0.0107, abs=5e-5)
+
+
+def test_json_of_a_failed_cell_has_nulls_and_a_message(
+    store: Path, capsys: pytest.CaptureFixture[str], any_bound: None
+) -> None:
+    arguments = ["method=prior", "prior=none", "replicates=2", "workers=1", "format=json", f"store={store}"]
+    assert main(arguments) == 0
+    result = json.loads(capsys.readouterr().out, parse_constant=no_constants)
+    assert (result["n_ok"], result["status"]) == (0, "unsupported")
+    assert "no prior" in result["message"]
+    assert result["metrics"]["rmse"]["median"] is None
+
+
+def test_a_finished_cell_is_answered_from_the_store(
+    store: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However the same number is written, and whatever only concerns how it is run or shown."""
+    arguments = ["method=prior", "replicates=3", "format=json", f"store={store}"]
+    assert main([*arguments, "snr=20", "workers=1"]) == 0
+    first = capsys.readouterr().out
+    before = snapshot(store)
+
+    def never(*arguments: Any, **options: Any) -> Any:
+        raise AssertionError("computed again")
+
+    for name in ("Children", "load_bounds"):
+        monkeypatch.setattr(runner, name, never)
+    assert main([*arguments, "snr=20.0", "workers=2"]) == 0
+    assert capsys.readouterr().out == first
+    assert snapshot(store) == before
+
+
+def test_a_sweep_runs_what_is_missing_and_prints_a_line_a_cell(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one = ["replicates=2", "workers=1", f"store={store}"]
+    assert main(["method=prior", *one]) == 0
+    before = snapshot(store)
+    capsys.readouterr()
+    assert main(["-m", "method=prior,oracle", *one]) == 0
+    out = capsys.readouterr().out
+    after = snapshot(store)
+    assert {name: after[name] for name in before} == before
+    assert len(list(store.glob("*.json"))) == 2
+    assert [line.split()[0] for line in out.splitlines() if "2/2" in line] == ["prior", "oracle"]
+
+
+def test_the_table_of_one_cell_marks_what_the_prior_decides(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["method=oracle", "replicates=2", "workers=1", f"store={store}"]) == 0
+    out = capsys.readouterr().out
+    starred = [line.split(" error")[0] for line in out.splitlines() if " error % *" in line]
+    assert starred == ["m", "c", "k"]
+    assert "2/2 ok" in out
+    assert str(next(store.glob("*.json"))) in out
+
+
+def test_cfg_prints_the_configuration_and_runs_nothing(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = snapshot(store)
+    assert main(["method=oracle", "snr=7", "--cfg", f"store={store}"]) == 0
+    assert json.loads(capsys.readouterr().out)["snr"] == 7.0
+    assert snapshot(store) == before
+
+
+def test_an_interrupt_is_one_line_and_status_130(
+    store: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*arguments: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runner, "Children", interrupted)
+    assert main(["method=prior", "replicates=2", f"store={store}"]) == 130
+    assert "interrupted; finished cells are kept" in capsys.readouterr().err
+    assert list(Store(store)) == []
+
+
+def test_help_and_bad_input_load_no_heavy_package(python: Callable[..., Any]) -> None:
+    script = (
+        "import sys\n"
+        "from bench.commands.main import main\n"
+        "codes = [main(['--help']), main(['--version']), main(['method=pin']), main(['method=ls', 'snr=nan'])]\n"
+        f"print(codes, sorted(set(sys.modules) & set({HEAVY!r})))\n"
+    )
+    done = python("-c", script)
+    assert done.stdout.splitlines()[-1] == "[0, 0, 2, 2] []", done.stdout + done.stderr
+    assert len(done.stderr.splitlines()) == 2
+
+
+def test_help_names_every_choice(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    out = capsys.readouterr().out
+    names = "pinn_adam ls_spline oracle chain2 sdof_forced handbook late_trigger table5 robustness --version"
+    for name in names.split():
+        assert name in out
+
+
+def test_nothing_at_all_is_usage_and_status_2(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    assert capsys.readouterr().out.startswith("usage:")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(float("nan"), "-"), (float("inf"), "failed"), (0.012345, "0.0123"), (12345.0, "1.234e+04"), (999.4, "999")],
+)
+def test_numbers_for_reading(value: float, text: str) -> None:
+    assert number(value) == text
+
+
+PLUGIN = """
+from dataclasses import dataclass
+import numpy as np
+from bench import Card, Estimate, Identifier, Normal
+@dataclass(frozen=True)
+class Constant(Identifier):
+    value: float = 8.0
+    card = Card("constant", "not used", "groups", "simulated", "none", "none")
+    def identify(self, problem, rng):
+        print("chatter that must not mix with the result", flush=True)
+        groups = Normal(("k_over_m", "c_over_m"), np.array([self.value, 0.4]), 1e-4 * np.eye(2), log=False)
+        return Estimate(problem.system, groups=groups)
+"""
+
+
+def test_an_installed_entry_point_alone_makes_a_method(tmp_path: Path, store: Path, python: Callable[..., Any]) -> None:
+    """One good plug-in and one broken: the good one runs, the broken one is named, and harms nobody else."""
+    site = tmp_path / "site"
+    metadata = site / "plugin-1.0.dist-info"
+    metadata.mkdir(parents=True)
+    (site / "plugin_method.py").write_text(PLUGIN)
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: plugin\nVersion: 1.0\n")
+    points = "[bench.methods]\nconstant = plugin_method:Constant\nbroken = plugin_method:Nowhere\n"
+    (metadata / "entry_points.txt").write_text(points)
+    path = os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")])
+    common = ["-m", "bench", "replicates=2", "workers=1", "format=json", f"store={store}"]
+    done = python(*common, "method=constant", "method.value=8.8", env={"PYTHONPATH": path})
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert (result["method"], result["n_ok"]) == ("constant value=8.8", 2)
+    assert result["metrics"]["k_over_m_error_pct"]["median"] == pytest.approx(10.0, abs=0.1)
+    done = python(*common, "method=broken", env={"PYTHONPATH": path})
+    assert done.returncode == 2
+    assert done.stderr.startswith("bench: method=broken: its entry point does not load")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_workers_and_limits_reach_the_run_and_stand_in_its_provenance(store: Path) -> None:
+    limits = ["workers=3", "timeout_s=50", "memory_mb=1500"]
+    assert main(["method=prior", "replicates=2", *limits, f"store={store}"]) == 0
+    (path,) = store.glob("*.json")
+    come = json.loads(path.read_text())["provenance"]
+    assert (come["workers"], come["limits"]) == (3, {"timeout_s": 50.0, "memory_mb": 1500.0})
+
+
+def test_a_dry_run_lists_the_cells_and_computes_nothing(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["-m", "method=prior,oracle", "replicates=2", "dry_run=true", f"store={store}"]) == 0
+    out = capsys.readouterr().out
+    assert "2 cells: 2 missing; 2 to run" in out
+    assert "nothing known of oracle, prior" in out
+    assert not store.exists() or not list(store.glob("*.json"))
+
+
+@pytest.mark.parametrize(
+    "bad", ["retry=sometimes", "memory_mb=1", "dry_run=maybe", "cells_per_job=0", "hydra/launcher=moon"]
+)
+def test_bad_fields_of_a_run_are_one_line(bad: str, store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["method=prior", "replicates=2", bad, f"store={store}"]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("bench:")]
+    assert len(lines) == 1
+    assert bad.partition("=")[0] in lines[0]

@@ -1,0 +1,107 @@
+"""Status and reproduction of stored cells: what is there, what is stale and why, and whether it comes out again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from conftest import StoreFactory
+
+from bench.commands import reproduce, status
+from bench.commands.reproduce import stored_as_cell
+from bench.scenario.scenario import Scenario
+from bench.store.cell import Cell
+from bench.store.store import Store
+from bench.sweep.plan import plan
+from bench.sweep.runner import run_cells
+from bench.sweep.workers import Limits
+
+
+@pytest.fixture
+def store(reference: Scenario, new_store: StoreFactory) -> Store:
+    store = new_store()
+    cells = [Cell(reference, name, {}, 2, 0, name) for name in ("prior", "oracle")]
+    run_cells(plan(cells, store), store, Limits(1))
+    return store
+
+
+def edit(store: Store, label: str, **changes: object) -> Path:
+    """Rewrite fields of the stored cell of a method."""
+    (path,) = (p for p in store.folder.glob("*.json") if json.loads(p.read_text())["cell"]["label"] == label)
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, **changes}))
+    return path
+
+
+def test_a_store_is_described_by_method_and_state(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    version = {"digest": "old", "modules": {}, "packages": {"numpy": "1.0"}}
+    edit(store, "prior", version=version)
+    store.path("broken").write_text("{")
+    assert status.main([f"store={store.folder}"]) == 0
+    out = capsys.readouterr().out
+    assert "3 cells: 1 done, 1 stale, 1 damaged" in out
+    assert "numpy 1.0, now" in out or "bench changed" in out
+    assert "damaged: 1 x" in out
+
+
+def test_a_sweep_is_described_cell_by_cell(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status.main(["method=prior,oracle", "snr=20,10", "replicates=2", f"store={store.folder}"]) == 0
+    out = capsys.readouterr().out
+    assert "4 cells: 2 done, 2 missing; 2 to run" in out or "4 cells: 2 missing, 2 done; 2 to run" in out
+    assert out.count("not computed yet") == 2
+
+
+@pytest.mark.parametrize("bad", [["store=nowhere"], ["method=pin"], ["experiment=table9"], ["nonsense"]])
+def test_bad_input_is_one_line(bad: list[str], capsys: pytest.CaptureFixture[str], store: Store) -> None:
+    arguments = bad if bad == ["store=nowhere"] else [*bad, f"store={store.folder}"]
+    assert status.main(arguments) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_cell_comes_out_again(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    (oracle,) = (cell for cell in store if cell.cell["label"] == "oracle")
+    assert reproduce.main([oracle.identity[:6], f"store={store.folder}"]) == 0
+    assert "run again: identical" in capsys.readouterr().out
+
+
+def test_what_comes_out_differently_is_named(store: Store) -> None:
+    """The stored errors are moved by a part in 10⁴, then by a tenth: the verdict must follow."""
+    (oracle,) = (cell for cell in store if cell.cell["label"] == "oracle")
+    for factor, verdict in ((1.0, "identical"), (1 + 1e-4, "within tolerance"), (1.1, "drifted")):
+        path = store.path(oracle.identity)
+        content = json.loads(path.read_text())
+        moved = [value * factor for value in content["rows"]["scores"]["rmse"]]
+        content["rows"]["scores"]["rmse"] = moved
+        other = Store(path.parent.parent / f"other{verdict[:3]}")
+        other.folder.mkdir()
+        other.path(oracle.identity).write_text(json.dumps(content))
+        stored = other.load(oracle.identity)
+        assert stored is not None
+        found = reproduce.compare(stored, oracle)
+        assert found.name == verdict
+        assert set(found.differences) <= {"rmse"}
+        assert found.changed == ()
+
+
+@pytest.mark.parametrize("bad", [["zzz"], ["abc", "def"], ["0123456789"]])
+def test_a_cell_that_is_not_there_is_one_line(bad: list[str], store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    assert reproduce.main([*bad, f"store={store.folder}"]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("bench.reproduce: cell=")
+    assert len(err.splitlines()) == 1
+
+
+def test_a_cell_that_lacked_its_package_is_no_more_done_in_the_store_s_page_than_in_a_sweep_s(store: Store) -> None:
+    """Where a stored cell stands is decided in one place; both pages must say the same of it."""
+    path = edit(store, "prior")
+    content = json.loads(path.read_text())
+    content["rows"]["status"] = ["missing_dependency", "missing_dependency"]
+    path.write_text(json.dumps(content))
+    (one,) = (
+        planned for planned in plan([stored_as_cell(cell) for cell in store], store) if planned.cell.label == "prior"
+    )
+    page = status.states(store)
+    assert one.state.value == "failed"
+    assert page.loc[one.cell.identity, "state"] == "failed"
+    assert page.loc[one.cell.identity, "why"] == one.why

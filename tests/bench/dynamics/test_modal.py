@@ -1,0 +1,71 @@
+"""Modes against closed forms and another solver."""
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+from bench.dynamics.mechanics import linear_matrices
+from bench.dynamics.modal import Modes, agreement, mac, modes
+from bench.systems import SDOF, Chain, Duffing
+
+CHAIN = {"m1": 1.0, "m2": 0.9, "m3": 1.1, "k1": 20.0, "k2": 18.0, "k3": 22.0}
+
+
+def _chain(beta: float) -> dict[str, float]:
+    """Chain of three masses with ``c_i = beta k_i``: damping proportional to the stiffness."""
+    return CHAIN | {f"c{i}": beta * CHAIN[f"k{i}"] for i in (1, 2, 3)}
+
+
+def test_one_mass_is_the_text_book_oscillator():
+    found = modes(SDOF(), {"m": 2.0, "c": 0.8, "k": 50.0})
+    assert found.frequencies == pytest.approx([5.0 / (2 * np.pi)])  # sqrt(50/2) = 5 rad/s
+    assert found.damping_ratios == pytest.approx([0.8 / (2 * np.sqrt(100.0))])
+
+
+def test_stiffness_proportional_damping_has_the_modes_of_the_undamped_chain():
+    """C = beta K: mode i keeps shape and frequency, with damping ratio ``beta ω_i / 2`` (Rayleigh)."""
+    beta, system = 0.01, Chain(3)
+    found = modes(system, _chain(beta))
+    mass, _, stiffness = linear_matrices(system, _chain(beta))
+    squares, shapes = eigh(stiffness, mass)
+    omega = np.sqrt(squares)
+    np.testing.assert_allclose(found.frequencies, omega / (2 * np.pi), rtol=1e-10)
+    np.testing.assert_allclose(found.damping_ratios, beta * omega / 2, rtol=1e-9)
+    np.testing.assert_allclose(np.diag(mac(found.shapes, shapes)), 1.0, rtol=1e-9)
+
+
+def test_the_scale_of_all_parameters_does_not_matter():
+    p = _chain(0.02)
+    a, b = modes(Chain(3), p), modes(Chain(3), {name: 7.0 * value for name, value in p.items()})
+    np.testing.assert_allclose(a.frequencies, b.frequencies, rtol=1e-12)
+    assert agreement(b, a).least_mac == pytest.approx(1.0)
+
+
+def test_an_overdamped_mode_is_one_mode():
+    """Rates -1 and -4 per second: ``ω = 2`` rad/s, ``ζ = (1 + 4) / (2 * 2) = 1.25``."""
+    found = modes(SDOF(), {"m": 1.0, "c": 5.0, "k": 4.0})
+    assert found.frequencies == pytest.approx([2.0 / (2 * np.pi)])
+    assert found.damping_ratios == pytest.approx([1.25])
+
+
+def test_agreement_matches_modes_by_shape_not_by_order():
+    """Two close modes whose identified frequencies have changed places: shapes say which is which."""
+    shapes = np.array([[1.0, 1.0], [1.0, -1.0]])
+    true = Modes(np.array([1.0, 1.01]), np.array([0.02, 0.04]), shapes)
+    swapped = Modes(np.array([1.005, 1.02]), np.array([0.04, 0.02]), shapes[:, ::-1])
+    found = agreement(swapped, true)
+    assert found.least_mac == pytest.approx(1.0)
+    assert found.damping_pct == pytest.approx(0.0)
+    assert found.frequency_pct == pytest.approx(100 * np.sqrt((0.02**2 + (0.005 / 1.01) ** 2) / 2))
+
+
+def test_what_is_not_finite_agrees_with_nothing():
+    true = modes(Chain(3), _chain(0.01))
+    found = agreement(modes(Chain(3), {**_chain(0.01), "k1": float("nan")}), true)
+    assert found.frequency_pct == float("inf")
+    assert found.least_mac == 0.0
+
+
+def test_a_nonlinear_system_has_no_modes():
+    with pytest.raises(ValueError, match="not linear"):
+        modes(Duffing(), {"m": 1.0, "c": 0.1, "k": 1.0, "k3": 1.0})

@@ -1,0 +1,262 @@
+"""The Cramér-Rao bound: the protocol's numbers, closed forms, and the groups that the data can tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.errors import InputError
+from bench.information import fisher as bound_module
+from bench.information.fisher import Bound, bound_identity, compute_bound, load_bounds, sensitivities
+from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
+from bench.scenario.truth import reference_response
+from bench.systems import System
+
+SDOF_TRUE = {"m": 1.0, "c": 0.4, "k": 8.0}
+SDOF_FREE = Scenario("sdof", SDOF_TRUE, ((1.0,), (0.0,)), 20.0)
+CHAIN_TRUE = {"m1": 1.0, "m2": 0.8, "c1": 0.2, "c2": 0.15, "k1": 12.0, "k2": 9.0}
+CHAIN_FREE = Scenario("chain", CHAIN_TRUE, ((1.0, 0.0), (0.0, 0.0)), 20.0, 4.0, samples=40, options={"n": 2})
+DUFFING_FREE = Scenario("duffing", {**SDOF_TRUE, "k3": 5.0}, ((1.0,), (0.0,)), 20.0, 4.0, samples=40)
+MULTISINE = ForceSpec(1.0, 0.1, 1.0, tones=5, samples=41)
+NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _share_sensitivities() -> Any:
+    """Sensitivities depend on neither noise nor what is told: compute them once for scenarios that differ in those."""
+    known: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+
+    def shared(scenario: Scenario, seed: int, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        same_data = {**scenario.data_identity(), "force": scenario.forces(seed)[0].values[:3] if scenario.force else 0}
+        key = repr(({k: v for k, v in same_data.items() if k != "snr_db"}, times.size, times[-1]))
+        if key not in known:
+            known[key] = sensitivities(scenario, seed, times)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bound_module, "sensitivities", shared)
+        yield
+
+
+def on_its_samples(scenario: Scenario, **changes: Any) -> Scenario:
+    """The scenario scored on its own sample times, with next to no forecast: the displacement bound is then N and p."""
+    return replace(scenario, dense=changes.get("samples", scenario.samples), forecast=0.5, **changes)
+
+
+def closed_form(logs: np.ndarray, x0: complex, v0: complex, t: np.ndarray) -> np.ndarray:
+    """``e^(-at) (x0 cos wd t + (v0 + a x0)/wd sin wd t)``, analytic in everything: complex steps differentiate it."""
+    m, c, k = np.exp(logs)
+    a = c / (2 * m)
+    wd = np.sqrt(k / m - a * a)
+    return np.asarray(np.exp(-a * t) * (x0 * np.cos(wd * t) + (v0 + a * x0) / wd * np.sin(wd * t)))
+
+
+def gradient_of_closed_form(t: np.ndarray) -> np.ndarray:
+    """Derivatives by log m, log c, log k, x0, v0 at the reference system, shape (n, 5), exact to rounding."""
+    theta = np.array([math.log(1.0), math.log(0.4), math.log(8.0), 1.0, 0.0])
+    columns = []
+    for i in range(5):
+        step = theta + 1e-30j * (np.arange(5) == i)
+        columns.append(np.imag(closed_form(step[:3], step[3], step[4], t)) / 1e-30)
+    return np.stack(columns, axis=1)
+
+
+PROTOCOL = {
+    "known": {40: 0.0011, 30: 0.0034, 20: 0.0107, 10: 0.0339, 5: 0.0604},
+    "unknown": {40: 0.0015, 30: 0.0046, 20: 0.0147, 10: 0.0464, 5: 0.0825},
+}
+"""Displacement RMSE bounds (m) by SNR (dB) that the benchmark's protocol states, computed apart from this code."""
+
+
+@pytest.mark.parametrize("told", ["known", "unknown"])
+@pytest.mark.parametrize("snr", [40, 30, 20, 10, 5])
+def test_the_protocols_displacement_bounds(told: str, snr: int) -> None:
+    found = compute_bound(replace(SDOF_FREE, snr_db=float(snr), told=told)).rmse  # type: ignore[arg-type]
+    assert found == pytest.approx(PROTOCOL[told][snr], abs=0.00005000001)
+
+
+def test_the_sensitivities_are_those_of_the_closed_form() -> None:
+    scenario = on_its_samples(SDOF_FREE)
+    times = np.unique(np.concatenate([scenario.times, scenario.forecast_times]))
+    response, gradient = bound_module.sensitivities(scenario, 0, times)
+    exact = gradient_of_closed_form(times)
+    np.testing.assert_allclose(response[0], np.real(closed_form(np.log([1.0, 0.4, 8.0]), 1.0, 0.0, times)), atol=1e-8)
+    np.testing.assert_allclose(gradient[0], exact, atol=1e-7)
+
+
+def test_fisher_information_and_bound_are_those_of_the_closed_form() -> None:
+    """Bound of k/m and c/m from J'J/σ² of the closed form by the two groups, at the noise that the SNR defines."""
+    t = np.linspace(0, 10, 25)
+    clean = np.real(closed_form(np.log([1.0, 0.4, 8.0]), 1.0, 0.0, t))
+    sigma = np.sqrt(np.mean(clean**2) / 100.0)
+    dense = gradient_of_closed_form(np.linspace(0, 10, 1000))
+    for told, free in (("known", [1, 2]), ("unknown", [1, 2, 3, 4])):
+        g = gradient_of_closed_form(t)[:, free]  # with m fixed, log c and log k are log c/m and log k/m
+        covariance = np.linalg.inv(g.T @ g) * sigma**2
+        found = compute_bound(replace(SDOF_FREE, told=told))  # type: ignore[arg-type]
+        assert found.relative_sd["c_over_m"] == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-6)
+        assert found.relative_sd["k_over_m"] == pytest.approx(np.sqrt(covariance[1, 1]), rel=1e-6)
+        w = np.array([1.0, -0.5, 0.0, 0.0][: len(free)])  # log of damping ratio = log c - ½ log k + ...
+        assert found.relative_sd["damping_ratio"] == pytest.approx(np.sqrt(w @ covariance @ w), rel=1e-6)
+        variance = np.einsum("ti,ij,tj->t", dense[:, free], covariance, dense[:, free])
+        assert found.rmse == pytest.approx(np.sqrt(np.mean(variance)), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "told", "unknowns"),
+    [
+        (SDOF_FREE, "known", 2),
+        (SDOF_FREE, "unknown", 4),
+        (DUFFING_FREE, "known", 3),
+        (DUFFING_FREE, "unknown", 5),
+        (replace(SDOF_FREE, force=MULTISINE), "known", 3),
+        (replace(SDOF_FREE, force=MULTISINE), "unknown", 5),
+    ],
+    ids=["sdof", "sdof-start", "duffing", "duffing-start", "forced", "forced-start"],
+)
+def test_on_the_samples_the_mean_variance_is_sigma_squared_times_p_over_n(
+    scenario: Scenario, told: str, unknowns: int
+) -> None:
+    """The trace of a projection on p columns is p: over the samples themselves, the bound is ``σ √(p/N)`` exactly."""
+    scenario = on_its_samples(scenario, told=told)
+    sigma = scenario.sigmas(0)[0]
+    assert compute_bound(scenario).rmse == pytest.approx(sigma * np.sqrt(unknowns / scenario.samples), rel=1e-6)
+
+
+def test_with_parameters_known_only_the_start_is_a_linear_gaussian_problem() -> None:
+    """Parameters held to one part in 10¹²: x is linear in x0 and v0, whose regression leaves ``σ √(2/N)``."""
+    exact = PriorSpec("exact", dict.fromkeys(("mass", "damping", "stiffness", "other"), 1e-12))
+    scenario = on_its_samples(SDOF_FREE, told="unknown", prior=exact)
+    assert compute_bound(scenario).rmse == pytest.approx(scenario.sigmas(0)[0] * np.sqrt(2 / 25), rel=1e-6)
+
+
+def declared(scenario: Scenario) -> tuple[System, Bound]:
+    return scenario.make_system(), compute_bound(scenario)
+
+
+@pytest.mark.parametrize("told", ["known", "unknown"])
+@pytest.mark.parametrize("scenario", [SDOF_FREE, CHAIN_FREE, DUFFING_FREE], ids=["sdof", "chain", "duffing"])
+def test_free_vibration_tells_exactly_the_groups_that_the_system_declares(scenario: Scenario, told: str) -> None:
+    """Scaling all masses, dampings and stiffnesses alike changes nothing: one null direction, that of equal logs."""
+    system, bound = declared(on_its_samples(scenario, told=told))
+    null = np.array(bound.null_space)
+    assert null.shape == (1, len(system.names))
+    np.testing.assert_allclose(np.abs(null[0]), 1 / np.sqrt(len(system.names)), atol=1e-6)
+    groups = np.array([group.vector(system.names) for group in system.groups])
+    assert np.linalg.matrix_rank(groups) == len(system.names) - len(null)
+    for quantity in (*system.groups, *system.modal):
+        assert bound.identifiable[quantity.name], quantity.name
+        assert math.isfinite(bound.relative_sd[quantity.name])
+    for name in system.names:
+        assert not bound.identifiable[name]
+        assert bound.relative_sd[name] == math.inf
+
+
+@pytest.mark.parametrize("told", ["known", "unknown"])
+@pytest.mark.parametrize("scenario", [SDOF_FREE, CHAIN_FREE, DUFFING_FREE], ids=["sdof", "chain", "duffing"])
+def test_a_known_force_tells_everything(scenario: Scenario, told: str) -> None:
+    system, bound = declared(on_its_samples(scenario, told=told, force=MULTISINE))
+    assert bound.null_space == ()
+    assert all(bound.identifiable.values())
+    assert all(math.isfinite(bound.relative_sd[name]) for name in system.names)
+
+
+def test_three_samples_do_not_tell_two_groups_and_a_start() -> None:
+    """Three equations: with the start known, two groups; with it unknown, four unknowns, so one combination is lost."""
+    three = on_its_samples(SDOF_FREE, samples=3, duration=2.0)
+    known, unknown = (compute_bound(replace(three, told=told)) for told in ("known", "unknown"))  # type: ignore[arg-type]
+    assert (len(known.null_space), len(unknown.null_space)) == (1, 2)
+    assert known.identifiable["k_over_m"]
+    assert not unknown.identifiable["k_over_m"]
+    assert unknown.relative_sd["k_over_m"] == math.inf
+
+
+def test_forced_sensitivities_are_finite_differences_of_the_truths_own_response() -> None:
+    """The truth's matrix exponential shares no line with the integrator that jax differentiates."""
+    scenario = on_its_samples(replace(SDOF_FREE, force=MULTISINE))
+    times = np.unique(np.concatenate([scenario.times, scenario.forecast_times]))
+    _, gradient = bound_module.sensitivities(scenario, 0, times)
+    system, forces = scenario.make_system(), scenario.forces(0)
+    for i, name in enumerate(system.names):
+        sides = []
+        for sign in (1, -1):
+            p = {**SDOF_TRUE, name: SDOF_TRUE[name] * math.exp(sign * 1e-5)}
+            sides.append(reference_response(system, p, scenario.start, times, forces)[0])
+        np.testing.assert_allclose(gradient[0, :, i], (sides[0] - sides[1]) / 2e-5, atol=1e-7)
+
+
+def test_with_a_prior_the_mass_is_the_priors_and_k_over_m_the_datas() -> None:
+    """The weighing stays at 2 %: information on k from its own prior of 50 % adds 0.04² to it in relative variance."""
+    bound = compute_bound(replace(SDOF_FREE, prior=NOMINAL))
+    assert bound.prior_share["m"] > 0.999
+    assert bound.relative_sd["m"] == pytest.approx(0.02, rel=2e-3)
+    assert bound.prior_share["k_over_m"] < 0.01
+    assert bound.prior_share["c_over_m"] < 0.01
+    assert not bound.identifiable["m"]
+    free = compute_bound(SDOF_FREE)
+    assert bound.relative_sd["k_over_m"] == pytest.approx(free.relative_sd["k_over_m"], rel=1e-3)
+    expected = np.hypot(bound.relative_sd["m"], bound.relative_sd["k_over_m"])  # k = m (k/m), nearly independent
+    assert bound.relative_sd["k"] == pytest.approx(expected, rel=1e-3)
+
+
+def test_without_signal_the_bound_is_the_prior() -> None:
+    bound = compute_bound(replace(SDOF_FREE, snr_db=-140.0, prior=NOMINAL))
+    for name, sd in (("m", 0.02), ("c", 1.0), ("k", 0.5), ("k_over_m", math.hypot(0.5, 0.02))):
+        assert bound.relative_sd[name] == pytest.approx(sd, rel=1e-6)
+        assert bound.prior_share[name] == pytest.approx(1.0, abs=1e-6)
+
+
+SCRIPT = """if __name__ == "__main__":
+    import sys
+    from pathlib import Path
+    from bench.information.fisher import load_bounds
+    from bench.scenario.scenario import Scenario
+    scenario = Scenario("sdof", {"m": 1.0, "c": 0.4, "k": 8.0}, ((1.0,), (0.0,)), 20.0, dense=25, forecast=0.5)
+    print(repr(load_bounds([(scenario, 0), (scenario, 1)], Path(sys.argv[1]))))
+    assert "jax" not in sys.modules, "jax is here"
+"""
+
+
+def test_bounds_are_computed_elsewhere_and_then_read(
+    tmp_path: Path, python: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """jax stays out of the process that asks; whoever asks again finds the bound and starts no process."""
+    (tmp_path / "ask.py").write_text(SCRIPT)
+    asked = python(str(tmp_path / "ask.py"), str(tmp_path / "cache"))
+    assert asked.returncode == 0, asked.stderr
+    assert [path.suffix for path in (tmp_path / "cache").iterdir()] == [".bound"]
+    scenario = replace(SDOF_FREE, dense=25, forecast=0.5)
+    monkeypatch.setattr(bound_module.multiprocessing, "get_context", None)
+    (found,) = load_bounds([(scenario, 5)], tmp_path / "cache")
+    assert asked.stdout.strip() == repr([found, found])
+    assert found == compute_bound(scenario)
+
+
+def test_a_bound_is_shared_where_nothing_that_it_depends_on_differs() -> None:
+    scenario = replace(SDOF_FREE, prior=NOMINAL)
+    assert bound_identity(scenario, 0) == bound_identity(replace(scenario, label="other"), 1)
+    different = [
+        replace(scenario, snr_db=21.0),
+        replace(scenario, told="unknown"),
+        replace(scenario, prior=None),
+        replace(scenario, samples=26),
+        replace(scenario, parameters={**SDOF_TRUE, "m": 1.1}),
+        replace(scenario, dense=500),
+        replace(scenario, forecast=5.0),
+    ]
+    assert len({bound_identity(s, 0) for s in [scenario, *different]}) == 1 + len(different)
+    forced = replace(scenario, force=MULTISINE)
+    assert bound_identity(forced, 0) != bound_identity(forced, 1)
+
+
+def test_a_damaged_bound_is_named_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / f"{bound_identity(SDOF_FREE, 0)}.bound").write_text('{"names": ["m"')
+    with pytest.raises(InputError, match=r"store=.*\.bound: ") as caught:
+        load_bounds([(SDOF_FREE, 0)], tmp_path)
+    assert len(str(caught.value).splitlines()) == 1

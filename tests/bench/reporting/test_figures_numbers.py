@@ -1,0 +1,360 @@
+"""What the pictures show is what is stored: numbers read off the drawn figures, and recomputed another way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.linalg import expm
+from stored import BOUND, CORRELATION, NOISE, SD_C, SD_K, described, displacement, fill, recorded, save, scored
+
+from bench.contract.estimate import Status
+from bench.information.fisher import compute_bound, information
+from bench.scenario.scenario import Scenario
+from bench.scoring.row import Row
+from bench.scoring.summary import metric_bounds
+from bench.store.store import Store
+
+pytest.importorskip("matplotlib")
+
+from bench.reporting.figures.basin import misfit
+from bench.reporting.figures.coverage import covered, draw_coverage
+from bench.reporting.figures.failures import draw_failures, shares
+from bench.reporting.figures.forest import excess_interval
+from bench.reporting.figures.gallery import Gallery, Nothing
+from bench.reporting.figures.noise import draw_noise
+from bench.reporting.figures.profiles import draw_profiles
+from bench.reporting.figures.response import draw_reconstruction, draw_record, simulated
+from bench.reporting.figures.scatter import bound_covariance, draw_scatter, ellipse
+from bench.reporting.figures.time import draw_time
+from bench.reporting.figures.training import draw_training
+from bench.reporting.figures.two_masses import band, draw_two_masses
+
+REFERENCE_COVARIANCE = np.array([[SD_K**2, CORRELATION * SD_K * SD_C], [CORRELATION * SD_K * SD_C, SD_C**2]])
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "rows")
+    store.prepare()
+    return store
+
+
+def curves(axis: Any, colour: str) -> list[np.ndarray]:
+    """The lines of one colour on an axis, each (2, n)."""
+    return [np.array(line.get_data(), float) for line in axis.get_lines() if line.get_color() == colour]
+
+
+def test_the_record_is_the_stored_one(store: Store) -> None:
+    fill(store, ["shooting"])
+    axis = draw_record(Gallery(store)).figure.axes[0]
+    values = displacement(np.linspace(0, 10, 25)) + NOISE * np.random.default_rng(0).standard_normal(25)
+    drawn = [np.array(line.get_data()) for line in axis.get_lines() if len(line.get_xdata()) == 25]
+    assert np.allclose(drawn[0], [np.linspace(0, 10, 25), values], atol=1e-6)
+    bars = axis.collections[0].get_segments()
+    assert np.allclose([np.ptp(bar[:, 1]) for bar in bars], 2 * NOISE)
+
+
+def test_a_method_without_a_reconstruction_is_shown_by_its_parameters(store: Store) -> None:
+    """Against the closed form at the ratios that were scored; started from the fitted start where it is not told."""
+    rows = scored("ls", 5, spread=3.0)
+    for told in ("known", "unknown"):
+        save(store, described("ls", told=told, n=5), rows, recorded(rows, False, False))
+    gallery = Gallery(store)
+    for cell in gallery.cells:
+        k, c = (8.0 * rows[0].scores["k_over_m_ratio"], 0.4 * rows[0].scores["c_over_m_ratio"])
+        arrays = gallery.arrays(cell)
+        curve = simulated(cell, arrays)
+        assert curve is not None
+        if cell.told == "known":
+            assert np.allclose(curve[0], displacement(arrays["dense_times"], k, c), atol=1e-4)
+        else:
+            basis = free_basis(k, c, arrays["sample_times"])
+            start = np.linalg.lstsq(basis, arrays["sample_values"], rcond=None)[0]
+            assert np.allclose(curve[0], free_basis(k, c, arrays["dense_times"]) @ start, atol=1e-4)
+    assert len(draw_reconstruction(gallery).figure.axes) == 1
+
+
+def free_basis(k: float, c: float, times: np.ndarray) -> np.ndarray:
+    """Responses to a unit displacement and to a unit velocity, by the matrix exponential, shape (n, 2)."""
+    return np.array([expm(np.array([[0.0, 1.0], [-k, -c]]) * t)[0] for t in times])
+
+
+def test_the_noise_picture_draws_root_mean_squares_and_bounds(store: Store) -> None:
+    fill(store, ["shooting", "sindy"], (40.0, 20.0, 10.0))
+    gallery = Gallery(store)
+    axes = draw_noise(gallery).figure.axes
+    for axis, metric in zip(axes, ("k_over_m_error_pct", "c_over_m_error_pct", "rmse"), strict=True):
+        bound = metric_bounds(BOUND)[metric]
+        assert any(np.allclose(line[1], bound) for line in curves(axis, "black"))
+        for label in ("shooting", "sindy"):
+            cells = {c.stored.cell["snr_db"]: store.load(c.stored.identity) for c in gallery.cells if c.label == label}
+            rms = {
+                snr: np.sqrt(np.mean([row.scores[metric] ** 2 for row in cell.rows]))
+                for snr, cell in cells.items()
+                if cell
+            }
+            x, y = curves(axis, gallery.looks[label].colour)[0]
+            assert list(x) == [10.0, 20.0, 40.0]
+            assert np.allclose(y, [rms[snr] for snr in x], rtol=1e-4)
+
+
+def test_the_papers_points_stand_only_beside_its_own_system(store: Store) -> None:
+    rows = scored("pinn", 5)
+    save(store, described("pinn", n=5, parameters={"m": 2.0, "c": 0.4, "k": 8.0}), rows)
+    assert "paper's own PINN" not in draw_noise(Gallery(store)).caption
+    save(store, described("pinn", n=5), rows)
+    save(store, described("pinn", 10.0, n=5), rows)
+    picture = draw_noise(Gallery(store))
+    assert "paper's own PINN" in picture.caption
+    drawn = [line for line in picture.figure.axes[2].get_lines() if line.get_marker() == "D"]
+    assert sorted(drawn[0].get_ydata()) == [0.013, 0.016, 0.021, 0.035, 0.056]  # the paper's Table 5
+
+
+def test_the_ellipse_is_the_bound_of_the_stored_sds() -> None:
+    """The correlation comes back from the three standard deviations; the ellipse is at the chi-squared quantile."""
+    cell = type("C", (), {"bound": staticmethod(lambda metric: metric_bounds(BOUND)[metric])})()
+    covariance = bound_covariance(cell)  # type: ignore[arg-type]
+    assert covariance is not None
+    assert np.allclose(covariance, REFERENCE_COVARIANCE, rtol=1e-9)
+    logs = np.log1p(ellipse(covariance) / 100.0)
+    distance = np.einsum("in,ij,jn->n", logs, np.linalg.inv(REFERENCE_COVARIANCE), logs)
+    assert np.allclose(distance, stats.chi2.ppf(0.95, 2), rtol=1e-3)
+
+
+def test_the_correlation_is_that_of_the_fisher_information(reference: Scenario) -> None:
+    """From the bounds of k/m, c/m and damping ratio alone, against the inverse information of the same scenario."""
+    bound = compute_bound(reference)
+    cell = type("C", (), {"bound": staticmethod(lambda metric: metric_bounds(bound)[metric])})()
+    told = information(reference)
+    k, c = np.array([-1.0, 0.0, 1.0]), np.array([-1.0, 1.0, 0.0])  # exponents of m, c, k
+    want = np.array([[a @ told.covariance @ b for b in (k, c)] for a in (k, c)])
+    assert np.allclose(bound_covariance(cell), want, rtol=1e-6, atol=1e-12)  # type: ignore[arg-type]
+
+
+def test_the_scatter_draws_every_replicate_or_counts_it(store: Store) -> None:
+    rows = scored("shooting", 40)
+    rows[3] = replace(rows[3], scores={**rows[3].scores, "k_over_m_ratio": 1.5})
+    rows[4] = Row(4, Status.DIVERGED)
+    save(store, described("shooting", n=40), rows)
+    gallery = Gallery(store)
+    axis = draw_scatter(gallery).figure.axes[0]
+    marker = gallery.looks["shooting"].marker
+    drawn = next(np.array(line.get_data()) for line in axis.get_lines() if line.get_marker() == marker)
+    want = [
+        100 * (np.array([r.scores["k_over_m_ratio"], r.scores["c_over_m_ratio"]]) - 1)
+        for r in rows
+        if r.replicate not in (3, 4)
+    ]
+    assert np.allclose(drawn.T, want, atol=1e-3)
+    assert "1 outside" in [text.get_text() for text in axis.texts]
+
+
+def test_the_misfit_is_that_of_the_stored_samples(store: Store) -> None:
+    """Against matrix exponentials: with the start told, and with the best start at each point."""
+    rows = scored("shooting", 5)
+    for told in ("known", "unknown"):
+        save(store, described("shooting", told=told, n=5), rows, recorded(rows, True, False))
+    gallery = Gallery(store)
+    for cell in gallery.cells:
+        arrays = gallery.arrays(cell)
+        surface = misfit(cell, arrays, np.array([8.0, 3.0]), np.array([0.4, 2.0, 9.0]))
+        assert surface.shape == (3, 2)
+        for i, c in enumerate((0.4, 2.0, 9.0)):  # the last is overdamped
+            for j, k in enumerate((8.0, 3.0)):
+                basis = free_basis(k, c, arrays["sample_times"])
+                start = np.array([1.0, 0.0])
+                if cell.told == "unknown":
+                    start = np.linalg.lstsq(basis, arrays["sample_values"], rcond=None)[0]
+                left = arrays["sample_values"] - basis @ start
+                assert surface[i, j] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-5)
+
+
+def test_excess_and_interval_of_normal_errors() -> None:
+    """The interval of a root mean square over n normal errors is that of a chi-squared variable."""
+    errors = np.append(2.0 * np.random.default_rng(3).standard_normal(400), np.inf)
+    excess, low, high = excess_interval(errors, 2.0)
+    assert excess == pytest.approx(np.sqrt(np.mean(errors[:400] ** 2)) / 2.0)
+    want = excess * np.sqrt(stats.chi2.ppf([0.025, 0.975], 400) / 400)
+    assert np.allclose([low, high], want, atol=0.03)
+    assert np.isnan(excess_interval(np.array([1.0, np.inf]), 2.0)).all()
+    assert np.isnan(excess_interval(errors, np.nan)).all()
+
+
+def test_the_coverage_of_uniform_levels_is_the_diagonal(store: Store) -> None:
+    n = 200
+    nominal = np.array([0.1, 0.5, 0.95])
+    assert np.allclose(covered((np.arange(n) + 0.5) / n, nominal), nominal, atol=1 / n)
+    assert np.allclose(covered(np.full(n, 0.5), nominal), 1.0)
+    rows = [Row(i, Status.OK, scores={"k_over_m_pit": (i + 0.5) / n, "c_over_m_pit": 1e-6}) for i in range(n)]
+    save(store, described("mcmc", n=n), rows)
+    gallery = Gallery(store)
+    diagonal, none = curves(draw_coverage(gallery).figure.axes[0], gallery.looks["mcmc"].colour)
+    assert np.allclose(diagonal[1], diagonal[0], atol=100 / n)
+    assert np.allclose(none[1], 0.0)
+
+
+def test_coverage_is_shown_on_the_seed_with_most_replicates(store: Store) -> None:
+    for seed, n in ((0, 30), (4711, 60)):
+        save(store, described("shooting", seed=seed, n=n), scored("shooting", n))
+    assert "seed 4711" in draw_coverage(Gallery(store)).caption
+
+
+def test_a_profile_rises_where_the_ratio_of_errors_is(store: Store) -> None:
+    """One method always three times worse, failing on a quarter of the data sets."""
+    for label, error, failing in (("shooting", 1.0, 0), ("sindy", 3.0, 5)):
+        rows = [
+            Row(i, Status.TIMEOUT) if i < failing else Row(i, Status.OK, scores={"k_over_m_error_pct": error * (1 + i)})
+            for i in range(20)
+        ]
+        save(store, described(label, n=20), rows)
+    gallery = Gallery(store)
+    axis = draw_profiles(gallery).figure.axes[0]
+    x, y = curves(axis, gallery.looks["sindy"].colour)[0]
+    assert np.all(y[x < 2.99] == 0.0)
+    assert np.all(y[x > 3.01] == 75.0)
+    assert np.all(curves(axis, gallery.looks["shooting"].colour)[0][1] == 100.0)
+
+
+def test_profiles_compare_on_data_that_all_methods_were_given(store: Store) -> None:
+    fill(store, ["shooting", "sindy"], (40.0, 20.0))
+    fill(store, ["mcmc"], (20.0,), n=12)
+    caption = draw_profiles(Gallery(store)).caption
+    assert "over 2 scenarios" in caption  # 2 methods on 2 scenarios are more than 3 on 1
+    assert "first 30 replicates" in caption
+
+
+def test_failures_tell_unsupported_from_failed(store: Store) -> None:
+    statuses = [Status.DIVERGED] * 3 + [Status.TIMEOUT] * 2 + [Status.UNSUPPORTED] * 4 + [Status.OK] * 11
+    save(store, described("shooting", n=20), [Row(i, status) for i, status in enumerate(statuses)])
+    save(store, described("sindy", n=20), [Row(i, Status.OK, scores={"rmse": 1.0}) for i in range(20)])
+    save(store, described("ls", 10.0, n=20), [Row(i, Status.OK, scores={"rmse": 1.0}) for i in range(20)])
+    gallery = Gallery(store)
+    cell = next(c for c in gallery.cells if c.label == "shooting")
+    assert shares(cell) == (0.25, Status.DIVERGED, Status.UNSUPPORTED)
+    picture = draw_failures(gallery)
+    axis = picture.figure.axes[0]
+    assert [text.get_text() for text in axis.texts] == ["25d"]
+    assert len(axis.patches) == 1
+    picture.figure.canvas.draw()
+    row = axis.get_window_extent().height  # of the one row that is shown
+    assert all(text.get_window_extent().height < row for text in axis.texts)
+    assert [text.get_text() for text in axis.get_yticklabels()] == ["sdof, 20 dB, start known"]
+    assert "9 of 60" in picture.caption
+
+
+def test_time_is_the_median_fit(store: Store) -> None:
+    seconds = [0.5, 0.1, 9.0, 0.2, 0.3]
+    rows = [replace(row, cpu_s=s) for row, s in zip(scored("shooting", 5), seconds, strict=True)]
+    save(store, described("shooting", n=5), rows)
+    gallery = Gallery(store)
+    axis = draw_time(gallery).figure.axes[0]
+    line = next(
+        np.array(own.get_data()) for own in axis.get_lines() if own.get_color() == gallery.looks["shooting"].colour
+    )
+    assert list(line[0]) == [0.3, 9.0]
+    rms = np.sqrt(np.mean([row.scores["k_over_m_error_pct"] ** 2 for row in rows]))
+    assert np.allclose(line[1], rms / (100 * SD_K), rtol=1e-4)
+
+
+def test_training_draws_the_stored_traces(store: Store) -> None:
+    fill(store, ["pinn"])
+    gallery = Gallery(store)
+    loss, data = draw_training(gallery).figure.axes[:2]
+    steps = np.arange(1.0, 31.0)
+    assert np.allclose(curves(loss, gallery.looks["pinn"].colour)[0], [steps, 1e4 / steps**2], rtol=1e-5)
+    assert np.allclose(curves(data, gallery.looks["pinn"].colour)[0], [steps, 1.0 / steps], rtol=1e-5)
+
+
+CHAIN = {"m1": 1.0, "m2": 0.8, "c1": 0.2, "c2": 0.15, "k1": 12.0, "k2": 9.0}
+
+
+def chain_response(times: np.ndarray, k1: float = 12.0) -> np.ndarray:
+    """Two masses in a chain released from the first, by the matrix exponential, shape (2, n)."""
+    p = {**CHAIN, "k1": k1}
+    mass = np.diag([p["m1"], p["m2"]])
+    stiff = np.array([[p["k1"] + p["k2"], -p["k2"]], [-p["k2"], p["k2"]]])
+    damp = np.array([[p["c1"] + p["c2"], -p["c2"]], [-p["c2"], p["c2"]]])
+    a = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(mass, stiff), -np.linalg.solve(mass, damp)]])
+    return np.array([expm(a * t)[:2, 0] for t in times]).T
+
+
+def chain_store(store: Store, told: str) -> Gallery:
+    """A cell whose one uncertain parameter is k1, known to 1 %."""
+    dense, times = np.linspace(0, 10, 120), np.linspace(0, 10, 40)
+    logs = np.log([CHAIN[name] for name in ("m1", "m2", "c1", "c2", "k1", "k2")])
+    arrays = {
+        "sample_times": np.tile(times, 2), "sample_values": chain_response(times).ravel(),
+        "sample_dof": np.repeat([0, 1], 40), "dense_times": dense, "true_displacement": chain_response(dense),
+        "displacement": chain_response(dense, 12.05), "mean": logs, "covariance": np.diag([0, 0, 0, 0, 1e-4, 0.0]),
+    }  # fmt: skip
+    data = {"system": "chain", "options": {"n": 2}, "parameters": CHAIN, "initial": [[1.0, 0.0], [0.0, 0.0]]}
+    rows = [Row(i, Status.OK, scores={"rmse": 0.01, **{f"{name}_ratio": 1.0 for name in CHAIN}}) for i in range(3)]
+    save(store, {**described("shooting", told=told, n=3, **data), "system": "chain2"}, rows, arrays)
+    return Gallery(store)
+
+
+def test_the_band_of_two_masses_is_that_of_the_stated_covariance(store: Store) -> None:
+    """To first order: the derivative of the response by log k1, by differences of matrix exponentials, times 1 %."""
+    gallery = chain_store(store, "known")
+    cell = gallery.cells[0]
+    sd, _ = band(cell, gallery.arrays(cell))
+    assert sd is not None
+    times = np.linspace(0, 10, 120)
+    slope = (chain_response(times, 12.0 * 1.001) - chain_response(times, 12.0 / 1.001)) / (2 * np.log(1.001))
+    want = 0.01 * np.abs(slope)
+    assert np.allclose(sd, want, atol=0.12 * want.max())
+    assert np.mean(sd) == pytest.approx(np.mean(want), rel=0.1)
+    axes = draw_two_masses(gallery).figure.axes
+    error = 1000 * (chain_response(times, 12.05) - chain_response(times))
+    for dof in (0, 1):
+        drawn = curves(axes[2 * dof + 1], gallery.looks["shooting"].colour)[0]
+        assert np.allclose(drawn[1], error[dof], atol=1e-2)
+
+
+def test_a_mass_without_a_sensor_has_no_samples(store: Store) -> None:
+    gallery = chain_store(store, "known")
+    cell = gallery.cells[0]
+    first = {name: a[:40] if name.startswith("sample_") else a for name, a in gallery.arrays(cell).items()}
+    stored = store.load(cell.stored.identity)
+    assert stored is not None
+    store.save(stored, first)
+    gallery = Gallery(store)
+    assert len(draw_record(gallery).figure.axes) == 1
+    assert "40 samples of the displacement" in draw_record(gallery).caption
+    left = draw_two_masses(gallery).figure.axes[::2]
+    sizes = [[len(line.get_xdata()) for line in axis.get_lines() if line.get_marker() == "o"] for axis in left]
+    assert sizes == [[40], [0]]
+
+
+def test_no_band_is_made_up_where_the_start_was_not_told(store: Store) -> None:
+    gallery = chain_store(store, "unknown")
+    cell = gallery.cells[0]
+    assert band(cell, gallery.arrays(cell))[0] is None
+    assert "states no band" in draw_two_masses(gallery).caption
+
+
+def test_of_cells_that_differ_in_settings_the_usual_one_is_shown(store: Store) -> None:
+    for settings, snr in (({"steps": 1}, 20.0), ({"steps": 2}, 20.0), ({"steps": 2}, 10.0)):
+        save(store, {**described("pinn", snr, n=5), "settings": settings}, scored("pinn", 5))
+    shown = [(cell.snr_db, cell.settings) for cell in Gallery(store).cells]
+    assert shown == [(20.0, '{"steps": 2}'), (10.0, '{"steps": 2}')]
+
+
+def test_a_noise_level_of_few_methods_is_not_in_a_sweep(store: Store) -> None:
+    fill(store, ["shooting", "sindy", "ls"], (40.0, 20.0))
+    fill(store, ["ls"], (21.5,))
+    assert {cell.snr_db for cell in Gallery(store).main} == {40.0, 20.0}
+
+
+def test_what_cannot_be_drawn_says_why(store: Store) -> None:
+    save(store, described("shooting", n=3), [Row(i, Status.OOM) for i in range(3)])
+    gallery = Gallery(store)
+    for draw in (draw_record, draw_scatter, draw_training, draw_two_masses, draw_profiles, draw_coverage):
+        with pytest.raises(Nothing, match=r"stored|needs"):
+            draw(gallery)
+    assert [text.get_text() for text in draw_failures(gallery).figure.axes[0].texts] == ["100o"]

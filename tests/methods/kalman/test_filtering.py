@@ -1,0 +1,284 @@
+"""Joint Kalman filters: least squares in closed form, another library, another method, and the bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from bench import Channel, Estimate, Force, Identifier, InitialState, InputError, Normal, Prior, Problem, Record, Status
+from bench.dynamics.simulate import measurements, simulate
+from bench.information.fisher import compute_bound
+from bench.scenario.scenario import PriorSpec, Scenario
+from bench.scenario.truth import closed_form
+from bench.scoring.combination import combine_with_prior
+from bench.systems import SDOF, Chain, Dimension, Duffing, Parameter
+from methods.kalman.ekf import EKF, tangent
+from methods.kalman.filtering import _inverse, filtered
+from methods.kalman.joint import Chain as Nodes
+from methods.kalman.joint import first_belief
+from methods.kalman.ukf import UKF, regression
+from methods.starts.spectral import OutputError
+from methods.trajectory.output_error import SingleShooting
+
+
+@dataclass(frozen=True)
+class Slipping(SDOF):
+    """``m x'' + c x' + k z = f`` with a hidden state, ``z' = v - b |v| z``: hysteresis, in any units of length."""
+
+    name: ClassVar[str] = "slipping"
+    linear: ClassVar[bool] = False
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (*SDOF().parameters, Parameter("b", "1/m", "other", Dimension(0, -1, 0)))
+
+    @property
+    def n_hidden(self) -> int:
+        return 1
+
+    def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
+        return [p["m"] * a[0] + p["c"] * v[0] + p["k"] * z[0] - f[0]]
+
+    def hidden_rates(self, p, x, v, f, z, ops):  # type: ignore[no-untyped-def]
+        return [v[0] - p["b"] * ops.abs(v[0]) * z[0]]
+
+
+PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
+NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
+BOTH = pytest.mark.parametrize("method", [EKF(), UKF()], ids=["ekf", "ukf"])
+
+
+def scenario(snr: float, **changes: object) -> Scenario:
+    given = {"system": "sdof", "parameters": PLANT, "initial": ((0.8,), (0.5,)), "prior": NOMINAL, **changes}
+    return Scenario(snr_db=snr, **given)  # type: ignore[arg-type]
+
+
+def fit(method: Identifier, problem: Problem) -> Estimate:
+    return method.identify(problem, np.random.default_rng(0))
+
+
+def value(estimate: Estimate, name: str) -> float:
+    marginal = estimate.marginal(estimate.system.quantity(name))
+    assert marginal is not None, estimate.message
+    return marginal.value
+
+
+@pytest.mark.parametrize("rule", [tangent, regression], ids=["ekf", "ukf"])
+@pytest.mark.parametrize("times", [np.linspace(0.0, 1.0, 12), np.array([0.03, 0.11, 0.12, 0.5, 0.72, 1.0])])
+def test_with_known_parameters_it_is_least_squares(rule, times: np.ndarray) -> None:  # type: ignore[no-untyped-def]
+    """A linear system at known parameters is affine in its start, ``y = B s0 + e``, so the smoothed start must be
+    ``(B'B / sigma² + P0^-1)^-1 B'y / sigma²`` and its covariance that inverse: the closed form, in one pass.
+    """
+    p = {"m": 1.0, "c": 4.0, "k": 900.0}
+    y = closed_form(p, 1.0, 3.0, times) + 0.2 * np.random.default_rng(2).standard_normal(times.size)
+    sure = Prior(p, dict.fromkeys(p, 1e-9))
+    joint = first_belief(OutputError(Problem(SDOF(), (Record((Channel(times, y),)),), sure)), 0.0, 1.0)
+    found = filtered(joint, Nodes.of(joint, 3.0), rule, np.array([[0.2]]))
+    columns = np.stack([closed_form(p, 1.0, 0.0, times), closed_form(p, 0.0, 1.0, times)], axis=1)
+    inverse = np.linalg.inv(columns.T @ columns / 0.2**2 + np.diag(1.0 / np.diag(joint.first()[1])[:2]))
+    expected, sd = inverse @ columns.T @ y / 0.2**2, np.sqrt(np.diag(inverse))
+    np.testing.assert_allclose(found.means[0, :2] / sd, expected / sd, atol=1e-3)
+    np.testing.assert_allclose(found.covariances[0, :2, :2] / np.outer(sd, sd), inverse / np.outer(sd, sd), atol=1e-3)
+
+
+def bend(points: np.ndarray) -> np.ndarray:
+    return np.stack([np.sin(points[..., 0]) * points[..., 1], points[..., 2] ** 2 - points[..., 0]], axis=-1)
+
+
+MEAN = np.array([0.4, -1.2, 0.7])
+COVARIANCE = np.array([[0.2, 0.05, 0.0], [0.05, 0.3, -0.1], [0.0, -0.1, 0.15]])
+
+
+@pytest.mark.parametrize("kappa", [0.0, 1.5])
+def test_the_regression_is_the_unscented_transform_of_filterpy(kappa: float) -> None:
+    kalman = pytest.importorskip("filterpy.kalman")
+
+    def root(matrix: np.ndarray) -> np.ndarray:
+        values, axes = np.linalg.eigh(matrix)
+        return np.asarray((axes * np.sqrt(values)).T)
+
+    points = kalman.MerweScaledSigmaPoints(3, alpha=1.0, beta=0.0, kappa=kappa, sqrt_method=root)
+    mapped = bend(points.sigma_points(MEAN, COVARIANCE))
+    mean, covariance = kalman.unscented_transform(mapped, points.Wm, points.Wc)
+    slopes, constant, error = (part[0] for part in regression(bend, MEAN[None], COVARIANCE[None], kappa))
+    np.testing.assert_allclose(slopes @ MEAN + constant, mean, atol=1e-12)
+    np.testing.assert_allclose(slopes @ COVARIANCE @ slopes.T + error, covariance, atol=1e-12)
+
+
+def test_the_mean_of_a_square_is_exact_and_a_line_has_no_error() -> None:
+    """``E x² = m² + P`` for any spread; ``A s + b`` is its own regression."""
+    slopes, constant, _ = regression(lambda s: s**2, MEAN[None, :1], COVARIANCE[None, :1, :1])
+    assert (slopes[0] @ MEAN[:1] + constant[0])[0] == pytest.approx(MEAN[0] ** 2 + COVARIANCE[0, 0], rel=1e-12)
+    a = np.array([[1.0, 2.0, -3.0], [0.5, 0.0, 4.0]])
+    slopes, constant, error = regression(lambda s: s @ a.T + 7.0, MEAN[None], COVARIANCE[None])
+    np.testing.assert_allclose(slopes[0], a, atol=1e-9)
+    np.testing.assert_allclose(constant[0], 7.0, atol=1e-9)
+    np.testing.assert_allclose(error[0], 0.0, atol=1e-12)
+
+
+def test_the_tangent_is_the_derivative() -> None:
+    slopes, _, error = tangent(bend, MEAN[None], COVARIANCE[None])
+    expected = [[np.cos(0.4) * -1.2, np.sin(0.4), 0.0], [-1.0, 0.0, 1.4]]
+    np.testing.assert_allclose(slopes[0], expected, atol=1e-9)
+    assert not error.any()
+
+
+@BOTH
+@pytest.mark.parametrize("told", ["known", "unknown"])
+def test_clean_data_give_the_groups(method: Identifier, told: str) -> None:
+    problem, _ = scenario(100.0, told=told, prior=None).replicates(0, 1)[0]
+    estimate = fit(method, problem)
+    assert value(estimate, "k_over_m") == pytest.approx(9.0 / 1.3, rel=1e-4)
+    assert value(estimate, "c_over_m") == pytest.approx(0.6 / 1.3, rel=1e-3)
+
+
+@BOTH
+@pytest.mark.parametrize("told", ["known", "unknown"])
+def test_it_agrees_with_output_error(method: Identifier, told: str) -> None:
+    """At 30 dB both are the most probable parameters of the same model, found by code that shares only the physics."""
+    for problem, _ in scenario(30.0, told=told).replicates(3, 3):
+        mine, other = fit(method, problem), fit(SingleShooting(), problem)
+        assert isinstance(mine.parameters, Normal)
+        assert isinstance(other.parameters, Normal)
+        assert mine.parameters.covariance is not None
+        assert other.parameters.covariance is not None
+        sd = np.sqrt(np.diag(other.parameters.covariance))
+        np.testing.assert_allclose(mine.parameters.mean / sd, other.parameters.mean / sd, atol=0.1)
+        np.testing.assert_allclose(np.sqrt(np.diag(mine.parameters.covariance)), sd, rtol=0.1)
+
+
+@BOTH
+def test_it_comes_near_the_bound(method: Identifier) -> None:
+    made = scenario(20.0)
+    bound = compute_bound(made).relative_sd
+    for name in ("k_over_m", "c_over_m"):
+        true = made.make_system().quantity(name).value(PLANT)
+        errors = [value(fit(method, problem), name) / true - 1 for problem, _ in made.replicates(5, 40)]
+        assert 0.7 < np.sqrt(np.mean(np.square(errors))) / bound[name] < 1.4
+
+
+@BOTH
+def test_several_records_sensors_and_a_force(method: Identifier) -> None:
+    """A forced record from a told start and a free one with an accelerometer and its offset, without a prior."""
+    system, rng = SDOF(), np.random.default_rng(0)
+    times, knots = np.linspace(0, 8, 30), np.linspace(0, 8, 60)
+    push = Force(knots, 3.0 * np.sin(2 * np.pi * 0.35 * knots) + 2.0 * np.cos(5.0 * knots))
+    start, records = InitialState(np.array([0.5]), np.array([0.0])), []
+    for measures, forces, told in (("displacement", (push,), True), ("acceleration", (), False)):
+        blank = Channel(times, times, measures, offset=not told)  # type: ignore[arg-type]
+        clean = measurements(system, PLANT, start, Record((blank,), forces))
+        noisy = clean + 0.03 * np.sqrt(np.mean(clean**2)) * rng.standard_normal(clean.size) + 0.4 * (not told)
+        channel = Channel(times, noisy, measures, offset=not told)  # type: ignore[arg-type]
+        records.append(Record((channel,), forces, start if told else None))
+    estimate = fit(method, Problem(system, tuple(records)))
+    for name, true in PLANT.items():
+        marginal = estimate.marginal(system.quantity(name))
+        assert marginal is not None, estimate.message
+        low, high = marginal.interval(0.999)
+        assert low < true < high
+    assert estimate.offsets is not None
+    assert estimate.offsets[1] == pytest.approx(0.4, abs=0.1)
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("system", "parameters", "start"),
+    [
+        (Chain(2), {"m1": 1.2, "m2": 0.9, "c1": 0.25, "c2": 0.2, "k1": 7.0, "k2": 11.0}, ((0.5, -0.4), (0.0, 1.0))),
+        (Duffing(), {"m": 1.2, "c": 0.5, "k": 6.0, "k3": 4.0}, ((0.9,), (0.0,))),
+    ],
+    ids=["chain", "duffing"],
+)
+def test_other_systems_at_different_times_by_channel(  # type: ignore[no-untyped-def]
+    method: Identifier, system, parameters: dict[str, float], start
+) -> None:
+    """Each sensor has times of its own; the truth lies in the 99.9 % intervals of the groups."""
+    rng, state = np.random.default_rng(1), InitialState(np.array(start[0]), np.array(start[1]))
+    channels = []
+    for dof in range(system.n_dof):
+        times = np.sort(rng.uniform(0.0, 10.0, 35))
+        clean = simulate(system, parameters, state, times).displacement[dof]
+        noise = 0.03 * np.sqrt(np.mean(clean**2)) * rng.standard_normal(times.size)
+        channels.append(Channel(times, clean + noise, dof=dof))
+    nominal = {name: true * 1.2 for name, true in parameters.items()}
+    prior = Prior(nominal, {p.name: 0.2 if p.kind == "mass" else 0.5 for p in system.parameters})
+    estimate = fit(method, Problem(system, (Record(tuple(channels)),), prior))
+    for group in system.groups:
+        marginal = estimate.marginal(group)
+        assert marginal is not None, estimate.message
+        low, high = marginal.interval(0.999)
+        assert low < group.value(parameters) < high
+
+
+@BOTH
+def test_the_filter_carries_hidden_states(method: Identifier) -> None:
+    """Hysteresis under a force, its truth by scipy's integrator."""
+    from scipy.integrate import solve_ivp
+
+    times, knots, p = np.linspace(0.0, 8.0, 50), np.linspace(0.0, 8.0, 161), {"m": 1.2, "c": 0.5, "k": 8.0, "b": 0.5}
+    push = Force(knots, 4.0 * np.sin(1.9 * knots) + 2.0 * np.cos(4.3 * knots))
+
+    def rate(t: float, s: np.ndarray) -> list[float]:
+        force = float(push(np.array([t]))[0])
+        return [s[1], (force - p["c"] * s[1] - p["k"] * s[2]) / p["m"], s[1] - p["b"] * abs(s[1]) * s[2]]
+
+    clean = solve_ivp(rate, (0, 8), [0.3, 0.0, 0.0], t_eval=times, rtol=1e-9, atol=1e-10, max_step=0.05).y[0]
+    noisy = clean + 0.01 * np.random.default_rng(0).standard_normal(times.size)
+    record = Record((Channel(times, noisy),), (push,), InitialState(np.array([0.3]), np.array([0.0])))
+    prior = Prior({"m": 1.4, "c": 0.3, "k": 6.0, "b": 0.7}, dict.fromkeys(p, 0.5))
+    estimate = fit(method, Problem(Slipping(), (record,), prior))
+    assert isinstance(estimate.parameters, Normal), estimate.message
+    assert estimate.parameters.covariance is not None
+    sd = np.sqrt(np.diag(estimate.parameters.covariance))
+    assert np.all(np.abs(estimate.parameters.mean - np.log(list(p.values()))) < 3.5 * sd)
+    assert np.all(sd < 0.2)
+
+
+@BOTH
+def test_process_noise_widens_the_answer(method: Identifier) -> None:
+    problem, _ = scenario(30.0).replicates(1, 1)[0]
+    still, walking = fit(method, problem), fit(type(method)(drift=0.1), problem)  # type: ignore[call-arg]
+    for estimate in (still, walking):
+        assert isinstance(estimate.parameters, Normal)
+    wide, narrow = (e.marginal(problem.system.quantity("k_over_m")) for e in (walking, still))
+    assert wide is not None
+    assert narrow is not None
+    assert np.diff(wide.interval(0.95)) > 2 * np.diff(narrow.interval(0.95))
+
+
+@BOTH
+def test_a_prior_out_of_reach_is_a_sentence_or_an_answer(method: Identifier) -> None:
+    """Stiffness seven times too high, far from any alias, and thought sure to 1 %: the answer says that it is poor."""
+    times = np.linspace(0.0, 10.0, 25)
+    y = closed_form(PLANT, 0.8, 0.5, times)
+    prior = Prior({"m": 1.3, "c": 0.6, "k": 64.0}, {"m": 0.02, "c": 0.1, "k": 0.01})
+    estimate = combine_with_prior(fit(method, Problem(SDOF(), (Record((Channel(times, y),)),), prior)), prior)
+    assert len(estimate.message.split()) > 4
+
+
+@BOTH
+def test_a_dead_channel_is_a_sentence(method: Identifier) -> None:
+    times = np.linspace(0, 10, 25)
+    estimate = fit(method, Problem(SDOF(), (Record((Channel(times, np.zeros(25)),)),)))
+    assert estimate.status is Status.DIVERGED
+    assert "motion" in estimate.message
+
+
+@pytest.mark.parametrize("setting", [{"passes": 0}, {"drift": -1.0}, {"open_sd": 0.0}, {"tolerance": np.nan}])
+def test_settings_out_of_range_are_refused(setting: dict[str, float]) -> None:
+    for method in (EKF, UKF):
+        with pytest.raises(InputError, match=next(iter(setting))):
+            method(**setting)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="kappa"):
+        UKF(kappa=-1.0)
+
+
+def test_a_level_without_an_inverse_is_lost_alone() -> None:
+    """The innovations' covariance of a runaway level may be singular; the others must go on."""
+    inverses = [_inverse(np.array(m)) for m in ([[1.0, 1.0], [1.0, 1.0]], [[2.0, 0.0], [0.0, 4.0]], [[np.inf]])]
+    assert np.all(np.isnan(inverses[0]))
+    np.testing.assert_allclose(inverses[1], [[0.5, 0.0], [0.0, 0.25]])
+    assert np.all(np.isnan(inverses[2]))

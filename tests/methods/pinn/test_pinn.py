@@ -1,0 +1,481 @@
+"""The PINN engine against autograd, explicit Jacobians, scipy's optimisers and exact solutions."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares, minimize
+
+from bench import Channel, Force, InitialState, InputError, Prior, Problem, Record, Status, System, Units, simulate
+from bench.contract.problem import Measures
+from bench.systems import SDOF, BoucWen, Chain, Duffing
+from methods.pinn import PINN
+from methods.pinn.collocation import Collocation
+from methods.pinn.physics import PhysicsInformed
+
+torch = pytest.importorskip("torch")
+
+from methods.network import tanh  # noqa: E402
+from methods.network.tanh import Network  # noqa: E402
+from methods.pinn import levenberg  # noqa: E402
+from methods.pinn.ansatz import Ansatz, Basis, Sum  # noqa: E402
+from methods.pinn.residuals import Block, Residuals, Spread  # noqa: E402
+from methods.pinn.spectral import scan  # noqa: E402
+
+TRUE = {"m": 1.7, "c": 0.9, "k": 14.0}
+PRIOR = Prior({"m": 1.68, "c": 1.5, "k": 9.0}, {"m": 0.02, "c": 1.0, "k": 0.5})
+
+
+def layers(widths: tuple[int, ...], seed: int = 0) -> list[tuple[np.ndarray, np.ndarray]]:
+    """A network with no zero weight."""
+    rng = np.random.default_rng(seed)
+    first = tanh.initial_layers(widths, 3.0, rng)
+    return [*first[:-1], (rng.standard_normal(first[-1][0].shape), rng.standard_normal(first[-1][1].shape))]
+
+
+def record(noise: float = 0.0, known: bool = False, n: int = 25, seed: int = 0) -> Record:
+    times = np.linspace(0.0, 8.0, n)
+    start = InitialState(np.array([0.6]), np.array([-0.8]))
+    clean = simulate(SDOF(), TRUE, start, times).displacement[0]
+    values = clean + noise * np.random.default_rng(seed).standard_normal(n)
+    return Record((Channel(times, values),), (), start if known else None)
+
+
+def networks(widths: tuple[int, ...]) -> Callable[[int, Block], Ansatz]:
+    def make(_: int, block: Block) -> Network:
+        tau = torch.as_tensor(2.0 * block.times / block.duration[:, None] - 1.0)
+        return Network(widths, tau, torch.as_tensor(2.0 / block.duration))
+
+    return make
+
+
+def assisted(widths: tuple[int, ...]) -> Callable[[int, Block], Ansatz]:
+    """A network plus fixed functions in the first record, a network alone in the other."""
+    return lambda k, block: (
+        Sum(networks(widths)(k, block), polynomials(k, block)) if k == 0 else networks(widths)(k, block)
+    )
+
+
+def polynomials(_: int, block: Block) -> Basis:
+    """Powers of time up to the fourth, with their derivatives."""
+    n = np.arange(5)
+    t = block.times[..., None]
+    streams = [t**n, n * t ** np.maximum(n - 1, 0), n * (n - 1) * t ** np.maximum(n - 2, 0)]
+    return Basis(torch.as_tensor(np.stack(streams, 1)), block.n_paths)
+
+
+def plain_problem(
+    system: System | None = None, offset: bool = False, known: bool = True, seed: int = 1, scale: float = 1.0
+) -> Problem:
+    """Two records, every kind of channel, a force and a prior."""
+    system = system or SDOF()
+    n_dof, rng = system.n_dof, np.random.default_rng(seed)
+    t = np.linspace(0.0, scale, 6)
+    start = InitialState(rng.standard_normal(n_dof), rng.standard_normal(n_dof))
+    kinds: tuple[Measures, ...] = ("displacement", "velocity", "acceleration")
+    channels = tuple(Channel(t, rng.standard_normal(6), kind, n_dof - 1, offset=offset) for kind in kinds)
+    force = Force(t, rng.standard_normal(6))
+    records = (Record(channels, (force,), start if known else None), Record(channels[:1]))
+    names = system.names
+    return Problem(system, records, Prior(dict.fromkeys(names, 1.1), dict.fromkeys(names, 0.3)))
+
+
+def spread(n_fits: int) -> Spread:
+    one = np.ones(n_fits)
+    return Spread(np.tile([0.1, 0.2, 0.3, 0.4], (n_fits, 1)), 5.0 * one, 2.0 * one, 0.05 * one, 0.5 * one)
+
+
+def small(
+    system: System | None = None,
+    offset: bool = False,
+    known: bool = True,
+    exact: bool = False,
+    ansatz: str = "network",
+    n_fits: int = 1,
+) -> tuple[Residuals, torch.Tensor, torch.Tensor]:
+    """Residuals of different problems of one structure with a small ansatz; a point and deviations."""
+    problems = [plain_problem(system, offset, known, seed, 1.0 + 0.2 * seed) for seed in range(n_fits)]
+    names = problems[0].system.names
+    widths = (1, 4, 3, 3, problems[0].system.n_dof + problems[0].system.n_hidden)
+    residuals = Residuals(
+        problems,
+        {"network": networks(widths), "assisted": assisted(widths), "spline": polynomials}[ansatz],
+        7,
+        names,
+        np.zeros((n_fits, len(names))),
+        np.full(n_fits, 2.0),
+        exact=exact,
+    )
+    z = 0.3 * np.random.default_rng(2).standard_normal((n_fits, residuals.n_z))
+    if ansatz == "network":
+        n = residuals.ansatzes[0].count
+        for i in range(n_fits):
+            z[i, : 2 * n] = np.concatenate([tanh.flat(layers(widths, 10 * i + k)) for k in range(2)])
+    return residuals, torch.as_tensor(z), residuals.deviations(spread(n_fits))
+
+
+@pytest.mark.parametrize("widths", [(1, 6, 2), (1, 6, 5, 1), (1, 4, 7, 3, 2)])
+def test_streams_are_autograds_derivatives(widths: tuple[int, ...]) -> None:
+    own = layers(widths)
+    times = torch.linspace(0.0, 3.0, 9, dtype=torch.float64, requires_grad=True)
+    h = (times / 1.5 - 1.0)[:, None]
+    for weight, bias in own[:-1]:
+        h = torch.tanh(h @ torch.as_tensor(weight).T + torch.as_tensor(bias))
+    x = h @ torch.as_tensor(own[-1][0]).T + torch.as_tensor(own[-1][1])
+    tau = (times / 1.5 - 1.0).detach()[None]
+    ansatz = Network(widths, tau, torch.full((1,), 1 / 1.5, dtype=torch.float64))
+    out = ansatz.forward(torch.as_tensor(tanh.flat(own))[None]).output[0]
+    for j in range(widths[-1]):
+        (v,) = torch.autograd.grad(x[:, j].sum(), times, create_graph=True, retain_graph=True)
+        (a,) = torch.autograd.grad(v.sum(), times, retain_graph=True)
+        for stream, expected in enumerate((x[:, j], v, a)):
+            torch.testing.assert_close(out[stream, :, j], expected.detach(), rtol=1e-11, atol=1e-11)
+
+
+CASES: list[tuple[System, dict[str, Any]]] = [
+    (SDOF(), {"offset": True}),
+    (Duffing(), {"known": False}),
+    (Chain(2), {}),
+    (Chain(2), {"exact": True}),
+    (SDOF(), {"ansatz": "spline", "offset": True}),
+    (Chain(2), {"ansatz": "assisted"}),
+    (SDOF(), {"ansatz": "assisted", "exact": True}),
+    (Chain(2), {"ansatz": "spline", "exact": True}),
+    (Duffing(), {"n_fits": 3}),
+    (BoucWen(), {}),
+    (BoucWen(exponent=2.0), {"known": False, "n_fits": 2}),
+    (BoucWen(exponent=1.5), {"ansatz": "assisted"}),
+]
+
+
+@pytest.mark.parametrize(("system", "options"), CASES)
+def test_jacobian_gradient_and_gram_agree_with_autograd(system: System, options: dict[str, Any]) -> None:
+    """The reference is autograd over the vector written once more, with autograd's own derivatives by time."""
+    residuals, z, deviations = small(system, **options)
+    state = residuals.evaluate(z, deviations)
+    linear = residuals.linearise(state, deviations)
+    jacobian = torch.cat([part for _, part in residuals.jacobian_parts(state, linear)], 1)
+    gram = residuals.gram(state, linear)
+    same, gradient = residuals.gradient(z, deviations)
+    torch.testing.assert_close(same.rows, state.rows)
+    dual = torch.as_tensor(np.random.default_rng(3).standard_normal(state.rows.shape))
+    pulled = residuals.pull_back(state, linear, dual)
+    for i in range(residuals.n_fits):
+        explicit = _autograd_jacobian(residuals.take(np.array([i])), z[i : i + 1], deviations[i : i + 1])
+        scale = float(explicit.abs().max())
+        assert float((jacobian[i] - explicit).abs().max()) < 1e-12 * scale
+        torch.testing.assert_close(gradient[i], explicit.T @ state.rows[i], rtol=1e-11, atol=1e-11 * scale)
+        torch.testing.assert_close(pulled[i], explicit.T @ dual[i], rtol=1e-11, atol=1e-11 * scale)
+        expected = explicit @ explicit.T
+        assert float((gram[i] - expected).abs().max()) < 1e-12 * float(expected.abs().max())
+
+
+def _displacement(block: Block, ansatz: Ansatz, part: torch.Tensor, times: torch.Tensor) -> torch.Tensor:
+    """The trainable function, (n_points, n_paths), written once more."""
+    if isinstance(ansatz, Sum):
+        own, rest = part[:, : ansatz.inner.count], part[:, ansatz.inner.count :]
+        return _displacement(block, ansatz.inner, own, times) + _displacement(block, ansatz.fixed, rest, times)
+    if isinstance(ansatz, Network):
+        h = (2.0 * times[0] / float(block.duration[0]) - 1.0)[:, None]
+        *hidden, last = ansatz.layers(part)
+        for weight, bias in hidden:
+            h = torch.tanh(h @ weight[0].T + bias[0])
+        return h @ last[0][0].T + last[1][0]
+    powers = torch.stack([times[0] ** k for k in range(5)], -1)
+    return powers @ part[0].unflatten(0, (block.n_paths, -1)).T
+
+
+def _autograd_jacobian(residuals: Residuals, z: torch.Tensor, deviations: torch.Tensor) -> torch.Tensor:
+    """Of one fit's residual vector."""
+    z = z.clone().requires_grad_(True)
+    parts, logs, offsets = residuals.split(z)
+    outputs = []
+    for block, ansatz, part in zip(residuals.blocks, residuals.ansatzes, parts, strict=True):
+        times = torch.as_tensor(block.times[:1]).requires_grad_(True)
+        x = _displacement(block, ansatz, part, times)
+        if block.lift is not None:
+            told = block.lift[0, :2, 0].detach()  # at time 0 the first part is the told start itself
+            g = torch.exp(-((2.0 * times[0]) ** 2))[:, None]
+            x = (told[0] + told[1] * times[0][:, None]) * g + (1.0 - g) * x
+        streams = [x]
+        for _ in range(2):
+            slopes = [torch.autograd.grad(c.sum(), times, create_graph=True)[0][0] for c in streams[-1].unbind(-1)]
+            streams.append(torch.stack(slopes, -1))
+        outputs.append(torch.stack(streams)[None])
+    rows = residuals._rows(outputs, residuals._physics(outputs, logs), logs, offsets)[0] / deviations[0]
+    grads = [
+        torch.autograd.grad(row, z, retain_graph=True, allow_unused=True, materialize_grads=True)[0][0] for row in rows
+    ]
+    return torch.stack(grads)
+
+
+def test_exact_start_is_exact() -> None:
+    residuals, z, deviations = small(exact=True)
+    output = residuals.evaluate(z, deviations).outputs[0]
+    told = plain_problem(seed=0).records[0].initial_state
+    assert told is not None
+    torch.testing.assert_close(output[0, :2, 0, 0], torch.tensor([told.displacement[0], told.velocity[0]]))
+    assert residuals.n_rows == small()[0].n_rows - 2
+
+
+def test_dual_and_primal_steps_are_the_textbook_step() -> None:
+    residuals, z, deviations = small(n_fits=2)
+    state = residuals.evaluate(z, deviations)
+    linear = residuals.linearise(state, deviations)
+    jacobian = torch.cat([part for _, part in residuals.jacobian_parts(state, linear)], 1)
+    for kind in (levenberg.DualEquations, levenberg.PrimalEquations):
+        normal = kind(residuals, state, deviations)
+        torch.testing.assert_close(normal.size, (jacobian**2).sum(2).amax(1))
+        damping = 1e-3 * normal.size
+        steps, promised = normal.solve(damping)
+        for i in range(2):
+            j, r = jacobian[i], state.rows[i]
+            stacked = torch.cat([j, damping[i].sqrt() * torch.eye(residuals.n_z, dtype=torch.float64)])
+            right = torch.cat([r, torch.zeros(residuals.n_z, dtype=torch.float64)])
+            step = torch.linalg.lstsq(stacked, right[:, None], driver="gelsd").solution[:, 0]
+            assert float((steps[i] - step).norm() / step.norm()) < 1e-9
+            left = r - j @ step
+            assert float(promised[i]) == pytest.approx(0.5 * float(r @ r - left @ left), rel=1e-9)
+
+
+def test_heads_of_a_sum_hold_its_fixed_functions() -> None:
+    residuals, z, deviations = small(Chain(2), ansatz="assisted")
+    heads, short = residuals.heads(z)
+    torch.testing.assert_close(heads.evaluate(short, deviations).rows, residuals.evaluate(z, deviations).rows)
+    moved = short + 0.1
+    whole = residuals.with_heads(z, moved)
+    torch.testing.assert_close(heads.evaluate(moved, deviations).rows, residuals.evaluate(whole, deviations).rows)
+    fixed = slice(residuals.ansatzes[0].inner.count, residuals.ansatzes[0].count)
+    assert bool((whole != z)[0, fixed].all())
+
+
+def test_heads_are_the_last_layers() -> None:
+    residuals, z, deviations = small(Chain(2))
+    heads, short = residuals.heads(z)
+    torch.testing.assert_close(heads.evaluate(short, deviations).rows, residuals.evaluate(z, deviations).rows)
+    moved = short + 0.1
+    whole = residuals.with_heads(z, moved)
+    torch.testing.assert_close(heads.evaluate(moved, deviations).rows, residuals.evaluate(whole, deviations).rows)
+    n, last = residuals.ansatzes[0].count, 2 * (3 + 1)
+    expected = np.concatenate(
+        [np.r_[np.zeros(n - last, bool), np.ones(last, bool)]] * 2 + [np.ones(residuals.n_unknowns, bool)]
+    )
+    np.testing.assert_array_equal((whole != z).numpy()[0], expected)
+
+
+def test_levenberg_goes_lower_than_scipys_lbfgs() -> None:
+    problem = Problem(SDOF(), (record(0.05, known=True),), PRIOR)
+    scaled = problem.expressed_in(problem.natural_units())
+    widths = (1, 12, 12, 1)
+    residuals = Residuals([scaled], networks(widths), 60, SDOF().names, np.zeros((1, 3)), np.ones(1))
+    weights = tanh.flat(tanh.initial_layers(widths, 3.6, np.random.default_rng(0)))
+    z = torch.as_tensor(np.r_[weights, 0.0, np.log([6.0, 500.0])])[None]
+    one = np.ones(1)
+    deviations = residuals.deviations(Spread(np.full((1, 1), 0.1), 10.0 * one, 10.0 * one, 0.02 * one, 0.4 * one))
+
+    def loss(at: np.ndarray) -> tuple[float, np.ndarray]:
+        state, gradient = residuals.gradient(torch.as_tensor(at[None]), deviations)
+        return float(state.loss[0]), np.asarray(gradient[0])
+
+    options = {"maxiter": 1000, "maxcor": 30, "ftol": 1e-12}
+    found = minimize(loss, z[0].numpy(), jac=True, method="L-BFGS-B", options=options)
+    walk = levenberg.Walk.start(z)
+    levenberg.minimise(residuals, walk, deviations, 150, 1e-6)
+    reached = float(residuals.evaluate(walk.z, deviations).loss[0])
+    assert reached <= found.fun * (1 + 1e-3)
+    assert found.fun < 1e-2 * residuals.evaluate(z, deviations).loss[0]
+
+
+@pytest.mark.parametrize("method", [PINN(batch=3), Collocation(batch=3), PINN(batch=3, start="exact", iterations=15)])
+def test_a_fit_is_the_same_alone_and_in_company(method: PhysicsInformed) -> None:
+    problems = [
+        Problem(SDOF(), (record(noise, known=True, seed=i),), PRIOR) for i, noise in enumerate((0.01, 0.1, 0.4))
+    ]
+    together = method.identify_many(problems, [np.random.default_rng(i) for i in range(3)])
+    for i in (2, 0, 1):
+        alone = method.identify(problems[i], np.random.default_rng(i)).parameters
+        other = together[i].parameters
+        sd = np.sqrt(np.diag(alone.covariance))  # type: ignore[union-attr,arg-type]
+        assert np.all(np.abs(alone.mean - other.mean) < 1e-3 * sd)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("method", [PINN(), Collocation(), PINN(start="exact", iterations=150)])
+def test_band_is_the_delta_methods(method: PhysicsInformed) -> None:
+    """Against the sensitivities of the simulated response at scipy's solution, by finite differences."""
+    sigma = 0.02
+    own = record(sigma, known=True, seed=3)
+    estimate = method.identify(Problem(SDOF(), (own,), PRIOR), np.random.default_rng(0))
+    times = np.linspace(0.0, 8.0, 200)
+    covariance = estimate.parameters.covariance  # type: ignore[union-attr]
+    logs = estimate.parameters.mean  # type: ignore[union-attr]
+    assert own.initial_state is not None
+
+    def path(at: np.ndarray) -> np.ndarray:
+        p = dict(zip(SDOF().names, np.exp(at), strict=True))
+        return simulate(SDOF(), p, own.initial_state, times).displacement[0]
+
+    slopes = np.stack([(path(logs + e) - path(logs - e)) / 2e-4 for e in 1e-4 * np.eye(3)], 1)
+    expected = np.sqrt(np.einsum("ti,ij,tj->t", slopes, covariance, slopes))
+    # the told start is kept to a tenth of the noise, the physics to a fifth of it: the band is that much wider
+    np.testing.assert_allclose(estimate.bands[0](times)[0], expected, atol=0.25 * sigma)
+    assert np.mean(np.abs(estimate.bands[0](times)[0] - expected)) < 0.05 * sigma
+
+
+def test_bootstrap_spreads_as_the_linearisation_and_the_ensemble_hardly_at_all() -> None:
+    """The network's initialisation is not where the error comes from: the paper's ensemble is far too sure."""
+    problem = Problem(SDOF(), (record(0.05, known=True),), PRIOR)
+
+    def deviation(method: PhysicsInformed) -> tuple[float, float]:
+        estimate = method.identify(problem, np.random.default_rng(0))
+        marginal = estimate.marginal(SDOF().quantity("k_over_m"))
+        assert marginal is not None
+        low, high = marginal.interval(0.68)
+        return (high - low) / 2.0, float(np.mean(estimate.bands[0](np.linspace(1.0, 8.0, 50))))
+
+    laplace = deviation(Collocation())
+    bootstrap = deviation(Collocation(uncertainty="bootstrap", members=40, batch=40))
+    ensemble = deviation(PINN(uncertainty="ensemble", members=4))
+    assert bootstrap[0] == pytest.approx(laplace[0], rel=0.35)
+    assert bootstrap[1] == pytest.approx(laplace[1], rel=0.35)
+    assert ensemble[0] < 0.1 * laplace[0]
+    assert ensemble[1] < 0.1 * laplace[1]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_noise_free_record_gives_the_truth(known: bool) -> None:
+    problem = Problem(SDOF(), (record(known=known),), PRIOR)
+    estimate = PINN().identify(problem, np.random.default_rng(0))
+    assert estimate.status is Status.OK
+    for name, tolerance in (("k_over_m", 1e-4), ("c_over_m", 1e-3)):
+        quantity = SDOF().quantity(name)
+        marginal = estimate.marginal(quantity)
+        assert marginal is not None
+        assert marginal.value == pytest.approx(quantity.value(TRUE), rel=tolerance)
+    times = np.linspace(0.0, 8.0, 77)
+    exact = simulate(SDOF(), TRUE, InitialState(np.array([0.6]), np.array([-0.8])), times).displacement
+    np.testing.assert_allclose(estimate.reconstructions[0](times), exact, atol=1e-4)
+    assert estimate.initial_states is not None
+    np.testing.assert_allclose(estimate.initial_states[0].velocity, [-0.8], atol=1e-3)
+
+
+def test_agrees_with_maximum_a_posteriori_by_simulation() -> None:
+    """Value and standard deviation of every log-parameter against scipy on the simulated response."""
+    sigma = 0.02
+    own = record(sigma, seed=3)
+    estimate = PINN().identify(Problem(SDOF(), (own,), PRIOR), np.random.default_rng(0))
+
+    def rows(z: np.ndarray) -> np.ndarray:
+        p = dict(zip(SDOF().names, np.exp(z[:3]), strict=True))
+        path = simulate(SDOF(), p, InitialState(z[3:4], z[4:]), own.channels[0].times).displacement[0]
+        return np.concatenate([(path - own.channels[0].values) / sigma, PRIOR.residuals(z[:3])])
+
+    found = least_squares(rows, np.r_[np.log(list(TRUE.values())), 0.6, -0.8])
+    assert estimate.parameters is not None
+    belief = estimate.parameters
+    residual = rows(found.x)[:25]
+    noise = np.sqrt(residual @ residual / 21)  # sigma is not told: scipy's covariance at the estimated one
+    jacobian = found.jac.copy()
+    jacobian[:25] /= noise
+    sd = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))[:3]
+    assert np.all(np.abs(belief.mean - found.x[:3]) < 0.1 * sd)  # type: ignore[union-attr]
+    np.testing.assert_allclose(np.sqrt(np.diag(belief.covariance)), sd, rtol=0.1)  # type: ignore[union-attr,arg-type]
+
+
+def test_units_and_networks_change_nothing() -> None:
+    problem = Problem(SDOF(), (record(0.03, known=True),), PRIOR)
+    units = Units(3.0, 1e-3, 0.1)
+    one = PINN().identify(problem, np.random.default_rng(0)).parameters
+    other = (
+        PINN().identify(problem.expressed_in(units), np.random.default_rng(0)).expressed_in(units.inverse).parameters
+    )
+    redrawn = PINN().identify(problem, np.random.default_rng(1)).parameters
+    sd = np.sqrt(np.diag(one.covariance))  # type: ignore[union-attr,arg-type]
+    assert np.all(np.abs(one.mean - other.mean) < 1e-3 * sd)  # type: ignore[union-attr]
+    assert np.all(np.abs(one.mean - redrawn.mean) < 0.05 * sd)  # type: ignore[union-attr]
+
+
+def test_without_prior_or_force_only_groups_are_told() -> None:
+    estimate = PINN().identify(Problem(SDOF(), (record(0.01),)), np.random.default_rng(0))
+    assert estimate.parameters is None
+    assert estimate.groups is not None
+    low, high = estimate.marginal(SDOF().quantity("k_over_m")).interval(0.999)  # type: ignore[union-attr]
+    assert low < 14.0 / 1.7 < high
+    assert (high - low) < 0.1 * 14.0 / 1.7
+    pickle.loads(pickle.dumps(estimate))
+
+
+def test_offset_is_estimated() -> None:
+    own = record(0.005).channels[0]
+    shifted = Record((Channel(own.times, own.values + 0.4, offset=True),))
+    estimate = PINN().identify(Problem(SDOF(), (shifted,)), np.random.default_rng(0))
+    assert estimate.offsets is not None
+    assert estimate.offsets[0] == pytest.approx(0.4, abs=0.005)
+
+
+def test_papers_training_descends_to_the_same_loss_by_another_road() -> None:
+    problem = Problem(SDOF(), (record(0.05, known=True),), PRIOR)
+    estimate = PINN(optimizer="adam_lbfgs", adam_steps=50, lbfgs_steps=90).identify(problem, np.random.default_rng(0))
+    assert np.all(np.isfinite(estimate.traces["loss"]))
+    assert estimate.traces["loss"][-1] < 1e-2 * estimate.traces["loss"][0]
+    assert estimate.traces["evaluations"][-1] <= estimate.cost.evaluations
+
+
+def test_scan_finds_the_wave() -> None:
+    t = np.sort(np.random.default_rng(0).uniform(0, 6, 30))
+    y = np.exp(-0.5 * t) * np.cos(9.0 * t + 1.0)
+    guesses, left = scan(Problem(SDOF(), (Record((Channel(t, y),)),)))
+    assert guesses[0].omega == pytest.approx(9.0, abs=np.pi / t[-1] / 8 + 1e-9)
+    assert left < 0.1
+
+
+@pytest.mark.parametrize("n", [3, 5])
+def test_few_samples_give_a_finite_answer_or_a_sentence(n: int) -> None:
+    t = np.linspace(0, 4, n)
+    estimate = PINN().identify(
+        Problem(SDOF(), (Record((Channel(t, np.cos(2 * t)),)),), PRIOR), np.random.default_rng(0)
+    )
+    assert estimate.message
+    assert estimate.belief is None or estimate.belief.finite()
+
+
+def test_dead_channel_and_absent_device_are_statuses() -> None:
+    t = np.linspace(0, 4, 20)
+    dead = PINN().identify(Problem(SDOF(), (Record((Channel(t, 0 * t),)),)), np.random.default_rng(0))
+    assert dead.status is Status.DIVERGED
+    assert "sensor" in dead.message
+    if not torch.cuda.is_available():
+        absent = PINN(device="cuda").identify(Problem(SDOF(), (record(),)), np.random.default_rng(0))
+        assert absent.status is Status.INVALID
+        assert "device=cpu" in absent.message
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
+@pytest.mark.parametrize("kind", [PINN, Collocation])
+def test_a_batch_on_a_gpu_is_the_fits_on_the_processor(kind: type[PhysicsInformed]) -> None:
+    problems = [Problem(SDOF(), (record(0.05, known=True, seed=i),), PRIOR) for i in range(4)]
+    rngs = [np.random.default_rng(i) for i in range(4)]
+    there = kind(device="cuda", batch=4).identify_many(problems, rngs)
+    for i, problem in enumerate(problems):
+        here = kind().identify(problem, np.random.default_rng(i)).parameters
+        sd = np.sqrt(np.diag(here.covariance))  # type: ignore[union-attr,arg-type]
+        assert np.all(np.abs(here.mean - there[i].parameters.mean) < 1e-2 * sd)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("kind", "setting", "value"),
+    [
+        (PINN, "batch", 0),
+        (PINN, "slack", -1.0),
+        (PINN, "width", 1),
+        (PINN, "adam_rate", float("nan")),
+        (Collocation, "members", 1),
+        (Collocation, "degree", 2),
+    ],
+)
+def test_a_setting_that_makes_no_sense_is_one_line(kind: type[PhysicsInformed], setting: str, value: float) -> None:
+    with pytest.raises(InputError, match=f"method.{setting}"):
+        kind(**{setting: value})

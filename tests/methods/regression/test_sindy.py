@@ -1,0 +1,115 @@
+"""SINDy: the terms it finds in exact data, its projection onto the system, its twin in the bootstrap."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from bench import Channel, InputError, Problem, Record, Status, Units
+from bench.scenario.scenario import ForceSpec, Scenario
+from bench.systems import SDOF
+from methods.regression.sindy import SINDy, greedy
+
+pysindy = pytest.importorskip("pysindy")
+
+PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def dense(system: str, parameters: dict[str, float], **changes: object) -> Problem:
+    """400 samples over 10 s, nearly without noise."""
+    scenario = Scenario(system, parameters, ((0.9,), (0.4,)), 140.0, samples=400, **changes)  # type: ignore[arg-type]
+    return scenario.replicates(2, 1)[0][0]
+
+
+def test_it_finds_the_terms_of_a_linear_oscillator() -> None:
+    estimate = SINDy(bootstrap=8).identify(dense("sdof", PLANT), rng())
+    assert estimate.message == "terms kept of 9: x, v"
+    assert estimate.groups is not None
+    np.testing.assert_allclose(estimate.groups.mean, [9.0 / 1.3, 0.6 / 1.3], rtol=1e-4)
+    np.testing.assert_allclose(estimate.traces["coefficients"][0, :2], [-9.0 / 1.3, -0.6 / 1.3], rtol=1e-4)
+
+
+def test_it_finds_the_cubic_of_a_hardening_spring() -> None:
+    p = {"m": 1.2, "c": 0.3, "k": 5.0, "k3": 6.0}
+    estimate = SINDy(bootstrap=8).identify(dense("duffing", p), rng())
+    assert estimate.message == "terms kept of 9: x, v, x^3"
+    assert estimate.groups is not None
+    np.testing.assert_allclose(estimate.groups.mean, [5.0 / 1.2, 0.3 / 1.2, 6.0 / 1.2], rtol=1e-3)
+
+
+def test_it_finds_a_known_force_and_with_it_the_mass() -> None:
+    problem = dense("sdof", PLANT, force=ForceSpec(3.0, 0.1, 1.0))
+    estimate = SINDy(bootstrap=8).identify(problem, rng())
+    assert estimate.message == "terms kept of 10: x, v, f"
+    assert estimate.parameters is not None
+    for name, value in estimate.parameters.values().items():
+        assert value == pytest.approx(PLANT[name], rel=0.01)
+
+
+def test_coefficients_are_in_the_units_of_the_problem() -> None:
+    problem = dense("duffing", {"m": 1.2, "c": 0.3, "k": 5.0, "k3": 6.0})
+    here = SINDy(bootstrap=8).identify(problem, rng()).traces["coefficients"][0]
+    there = SINDy(bootstrap=8).identify(problem.expressed_in(Units(length=1e-3)), rng()).traces["coefficients"][0]
+    # x'' = ... - k/m x - k3/m x³ in millimetres: the cubic term shrinks by a million
+    np.testing.assert_allclose(there[[0, 1, 5]] / here[[0, 1, 5]], [1.0, 1.0, 1e-6], rtol=1e-6)
+
+
+def test_the_bootstrap_chooses_terms_as_pysindy_does() -> None:
+    draw = np.random.default_rng(8)
+    features = draw.standard_normal((5, 30, 9)) * np.geomspace(0.1, 30.0, 9)
+    target = features[..., 0] - 0.3 * features[..., 4] + 0.5 * draw.standard_normal((5, 30))
+    models = greedy(features, target, 6)
+    for i in range(5):
+        norms = np.linalg.norm(features[i], axis=0)
+        oracle = pysindy.FROLS(alpha=0.0, max_iter=6, unbias=False).fit(features[i] / norms, target[i][:, None])
+        expected = np.stack(oracle.history_[1:7])[:, 0] / norms
+        np.testing.assert_allclose(models[i], expected, rtol=1e-6, atol=1e-9)
+
+
+def test_terms_that_others_give_are_not_taken() -> None:
+    """Three different terms, one of them twice and in a sum, and one that is zero: a fourth says nothing new."""
+    draw = np.random.default_rng(3)
+    own = draw.standard_normal((4, 20, 3))
+    features = np.concatenate([own, own[..., :1], own.sum(-1, keepdims=True), np.zeros((4, 20, 1))], axis=2)
+    target = own @ np.array([1.0, -2.0, 0.5])
+    models = greedy(features, target, 5)
+    assert np.all(np.count_nonzero(models, axis=2) == [1, 2, 3, 3, 3])
+    np.testing.assert_allclose(np.einsum("srk,sk->sr", features, models[:, -1]), target, atol=1e-9)
+
+
+def test_few_noisy_samples_give_a_covariance_of_the_right_size() -> None:
+    scenario = Scenario("sdof", PLANT, ((0.8,), (0.5,)), 20.0)
+    fits = [SINDy().identify(p, rng()).groups for p, _ in scenario.replicates(13, 16)]
+    means = np.array([fit.mean for fit in fits if fit is not None])
+    covariances = [fit.covariance for fit in fits if fit is not None and fit.covariance is not None]
+    told = np.median([np.sqrt(np.diag(covariance)) for covariance in covariances], axis=0)
+    assert means.shape == (16, 2)
+    np.testing.assert_allclose(np.median(means, axis=0), [9.0 / 1.3, 0.6 / 1.3], rtol=0.1)
+    np.testing.assert_allclose(told[0], np.std(means[:, 0]), rtol=0.6)
+
+
+def test_too_few_samples_for_the_library_is_a_sentence() -> None:
+    times = np.linspace(0, 2, 7)
+    problem = Problem(SDOF(), (Record((Channel(times, np.cos(3 * times)),)),))
+    estimate = SINDy().identify(problem, rng())
+    assert estimate.status is Status.UNSUPPORTED
+    assert "at least" in estimate.message
+
+
+def test_importing_the_method_does_not_import_pysindy() -> None:
+    code = "import sys, methods.regression.sindy; sys.exit('pysindy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_settings_out_of_range_are_refused() -> None:
+    with pytest.raises(InputError, match="degree"):
+        SINDy(degree=0)
+    with pytest.raises(InputError, match="most_terms"):
+        SINDy(most_terms=0)

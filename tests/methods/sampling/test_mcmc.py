@@ -1,0 +1,265 @@
+"""Sampling: agrees with quadrature, tells when it has not converged, and is repeatable."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from bench import Channel, Draws, Force, InitialState, Normal, Problem, Record, Units, measurements
+from bench.contract.estimate import Estimate, Status
+from bench.dynamics.simulate import simulate
+from bench.scenario.scenario import PriorSpec, Scenario
+from bench.systems import SDOF, Chain
+
+pytest.importorskip("emcee")
+from methods.sampling.mcmc import MCMC, NOISE_SD, Health, rank_r_hat
+
+NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
+TRUE = {"m": 1.3, "c": 0.6, "k": 9.0}
+
+
+def scenario(snr: float, **changes: object) -> Scenario:
+    given = {"system": "sdof", "parameters": TRUE, "initial": ((0.8,), (0.5,)), "prior": NOMINAL, **changes}
+    return Scenario(snr_db=snr, **given)  # type: ignore[arg-type]
+
+
+def sample(problem: Problem, seed: int = 0, **settings: object) -> Estimate:
+    return MCMC(**settings).identify(problem, np.random.default_rng(seed))  # type: ignore[arg-type]
+
+
+def quadrature(problem: Problem, logs: list[np.ndarray], log_sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Posterior mean and standard deviation of (m, c, k) by a sum over a grid of log-parameters and log-noise."""
+    record = problem.records[0]
+    data, times = record.channels[0].values, record.channels[0].times
+    grids = [g.ravel() for g in np.meshgrid(*logs, indexing="ij")]
+    p = {name: np.exp(g) for name, g in zip(problem.system.names, grids, strict=True)}
+    assert record.initial_state is not None
+    rss = np.sum((simulate(problem.system, p, record.initial_state, times).displacement[0] - data) ** 2, axis=-1)
+    sigma = np.exp(log_sigma)
+    centre = np.log(0.1 * np.sqrt(np.mean(data**2)))
+    log_density = -0.5 * rss[:, None] / sigma**2 - data.size * log_sigma - 0.5 * ((log_sigma - centre) / NOISE_SD) ** 2
+    if problem.prior is not None:
+        log_density -= 0.5 * np.sum(problem.prior.residuals(np.stack(grids, axis=-1)) ** 2, axis=-1)[:, None]
+    weights = np.exp(log_density - log_density.max()).sum(axis=1)
+    weights /= weights.sum()
+    values = np.stack([p[name] for name in problem.system.names])
+    mean = values @ weights
+    return mean, np.sqrt(((values - mean[:, None]) ** 2) @ weights)
+
+
+@pytest.mark.parametrize("snr", [20.0, 8.0])
+def test_mean_and_spread_agree_with_quadrature(snr: float) -> None:
+    problem, _ = scenario(snr).replicates(1, 1)[0]
+    assert problem.prior is not None
+    estimate = sample(problem, effective=2000.0)
+    assert isinstance(estimate.parameters, Draws)
+    draws = estimate.parameters.samples
+    logs = np.log(draws)
+    # a grid along the mass, and for c and k about the ridge that follows it
+    width = 6 * logs.std(axis=0)
+    grid = [np.linspace(m - w, m + w, n) for m, w, n in zip(logs.mean(axis=0), width, (25, 61, 61), strict=True)]
+    noise = np.log(0.1 * np.sqrt(np.mean(problem.records[0].channels[0].values ** 2))) + np.linspace(-4, 3, 120)
+    mean, sd = quadrature(problem, grid, noise)
+    assert draws.mean(axis=0) == pytest.approx(mean, abs=0.1 * sd.min(), rel=0.005 if snr > 10 else 0.02)
+    assert draws.std(axis=0) == pytest.approx(sd, rel=0.1)
+
+
+def test_without_a_prior_the_groups_agree_with_quadrature() -> None:
+    problem, _ = scenario(15.0, prior=None).replicates(2, 1)[0]
+    estimate = sample(problem, effective=2000.0)
+    assert isinstance(estimate.groups, Normal)
+    assert estimate.parameters is None
+    k_m, c_m = estimate.groups.mean
+    assert estimate.groups.covariance is not None
+    k_sd, c_sd = np.sqrt(np.diag(estimate.groups.covariance))
+    grid = [
+        np.zeros(1),
+        np.log(np.linspace(max(c_m - 5 * c_sd, 0.01 * c_m), c_m + 6 * c_sd, 121)),
+        np.log(np.linspace(k_m - 6 * k_sd, k_m + 6 * k_sd, 121)),
+    ]
+    noise = np.log(0.1 * np.sqrt(np.mean(problem.records[0].channels[0].values ** 2))) + np.linspace(-3, 3, 120)
+    # uneven steps in the logarithm: the sum over a grid needs even ones
+    grid = [g if g.size == 1 else np.linspace(g[0], g[-1], g.size) for g in grid]
+    mean, sd = quadrature(problem, grid, noise)
+    assert k_m == pytest.approx(mean[2], abs=0.1 * sd[2])
+    assert c_m == pytest.approx(mean[1], abs=0.1 * sd[1])
+    assert [c_sd, k_sd] == pytest.approx(sd[1:], rel=0.1)
+
+
+def test_same_seed_same_draws_and_nothing_global() -> None:
+    problem, _ = scenario(20.0).replicates(0, 1)[0]
+    first = sample(problem, 5)
+    np.random.seed(1)  # noqa: NPY002
+    second, third = sample(problem, 5), sample(problem, 6)
+    assert isinstance(first.parameters, Draws)
+    assert isinstance(second.parameters, Draws)
+    assert isinstance(third.parameters, Draws)
+    assert np.array_equal(first.parameters.samples, second.parameters.samples)
+    assert not np.array_equal(first.parameters.samples, third.parameters.samples)
+    assert len(first.parameters.samples) <= 2000
+
+
+def test_a_chain_that_is_too_short_is_a_failure_with_a_sentence() -> None:
+    problem, _ = scenario(20.0).replicates(0, 1)[0]
+    estimate = sample(problem, burn=0, block=8, blocks=1)
+    assert estimate.status is Status.DIVERGED
+    assert "not converged" in estimate.message
+    assert "R-hat" in estimate.message
+
+
+def test_the_autocorrelation_time_is_that_of_the_process() -> None:
+    """Walkers that are first-order autoregressive, ``x' = a x + e``, have the time ``(1 + a) / (1 - a)``."""
+    rng, a, steps = np.random.default_rng(0), 0.8, 1500
+    path = np.empty((2, steps, 20, 2))
+    path[:, 0] = rng.standard_normal((2, 20, 2))
+    for i in range(1, steps):
+        path[:, i] = a * path[:, i - 1] + np.sqrt(1 - a * a) * rng.standard_normal((2, 20, 2))
+    health = Health.of(path)
+    assert health.time == pytest.approx(9.0, rel=0.15)
+    assert health.effective == pytest.approx(2 * steps * 20 / 9.0, rel=0.15)
+    assert health.converged(MCMC(), steps)
+    # as good an R-hat, but too short against its autocorrelation time
+    short = Health(1.0, 1000.0, 9.0)
+    assert not short.converged(MCMC(), 100)
+    assert "9 of 100 steps, too long" in short.sentence(MCMC(), 100, 5)
+    assert "nuts" not in short.sentence(MCMC(), 100, 5)
+    assert "20 unknowns" in short.sentence(MCMC(), 100, 20)
+
+
+def test_walkers_that_move_by_each_other_alone_do_not_mix_among_many_unknowns() -> None:
+    """Four masses, 24 unknowns: without independent moves the autocorrelation time outgrows the chain."""
+    n = range(1, 5)
+    parameters = {f"m{i}": 1.0 for i in n} | {f"c{i}": 0.2 for i in n} | {f"k{i}": 10.0 for i in n}
+    start = ((1.0, 0.0, 0.0, 0.0), (0.0,) * 4)
+    made = scenario(
+        20.0, system="chain", options={"n": 4}, parameters=parameters, initial=start, samples=40, told="unknown"
+    )
+    estimate = sample(made.replicates(0, 1)[0][0], independent=0.0, blocks=4)
+    assert estimate.status is Status.DIVERGED
+    assert "autocorrelation time" in estimate.message
+    assert "24 unknowns" in estimate.message
+
+
+def test_a_nonlinear_system_is_sampled() -> None:
+    """A Duffing oscillator over two cycles; the groups lie in the 99.9 % intervals."""
+    parameters = {"m": 1.2, "c": 0.5, "k": 6.0, "k3": 4.0}
+    made = scenario(25.0, system="duffing", parameters=parameters, initial=((0.9,), (0.0,)), samples=25, duration=4.0)
+    problem, _ = made.replicates(0, 1)[0]
+    estimate = sample(problem)
+    for group in problem.system.groups:
+        marginal = estimate.marginal(group)
+        assert marginal is not None, estimate.message
+        low, high = marginal.interval(0.999)
+        assert low < group.value(parameters) < high
+
+
+def test_r_hat_tells_ensembles_apart() -> None:
+    rng = np.random.default_rng(0)
+    mixed = rng.standard_normal((2, 100, 20, 3))
+    assert rank_r_hat(mixed) < 1.01
+    apart = mixed.copy()
+    apart[1, ..., 1] += 1.0
+    assert rank_r_hat(apart) > 1.1
+    wider = mixed.copy()
+    wider[1, ..., 2] *= 3.0
+    assert rank_r_hat(wider) > 1.05
+    drifting = mixed.copy()
+    drifting[..., 0] += np.linspace(0, 2, 100)[None, :, None]
+    assert rank_r_hat(drifting) > 1.1
+    stuck = mixed.copy()
+    stuck[..., 0] = 1.0
+    assert rank_r_hat(stuck) == np.inf
+
+
+@pytest.mark.parametrize("told", ["known", "unknown"])
+def test_the_mode_recovers_clean_data(told: str) -> None:
+    problem, _ = scenario(120.0, told=told).replicates(0, 1)[0]
+    estimate = sample(problem)
+    mode = dict(zip(problem.system.names, np.exp(estimate.traces["mode"]), strict=True))
+    assert mode["k"] / mode["m"] == pytest.approx(9.0 / 1.3, rel=1e-5)
+    assert mode["c"] / mode["m"] == pytest.approx(0.6 / 1.3, rel=1e-5)
+    assert problem.prior is not None
+    assert mode["m"] == pytest.approx(problem.prior.nominal["m"], rel=0.05)
+    marginal = estimate.marginal(problem.system.quantity("k_over_m"))
+    assert marginal is not None, estimate.message
+    assert marginal.value == pytest.approx(9.0 / 1.3, rel=1e-5)
+
+
+def test_a_wrong_half_period_in_the_prior_does_not_hold_it() -> None:
+    problem, _ = scenario(20.0, told="unknown", parameters={"m": 0.5, "c": 0.1, "k": 6.0}).replicates(3, 1)[0]
+    marginal = sample(problem).marginal(problem.system.quantity("k_over_m"))
+    assert marginal is not None
+    assert marginal.value == pytest.approx(12.0, rel=0.05)
+
+
+def test_the_reconstruction_is_the_mean_response_and_can_be_pickled() -> None:
+    problem, truth = scenario(10.0, told="unknown").replicates(4, 1)[0]
+    estimate = sample(problem)
+    curve = pickle.loads(pickle.dumps(estimate.reconstructions[0]))(truth.dense_times)
+    assert curve.shape == (1, truth.dense_times.size)
+    assert np.sqrt(np.mean((curve - truth.dense_displacement) ** 2)) < truth.sigma[0]
+    assert estimate.initial_states is not None
+    assert estimate.initial_states[0].displacement[0] == pytest.approx(curve[0, 0], abs=0.5 * truth.sigma[0])
+
+
+def test_units_change_nothing_but_units() -> None:
+    problem, _ = scenario(20.0).replicates(7, 1)[0]
+    units = Units(3.0, 1e-3, 0.1)
+    plain, other = sample(problem), sample(problem.expressed_in(units)).expressed_in(units.inverse)
+    for q in problem.system.quantities:
+        a, b = plain.marginal(q), other.marginal(q)
+        assert a is not None
+        assert b is not None
+        low, high = a.interval(0.68)
+        assert abs(a.value - b.value) < 1e-3 * (high - low) / 2
+
+
+def test_a_force_and_two_records_and_other_sensors() -> None:
+    system, rng = SDOF(), np.random.default_rng(0)
+    times, knots = np.linspace(0, 8, 30), np.linspace(0, 8, 60)
+    push = Force(knots, 3.0 * np.sin(2 * np.pi * 0.35 * knots) + 2.0 * np.cos(5.0 * knots))
+    start, records = InitialState(np.array([0.5]), np.array([0.0])), []
+    for measures, forces, told in (("displacement", (push,), True), ("acceleration", (), False)):
+        blank = Channel(times, times, measures, offset=not told)  # type: ignore[arg-type]
+        clean = measurements(system, TRUE, start, Record((blank,), forces))
+        noisy = clean + 0.03 * np.sqrt(np.mean(clean**2)) * rng.standard_normal(clean.size) + 0.4 * (not told)
+        channel = Channel(times, noisy, measures, offset=not told)  # type: ignore[arg-type]
+        records.append(Record((channel,), forces, start if told else None))
+    estimate = sample(Problem(system, tuple(records)), effective=200.0)
+    for name, true in TRUE.items():
+        marginal = estimate.marginal(system.quantity(name))
+        assert marginal is not None, estimate.message
+        low, high = marginal.interval(0.999)
+        assert low < true < high
+    assert estimate.offsets is not None
+    assert estimate.offsets[1] == pytest.approx(0.4, abs=0.1)
+
+
+def test_a_chain_of_two_masses() -> None:
+    parameters = {"m1": 1.2, "m2": 0.9, "c1": 0.25, "c2": 0.2, "k1": 7.0, "k2": 11.0}
+    start = ((0.5, -0.4), (0.0, 1.0))
+    made = scenario(30.0, system="chain", parameters=parameters, initial=start, samples=40)
+    problem, _ = made.replicates(0, 1)[0]
+    estimate = sample(problem)
+    for group in Chain(2).groups:
+        marginal = estimate.marginal(group)
+        assert marginal is not None, estimate.message
+        low, high = marginal.interval(0.999)
+        assert low < group.value(parameters) < high
+
+
+@pytest.mark.parametrize("told", ["known", "unknown"])
+@pytest.mark.parametrize("prior", [NOMINAL, None])
+def test_five_samples_give_an_answer_or_a_sentence(told: str, prior: PriorSpec | None) -> None:
+    for problem, _ in scenario(10.0, told=told, samples=5, prior=prior).replicates(0, 2):
+        estimate = sample(problem, blocks=4).checked()
+        assert estimate.status is Status.OK or (estimate.status is Status.DIVERGED and len(estimate.message) > 20)
+
+
+def test_a_dead_channel_is_a_sentence() -> None:
+    times = np.linspace(0, 10, 25)
+    estimate = sample(Problem(SDOF(), (Record((Channel(times, np.zeros(25)),)),)))
+    assert estimate.status is Status.DIVERGED
+    assert "motion" in estimate.message

@@ -1,0 +1,272 @@
+"""Methods that go wrong, each in its own way, and one that spies: a worker process must be able to import them."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import pathlib
+import pickle
+import pickletools
+import re
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bench import Card, Cost, Estimate, Identifier, Normal, Problem, Serves, report_progress
+
+CARD = Card("a test double", "not used", "groups", "simulated", "none", "tests")
+LEAKS = ("Truth", "Scenario", "PriorSpec", "Cell", "Bound")
+
+
+def answer(problem: Problem, value: float = 1.0, message: str = "") -> Estimate:
+    """A well-formed estimate that says ``value`` of every group."""
+    names = tuple(group.name for group in problem.system.groups)
+    groups = Normal(names, np.full(len(names), value), np.eye(len(names)), log=False, dof=10)
+    return Estimate(problem.system, groups=groups, message=message, cost=Cost(evaluations=7))
+
+
+@dataclass(frozen=True)
+class Unpicklable:
+    """A reconstruction that cannot leave its process."""
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        return times[None]
+
+    def __reduce__(self) -> Any:
+        raise TypeError("this stays here")
+
+
+def explode() -> None:
+    """What unpickling a :class:`Trap` calls."""
+    raise RuntimeError("unpickled")
+
+
+@dataclass(frozen=True)
+class Trap:
+    """A reconstruction that leaves its process but cannot be rebuilt in another."""
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        return times[None]
+
+    def __reduce__(self) -> Any:
+        return explode, ()
+
+
+@dataclass(frozen=True)
+class RaisingReconstruction:
+    """A reconstruction that raises when it is scored."""
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        raise ValueError("no reconstruction here")
+
+
+@dataclass(frozen=True)
+class Endless:
+    """A reconstruction that never comes back."""
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        time.sleep(600)
+        return times[None]
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """A reconstruction of the wrong shape."""
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        return np.zeros(3)
+
+
+def misbehave(kind: str, problem: Problem) -> Any:
+    """Go wrong as ``kind`` says, or answer."""
+    good = answer(problem)
+    if kind == "raise":
+        raise ValueError("two lines\nof reasons")
+    if kind == "exit":
+        os._exit(3)
+    if kind == "kill":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if kind == "sleep":
+        time.sleep(600)
+    if kind == "memory":
+        raise MemoryError
+    if kind == "system_exit":
+        raise SystemExit(4)
+    if kind == "segfault":
+        ctypes.string_at(0)
+    if kind == "huge":
+        np.ones(10**12)
+    if kind == "grow":
+        kept = []
+        while True:  # in steps that each fit, and touched, so that they count
+            kept.append(bytearray(os.urandom(1 << 20)) * 8)
+    if kind == "hang":
+        re.match("(a+)+$", "a" * 60 + "b")  # no other thread of this process gets a turn
+    if kind == "recursion":
+        return misbehave(kind, problem)
+    if kind == "close":
+        os.closerange(3, 256)
+    if kind == "none":
+        return None
+    if kind == "orphan":
+        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)  # left behind"])
+    if kind == "slow_reconstruction":
+        return Estimate(problem.system, groups=good.groups, reconstructions=(Endless(),))
+    if kind == "wrong_shape":
+        return Estimate(problem.system, groups=good.groups, reconstructions=(Scalar(),))
+    if kind == "type":
+        return 42.0
+    if kind == "nan":
+        return answer(problem, float("nan"))
+    if kind == "empty":
+        return Estimate(problem.system)
+    if kind == "unpicklable":
+        return Estimate(problem.system, groups=good.groups, reconstructions=(Unpicklable(),))
+    if kind == "trap":
+        return Estimate(problem.system, groups=good.groups, reconstructions=(Trap(),))
+    if kind == "raising_reconstruction":
+        return Estimate(problem.system, groups=good.groups, reconstructions=(RaisingReconstruction(),))
+    if kind == "misshapen":
+        return Estimate(problem.system, groups=Normal(("k_over_m", "nonsense"), np.ones(3), None, log=False))
+    if kind == "print":
+        print("chatter on stdout")
+    if kind == "warn":
+        np.log(np.array([-1.0]))
+    return good
+
+
+@dataclass(frozen=True)
+class Wrong(Identifier):
+    """A registered method that goes wrong as its setting says."""
+
+    kind: str = "raise"
+
+    card: ClassVar[Card] = CARD
+    serves: ClassVar[Serves] = Serves()
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        return misbehave(self.kind, problem)  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class Anytime(Identifier):
+    """Reports an answer, a better one, and then hangs."""
+
+    card: ClassVar[Card] = CARD
+    serves: ClassVar[Serves] = Serves()
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        for value in (1.0, 8.0):
+            time.sleep(1.2)
+            report_progress(problem, lambda value=value: answer(problem, value))  # type: ignore[misc]
+        time.sleep(600)
+        return answer(problem)
+
+
+@dataclass(frozen=True)
+class Draw(Identifier):
+    """Answers with a number from its random stream in the message."""
+
+    card: ClassVar[Card] = CARD
+    serves: ClassVar[Serves] = Serves()
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        return answer(problem, message=repr(float(rng.standard_normal())))
+
+
+@dataclass(frozen=True)
+class Spy(Identifier):
+    """Looks for the truth: in what it is given, and in the whole process. Its message names what it found."""
+
+    card: ClassVar[Card] = CARD
+    serves: ClassVar[Serves] = Serves()
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        text = " ".join(str(argument) for _, argument, _ in pickletools.genops(pickle.dumps(problem)))
+        given = [leak for leak in LEAKS if leak in text]
+        alive = sorted({type(o).__name__ for o in gc.get_objects()} & set(LEAKS))
+        return answer(problem, message=f"given {given} alive {alive} saw {type(problem).__name__}")
+
+
+@dataclass(frozen=True)
+class Sometimes(Identifier):
+    """Is killed by one replicate in twenty, until a file says that it is mended."""
+
+    folder: str = ""
+
+    card: ClassVar[Card] = CARD
+    serves: ClassVar[Serves] = Serves()
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        folder = pathlib.Path(self.folder)
+        marked = folder / "victim"
+        mine = repr(problem.records[0].channels[0].values[:3])
+        if not marked.exists():
+            marked.write_text(mine)
+        if marked.read_text() == mine and not (folder / "mended").exists():
+            os.kill(os.getpid(), signal.SIGKILL)
+        return answer(problem)
+
+
+@dataclass(frozen=True)
+class Marks(Identifier):
+    """Leaves a file each time it is run."""
+
+    folder: str = ""
+
+    card: ClassVar[Card] = CARD
+    serves: ClassVar[Serves] = Serves()
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        (pathlib.Path(self.folder) / f"mark-{os.getpid()}-{time.time_ns()}").touch()
+        time.sleep(0.1)
+        return answer(problem)
+
+
+@dataclass(frozen=True)
+class Needy(Identifier):
+    """Needs a package that nobody has."""
+
+    card: ClassVar[Card] = CARD
+    requires: ClassVar[tuple[str, ...]] = ("a_package_that_nobody_has",)
+    extra: ClassVar[str] = "needy"
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        raise AssertionError("never reached")
+
+
+@dataclass(frozen=True)
+class FreeOnly(Identifier):
+    """Cannot use a known force."""
+
+    card: ClassVar[Card] = CARD
+    serves: ClassVar[Serves] = Serves(forced=False)
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        return answer(problem)
+
+
+@dataclass(frozen=True)
+class Exact(Identifier):
+    """Answers with groups given as settings: a measured record's report can then be checked."""
+
+    k_over_m: float = 9.0
+    c_over_m: float = 0.5
+
+    card: ClassVar[Card] = CARD
+    serves: ClassVar[Serves] = Serves(offsets=True)
+
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        covariance = np.diag([0.04, 0.0025])
+        mean = np.array([self.k_over_m, self.c_over_m])
+        return Estimate(problem.system, groups=Normal(("k_over_m", "c_over_m"), mean, covariance, log=False))
+
+
+class NotAMethod:
+    """What a broken entry point may name."""

@@ -1,0 +1,117 @@
+"""Stored cells as if they had run, made from closed forms and a seed: no method, no simulation."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.contract.estimate import Status
+from bench.information.fisher import Bound
+from bench.scoring.row import Row
+from bench.scoring.summary import summarise
+from bench.store.store import Store, StoredCell
+
+TRUTH = {"m": 1.0, "c": 0.4, "k": 8.0}
+NOISE = 0.05
+SD_K, SD_C, CORRELATION = 0.005, 0.035, 0.2
+"""Of the logarithms of k/m and c/m: what the bound is said to be, and the spread of a method on it."""
+BOUND = Bound(
+    ("m", "c", "k"),
+    {
+        "k_over_m": SD_K,
+        "c_over_m": SD_C,
+        "damping_ratio": float(np.sqrt(SD_C**2 + SD_K**2 / 4 - CORRELATION * SD_K * SD_C)),
+    },
+    {},
+    {},
+    0.0107,
+    0.01,
+    (),
+)
+
+
+def displacement(times: np.ndarray, k: float = 8.0, c: float = 0.4) -> np.ndarray:
+    """The free response of a unit mass released from 1 m at rest (underdamped), by its closed form."""
+    w = np.sqrt(k - c**2 / 4)
+    return np.exp(-c * times / 2) * (np.cos(w * times) + c / (2 * w) * np.sin(w * times))
+
+
+def described(
+    label: str, snr: float = 20.0, told: str = "known", seed: int = 0, n: int = 30, **data: Any
+) -> dict[str, Any]:
+    """What a stored cell says of itself."""
+    physics = {
+        "system": "sdof", "options": {}, "parameters": TRUTH, "initial": [[1.0], [0.0]], "snr_db": snr,
+        "duration": 10.0, "samples": 25, "force": None, **data,
+    }  # fmt: skip
+    prior = {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5, "wrong": False}
+    return {
+        "format": 2, "method": label, "settings": {}, "replicates": n, "seed": seed, "data": physics,
+        "told": {"initial_state": told, "prior": prior}, "dense": 200, "forecast": 10.0, "label": label,
+        "system": "sdof", "snr_db": snr, "initial_state": told, "sigma": [NOISE],
+    }  # fmt: skip
+
+
+def scored(label: str, n: int, spread: float = 1.0, bias: float = 0.0) -> list[Row]:
+    """Replicates whose errors of k/m and c/m are normal, so many times the bound wide; intervals as wide as that."""
+    rng = np.random.default_rng(int.from_bytes(hashlib.sha256(label.encode()).digest()[:4], "big"))
+    rows = []
+    for i in range(n):
+        z = rng.standard_normal(2)
+        logs = spread * np.array([SD_K * z[0], SD_C * (CORRELATION * z[0] + np.sqrt(1 - CORRELATION**2) * z[1])])
+        k, c = np.exp(logs + np.array([bias, 0.0]))
+        ratios = {"k_over_m_ratio": k, "c_over_m_ratio": c, "m_ratio": 1.0, "k_ratio": k, "c_ratio": c}
+        levels = {
+            f"{name}_pit": 0.5 + 0.5 * np.tanh(0.8 * u) for name, u in zip(("k_over_m", "c_over_m"), z, strict=True)
+        }
+        errors = {f"{name}_error_pct": 100 * abs(ratios[f"{name}_ratio"] - 1) for name in ("k_over_m", "c_over_m")}
+        rmse = 0.0107 * spread * float(np.abs(rng.standard_normal())) + abs(bias)
+        rows.append(Row(i, Status.OK, scores={**ratios, **levels, **errors, "rmse": rmse}, cpu_s=0.01 * (1 + i % 3)))
+    return rows
+
+
+def recorded(rows: Sequence[Row], reconstructs: bool, trained: bool) -> dict[str, np.ndarray]:
+    """The arrays of replicate 0."""
+    times, dense = np.linspace(0, 10, 25), np.linspace(0, 10, 200)
+    noise = NOISE * np.random.default_rng(0).standard_normal(25)
+    arrays = {
+        "sample_times": times, "sample_values": displacement(times) + noise, "sample_dof": np.zeros(25, int),
+        "dense_times": dense, "true_displacement": displacement(dense)[None],
+    }  # fmt: skip
+    if reconstructs:
+        found = rows[0].scores
+        own = displacement(dense, 8.0 * found["k_over_m_ratio"], 0.4 * found["c_over_m_ratio"])
+        arrays |= {"displacement": own[None], "displacement_sd": np.full((1, 200), 0.01)}
+    if trained:
+        steps = np.arange(1.0, 31.0)
+        arrays |= {"trace_evaluations": steps, "trace_loss": 1e4 / steps**2, "trace_mean_square_data": 1.0 / steps}
+    return arrays
+
+
+def save(
+    store: Store,
+    cell: Mapping[str, Any],
+    rows: Sequence[Row],
+    arrays: Mapping[str, np.ndarray] | None = None,
+    bound: Bound = BOUND,
+) -> StoredCell:
+    """Store a cell under the hash of what it says of itself."""
+    identity = hashlib.sha256(json.dumps(dict(cell), sort_keys=True).encode()).hexdigest()[:20]
+    summary = {name: vars(line) for name, line in summarise(rows, bound).items()}
+    return store.save(StoredCell(identity, dict(cell), tuple(rows), summary, {}, {}, 1.0), arrays)
+
+
+def fill(
+    store: Store, labels: Sequence[str], snrs: Sequence[float] = (20.0,), told: Sequence[str] = ("known",), n: int = 30
+) -> None:
+    """Cells of several methods on the reference system, each method wider than the one before it."""
+    for i, label in enumerate(labels):
+        for snr in snrs:
+            for start in told:
+                rows = scored(f"{label} {snr} {start}", n, spread=1.0 + 0.3 * i)
+                arrays = recorded(rows, reconstructs=i % 3 != 2, trained=i % 3 == 0)
+                save(store, described(label, snr, start, n=n), rows, arrays)
