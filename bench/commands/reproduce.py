@@ -114,7 +114,7 @@ def _relative(before: float, after: float) -> float:
 
 
 def _circumstances(old: StoredCell, new: StoredCell) -> list[str]:
-    lines = Version(new.version["modules"], new.version["packages"]).changes(old.version)
+    lines = Version(**new.version).changes(old.version)
     for field in ("python", "system", "processor"):
         before, after = old.provenance.get(field), new.provenance.get(field)
         if before != after:

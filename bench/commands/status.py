@@ -25,6 +25,7 @@ from bench.reporting.terminal import table, wrapped
 from bench.store import index as view
 from bench.store.cell import Cell
 from bench.store.store import Store
+from bench.store.version import cell_version
 from bench.sweep.plan import Reasons, State, plan, read_retry
 
 USAGE = """usage: python -m bench.status [store=<folder>]                         a store
@@ -46,10 +47,10 @@ WATCH_S, SHORTEST_S, LONGEST_S = 2.0, 0.1, 3600.0
 
 def states(store: Store) -> pd.DataFrame:
     """One line a stored cell: ``label``, ``replicates``, ``wall_s``, ``state`` and ``why``, indexed by identity."""
-    columns = ("problem", "method", "kind", "label", "statuses", "version", "replicates", "wall_s")
+    columns = ("problem", "method", "kind", "disturbance", "label", "statuses", "version", "replicates", "wall_s")
     found = view.cells(store, columns)
     reasons = Reasons(store)
-    kinds = found[["problem", "method", "kind", "statuses", "version"]].fillna("").astype(object)
+    kinds = found[["problem", "method", "kind", "disturbance", "statuses", "version"]].fillna("").astype(object)
     state, why = np.empty(len(found), object), np.empty(len(found), object)
     for kind, places in kinds.groupby(list(kinds.columns)).indices.items():
         state[places], why[places] = _state(str(found.index[places[0]]), kind, reasons)
@@ -57,12 +58,13 @@ def states(store: Store) -> pd.DataFrame:
 
 
 def _state(identity: str, kind: tuple[str, ...], reasons: Reasons) -> tuple[str, str]:
-    problem, method, system, statuses, version = kind
+    problem, method, system, disturbance, statuses, version = kind
     if problem:
         return "damaged", problem
     if method not in method_names():
         return "foreign", f"no method {method} is installed here"
-    state, why = reasons.standing(identity, method, system, version, statuses)
+    now = cell_version(method, system, disturbance or "none")
+    state, why = reasons.standing(identity, method, now, version, statuses)
     return state.value, why
 
 

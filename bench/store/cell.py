@@ -48,7 +48,8 @@ class Cell:
     @property
     def version(self) -> Version:
         """What would compute the cell now."""
-        return cell_version(self.method, self.scenario.system)
+        disturbance = self.scenario.disturbance
+        return cell_version(self.method, self.scenario.system, disturbance.kind if disturbance else "none")
 
     @cached_property
     def identity(self) -> str:

@@ -1,50 +1,48 @@
-"""What computes a cell: the source that a method's module imports from here, and the versions of its packages.
+"""What computes a cell: the definitions that its method, its system and the scoring use, and their packages' versions.
 
-Read off the source without importing anything: a module's imports, and theirs, as far as they lead within the method's
-own distribution and the harness. Comments, docstrings and layout do not count. Two versions that differ name the
-modules and packages in which they do.
+Two versions that differ name the modules and packages in which they do.
 """
 
 from __future__ import annotations
 
-import ast
 import hashlib
-import importlib.util
 import json
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
-from pathlib import Path
 from typing import Any
 
 from bench.entrants import registry
 from bench.entrants.reference import REFERENCES
+from bench.scenario.disturbance import KINDS as DISTURBANCES
+from bench.store.source import Definition, uses
 from bench.systems import registered_systems
 
 HARNESS = "bench"
-SCORING = (
-    "bench.scenario.scenario",
-    "bench.scoring.combination",
-    "bench.scoring.score",
-    "bench.scoring.summary",
-    "bench.information.fisher",
+SCORING: tuple[Definition, ...] = (
+    ("bench.scenario.scenario", "Scenario"),
+    ("bench.scoring.combination", "combine_with_prior"),
+    ("bench.scoring.score", "score"),
+    ("bench.scoring.summary", "summarise"),
+    ("bench.information.fisher", "compute_bound"),
 )
 """What every cell's numbers pass through, whatever the method: data, scores, summaries, bounds."""
 
 
 @dataclass(frozen=True)
 class Version:
-    """Digests of the normalised source by module, and public versions by package."""
+    """What computes a cell.
 
+    ``digest`` is that of all definitions in use and of the packages, wherever the definitions stand; ``modules`` has a
+    digest of those that each module holds, and serves to say where a change is; ``packages`` their public versions.
+    """
+
+    digest: str
     modules: Mapping[str, str]
     packages: Mapping[str, str]
-
-    @cached_property
-    def digest(self) -> str:
-        text = json.dumps([dict(self.modules), dict(self.packages)], sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def as_json(self) -> dict[str, Any]:
         return {"digest": self.digest, "modules": dict(self.modules), "packages": dict(self.packages)}
@@ -66,91 +64,35 @@ class Version:
 
 
 @cache
-def cell_version(method: str, system: str) -> Version:
-    """The version of what computes the cells of a method, or of a reference row, on a system."""
-    point = None if method in REFERENCES else registry.registered().get(method)
-    own = ("bench.entrants.reference",) if point is None else (point.module,)
-    physics = registered_systems().get(system)
-    return version_of((*own, *SCORING, *((physics.module,) if physics else ())))
+def cell_version(method: str, system: str, disturbance: str = "none") -> Version:
+    """The version of what computes the cells of a method, or of a reference row, on a system with a disturbance."""
+    roots = list(SCORING)
+    if method in REFERENCES:
+        roots.append((REFERENCES[method].__module__, REFERENCES[method].__name__))
+    points = registry.registered().get(method), registered_systems().get(system)
+    roots += [(point.module, point.attr) for point in points if point]
+    if disturbance in DISTURBANCES:
+        roots.append((DISTURBANCES[disturbance].__module__, DISTURBANCES[disturbance].__name__))
+    return version_of(roots)
 
 
-def version_of(modules: Iterable[str]) -> Version:
-    """The version of some modules and of all that they import."""
-    digests: dict[str, str] = {}
-    packages: set[str] = set()
-    wanted = list(modules)
-    inside = {HARNESS, *(module.partition(".")[0] for module in wanted)}
-    while wanted:
-        module = wanted.pop()
-        source = None if module in digests else _source(module)
-        if source is None:
-            continue
-        digests[module], imported = _read(source)
-        parents = [module.rsplit(".", n)[0] for n in range(1, module.count(".") + 1)]
-        for name in (*parents, *imported):
-            if name.partition(".")[0] in inside:
-                wanted.append(name)
-            else:
-                packages.add(name.partition(".")[0])
-    found = {name: public for name in packages if (public := _public_version(name))}
-    return Version(dict(sorted(digests.items())), dict(sorted(found.items())))
+def version_of(roots: Iterable[Definition]) -> Version:
+    """The version of some definitions and of all that they use."""
+    roots = tuple(roots)
+    found = uses(roots, {HARNESS, *(module.partition(".")[0] for module, _ in roots)})
+    by_module: dict[str, list[str]] = defaultdict(list)
+    for (module, name), digest in found.definitions.items():
+        by_module[module].append(f"{name} {digest}")
+    packages = {name: public for name in sorted(found.packages) if (public := _public_version(name))}
+    return Version(
+        _digest([sorted(set(found.definitions.values())), packages]),
+        {module: _digest(sorted(lines))[:12] for module, lines in sorted(by_module.items())},
+        packages,
+    )
 
 
-@cache
-def _source(module: str) -> Path | None:
-    """The file of a module of this kind of distribution, or None: a name imported from a module is none."""
-    top, _, rest = module.partition(".")
-    try:
-        spec = importlib.util.find_spec(top)
-    except (ImportError, ValueError):
-        return None
-    if spec is None or spec.origin is None:
-        return None
-    origin = Path(spec.origin)
-    if not rest:
-        return origin
-    path = origin.parent.joinpath(*rest.split("."))
-    candidates = (path.with_suffix(".py"), path / "__init__.py")
-    return next((c for c in candidates if c.is_file()), None) if origin.name == "__init__.py" else None
-
-
-@cache
-def _read(path: Path) -> tuple[str, tuple[str, ...]]:
-    """Digest of a module's source without comments and docstrings, and the names that it imports."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    imported = tuple(_imports(tree))
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            kept = [item for item in node.body if not _is_text(item)]
-            node.body = kept or [ast.Pass()]
-    return hashlib.sha256(ast.unparse(tree).encode()).hexdigest()[:12], imported
-
-
-def _is_text(node: ast.stmt) -> bool:
-    """A docstring, or a string that documents the line above it."""
-    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-
-
-def _imports(tree: ast.AST) -> Iterator[str]:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-            yield node.module
-            own = _rebound(node.module)
-            yield from (f"{node.module}.{alias.name}" for alias in node.names if alias.name not in own)
-
-
-@cache
-def _rebound(package: str) -> frozenset[str]:
-    """Names that a package imports from elsewhere: they hide modules of its own so called
-    (``bench.commands.report``)."""
-    path = _source(package)
-    if path is None or path.name != "__init__.py":
-        return frozenset()
-    found = ast.parse(path.read_text(encoding="utf-8")).body
-    imports = [node for node in found if isinstance(node, ast.ImportFrom) and node.module != package]
-    return frozenset(alias.asname or alias.name for node in imports for alias in node.names)
+def _digest(content: Any) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
 @cache

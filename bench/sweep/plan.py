@@ -14,7 +14,7 @@ from bench.errors import InputError
 from bench.store import index as view
 from bench.store.cell import Cell
 from bench.store.store import Store
-from bench.store.version import cell_version
+from bench.store.version import Version
 
 FAILURES = frozenset(Status) - {Status.OK, Status.UNSUPPORTED, Status.MISSING_DEPENDENCY}
 """What ``retry=failed`` tries again; a method that cannot take a problem will not be able to the next time either."""
@@ -66,7 +66,7 @@ def _planned(cell: Cell, stored: Any, reasons: Reasons, retry: Collection[Status
         return Planned(cell, State.MISSING, "not computed yet", True)
     if stored.problem:
         reasons.store.load(cell.identity)  # says it
-    state, why = reasons.standing(cell.identity, cell.method, cell.scenario.system, stored.version, stored.statuses)
+    state, why = reasons.standing(cell.identity, cell.method, cell.version, stored.version, stored.statuses)
     if state is State.FAILED:
         counts = {Status(name) for name in json.loads(stored.statuses)}
         installable = Status.MISSING_DEPENDENCY in counts and missing_package(cell.method) is None
@@ -75,16 +75,24 @@ def _planned(cell: Cell, stored: Any, reasons: Reasons, retry: Collection[Status
 
 
 class Reasons:
-    """Where stored cells stand, and what has changed since they were computed; each version is looked up once."""
+    """Where stored cells stand, and what has changed since they were computed; each version is compared once."""
 
     def __init__(self, store: Store) -> None:
         self.store = store
-        self._known: dict[tuple[str, str, str], str] = {}
+        self._known: dict[tuple[str, str], str] = {}
 
-    def standing(self, identity: str, method: str, system: str, digest: str, statuses: str) -> tuple[State, str]:
-        """The state of a stored cell, and why; ``statuses`` is a JSON object of counts."""
-        if digest != cell_version(method, system).digest:
-            return State.STALE, self._changed(identity, method, system, digest)
+    def standing(self, identity: str, method: str, now: Version, digest: str, statuses: str) -> tuple[State, str]:
+        """Say where a stored cell stands, and why.
+
+        Args:
+            identity: The cell's.
+            method: Its method.
+            now: What would compute it now.
+            digest: Of the version that computed it.
+            statuses: A JSON object of counts.
+        """
+        if digest != now.digest:
+            return State.STALE, self._changed(identity, now, digest)
         counts = {Status(name): n for name, n in json.loads(statuses).items()}
         if Status.MISSING_DEPENDENCY in counts:
             return State.FAILED, missing_package(method) or "its package is installed now"
@@ -92,9 +100,9 @@ class Reasons:
         why = ", ".join(f"{n} of {total} {status}" for status, n in counts.items() if status in FAILURES)
         return (State.FAILED, why) if why else (State.DONE, "")
 
-    def _changed(self, identity: str, method: str, system: str, digest: str) -> str:
-        kind = method, system, digest
-        if kind not in self._known:
+    def _changed(self, identity: str, now: Version, digest: str) -> str:
+        pair = now.digest, digest
+        if pair not in self._known:
             stored = self.store.load(identity)
-            self._known[kind] = cell_version(method, system).changed_since(stored.version) if stored else "it is gone"
-        return self._known[kind]
+            self._known[pair] = now.changed_since(stored.version) if stored else "it is gone"
+        return self._known[pair]

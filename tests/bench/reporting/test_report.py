@@ -448,7 +448,7 @@ def test_a_fit_is_made_again_only_if_its_stored_error_agrees(agrees: bool, cells
 
 
 def test_the_command_is_no_part_of_what_computes_a_cell() -> None:
-    modules = version_of(("methods.sampling.mcmc",)).modules
+    modules = version_of((("methods.sampling.mcmc", "MCMC"),)).modules
     assert "bench.contract.progress" in modules
     assert not [name for name in modules if name.startswith(("bench.report", "bench.reporting.page"))]
 

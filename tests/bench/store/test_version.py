@@ -7,16 +7,22 @@ from pathlib import Path
 
 import pytest
 
-from bench.store import version
+from bench.store import source
 from bench.store.version import Version, cell_version, version_of
 
 SOURCES = {
-    "pkg/__init__.py": "",
-    "pkg/one.py": "import json\nimport numpy\nfrom pkg import shared\n\ndef f():\n    from pkg.lazy import g\n",
-    "pkg/two.py": "from pkg.other import x\n",
-    "pkg/shared.py": "VALUE = 1  # a comment\n",
+    "pkg/__init__.py": "from pkg.shared import VALUE\n",
+    "pkg/one.py": (
+        "import json\nimport numpy as np\nfrom pkg import VALUE, two\n\n"
+        "def f(x: int) -> int:\n    from pkg.lazy import g\n    if x < 0:\n        raise ValueError(f'not {x}')\n"
+        "    return np.abs(VALUE + g() + two.h())\n\n"
+        "def unused():\n    return 1\n"
+    ),
+    "pkg/two.py": "from pkg.other import x\n\ndef h():\n    return 1\n\ndef k():\n    return x\n",
+    "pkg/shared.py": "VALUE = 1  # a comment\nUNUSED = 2\n",
     "pkg/lazy.py": "def g():\n    '''Says what.'''\n    return 1\n",
     "pkg/other.py": "x = 1\n",
+    "pkg/patched.py": "from pkg.shared import VALUE\n\ndef f():\n    return 1\n\nprint(VALUE)\n",
 }
 
 
@@ -27,49 +33,69 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         path.parent.mkdir(exist_ok=True)
         path.write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
+    forget()
     return tmp_path / "pkg"
 
 
 def forget() -> None:
-    for cached in (version._source, version._read, cell_version):
+    for cached in (source.source_file, source._top_level, source._read, cell_version):
         cached.cache_clear()
 
 
-def changed(path: Path, text: str, module: str) -> str:
-    """What is said to have changed in a module's version when a file is rewritten."""
+def changed(path: Path, text: str, module: str, name: str) -> str:
+    """What is said to have changed in a definition's version when a file is rewritten."""
     forget()
-    before = version_of([module])
+    before = version_of([(module, name)])
     path.write_text(text)
     forget()
-    return version_of([module]).changed_since(before.as_json())
+    now = version_of([(module, name)])
+    said = now.changed_since(before.as_json())
+    assert bool(said) == (now.digest != before.digest)
+    return said
 
 
-def test_the_closure_is_what_is_imported_from_here_and_lazily_too(package: Path) -> None:
-    forget()
-    found = version_of(["pkg.one"])
-    assert set(found.modules) == {"pkg", "pkg.one", "pkg.shared", "pkg.lazy"}
-    assert set(found.packages) == {"numpy"}, "neither the standard library nor what is not imported"
+def test_the_closure_is_what_a_definition_mentions_wherever_it_is_imported_from(package: Path) -> None:
+    found = source.uses([("pkg.one", "f")], {"pkg"})
+    assert set(found.definitions) == {("pkg.one", "f"), ("pkg.shared", "VALUE"), ("pkg.lazy", "g"), ("pkg.two", "h")}
+    assert found.packages == {"numpy"}, "not what the module imports and the definition does not use"
     assert "pkg.one" not in sys.modules, "nothing is imported to find out"
 
 
-def test_a_change_is_seen_by_those_that_import_it_and_named(package: Path) -> None:
-    assert changed(package / "lazy.py", "def g():\n    return 2\n", "pkg.one") == "pkg.lazy changed"
-    assert changed(package / "other.py", "x = 2\n", "pkg.one") == ""
-    assert changed(package / "other.py", "x = 3\n", "pkg.two") == "pkg.other changed"
+def test_what_a_module_does_when_it_is_imported_belongs_to_each_of_its_definitions(package: Path) -> None:
+    found = set(source.uses([("pkg.patched", "f")], {"pkg"}).definitions)
+    assert found == {("pkg.patched", "f"), ("pkg.patched", source.EFFECTS), ("pkg.shared", "VALUE")}
 
 
-def test_comments_docstrings_and_layout_do_not_count(package: Path) -> None:
-    assert changed(package / "shared.py", "\n\nVALUE = (1)\n", "pkg.one") == ""
-    assert changed(package / "lazy.py", "# new\ndef g():\n\n    return 1\n", "pkg.one") == ""
-    assert changed(package / "shared.py", "VALUE = 1.0\n", "pkg.one") == "pkg.shared changed"
+def test_a_change_is_seen_by_what_uses_it_and_named(package: Path) -> None:
+    assert changed(package / "lazy.py", "def g():\n    return 2\n", "pkg.one", "f") == "pkg.lazy changed"
+    assert changed(package / "other.py", "x = 2\n", "pkg.one", "f") == "", "k uses it, f does not use k"
+    assert changed(package / "other.py", "x = 3\n", "pkg.two", "k") == "pkg.other changed"
+    assert changed(package / "shared.py", "VALUE = 1\nUNUSED = 3\n", "pkg.one", "f") == ""
+
+
+def test_comments_docstrings_layout_types_and_sentences_of_errors_do_not_count(package: Path) -> None:
+    assert changed(package / "shared.py", "\n\nVALUE = (1)\n", "pkg.one", "f") == ""
+    assert changed(package / "lazy.py", "# new\ndef g() -> int:\n\n    return 1\n", "pkg.one", "f") == ""
+    text = SOURCES["pkg/one.py"]
+    assert changed(package / "one.py", text.replace("not {x}", "{x} is negative"), "pkg.one", "f") == ""
+    assert changed(package / "one.py", text.replace("ValueError", "TypeError"), "pkg.one", "f") == "pkg.one changed"
+    assert changed(package / "shared.py", "VALUE = 1.0\n", "pkg.one", "f") == "pkg.shared changed"
+
+
+def test_a_definition_that_moves_to_another_file_is_still_the_same(package: Path) -> None:
+    before = version_of([("pkg.one", "f")])
+    (package / "moved.py").write_text(SOURCES["pkg/shared.py"])
+    (package / "__init__.py").write_text("from pkg.moved import VALUE\n")
+    forget()
+    assert version_of([("pkg.one", "f")]).digest == before.digest
 
 
 def test_packages_are_compared_by_their_public_version() -> None:
-    now = Version({"a": "1"}, {"numpy": "2.4.6", "torch": "2.13.0"})
+    now = Version("", {"a": "1"}, {"numpy": "2.4.6", "torch": "2.13.0"})
     assert now.changed_since(now.as_json()) == ""
     stored = {"modules": {"a": "1"}, "packages": {"numpy": "2.3.0", "casadi": "3.7"}}
     assert now.changed_since(stored) == "casadi 3.7, now absent, numpy 2.3.0, now 2.4.6, torch absent, now 2.13.0"
-    found = version_of(["methods.pinn"]).packages
+    found = version_of([("methods.pinn", "PINN")]).packages
     assert not any("+" in public for public in found.values())
     assert {"torch", "numpy", "scipy"} <= set(found)
 
@@ -100,3 +126,13 @@ def test_a_method_hangs_on_its_own_code_and_the_systems_not_on_other_methods_or_
     assert "bench.systems.nonlinear" in cell_version("shooting", "duffing").modules
     assert "bench.entrants.reference" in cell_version("oracle", "sdof").modules
     assert len({shooting.digest, pinn.digest, cell_version("shooting", "duffing").digest}) == 3
+
+
+def test_a_disturbance_hangs_on_its_own_kind_alone() -> None:
+    forget()
+    roots = [("bench.scenario.disturbance", name) for name in ("Jitter", "Bias")]
+    jitter, bias = (set(source.uses([root], {"bench"}).definitions) for root in roots)
+    assert roots[0] in jitter
+    assert roots[1] not in jitter
+    assert len({cell_version("ls", "sdof", kind).digest for kind in ("none", "jitter", "bias")}) == 3
+    assert len(jitter & bias) > 1
