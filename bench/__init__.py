@@ -8,9 +8,12 @@ from bench.contract.progress import report_progress
 from bench.dynamics.mechanics import acceleration, mass_matrix, numpy_ops, regression_columns, rk4_step, state_rate
 from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurements, simulate, state_matrix
 from bench.errors import InputError
+from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, Search, Start, estimate_at
 from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
 
 __all__ = [
+    "LOG_LIMIT",
+    "SIGMA_FLOOR",
     "Belief",
     "Card",
     "Channel",
@@ -26,18 +29,22 @@ __all__ = [
     "Marginal",
     "Normal",
     "Ops",
+    "OutputError",
     "Parameter",
     "Prior",
     "Problem",
     "Quantity",
     "Reconstruction",
     "Record",
+    "Search",
     "Serves",
     "SimulatedResponse",
+    "Start",
     "Status",
     "System",
     "Units",
     "acceleration",
+    "estimate_at",
     "fitted_start",
     "mass_matrix",
     "measurements",

@@ -354,9 +354,16 @@ def fitted_start(system: System, p: Mapping[str, float], record: Record) -> Init
 def measurements(
     system: System, p: Mapping[str, Any], start: InitialState | tuple[np.ndarray, np.ndarray], record: Record
 ) -> np.ndarray:
-    """Ideal measurements of all channels of a record, channel after channel, shape (*sets, n_samples)."""
-    rig = record.rig(system)
-    parts = [simulate(rig, p, start, c.times, record.forces).measured(rig, p, c, record) for c in record.channels]
+    """Ideal measurements of all channels of a record, channel after channel, shape (*sets, n_samples).
+
+    Sensors that are read at the same times share one simulation.
+    """
+    rig, motions, parts = record.rig(system), dict[bytes, Motion](), []
+    for channel in record.channels:
+        key = channel.times.tobytes()
+        if key not in motions:
+            motions[key] = simulate(rig, p, start, channel.times, record.forces)
+        parts.append(motions[key].measured(rig, p, channel, record))
     return np.concatenate(parts, axis=-1)
 
 

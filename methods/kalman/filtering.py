@@ -24,7 +24,7 @@ likely. From then on each channel's variance is its residual sum of squares over
 fitted, ``sum H P H' / R``: the fixed point of the EM step of R. H. Shumway, D. S. Stoffer (J. Time Series Analysis
 3:253, 1982). Parameters are constants, so their process noise, ``drift``, is zero unless it is asked for.
 
-**First belief.** Log-parameters: the prior. Without one: the best start of the scan of :mod:`methods.starts.spectral`,
+**First belief.** Log-parameters: the prior. Without one: the best of :mod:`methods.starts.candidates`,
 and ``open_sd`` about it; where nothing tells the scale the gauge mass is 1 and the answer is the groups. A start that
 is not told: rest, with a standard deviation of ``START`` times the largest displacement (times the fastest rate for
 velocities).
@@ -38,9 +38,9 @@ from functools import partial
 
 import numpy as np
 
-from bench import Cost, Estimate, InputError, Problem, Serves, Status
+from bench import SIGMA_FLOOR, Cost, Estimate, InputError, OutputError, Problem, Serves, Status, estimate_at
 from methods.kalman.joint import Chain, Joint, Lost, first_belief
-from methods.starts.spectral import SIGMA_FLOOR, OutputError, estimate_at, silent
+from methods.starts.candidates import silent
 
 LEVELS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Standard deviations of the noise tried in the first pass, over the root mean square of each channel."""

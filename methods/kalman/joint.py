@@ -17,8 +17,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from bench import Ops, Record, System, acceleration, numpy_ops, rk4_step, state_rate
-from methods.starts.spectral import LOG_LIMIT, OutputError, candidates
+from bench import LOG_LIMIT, Ops, OutputError, Record, System, acceleration, numpy_ops, rk4_step, state_rate
+from methods.starts.candidates import candidates
 
 START = 3.0
 """Standard deviation of an untold start, in largest displacements of the data (and fastest rates)."""

@@ -49,7 +49,7 @@ from bench import (
 from methods.network.response import Band, Function
 from methods.pinn.spectral import Guess, scan
 from methods.starts.open_parameters import left_open, very_wide
-from methods.starts.spectral import records_by_load
+from methods.starts.scan import records_by_load
 
 if TYPE_CHECKING:
     from methods.pinn.ansatz import Ansatz

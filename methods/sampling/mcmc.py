@@ -2,7 +2,7 @@
 
 Sampled together: the log-parameters, the initial states and offsets that are not told, and the logarithm of each
 channel's noise. Likelihood: independent normal errors about the simulated response, all walkers at once; that of a
-nonlinear system is integrated as finely as the noise asks for (:func:`methods.starts.spectral.as_fine_as_noise`).
+nonlinear system is integrated as finely as the noise asks for (:func:`methods.starts.candidates.as_fine_as_noise`).
 Priors, all proper but one: the problem's nominal prior on the log-parameters (without one, a normal of standard
 deviation 3, a factor of 20, about the best fit to the data); ``log sigma ~ Normal(log(rms of the channel / 10), 3²)``,
 its two standard deviations reach from 70 dB to -30 dB; flat on initial states and offsets, which the data fix.
@@ -10,7 +10,7 @@ its two standard deviations reach from 70 dB to -30 dB; flat on initial states a
 Moves: mostly independent Metropolis-Hastings with a proposal that stands on the modes of the posterior, a mixture of
 multivariate Student t around each half-period that could still be true, so walkers change from one to the other;
 mixed with differential evolution and snooker moves (C. ter Braak, J. Vrugt, Statistics and Computing 18:435, 2008),
-which do not rely on the modes. The modes come from the data alone (:mod:`methods.starts.spectral`).
+which do not rely on the modes. The modes come from the data alone (:mod:`methods.starts.candidates`).
 
 Convergence is judged over independent ensembles, each from an overdispersed start: the split R-hat of
 rank-normalised draws and of their distances from the median (A. Vehtari et al., Bayesian Analysis 16:667, 2021), the
@@ -41,6 +41,7 @@ from scipy.special import gammaln, logsumexp
 from scipy.stats import norm, rankdata
 
 from bench import (
+    LOG_LIMIT,
     Card,
     Cost,
     Draws,
@@ -49,6 +50,7 @@ from bench import (
     Identifier,
     InitialState,
     Normal,
+    OutputError,
     Problem,
     Serves,
     Status,
@@ -57,7 +59,8 @@ from bench import (
     report_progress,
     simulate,
 )
-from methods.starts.spectral import LOG_LIMIT, PRIORLESS_SD, OutputError, as_fine_as_noise, screened, silent
+from methods.starts.candidates import as_fine_as_noise, screened, silent
+from methods.starts.open_parameters import PRIORLESS_SD
 
 NOISE_CENTRE = float(np.log(0.1))
 NOISE_SD = 3.0

@@ -8,7 +8,7 @@ logarithm of each channel's noise, with the same priors; but its gradient is kno
 system, nonlinear ones included.
 
 Sampling is in coordinates in which the Laplace approximation at the best mode is a standard normal; the modes come from
-the data alone (:mod:`methods.starts.spectral`). ``chains`` chains start at draws from the Laplace approximations of
+the data alone (:mod:`methods.starts.candidates`). ``chains`` chains start at draws from the Laplace approximations of
 all modes that could be true, each with its own adaptation of step size and metric (Stan's windows) over ``warmup``
 steps, then blocks of ``draws`` steps until the diagnostics hold.
 
@@ -29,12 +29,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bench import Card, Cost, Estimate, Identifier, InputError, Problem, Serves, Status
+from bench import Card, Cost, Estimate, Identifier, InputError, OutputError, Problem, Serves, Status
 from methods.kalman.joint import Lost
 from methods.pinn.physics import rounded
 from methods.sampling.differentiable import Layout, log_density, prepare
 from methods.sampling.mcmc import MODE_MARGIN, Posterior, Proposal, estimate_from_draws
-from methods.starts.spectral import OutputError, screened, silent
+from methods.starts.candidates import screened, silent
 
 
 @dataclass(frozen=True)

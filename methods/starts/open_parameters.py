@@ -8,7 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from bench import Prior
-from methods.starts.spectral import PRIORLESS_SD
+
+PRIORLESS_SD = 3.0
+"""Log standard deviation, a factor of 20, of the prior on parameters that the problem has none for."""
 
 
 def left_open(log_variances: np.ndarray) -> np.ndarray:

@@ -11,13 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from bench import InitialState, Record, System, acceleration, numpy_ops, rk4_step, state_rate
+from bench import InitialState, Record, Start, System, acceleration, numpy_ops, rk4_step, state_rate
 
 RADIANS_A_STEP = 0.15
 MOST_STEPS = 64
 """Steps between two samples at most: a motion that is faster than that is no start anyway."""
-
-Start = InitialState | tuple[np.ndarray, np.ndarray]
 
 
 def radians_a_step(allowed: float, turned: float) -> float:

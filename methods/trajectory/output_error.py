@@ -27,9 +27,22 @@ from typing import ClassVar
 import numpy as np
 from scipy.optimize import least_squares
 
-from bench import Card, Cost, Estimate, Identifier, InitialState, InputError, Problem, Serves, Status
+from bench import (
+    Card,
+    Cost,
+    Estimate,
+    Identifier,
+    InitialState,
+    InputError,
+    OutputError,
+    Problem,
+    Serves,
+    Status,
+    estimate_at,
+)
 from methods.regression.equation import too_fast
-from methods.starts.spectral import OutputError, estimate_at, records_by_load, silent, unloaded
+from methods.starts.candidates import silent
+from methods.starts.scan import records_by_load, unloaded
 
 POOR = 0.5
 """A response that leaves more than this part of the mean square of the data is said to be poor."""

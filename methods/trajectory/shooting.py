@@ -10,7 +10,7 @@ Objective: ``sum ((y - h) / sigma)² + sum ((log p - log nominal) / sd)²``. The
 ``sigma² = RSS / (N - p)`` for each channel, then fit again from there, until it settles; p is the number of
 parameters that the data decide, ``trace(H_data H^-1)``.
 
-Starts come from the data alone (:mod:`methods.starts.spectral`): the separate minima of a scan over frequency and
+Starts come from the data alone (:mod:`methods.starts.candidates`): the separate minima of a scan over frequency and
 decay, a few output-error steps each (on the first samples, where a record of a nonlinear system is long); whatever
 could still win is solved by shooting, and the best objective is kept.
 Where all parameters are told without a prior (a known force, an added mass), the likelihood may have no maximum at
@@ -39,17 +39,20 @@ from bench import (
     Estimate,
     Identifier,
     Ops,
+    OutputError,
     Prior,
     Problem,
     Record,
     Serves,
+    Start,
     Status,
     System,
+    estimate_at,
     simulate,
 )
+from methods.starts.candidates import candidates, screened, screening, silent
 from methods.starts.open_parameters import left_open, very_wide
-from methods.starts.rough import Start, fastest_rate, radians_a_step, rough_states
-from methods.starts.spectral import OutputError, candidates, estimate_at, screened, screening, silent
+from methods.starts.rough import fastest_rate, radians_a_step, rough_states
 
 SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
 MAX_SUBSTEPS = SUBSTEPS[-1]

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from bench import Channel, Estimate, Identifier, InitialState, Problem, Record, Status, Units
+from bench import Channel, Estimate, Identifier, InitialState, OutputError, Problem, Record, Status, Units
 from bench.config.config import expand
 from bench.entrants.registry import make_method, missing_package
 from bench.scenario.truth import closed_form
 from bench.systems import SDOF, Chain, System
-from methods.starts.spectral import OutputError, candidates, unloaded
+from methods.starts.candidates import candidates
+from methods.starts.scan import unloaded
 
 P = {"m": 1.3, "c": 0.6, "k": 9.0}
 ADDED = 0.7

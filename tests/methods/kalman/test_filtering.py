@@ -8,7 +8,20 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from bench import Channel, Estimate, Force, Identifier, InitialState, InputError, Normal, Prior, Problem, Record, Status
+from bench import (
+    Channel,
+    Estimate,
+    Force,
+    Identifier,
+    InitialState,
+    InputError,
+    Normal,
+    OutputError,
+    Prior,
+    Problem,
+    Record,
+    Status,
+)
 from bench.dynamics.simulate import measurements, simulate
 from bench.information.fisher import compute_bound
 from bench.scenario.scenario import PriorSpec, Scenario
@@ -20,7 +33,6 @@ from methods.kalman.filtering import _inverse, filtered
 from methods.kalman.joint import Chain as Nodes
 from methods.kalman.joint import first_belief
 from methods.kalman.ukf import UKF, regression
-from methods.starts.spectral import OutputError
 from methods.trajectory.output_error import SingleShooting
 
 

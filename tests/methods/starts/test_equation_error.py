@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from bench import Channel, Force, InitialState, Prior, Problem, Record, System, simulate
+from bench import Channel, Force, InitialState, OutputError, Prior, Problem, Record, Search, System, simulate
 from bench.systems import SDOF, BoucWen, Chain, Coulomb, Duffing, Pendulum, VanDerPol
+from methods.starts.candidates import Stepped, as_fine_as_noise, candidates
 from methods.starts.equation_error import regression_starts
 from methods.starts.rough import radians_a_step, rough_readings
-from methods.starts.spectral import OutputError, Search, Stepped, as_fine_as_noise, candidates
 
 TIMES = np.linspace(0.0, 10.0, 60)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench import Channel, InitialState, Prior, Problem, Record, measurements
+from bench import Channel, InitialState, OutputError, Prior, Problem, Record, measurements
 from bench.systems import SDOF
-from methods.starts.spectral import OutputError, screened
+from methods.starts.candidates import screened
 from methods.trajectory.shooting import Shooting
 
 STEP = 0.5

@@ -1,0 +1,245 @@
+"""A scan of a linear system over frequency and decay: the separate minima of what is left of the data.
+
+At given parameters the response of a *linear* system is affine in its initial state, in the sensors' offsets and in 1
+over the scale of its parameters against a known force, so these are projected out (variable projection: G. Golub, V.
+Pereyra, SIAM J. Numer. Anal. 10:413, 1973) and what is left is a function of stiffness and damping only, evaluated on a
+grid of frequency and decay. Its best separate minima are starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from bench import LOG_LIMIT, Channel, Force, InitialState, Problem, Record, System, measurements
+from methods.starts.equation_error import CYCLE_STEP, DECAYS, MAX_CYCLES
+
+
+def scan(problem: Problem, n: int) -> list[dict[str, float]]:
+    """The ``n`` best separate minima of the projected misfit over a grid of frequency and decay.
+
+    The grid goes to half the sampling rate, and on to the rate itself as far as the prior expects the motion there.
+
+    All stiffnesses are raised together, and all dampings, from the prior's nominal proportions or from equal ones;
+    for one degree of freedom that is the whole space.
+    """
+    return [p for _, p in _minima(problem, n, problem.prior is not None)]
+
+
+def _minima(problem: Problem, n: int, fixed_scale: bool) -> list[tuple[float, dict[str, float]]]:
+    """Those minima and their misfits; ``fixed_scale`` says that the gauge is that of the problem's units."""
+    names, base = problem.system.names, _proportions(problem)
+    misfit: np.ndarray | float = 0.0
+    strength: np.ndarray | float = 0.0
+    grid = np.zeros((0, 2))
+    resolved = max(_most_cycles(record) for record in problem.records)
+    cycles = max(resolved, min(_expected_cycles(problem), 2 * resolved))
+    for record in problem.records:
+        grid, responses = _grid_responses(problem.system, base, _signature(record), cycles, _told(record))
+        rss, scale = _projected(record, responses, fixed_scale)
+        misfit, strength = misfit + rss, strength + scale / len(problem.records)
+    table, scales = np.reshape(misfit, (-1, len(DECAYS))), np.reshape(strength, (-1, len(DECAYS)))
+    found = []
+    for i, j in _separate_minima(table)[:n]:
+        frequency, decay = grid[i * len(DECAYS) + j]
+        levels = _by_kind(problem.system, base, np.array(frequency), np.array(decay))
+        found.append((table[i, j], {name: float(levels[name] * max(scales[i, j], 1e-12)) for name in names}))
+    return found
+
+
+def _proportions(problem: Problem) -> tuple[float, ...]:
+    """The parameters over the first of their kind: as the prior has them, or all equal."""
+    prior, system = problem.prior, problem.system
+    if prior is None or system.n_dof == 1:
+        return tuple(1.0 for _ in system.names)
+    sizes = {"mass": prior.nominal[system.gauge]}
+    for p in system.parameters:
+        sizes.setdefault(p.kind, prior.nominal[p.name])
+    return tuple(prior.nominal[p.name] / sizes[p.kind] for p in system.parameters)
+
+
+def loaded_scan(problem: Problem, n: int) -> list[dict[str, float]]:
+    """The starts of :func:`scan` where known masses were added in some records.
+
+    The records of each load are scanned as if their rig were plain; :func:`unloaded` tells the mass from the lightest
+    and the heaviest. Pairs of minima are taken in the order of their common misfit.
+    """
+    by_load = records_by_load(problem)
+    loads = sorted(by_load)
+    light = _minima(by_load[loads[0]], n, fixed_scale=False)
+    heavy = _minima(by_load[loads[-1]], n, fixed_scale=False) if len(loads) > 1 else []
+    pairs = []
+    for misfit, p in light:
+        for other, q in heavy:
+            found = unloaded(problem, {loads[0]: p, loads[-1]: q})
+            if found is not None:
+                pairs.append((misfit + other, found))
+    return [p for _, p in sorted(pairs, key=lambda pair: pair[0])[:n]] or [p for _, p in light]
+
+
+def unloaded(problem: Problem, by_load: Mapping[float, Mapping[str, float]]) -> dict[str, float] | None:
+    """Parameters of the rig from those that fit its records with each of two loads as if it were plain.
+
+    Each tells ``r = k / (m + load)``, so that ``m = (r2 load2 - r1 load1) / (r1 - r2)``; None where that is not
+    positive. Damping and stiffness over mass are the first one's. The masses of several degrees of freedom are taken
+    to share the load, as a first guess.
+    """
+    system = problem.system
+    (load1, p), (load2, q) = by_load.items()
+    kinds = {parameter.name: parameter.kind for parameter in system.parameters}
+    stiffness = next(name for name, kind in kinds.items() if kind == "stiffness")
+    r1, r2 = p[stiffness] / p[system.gauge], q[stiffness] / q[system.gauge]
+    shares = sum(p[name] / p[system.gauge] for name, kind in kinds.items() if kind == "mass")
+    mass = (r2 * load2 - r1 * load1) / (r1 - r2) / shares if r1 != r2 else 0.0
+    if not (np.isfinite(mass) and mass > 0):
+        return None
+    whole = mass + load1 / shares
+    return {name: float(v / p[system.gauge] * (mass if kinds[name] == "mass" else whole)) for name, v in p.items()}
+
+
+def records_by_load(problem: Problem) -> dict[float, Problem]:
+    """The problem by the mass that was added in all, each part as if it had been on the plain rig."""
+    parts: dict[float, list[Record]] = {}
+    for record in problem.records:
+        load = 0.0 if record.added_mass is None else float(np.sum(record.added_mass))
+        parts.setdefault(load, []).append(replace(record, added_mass=None))
+    return {load: replace(problem, records=tuple(records)) for load, records in parts.items()}
+
+
+def _separate_minima(table: np.ndarray) -> list[tuple[int, int]]:
+    """Row and column of the local minima along the rows' axis, best first."""
+    table = np.where(np.isfinite(table), table, np.inf)
+    best = table.min(axis=1)
+    padded = np.concatenate([[np.inf], best, [np.inf]])
+    rows = np.flatnonzero((best <= padded[:-2]) & (best <= padded[2:]) & np.isfinite(best))
+    return [(int(i), int(table[i].argmin())) for i in sorted(rows, key=lambda i: best[i])]
+
+
+def _most_cycles(record: Record) -> float:
+    """Highest frequency of the scan in cycles per unit of time: half the sampling rate of the densest channel."""
+    gaps = [float(np.median(np.diff(c.times))) for c in record.channels if c.n > 1]
+    return float(min(0.5 / min(gaps, default=0.1), MAX_CYCLES))
+
+
+def _expected_cycles(problem: Problem) -> float:
+    """The same for what the prior expects: its frequency two standard deviations up; 0 without a prior.
+
+    Rounded up to whole cycles, so that records with priors much alike share their grid.
+    """
+    if problem.prior is None:
+        return 0.0
+    system, prior = problem.system, problem.prior
+    stiffness = next((p.name for p in system.parameters if p.kind == "stiffness"), system.gauge)
+    log_rate = 0.5 * np.log(prior.nominal[stiffness] / prior.nominal[system.gauge])
+    sd = 0.5 * np.hypot(prior.log_sd[stiffness], prior.log_sd[system.gauge])
+    return float(min(np.ceil(np.exp(min(log_rate + 2 * sd, LOG_LIMIT)) / (2 * np.pi)), MAX_CYCLES))
+
+
+def _by_kind(system: System, base: Sequence[float], frequency: np.ndarray, decay: np.ndarray) -> dict[str, np.ndarray]:
+    """Parameters with stiffness ``w² + d²`` and damping ``2 d`` over mass, times the base proportions."""
+    w = 2 * np.pi * frequency
+    sizes = {"mass": np.ones_like(w), "stiffness": w**2 + decay**2, "damping": 2 * decay, "other": np.ones_like(w)}
+    return {p.name: b * sizes[p.kind] for p, b in zip(system.parameters, base, strict=True)}
+
+
+Signature = tuple[tuple[tuple[bytes, str, int], ...], tuple[tuple[bytes, bytes, str, int], ...]]
+
+
+def _signature(record: Record) -> Signature:
+    """What decides the unit responses of a record; forces are taken relative to their common size."""
+    size = _force_size(record)
+    channels = tuple((np.round(c.times, 12).tobytes(), c.measures, c.dof) for c in record.channels)
+    forces = tuple(
+        (np.round(f.times, 12).tobytes(), np.round(f.values / size, 9).tobytes(), f.hold, f.dof) for f in record.forces
+    )
+    return channels, forces
+
+
+def _force_size(record: Record) -> float:
+    return max((float(np.max(np.abs(f.values))) for f in record.forces), default=0.0) or 1.0
+
+
+def _whole(start: InitialState) -> np.ndarray:
+    return np.concatenate([start.displacement, start.velocity])
+
+
+def _told(record: Record) -> tuple[float, ...] | None:
+    """A told start of several degrees of freedom: their 2 n_dof unit responses would fill the memory.
+
+    Those of one are the same in every replicate, and kept.
+    """
+    start = record.initial_state
+    return tuple(map(float, _whole(start))) if start is not None and start.displacement.size > 1 else None
+
+
+@lru_cache(maxsize=8)
+def _grid_responses(
+    system: System, base: tuple[float, ...], signature: Signature, cycles: float, told: tuple[float, ...] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Grid points (G, 2) as (cycles, decay), and responses (G, N, S + 1): those to each start, then the force's.
+
+    Starts: the ``told`` one, else 2 n_dof unit ones.
+    """
+    channels = tuple(
+        Channel(np.frombuffer(t), np.zeros(len(t) // 8), measures, dof)  # type: ignore[arg-type]
+        for t, measures, dof in signature[0]
+    )
+    forces = tuple(
+        Force(np.frombuffer(t), np.frombuffer(v), hold, dof)  # type: ignore[arg-type]
+        for t, v, hold, dof in signature[1]
+    )
+    frequencies = np.arange(CYCLE_STEP, max(cycles, 2 * CYCLE_STEP) + 1e-9, CYCLE_STEP)
+    grid = np.stack([a.ravel() for a in np.meshgrid(frequencies, DECAYS, indexing="ij")], axis=1)
+    p = _by_kind(system, base, grid[:, 0], grid[:, 1])
+    n = system.n_dof
+    starts = np.eye(2 * n) if told is None else np.array([told])
+    responses = np.zeros((len(grid), sum(c.n for c in channels), len(starts) + 1))
+    free, forced = Record(channels), Record(channels, forces)
+    for i, start in enumerate(starts):
+        state = np.broadcast_to(start[:, None], (2 * n, len(grid)))
+        responses[..., i] = measurements(system, p, (state[:n], state[n:]), free)
+    if forces:
+        rest = np.zeros((n, len(grid)))
+        responses[..., -1] = measurements(system, p, (rest, rest), forced)
+    return grid, responses
+
+
+def _projected(record: Record, responses: np.ndarray, fixed_scale: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Misfit left at each grid point once start, offsets and scale are fitted; and that scale of the parameters."""
+    sizes = [float(np.sqrt(np.mean(c.values**2))) or 1.0 if c.n else 1.0 for c in record.channels]
+    weights = np.concatenate([np.full(c.n, 1.0 / s) for c, s in zip(record.channels, sizes, strict=True)])
+    y = np.concatenate([c.values for c in record.channels])
+    columns, known = [], np.zeros(responses.shape[:2])
+    if record.initial_state is not None:
+        start = _whole(record.initial_state)
+        known = known + (responses[..., 0] if _told(record) else responses[..., :-1] @ start)
+    else:
+        columns += [responses[..., i] for i in range(responses.shape[-1] - 1)]
+    pushed = bool(record.forces) and bool(np.any(responses[..., -1]))
+    if pushed and fixed_scale:
+        known = known + responses[..., -1] * _force_size(record)
+    elif pushed:
+        columns.append(responses[..., -1] * _force_size(record))
+    for c in record.channels:
+        if c.offset:
+            mine = np.concatenate([np.full(other.n, float(other is c)) for other in record.channels])
+            columns.append(np.broadcast_to(mine, responses.shape[:2]))
+    residual = weights * (y - known)
+    scale = np.ones(len(responses))
+    if not columns:
+        return np.sum(residual**2, axis=1), scale
+    a = weights[:, None] * np.stack(columns, -1)
+    norms = np.sqrt(np.sum(a**2, axis=1)) + 1e-300
+    a = a / norms[:, None, :]
+    gram = np.swapaxes(a, 1, 2) @ a + 1e-10 * np.eye(a.shape[-1])
+    right = np.einsum("gnq,gn->gq", a, residual)
+    solution = np.linalg.solve(gram, right[..., None])[..., 0]
+    if pushed and not fixed_scale:
+        at = 0 if record.initial_state is not None else responses.shape[-1] - 1
+        gain = solution[:, at] / norms[:, at]
+        scale = np.where(gain > 0, 1.0 / np.maximum(gain, 1e-12), np.nan)
+    rss = np.sum(residual**2, axis=1) - np.sum(solution * right, axis=1)
+    return np.where(np.isfinite(scale), rss, np.inf), np.where(np.isfinite(scale), scale, 1.0)
