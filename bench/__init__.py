@@ -8,7 +8,7 @@ from bench.contract.progress import report_progress
 from bench.dynamics.mechanics import acceleration, mass_matrix, numpy_ops, regression_columns, rk4_step, state_rate
 from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurements, simulate, state_matrix
 from bench.errors import InputError
-from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, Search, Start, estimate_at
+from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, Search, Standardised, Start, estimate_at
 from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
 
 __all__ = [
@@ -39,6 +39,7 @@ __all__ = [
     "Search",
     "Serves",
     "SimulatedResponse",
+    "Standardised",
     "Start",
     "Status",
     "System",

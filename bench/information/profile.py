@@ -16,10 +16,10 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from bench.contract.problem import Record
-from bench.dynamics.simulate import measurements
+from bench.contract.problem import Problem, Record
 from bench.information.fisher import Information
 from bench.information.structural import Structure
+from bench.likelihood.output_error import OutputError
 from bench.scenario.scenario import Scenario
 from bench.systems import Quantity, System
 
@@ -64,6 +64,15 @@ class Profile:
         return ends[0], ends[1]
 
 
+@dataclass(frozen=True, eq=False)
+class _EveryParameter(OutputError):
+    """The model with every parameter free, also where nothing tells the scale."""
+
+    @property
+    def free(self) -> tuple[str, ...]:  # type: ignore[override]
+        return self.system.names
+
+
 class _Likelihood:
     """The log-likelihood over ``phi``: log-parameters, then the start over its scale where it is not told.
 
@@ -71,31 +80,25 @@ class _Likelihood:
     """
 
     def __init__(self, system: System, record: Record, centre: np.ndarray) -> None:
-        self.system, self.record, self.centre = system, record, centre
-        self.y = np.concatenate([channel.values for channel in record.channels])
-        self.counts = [channel.n for channel in record.channels]
-        size = float(np.max(np.abs(self.y))) or 1.0
+        self.system, self.centre = system, centre
+        self.model = _EveryParameter(Problem(system, (record,)))
+        size = float(np.max(np.abs(self.model.data))) or 1.0
         self.scale = np.repeat([size, size / record.duration], system.n_dof)
+        self.units = np.ones(self.model.size)
+        self.units[len(system.names) :] = self.scale[: self.model.size - len(system.names)]
 
     def residuals(self, phi: np.ndarray) -> np.ndarray:
         """Shape (*sets, n_samples) for ``phi`` of shape (n_phi, *sets)."""
-        names, n = self.system.names, self.system.n_dof
-        p = {name: np.exp(phi[i]) for i, name in enumerate(names)}
-        told = self.record.initial_state
-        if told is not None:
-            return measurements(self.system, p, told, self.record) - self.y
-        start = phi[len(names) :] * self.scale.reshape(-1, *(1,) * (phi.ndim - 1))
-        return measurements(self.system, p, (start[:n], start[n:]), self.record) - self.y
+        return self.model.predict(np.moveaxis(phi, 0, -1) * self.units) - self.model.data
 
     def _trial(self, phi: np.ndarray) -> np.ndarray:
         """The residuals of one ``phi``, infinite where it is too far: a step that the solver takes back."""
         far = np.abs(phi[: len(self.centre)] - self.centre) > TOO_FAR
-        return np.full(self.y.size, np.inf) if np.any(far) else self.residuals(phi)
+        return np.full(self.model.data.size, np.inf) if np.any(far) else self.residuals(phi)
 
     def _levels(self, residuals: np.ndarray) -> np.ndarray:
         """The noise level of each channel by its residuals, never quite zero."""
-        parts = np.split(residuals, np.cumsum(self.counts)[:-1])
-        return np.array([max(float(np.sqrt(np.mean(part**2))), 1e-14 * self.scale[0]) for part in parts])
+        return self.model.noise(residuals, 0.0, floor=1e-14)
 
     def maximise(self, base: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, float]:
         """The best point of ``base + directions @ u`` from u = 0, directions (n_phi, n_free), and its log-likelihood.
@@ -107,8 +110,8 @@ class _Likelihood:
         if not np.all(np.isfinite(self._trial(base))):
             return base, -math.inf
         levels = self._levels(self.residuals(base))
-        for _ in range(ROUNDS if len(self.counts) > 1 else 1):
-            weights = 1.0 / np.repeat(levels, self.counts)
+        for _ in range(ROUNDS if len(self.model.counts) > 1 else 1):
+            weights = 1.0 / levels[self.model.channel_of]
 
             def misfit(u: np.ndarray, base: np.ndarray = base, weights: np.ndarray = weights) -> np.ndarray:
                 return np.asarray(weights * self._trial(base + directions @ u))
@@ -125,7 +128,7 @@ class _Likelihood:
             before, levels = levels, self._levels(self.residuals(base))
             if np.allclose(levels, before, rtol=1e-5, atol=0):
                 break
-        return base, -float(np.dot(self.counts, np.log(levels)))
+        return base, -float(np.dot(self.model.counts, np.log(levels)))
 
 
 def profiles(

@@ -31,11 +31,12 @@ Start = InitialState | tuple[np.ndarray, np.ndarray]
 class OutputError:
     """Measured minus simulated, as a function of one vector ``theta``, vectorised over many of them.
 
-    ``theta`` holds the log-parameters (without the gauge mass, fixed at 1, where nothing tells the scale), then
+    ``theta`` holds the log-parameters (without the gauge mass, held at ``gauge``, where nothing tells the scale), then
     displacement and velocity at time 0 of each record whose start is unknown, then the unknown offsets.
     """
 
     problem: Problem
+    gauge: float = 1.0
 
     @property
     def system(self) -> System:
@@ -90,7 +91,7 @@ class OutputError:
     def parameters(self, theta: np.ndarray) -> dict[str, np.ndarray]:
         """The parameters, each of the leading shape of ``theta``."""
         values = dict(zip(self.free, np.moveaxis(np.exp(theta[..., : len(self.free)]), -1, 0), strict=True))
-        return {name: values.get(name, np.ones(theta.shape[:-1])) for name in self.system.names}
+        return {name: values.get(name, np.full(theta.shape[:-1], self.gauge)) for name in self.system.names}
 
     def starts(self, theta: np.ndarray) -> list[Start]:
         """Initial state by record: the told one, or displacement and velocity of shape (n_dof, ...)."""
@@ -258,6 +259,38 @@ class Search:
         trial = self.kept + move
         trial[:k] = np.clip(trial[:k], -LOG_LIMIT, LOG_LIMIT)
         self.trial = trial
+
+
+class Standardised:
+    """Residuals over the noise, and distances from the prior, with their derivatives, for a least-squares solver.
+
+    One simulation of many sets serves both, unless residuals are to be ``exact``: a nonlinear motion is integrated more
+    accurately alone (:func:`bench.dynamics.simulate.simulate`). ``evaluations`` counts simulated responses.
+    """
+
+    def __init__(self, model: OutputError, sigma: np.ndarray, exact: bool = False) -> None:
+        self.model, self.weights, self.evaluations = model, 1.0 / sigma[model.channel_of], 0
+        self.exact = exact
+        self._at, self._slopes = np.full(model.size, np.nan), np.zeros((0, model.size))
+
+    def residuals(self, theta: np.ndarray) -> np.ndarray:
+        """Shape (N + parameters,)."""
+        predicted, slopes = self.model.jacobian(theta)
+        self.evaluations += 2 * self.model.size + 1
+        # a neighbour that diverged says nothing of the slope
+        self._at, self._slopes = theta.copy(), np.where(np.isfinite(slopes), slopes, 0.0)
+        if self.exact:
+            predicted = self.model.predict(theta)
+        return np.concatenate([(predicted - self.model.data) * self.weights, self.model.penalty(theta)])
+
+    def jacobian(self, theta: np.ndarray) -> np.ndarray:
+        """Derivatives of :meth:`residuals`, shape (N + parameters, size)."""
+        if not np.array_equal(theta, self._at):
+            self.residuals(theta)
+        rows, prior = self._slopes * self.weights[:, None], self.model.prior
+        if prior is None:
+            return rows
+        return np.concatenate([rows, np.eye(len(self.model.free), theta.size) / prior.log_sds[:, None]])
 
 
 def estimate_at(

@@ -55,7 +55,7 @@ def as_fine_as_noise(model: OutputError, theta: np.ndarray) -> OutputError:
     sigma = model.noise(model.data - predicted, 0.0)
     allowed = NOISE_SHARE * sigma[model.channel_of] / np.sqrt(model.data.size)
     for _ in range(HALVINGS):
-        finer = Stepped(model.problem, 0.5 * quick.radians)
+        finer = Stepped(model.problem, radians=0.5 * quick.radians)
         before, predicted = predicted, finer.predict(theta)
         if np.all(np.abs(predicted - before) <= allowed):
             break

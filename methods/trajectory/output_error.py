@@ -37,6 +37,7 @@ from bench import (
     OutputError,
     Problem,
     Serves,
+    Standardised,
     Status,
     estimate_at,
 )
@@ -119,8 +120,8 @@ class SingleShooting(Identifier):
         evaluations, iterations, stopped = 1, 0, False
         sigma = model.noise(residuals, used)
         for _ in range(self.sigma_rounds):
-            aim = _Objective(model, sigma)
-            fit = least_squares(aim.misfit, theta, aim.slopes, x_scale="jac", max_nfev=self.max_evaluations)
+            aim = _Reachable(model, sigma)
+            fit = least_squares(aim.residuals, theta, aim.jacobian, x_scale="jac", max_nfev=self.max_evaluations)
             theta, residuals, used = fit.x, model.data - model.predict(fit.x), _used(fit.jac, model.data.size)
             evaluations += aim.evaluations + 1
             iterations += fit.njev
@@ -164,32 +165,13 @@ def cold_start(problem: Problem) -> dict[str, float]:
     return dict(problem.prior.nominal) if problem.prior else dict.fromkeys(problem.system.names, 1.0)
 
 
-class _Objective:
-    """Standardised residuals of data and prior, and their slopes, which come from the same simulation."""
+class _Reachable(Standardised):
+    """Standardised residuals, not finite where the motion is too fast for the samples: the step is shortened."""
 
-    def __init__(self, model: OutputError, sigma: np.ndarray) -> None:
-        self.model, self.weights, self.evaluations = model, 1.0 / sigma[model.channel_of], 0
-        self._at, self._slopes = np.full(model.size, np.nan), np.zeros((0, model.size))
-
-    def misfit(self, theta: np.ndarray) -> np.ndarray:
-        """Shape (N + parameters,); where it is not finite the step is shortened."""
-        model = self.model
-        if _out_of_reach(model, theta):
-            return np.full(model.data.size + model.penalty(theta).size, np.nan)
-        predicted, slopes = model.jacobian(theta)
-        self.evaluations += 2 * model.size + 1
-        # a neighbour that diverged says nothing of the slope
-        self._at, self._slopes = theta.copy(), np.where(np.isfinite(slopes), slopes, 0.0)
-        return np.concatenate([(predicted - model.data) * self.weights, model.penalty(theta)])
-
-    def slopes(self, theta: np.ndarray) -> np.ndarray:
-        """Derivatives of :meth:`misfit`."""
-        if not np.array_equal(theta, self._at):
-            self.misfit(theta)
-        rows, prior = self._slopes * self.weights[:, None], self.model.prior
-        if prior is None:
-            return rows
-        return np.concatenate([rows, np.eye(len(self.model.free), theta.size) / prior.log_sds[:, None]])
+    def residuals(self, theta: np.ndarray) -> np.ndarray:
+        if _out_of_reach(self.model, theta):
+            return np.full(self.model.data.size + self.model.penalty(theta).size, np.nan)
+        return super().residuals(theta)
 
 
 def _out_of_reach(model: OutputError, theta: np.ndarray) -> bool:
