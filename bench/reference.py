@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from bench.estimate import Cost, Estimate, Normal, Status
 from bench.problem import InitialState, Problem
@@ -86,6 +85,8 @@ def oracle_estimate(problem: Problem, truth: Truth) -> Estimate:
             return np.asarray(jacobian)
         own = np.eye(len(names), theta.size) / prior.log_sds[:, None]
         return np.vstack([jacobian, own])
+
+    from scipy.optimize import least_squares  # slow to import, and few need it
 
     starts = np.tile([*truth.initial_state.displacement, *truth.initial_state.velocity], len(unknown)) / scale
     theta = np.concatenate([np.log([truth.parameters[name] for name in free]), starts])

@@ -50,7 +50,9 @@ def check(
             return oracle(q, s, mp.mpf(t))
 
         expected = [float((moved(t, 1) - moved(t, -1)) / (2 * h)) for t in at]
-        np.testing.assert_allclose(slopes[-1, ::every, i], expected, atol=1e-11 * np.max(np.abs(expected)), err_msg=str(i))
+        np.testing.assert_allclose(
+            slopes[-1, ::every, i], expected, atol=1e-11 * np.max(np.abs(expected)), err_msg=str(i)
+        )
 
 
 def free_sdof(p: Mapping[str, Any], state: Sequence[Any], t: Any) -> Any:
