@@ -27,6 +27,8 @@ import psutil
 from bench.mainless import without_main
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+NEEDED = ("bench.processes", "bench.fitter", "bench.judge", "scipy.integrate")
+"""Modules that children import from their server; the last makes the truth of a nonlinear system."""
 LOG_TAIL = 8000
 """How much of what a child printed is kept (characters)."""
 READY_S = 300.0
@@ -54,7 +56,7 @@ def start_server(preload: Sequence[str] = ()) -> Any:
     """
     single_threaded()
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["bench.processes", "bench.fitter", "bench.judge", *preload, "bench.frozen"])
+    context.set_forkserver_preload([*NEEDED, *preload, "bench.frozen"])
     with without_main():
         forkserver.ensure_running()
     return context
@@ -66,9 +68,7 @@ class Children:
     def __init__(self, preload: Sequence[str] = ()) -> None:
         single_threaded()
         self.context: Any = multiprocessing.get_context("forkserver")
-        self.context.set_forkserver_preload(
-            ["bench.processes", "bench.fitter", "bench.judge", *preload, "bench.frozen"]
-        )
+        self.context.set_forkserver_preload([*NEEDED, *preload, "bench.frozen"])
         self.folder = tempfile.TemporaryDirectory(prefix="vibration-bench-", ignore_cleanup_errors=True)
         self.lifeline, self._alive = self.context.Pipe(duplex=False)
         self.numbers = itertools.count()
