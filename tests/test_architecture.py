@@ -120,10 +120,23 @@ def test_registered_classes_load_no_heavy_package() -> None:
         "from bench.entrants.registry import load_method, registered\n"
         "for name in registered():\n"
         "    load_method(name)\n"
-        f"print(sorted(set(sys.modules) & {HEAVY!r}))\n"
+        f"print(sorted(set(sys.modules) & {HEAVY | {'scipy.stats'}!r}))\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=REPOSITORY)
     assert done.stdout == "[]\n", done.stderr
+
+
+@pytest.mark.parametrize("argument", ["--help", "method=no_such_method"])
+def test_help_and_a_wrong_name_load_no_numerical_library(argument: str) -> None:
+    """Beyond numpy, which the contract itself is made of."""
+    script = (
+        "import sys\n"
+        "from bench.commands.main import main\n"
+        f"main([{argument!r}])\n"
+        "print(sorted({'scipy', 'pandas', 'pyarrow', 'jax'} & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=REPOSITORY)
+    assert done.stdout.splitlines()[-1] == "[]", done.stderr
 
 
 @pytest.mark.parametrize("path", BENCH + METHODS, ids=name)

@@ -8,7 +8,6 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr, ndtri, stdtr, stdtrit
 
 from bench.contract.problem import InitialState, Units
 from bench.systems import LENGTH, Quantity, System
@@ -54,6 +53,8 @@ class Marginal:
 
 def standard_quantile(levels: Any, dof: float | None) -> Any:
     """Quantiles of the standard normal, or of Student's t with ``dof`` degrees of freedom."""
+    from scipy.special import ndtri, stdtrit  # slow to import, and few need it
+
     return ndtri(levels) if dof is None else stdtrit(dof, levels)
 
 
@@ -66,6 +67,8 @@ def _normal_marginal(value: float, mean: float, sd: float, dof: float | None, lo
             return np.asarray(np.exp(mean + sd * z) if log else mean + sd * z)
 
     def cdf(true: float) -> float:
+        from scipy.special import ndtr, stdtr
+
         with np.errstate(over="ignore"):
             z = ((np.log(true) if log else true) - mean) / np.maximum(sd, 1e-300)
         return float(ndtr(z) if dof is None else stdtr(dof, z))

@@ -18,7 +18,6 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.polynomial import polynomial
-from scipy.linalg import expm
 
 from bench.contract.problem import Channel, Force, InitialState, Record
 from bench.dynamics.integrator import Rate, integrate
@@ -375,6 +374,8 @@ def matrix_exponential_response(
     The augmented-matrix form of the hold (C. F. Van Loan, IEEE Trans. Automatic Control 23:395, 1978): with
     ``f`` a polynomial over an interval, the state, the force and its derivatives obey one constant-coefficient system.
     """
+    from scipy.linalg import expm  # slow to import, and few need it
+
     a, b = state_matrix(system, p)
     n, m = b.shape
     grid = merged_grid(times, forces)

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from bench.contract.estimate import Cost, Estimate, Normal, Status
 from bench.contract.problem import Problem
@@ -38,6 +37,8 @@ def oracle_estimate(problem: Problem, truth: Truth) -> Estimate:
     inform: groups where nothing but the prior sets the scale, else parameters; and the initial state where it is not
     told.
     """
+    from scipy.optimize import least_squares  # slow to import, and few need it
+
     system, true = problem.system, truth.parameters
     model = OutputError(problem, gauge=true[system.gauge])
     p_data = (len(system.names) if problem.scale_told else len(system.groups)) + model.size - len(model.free)

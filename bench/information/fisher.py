@@ -4,41 +4,35 @@ The bound is the inverse of (Fisher information of the data at the truth + preci
 log-parameters (and the initial state, where it is not told). With Gaussian noise of unknown level the cross terms
 between level and parameters vanish (the expectation of the residual is zero), so estimating the level costs nothing.
 
-Sensitivities come from jax: exactly, through matrix exponentials, for a linear system, through Runge-Kutta steps fine
-enough not to matter for others. It is computed once per scenario,
-in a process of its own, and cached.
+Sensitivities are exact for a linear system (:mod:`bench.information.linear_sensitivities`); jax differentiates fine
+Runge-Kutta steps for others (:mod:`bench.information.stepped_sensitivities`), in a process of its own. A bound is
+computed once and kept.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
 import multiprocessing
 import os
 import sys
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 
-from bench.contract.problem import Force
-from bench.dynamics.mechanics import rk4_step, state_rate
-from bench.dynamics.simulate import interval_polynomials, longest_step, merged_grid
 from bench.errors import InputError
+from bench.information.linear_sensitivities import linear_sensitivities
+from bench.information.stepped_sensitivities import stepped_sensitivities
 from bench.isolation.mainless import without_main
 from bench.scenario.scenario import Scenario
-from bench.systems import Ops, Quantity, System
+from bench.systems import Quantity
 
 UNWRITABLE = 74
 """Exit status of the process that computes bounds where it cannot store them."""
-REFINE = 12
-"""Integration steps per step that plain simulation would take."""
 RANK_TOLERANCE = 1e-9
 """Eigenvalues of the Fisher information below this part of the largest count as zero."""
 FORMAT = 1
@@ -65,124 +59,14 @@ class Bound:
     null_space: tuple[tuple[float, ...], ...]
 
 
-def _jax_ops() -> Ops:
-    import jax.numpy as jnp
-
-    def solve(matrix: Sequence[Sequence[Any]], rhs: Sequence[Any]) -> list[Any]:
-        solution = jnp.linalg.solve(jnp.stack([jnp.stack(row) for row in matrix]), jnp.stack(rhs))
-        return [solution[i] for i in range(len(rhs))]
-
-    return cast(
-        Ops,
-        SimpleNamespace(
-            sin=jnp.sin, cos=jnp.cos, tanh=jnp.tanh, exp=jnp.exp, abs=jnp.abs, where=jnp.where, solve=solve
-        ),
-    )
-
-
-def _steps(
-    system: System, scenario: Scenario, forces: Sequence[Force], times: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Step lengths (n,), forces at start, middle and end of each step (n, 3, n_dof), and where each time is reached."""
-    grid = merged_grid(times, forces)
-    state = [np.array(part[i]) for part in scenario.initial for i in range(system.n_dof)]
-    state += [np.array(0.0)] * system.n_hidden
-    longest = longest_step(system, scenario.parameters, state) / REFINE
-    counts = np.maximum(1, np.ceil(np.diff(grid) / longest)).astype(int)
-    which = np.repeat(np.arange(counts.size), counts)
-    reached = np.concatenate([[0], np.cumsum(counts)])
-    parts = (np.arange(which.size) - reached[which])[:, None] + np.array([0.0, 0.5, 1.0])
-    parts /= counts[which, None]
-    coefficients = interval_polynomials(forces, grid, system.n_dof)[:, which]
-    pushes = sum(c[:, None] * parts[..., None] ** j for j, c in enumerate(coefficients))
-    return (np.diff(grid) / counts)[which], np.asarray(pushes), reached[np.searchsorted(grid, times)]
-
-
-def _by_steps(
-    system: System, scenario: Scenario, ops: Ops, forces: Sequence[Force], times: np.ndarray
-) -> Callable[[Mapping[str, Any], Any], Any]:
-    """The displacement, shape (n_dof, n_times), as a function of parameters and start, by Runge-Kutta steps."""
-    import jax
-    import jax.numpy as jnp
-
-    n = system.n_dof
-    lengths, pushes, reached = _steps(system, scenario, forces, times)
-
-    def path(p: Mapping[str, Any], start: Any) -> Any:
-        def step(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
-            h, push = inputs
-            f = [[push[i, j] for j in range(n)] for i in range(3)]
-            new = jnp.stack(rk4_step(system, p, [state[i] for i in range(state.shape[0])], h, (f[0], f[1], f[2]), ops))
-            return new, new[:n]
-
-        _, after = jax.lax.scan(step, start, (jnp.asarray(lengths), jnp.asarray(pushes)))
-        return jnp.concatenate([start[None, :n], after])[reached].T
-
-    return path
-
-
-def _by_exponentials(
-    system: System, ops: Ops, forces: Sequence[Force], times: np.ndarray
-) -> Callable[[Mapping[str, Any], Any], Any]:
-    """The same of a linear system, exact: matrix exponentials of the state, the force and its derivatives.
-
-    See :func:`bench.dynamics.simulate.matrix_exponential_response` for the formula; here jax differentiates it.
-    """
-    import jax
-    import jax.numpy as jnp
-
-    n, grid = system.n_dof, merged_grid(times, forces)
-    pushes = interval_polynomials(forces, grid, n)
-    order, h = len(pushes), np.diff(grid)
-    factors = np.array([math.factorial(j) for j in range(order)])
-    given = np.moveaxis(factors[:, None, None] / h[:, None] ** np.arange(order)[:, None, None] * pushes, 0, 1)
-    tick = 1e-12 * max(grid[-1], 1e-300)
-    _, first, which = np.unique(np.round(h / tick), return_index=True, return_inverse=True)
-
-    def path(p: Mapping[str, Any], start: Any) -> Any:
-        def rate(state: Any, f: Any) -> Any:
-            return jnp.stack(state_rate(system, p, [state[i] for i in range(2 * n)], [f[i] for i in range(n)], ops))
-
-        a, b = jax.jacfwd(rate, (0, 1))(jnp.zeros(2 * n), jnp.zeros(n))
-        top = jnp.concatenate([a, b, jnp.zeros((2 * n, (order - 1) * n))], axis=1)
-        bottom = np.eye(order * n, (2 + order) * n, 3 * n)
-        growth = jax.vmap(jax.scipy.linalg.expm)(jnp.concatenate([top, bottom]) * h[first, None, None])[:, : 2 * n]
-
-        def step(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
-            j, push = inputs
-            new = growth[j] @ jnp.concatenate([state, push])
-            return new, new[:n]
-
-        _, after = jax.lax.scan(step, start, (jnp.asarray(which), jnp.asarray(given.reshape(h.size, -1))))
-        return jnp.concatenate([start[None, :n], after])[np.searchsorted(grid, times)].T
-
-    return path
-
-
 def sensitivities(scenario: Scenario, seed: int, times: np.ndarray, record: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Displacement, shape (n_dof, n_times), and its derivatives (n_dof, n_times, n_parameters + 2 n_dof).
 
     Derivatives by the log-parameters, then by initial displacement and velocity of each DOF, at the truth.
     """
-    import jax
-    import jax.numpy as jnp
-
-    jax.config.update("jax_enable_x64", True)
-    system, ops = scenario.rigs()[record], _jax_ops()
-    names, forces = system.names, scenario.forces(seed)
-    path = (
-        _by_exponentials(system, ops, forces, times)
-        if system.linear
-        else _by_steps(system, scenario, ops, forces, times)
-    )
-
-    def response(theta: Any) -> Any:
-        p = {name: jnp.exp(theta[i]) for i, name in enumerate(names)}
-        return path(p, jnp.concatenate([theta[len(names) :], jnp.zeros(system.n_hidden)]))
-
-    logs = np.log([scenario.parameters[name] for name in names])
-    theta = jnp.asarray(np.concatenate([logs, scenario.start.displacement, scenario.start.velocity]))
-    return np.asarray(response(theta)), np.asarray(jax.jacfwd(response)(theta))
+    system = scenario.rigs()[record]
+    differentiate = linear_sensitivities if system.linear else stepped_sensitivities
+    return differentiate(system, scenario.parameters, scenario.start, times, scenario.forces(seed))
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,35 +226,57 @@ def bound_identity(scenario: Scenario, seed: int) -> str:
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _compute_to_files(jobs: Sequence[tuple[Scenario, int, Path]]) -> None:
-    for scenario, seed, path in jobs:
-        text = json.dumps(asdict(compute_bound(scenario, seed)))
-        temporary = path.with_suffix(f".{uuid.uuid4().hex}.tmp")  # two machines can have the same process ids
-        try:
-            temporary.write_text(text)
-            os.replace(temporary, path)
-        except OSError:
-            sys.exit(UNWRITABLE)
+Job = tuple[Scenario, int, Path]
+"""A scenario and seed, and the file that keeps their bound."""
+
+
+def _compute_to_file(job: Job) -> None:
+    scenario, seed, path = job
+    text = json.dumps(asdict(compute_bound(scenario, seed)))
+    temporary = path.with_suffix(f".{uuid.uuid4().hex}.tmp")  # two machines can have the same process ids
+    try:
+        temporary.write_text(text)
+        os.replace(temporary, path)
+    except OSError:
+        raise _unwritable(path.parent) from None
+
+
+def _unwritable(folder: Path) -> InputError:
+    return InputError("store", folder, "the bounds cannot be written; make room, or name another folder")
+
+
+def _compute_all(jobs: Sequence[Job]) -> None:
+    """Main function of the process that computes bounds with jax."""
+    try:
+        for job in jobs:
+            _compute_to_file(job)
+    except InputError:
+        sys.exit(UNWRITABLE)
 
 
 def load_bounds(wanted: Sequence[tuple[Scenario, int]], folder: Path) -> list[Bound]:
     """The bounds of (scenario, seed) pairs from the cache under ``folder``.
 
-    What is missing is computed first, in one process of its own, so that jax never shares a process with a fit.
+    What is missing is computed first: of linear systems here, of others in one process of its own, so that jax never
+    shares a process with a fit. Raises InputError where ``folder`` cannot be written.
     """
     paths = [folder / f"{bound_identity(scenario, seed)}.bound" for scenario, seed in wanted]
     missing = {path: job for path, job in zip(paths, wanted, strict=True) if not path.exists()}
     if missing:
         folder.mkdir(parents=True, exist_ok=True)
-        jobs = [(scenario, seed, path) for path, (scenario, seed) in missing.items()]
-        process = multiprocessing.get_context("spawn").Process(target=_compute_to_files, args=(jobs,))
+    jobs = [(scenario, seed, path) for path, (scenario, seed) in missing.items()]
+    for job in jobs:
+        if job[0].make_system().linear:
+            _compute_to_file(job)
+    if others := [job for job in jobs if not job[0].make_system().linear]:
+        process = multiprocessing.get_context("spawn").Process(target=_compute_all, args=(others,))
         with without_main():
             process.start()
         process.join()
         if process.exitcode == UNWRITABLE:
-            raise InputError("store", folder, "the bounds cannot be written; make room, or name another folder")
+            raise _unwritable(folder)
         if process.exitcode != 0:
-            raise RuntimeError(f"the computation of {len(jobs)} bound(s) failed (exit {process.exitcode})")
+            raise RuntimeError(f"the computation of {len(others)} bound(s) failed (exit {process.exitcode})")
     return [_from_file(path) for path in paths]
 
 

@@ -27,6 +27,8 @@ import psutil
 from bench.isolation.mainless import without_main
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+NEEDED = ("bench.isolation.processes", "bench.sweep.method_process", "bench.sweep.scoring_process", "scipy.integrate")
+"""Modules that children import from their server; the last makes the truth of a nonlinear system."""
 LOG_TAIL = 8000
 """How much of what a child printed is kept (characters)."""
 READY_S = 300.0
@@ -54,15 +56,7 @@ def start_server(preload: Sequence[str] = ()) -> Any:
     """
     single_threaded()
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(
-        [
-            "bench.isolation.processes",
-            "bench.sweep.method_process",
-            "bench.sweep.scoring_process",
-            *preload,
-            "bench.isolation.frozen",
-        ]
-    )
+    context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.frozen"])
     with without_main():
         forkserver.ensure_running()
     return context
@@ -74,15 +68,7 @@ class Children:
     def __init__(self, preload: Sequence[str] = ()) -> None:
         single_threaded()
         self.context: Any = multiprocessing.get_context("forkserver")
-        self.context.set_forkserver_preload(
-            [
-                "bench.isolation.processes",
-                "bench.sweep.method_process",
-                "bench.sweep.scoring_process",
-                *preload,
-                "bench.isolation.frozen",
-            ]
-        )
+        self.context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.frozen"])
         self.folder = tempfile.TemporaryDirectory(prefix="vibration-bench-", ignore_cleanup_errors=True)
         self.lifeline, self._alive = self.context.Pipe(duplex=False)
         self.numbers = itertools.count()

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from bench.contract.problem import Force, InitialState
 from bench.dynamics.mechanics import numpy_ops, state_rate
@@ -109,6 +108,8 @@ def _integrated(
     atol: float = 1e-13,
 ) -> np.ndarray:
     """Displacement, velocity and hidden states, shape (2 n_dof + n_hidden, n_times)."""
+    from scipy.integrate import solve_ivp  # slow to import, and linear systems do not need it
+
     n = system.n_dof
 
     def rate(t: float, state: np.ndarray) -> list[float]:

@@ -38,7 +38,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from scipy.special import gammaln, logsumexp
-from scipy.stats import norm, rankdata
 
 from bench import (
     LOG_LIMIT,
@@ -355,6 +354,8 @@ def rank_r_hat(paths: np.ndarray) -> float:
     ensemble move by each other and are not independent. Bulk and folded version, the larger (Vehtari et al., 2021,
     equations 1-4, 14 and section 4.2). Infinite where an unknown never moves.
     """
+    from scipy.stats import norm, rankdata  # half a second to import, which every command line would pay
+
     steps = paths.shape[1] // 2
     halves = [half.reshape(-1, paths.shape[-1]) for path in paths for half in (path[:steps], path[-steps:])]
     x = np.stack(halves)

@@ -178,7 +178,7 @@ def test_three_samples_do_not_tell_two_groups_and_a_start() -> None:
 
 
 def test_forced_sensitivities_are_finite_differences_of_the_truths_own_response() -> None:
-    """The truth's matrix exponential shares no line with the integrator that jax differentiates."""
+    """The truth is made by scipy's matrix exponential, of matrices that are not those of the sensitivities."""
     scenario = on_its_samples(replace(SDOF_FREE, force=MULTISINE))
     times = np.unique(np.concatenate([scenario.times, scenario.forecast_times]))
     _, gradient = bound_module.sensitivities(scenario, 0, times)
@@ -214,28 +214,65 @@ def test_without_signal_the_bound_is_the_prior() -> None:
 
 SCRIPT = """if __name__ == "__main__":
     import sys
+    from dataclasses import replace
     from pathlib import Path
     from bench.information.fisher import load_bounds
     from bench.scenario.scenario import Scenario
-    scenario = Scenario("sdof", {"m": 1.0, "c": 0.4, "k": 8.0}, ((1.0,), (0.0,)), 20.0, dense=25, forecast=0.5)
-    print(repr(load_bounds([(scenario, 0), (scenario, 1)], Path(sys.argv[1]))))
+    linear = Scenario("sdof", {"m": 1.0, "c": 0.4, "k": 8.0}, ((1.0,), (0.0,)), 20.0, dense=25, forecast=0.5)
+    other = replace(linear, system="duffing", parameters={**linear.parameters, "k3": 5.0})
+    print(repr(load_bounds([(linear, 0), (linear, 1), (other, 0)], Path(sys.argv[1]))))
     assert "jax" not in sys.modules, "jax is here"
 """
 
 
-def test_bounds_are_computed_elsewhere_and_then_read(
+def test_bounds_are_computed_without_jax_here_and_then_read(
     tmp_path: Path, python: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """jax stays out of the process that asks; whoever asks again finds the bound and starts no process."""
+    """jax stays out of the process that asks; whoever asks again finds the bound and computes nothing."""
     (tmp_path / "ask.py").write_text(SCRIPT)
     asked = python(str(tmp_path / "ask.py"), str(tmp_path / "cache"))
     assert asked.returncode == 0, asked.stderr
-    assert [path.suffix for path in (tmp_path / "cache").iterdir()] == [".bound"]
-    scenario = replace(SDOF_FREE, dense=25, forecast=0.5)
-    monkeypatch.setattr(bound_module.multiprocessing, "get_context", None)
-    (found,) = load_bounds([(scenario, 5)], tmp_path / "cache")
-    assert asked.stdout.strip() == repr([found, found])
-    assert found == compute_bound(scenario)
+    assert [path.suffix for path in (tmp_path / "cache").iterdir()] == [".bound", ".bound"]
+    linear = replace(SDOF_FREE, dense=25, forecast=0.5)
+    other = replace(linear, system="duffing", parameters=DUFFING_FREE.parameters)
+    expected = [compute_bound(linear), compute_bound(other)]
+    for name in ("multiprocessing", "compute_bound"):
+        monkeypatch.setattr(bound_module, name, None)
+    assert load_bounds([(linear, 5), (other, 5)], tmp_path / "cache") == expected
+    assert asked.stdout.strip() == repr([expected[0], expected[0], expected[1]])
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder that not even root can write")
+@pytest.mark.parametrize("scenario", [SDOF_FREE, DUFFING_FREE], ids=["here", "in its own process"])
+def test_a_bound_that_cannot_be_written_is_said_in_one_line(scenario: Scenario) -> None:
+    with pytest.raises(InputError, match="store=/proc/self: the bounds cannot be written") as caught:
+        load_bounds([(scenario, 0)], Path("/proc/self"))
+    assert len(str(caught.value).splitlines()) == 1
+
+
+COMPILE = """import sys
+from pathlib import Path
+import numpy as np
+from bench.contract.problem import InitialState
+from bench.information.stepped_sensitivities import stepped_sensitivities
+from bench.systems.linear import SDOF
+start = InitialState(np.array([1.0]), np.array([0.0]))
+x, slopes = stepped_sensitivities(SDOF(), {"m": 1.0, "c": 0.4, "k": 8.0}, start, np.array([0.0, 0.5]))
+print(repr(x.tolist()), repr(slopes.tolist()))
+"""
+
+
+def test_what_jax_compiles_is_kept_for_the_next_process_where_it_can_be(
+    tmp_path: Path, python: Callable[..., Any]
+) -> None:
+    (tmp_path / "file").touch()
+    found = [
+        python("-W", "error", "-c", COMPILE, env={"XDG_CACHE_HOME": str(tmp_path / name)})
+        for name in ("cache", "cache", "file")
+    ]
+    assert [asked.stderr for asked in found] == ["", "", ""]
+    assert len({asked.stdout for asked in found}) == 1
+    assert list((tmp_path / "cache" / "vibration-bench" / "jax").glob("jit_response-*"))
 
 
 def test_a_bound_is_shared_where_nothing_that_it_depends_on_differs() -> None:

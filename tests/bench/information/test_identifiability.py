@@ -358,7 +358,7 @@ def test_bad_input_is_one_line(arguments: Sequence[str], said: str, capsys: pyte
     assert main(arguments) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith("bench.identifiability: ")
+    assert err.startswith("bench.commands.identifiability: ")
     assert said in err
     assert len(err.splitlines()) == 1
 
@@ -367,7 +367,7 @@ def test_without_sympy_there_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys
     monkeypatch.setitem(sys.modules, "sympy", None)
     assert main([]) == 2
     assert capsys.readouterr().err.splitlines() == [
-        "bench.identifiability: sympy=missing: pip install 'vibration-bench[identifiability]'"
+        "bench.commands.identifiability: sympy=missing: pip install 'vibration-bench[identifiability]'"
     ]
     with pytest.raises(InputError):
         structure(SDOF())

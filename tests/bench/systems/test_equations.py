@@ -85,9 +85,9 @@ def library(name: str) -> tuple[Any, Any, Any]:
     module = pytest.importorskip(name)
     if name == "jax":
         module.config.update("jax_enable_x64", True)
-        from bench.information.fisher import _jax_ops
+        from bench.information.stepped_sensitivities import jax_ops
 
-        return _jax_ops(), module.numpy.asarray, float
+        return jax_ops(), module.numpy.asarray, float
     absolute = {"casadi": "fabs", "sympy": "Abs", "torch": "abs"}[name]
     functions = {key: getattr(module, key) for key in ("sin", "cos", "tanh", "exp")}
     ops = SimpleNamespace(**functions, abs=getattr(module, absolute))

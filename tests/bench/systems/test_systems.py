@@ -147,11 +147,11 @@ def test_the_acceleration_of_the_duffing_oscillator_by_hand() -> None:
 def test_the_acceleration_of_a_chain_in_jax_is_numpys() -> None:
     jax = pytest.importorskip("jax")
     jax.config.update("jax_enable_x64", True)
-    from bench.information.fisher import _jax_ops
+    from bench.information.stepped_sensitivities import jax_ops
 
     p, (x, v, _, f) = drawn(Chain(3), 1)
     x, v, f = ([c[0] for c in part] for part in (x, v, f))
-    theirs = jax.jit(lambda *args: acceleration(Chain(3), *args, [], _jax_ops()))(p, x, v, f)
+    theirs = jax.jit(lambda *args: acceleration(Chain(3), *args, [], jax_ops()))(p, x, v, f)
     a = np.array(theirs)
     np.testing.assert_allclose(by_hand(Chain(3), p, x, v, a, f), 0.0, atol=1e-12)
 
