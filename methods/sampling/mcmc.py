@@ -31,8 +31,8 @@ reconstruction is the mean response over draws: of all curves the one of least e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -48,16 +48,15 @@ from bench import (
     Force,
     Identifier,
     InitialState,
+    NoEstimate,
     Normal,
     Problem,
     Serves,
-    Status,
     System,
-    Units,
     report_progress,
     simulate,
 )
-from methods.starts.spectral import LOG_LIMIT, PRIORLESS_SD, OutputError, as_fine_as_noise, screened, silent
+from methods.starts.spectral import LOG_LIMIT, PRIORLESS_SD, OutputError, as_fine_as_noise, screened
 
 NOISE_CENTRE = float(np.log(0.1))
 NOISE_SD = 3.0
@@ -111,36 +110,14 @@ class MCMC(Identifier):
     )
     requires: ClassVar[tuple[str, ...]] = ("emcee",)
     extra: ClassVar[str] = "mcmc"
+    works_in = "natural units"
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The posterior as draws of all parameters, or as a normal over the groups where no mass is known."""
-        units = problem.natural_units()
-        scaled = problem.expressed_in(units)
-        if silent(scaled):
-            return Estimate.failed(
-                problem.system, Status.DIVERGED, "no sensor shows any motion; check the wiring or choose another record"
-            )
-        with np.errstate(all="ignore"):
-            estimate = self._sample(
-                OutputError(scaled),
-                rng,
-                lambda so_far: report_progress(problem, lambda: _in_si(problem, units, so_far())),
-            )
-        return _in_si(problem, units, estimate)
-
-    def _sample(
-        self, model: OutputError, rng: np.random.Generator, on_block: Callable[[Callable[[], Estimate]], None]
-    ) -> Estimate:
-        modes = screened(model, n=3, rounds=3, iterations=12)
-        if not modes:
-            return Estimate.failed(
-                model.system, Status.DIVERGED, "no start gave a finite response; give a prior nearer to the system"
-            )
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Sample the posterior: draws of all parameters, or a normal over the groups where no mass is known."""
+        model = OutputError(problem)
+        modes = modes_of(model)
         posterior = Posterior(as_fine_as_noise(model, modes[0][1]), modes[0][1])
-        proposal = Proposal.around(posterior, [theta for value, theta in modes if value < modes[0][0] + MODE_MARGIN])
-        if proposal is None:
-            sentence = "the data leave a parameter open; give more samples, a known force or a prior"
-            return Estimate.failed(model.system, Status.DIVERGED, sentence)
+        proposal = Proposal.around(posterior, modes)
         many, few = (1, 1) if model.system.linear else (STEPPED, 2)
         burn, block = -(-self.burn // few), -(-self.block // few)
         walkers = 2 * max(many * self.walkers // 2, posterior.size + 1)
@@ -154,11 +131,12 @@ class MCMC(Identifier):
             health = Health.of(paths)
             if health.converged(self, paths.shape[1]):
                 break
-            on_block(lambda paths=paths: estimate_from_draws(posterior, self._kept(paths), {}, Cost(), self.curves))  # type: ignore[misc]
+            drawn = self._kept(paths)
+            report_progress(problem, lambda drawn=drawn: estimate_from_draws(posterior, drawn, {}, Cost(), self.curves))  # type: ignore[misc]
         cost = Cost(evaluations=posterior.calls, iterations=steps * self.ensembles)
         if not health.converged(self, paths.shape[1]):
             sentence = health.sentence(self, paths.shape[1], posterior.size)
-            return Estimate.failed(model.system, Status.DIVERGED, sentence, cost)
+            raise NoEstimate(sentence, cost=cost)
         traces = {
             "r_hat": np.array([health.r_hat]),
             "effective_sample_size": np.array([health.effective]),
@@ -177,13 +155,12 @@ class MCMC(Identifier):
         return Ensemble(posterior, proposal, walkers, burn, self.independent, int(rng.integers(2**31)))
 
 
-def _in_si(problem: Problem, units: Units, estimate: Estimate) -> Estimate:
-    """An estimate in natural units in those of the problem, its traces too."""
-    logs = estimate.traces.get("mode")
-    if logs is not None:
-        scales = np.log([units.scales(problem.system)[name] for name in problem.system.names])
-        estimate = replace(estimate, traces={**estimate.traces, "mode": logs + scales})
-    return replace(estimate, offsets=problem.offsets_from(units, estimate.offsets)).expressed_in(units.inverse)
+def modes_of(model: OutputError) -> list[tuple[float, np.ndarray]]:
+    """Find minus twice the log-posterior and theta of the best modes, best first; NoEstimate where there is none."""
+    modes = screened(model, n=3, rounds=3, iterations=12)
+    if not modes:
+        raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
+    return modes
 
 
 class Posterior:
@@ -225,11 +202,19 @@ class Proposal:
     dof: float = 6.0
 
     @staticmethod
-    def around(posterior: Posterior, modes: list[np.ndarray]) -> Proposal | None:
-        """Laplace approximations at the modes, a little widened; None where none of them is proper."""
+    def around(posterior: Posterior, modes: Sequence[tuple[float, np.ndarray]]) -> Proposal:
+        """Laplace approximations at the modes that could be true, a little widened.
+
+        Args:
+            posterior: Its model gives response, slopes and noise at each mode.
+            modes: Minus twice the log-posterior and theta of each, best first.
+
+        Raises:
+            NoEstimate: None of the approximations is proper.
+        """
         model, found = posterior.model, []
         n_channels = len(model.channels)
-        for theta in modes:
+        for theta in [theta for value, theta in modes if value < modes[0][0] + MODE_MARGIN]:
             predicted, slopes = model.jacobian(theta)
             left = max(model.data.size - theta.size, 1)
             sigma = np.maximum(model.noise(model.data - predicted, float(theta.size), floor=0.0), 1e-8 * model.rms)
@@ -246,7 +231,7 @@ class Proposal:
             mass = float(posterior(centre[None])[0] + np.sum(np.log(np.diag(root))))
             found.append((mass, centre, 1.1 * root))
         if not found:
-            return None
+            raise NoEstimate("the data leave a parameter open; give more samples, a known force or a prior")
         masses = np.array([mass for mass, _, _ in found])
         # the Laplace approximation of a mode's weight is rough: none is left without visits
         weights = 0.9 * np.exp(masses - logsumexp(masses)) + 0.1 / len(found)
@@ -392,7 +377,7 @@ class MeanResponse:
 def estimate_from_draws(
     posterior: Posterior, phi: np.ndarray, traces: Mapping[str, np.ndarray], cost: Cost, curves: int
 ) -> Estimate:
-    """The answer from draws of phi (n, size), in the units of the model's problem; its mode is added to the traces."""
+    """Make the answer of draws of phi (n, size); the parameters at the mode are added to the traces."""
     model = posterior.model
     system, theta = model.system, phi[:, : model.size]
     p, starts = model.parameters(theta), model.starts(theta)
@@ -423,5 +408,6 @@ def estimate_from_draws(
         initial_states=tuple(states),
         offsets=tuple(map(float, np.median(model.offsets(theta), axis=0))),
         cost=cost,
-        traces={"mode": np.log([float(value) for value in model.parameters(posterior.mode).values()]), **traces},
+        traces={"posterior_mode": np.array(list(model.parameters(posterior.mode).values())), **traces},
+        dimensions={"posterior_mode": [parameter.dimension for parameter in system.parameters]},
     )

@@ -38,18 +38,18 @@ from bench import (
     Cost,
     Estimate,
     Identifier,
+    NoEstimate,
     Ops,
     Prior,
     Problem,
     Record,
     Serves,
-    Status,
     System,
     simulate,
 )
 from methods.starts.open_parameters import left_open, very_wide
 from methods.starts.rough import Start, fastest_rate, radians_a_step, rough_states
-from methods.starts.spectral import OutputError, candidates, estimate_at, screened, screening, silent
+from methods.starts.spectral import OutputError, candidates, estimate_at, screened, screening
 
 SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
 MAX_SUBSTEPS = SUBSTEPS[-1]
@@ -99,26 +99,14 @@ class Shooting(Identifier):
     )
     requires: ClassVar[tuple[str, ...]] = ("casadi",)
     extra: ClassVar[str] = "casadi"
+    works_in = "natural units"
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The estimate: all parameters, or the groups where nothing tells the scale. Uses no randomness."""
-        units = problem.natural_units()
-        scaled = problem.expressed_in(units)
-        if silent(scaled):
-            return Estimate.failed(
-                problem.system, Status.DIVERGED, "no sensor shows any motion; check the wiring or choose another record"
-            )
-        model = OutputError(scaled)
-        with np.errstate(all="ignore"):
-            estimate = self._solve(model)
-        return replace(estimate, offsets=problem.offsets_from(units, estimate.offsets)).expressed_in(units.inverse)
-
-    def _solve(self, model: OutputError) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Estimate all parameters, or the groups where nothing tells the scale. Uses no randomness."""
+        model = OutputError(problem)
         found = screened(_head(model), self.starts, rounds=1, iterations=self.screen_iterations)
         if not found:
-            return Estimate.failed(
-                model.system, Status.DIVERGED, "no start gave a finite response; give a prior nearer to the system"
-            )
+            raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
         used = [theta for value, theta in found if value <= found[0][0] + self.margin]
         good, message = self._fits(model, used), ""
         if model.prior is None and model.problem.scale_told and not _closed(model, good):
@@ -128,14 +116,13 @@ class Shooting(Identifier):
             good, message = self._fits(model, [_within(prior, theta) for theta in used], exact=True), HELD
         iterations = sum(fit.iterations for fit in good)
         if not good:
-            return Estimate.failed(
-                model.system,
-                Status.DIVERGED,
-                "IPOPT found no solution from any start; raise max_iterations or give a prior",
-                Cost(iterations=iterations),
-            )
-        best = min(good, key=lambda fit: fit.profile)
-        return _estimate(model, best, Cost(evaluations=iterations, iterations=iterations), message)
+            sentence = "IPOPT found no solution from any start; raise max_iterations or give a prior"
+            raise NoEstimate(sentence, cost=Cost(iterations=iterations))
+        best, cost = min(good, key=lambda fit: fit.profile), Cost(iterations, iterations)
+        covariance = model.covariance(best.slopes, best.sigma)
+        if covariance is None:
+            raise NoEstimate("the data leave a parameter open; give more samples, a known force or a prior", cost=cost)
+        return estimate_at(model, best.theta, covariance, best.used, cost, message)
 
     def _fits(self, model: OutputError, starts: Sequence[np.ndarray], exact: bool = False) -> list[_Fit]:
         """The solutions from these starts."""
@@ -580,19 +567,3 @@ def _reduced(
     move[layout.independent, np.arange(layout.independent.size)] = 1.0
     move[layout.dependent] = follow
     return misfit, slopes @ move, move, gap
-
-
-# ---------------------------------------------------------------------------------------------------- the answer
-
-
-def _estimate(model: OutputError, fit: _Fit, cost: Cost, message: str) -> Estimate:
-    """The answer in the units of the model's problem."""
-    covariance = model.covariance(fit.slopes, fit.sigma)
-    if covariance is None:
-        return Estimate.failed(
-            model.system,
-            Status.DIVERGED,
-            "the data leave a parameter open; give more samples, a known force or a prior",
-            cost,
-        )
-    return estimate_at(model, fit.theta, covariance, fit.used, cost, message)

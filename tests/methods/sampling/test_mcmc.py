@@ -177,7 +177,7 @@ def test_r_hat_tells_ensembles_apart() -> None:
 def test_the_mode_recovers_clean_data(told: str) -> None:
     problem, _ = scenario(120.0, told=told).replicates(0, 1)[0]
     estimate = sample(problem)
-    mode = dict(zip(problem.system.names, np.exp(estimate.traces["mode"]), strict=True))
+    mode = dict(zip(problem.system.names, estimate.traces["posterior_mode"], strict=True))
     assert mode["k"] / mode["m"] == pytest.approx(9.0 / 1.3, rel=1e-5)
     assert mode["c"] / mode["m"] == pytest.approx(0.6 / 1.3, rel=1e-5)
     assert problem.prior is not None
