@@ -161,7 +161,9 @@ def _rate(model: OutputError, logs: np.ndarray, displacement: float, velocity: f
     rows = np.stack([np.broadcast_to(rate, (2 * d,)) for rate in rates])
     slopes = (rows[:, :d] - rows[:, d:]) / 2e-5
     if not np.all(np.isfinite(slopes)):
-        raise NoEstimate("the parameters left the range in which the motion is finite; give a prior nearer to the system")
+        raise NoEstimate(
+            "the parameters left the range in which the motion is finite; give a prior nearer to the system"
+        )
     return float(np.max(np.abs(np.linalg.eigvals(slopes))))
 
 

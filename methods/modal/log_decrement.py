@@ -68,7 +68,7 @@ class LogDecrement(Identifier):
         return super().objection(problem) or decay_objection(problem)
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Estimate the groups k/m and c/m; ``diverged`` with a sentence where there are too few crossings or extremes."""
+        """Estimate the groups k/m and c/m; ``diverged`` where there are too few crossings or extremes."""
 
         def read(times: np.ndarray, sets: np.ndarray) -> np.ndarray:
             if has_offset(problem):

@@ -40,13 +40,13 @@ from bench import (
     regression_columns,
 )
 from methods.network.response import NetworkResponse
-from methods.pinn.spectral import scan
+from methods.starts.waves import scan
 
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from methods.network.ansatz import Tape
     from methods.network.tanh import Network
-    from methods.pinn.ansatz import Tape
 
 LEAST_NOISE, MOST_NOISE = 1e-6, 0.7
 """Range of the noise over the root mean square of the data: the upper end says that at least half of the data's

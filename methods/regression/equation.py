@@ -32,7 +32,6 @@ from bench import (
 )
 from methods.regression.derivatives import Motion, finite_differences, smoothing_spline
 
-
 Values = Sequence[np.ndarray]
 """Displacements, one array of shape (n_dof, sets, n) a record."""
 
@@ -149,7 +148,7 @@ class Regression:
         return self.equations([finite_differences(t, y) for t, y in zip(self.times, values, strict=True)])
 
     def splines(self, values: Values, smoother: tuple[int, int], which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The equations on smoothing splines (see bootstrap.SMOOTHERS) at numbers ``which`` (sets,) of the grid of weights."""
+        """The equations on smoothing splines (order, trim) at numbers ``which`` (sets,) of the grid of weights."""
         return self.equations(self.motions(values, smoother, which))
 
     def motions(self, values: Values, smoother: tuple[int, int], which: np.ndarray) -> list[Motion]:

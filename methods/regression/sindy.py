@@ -108,7 +108,7 @@ class _Library:
 
     @staticmethod
     def of(regression: Regression, degree: int) -> _Library:
-        """The library; a constant is in it only where a sensor's offset is unknown. Raises NoEstimate for few samples."""
+        """Make the library; a constant is in it only where a sensor's offset is unknown."""
         import pysindy
 
         n = regression.system.n_dof

@@ -2,8 +2,7 @@
 
 The sampler: M. D. Hoffman, A. Gelman, J. Machine Learning Research 15:1593, 2014.
 
-The posterior is that of :mod:`methods.sampling.mcmc`: log-parameters, starts and offsets that are not told, and the
-logarithm of each channel's noise, with the same priors; but its gradient is known
+The posterior is :mod:`methods.sampling.posterior`, that of ``mcmc``, but its gradient is known
 (:mod:`methods.sampling.differentiable`), so a chain moves far in each step, however many unknowns there are. Any
 system, nonlinear ones included.
 
@@ -31,7 +30,8 @@ import numpy as np
 
 from bench import Card, Cost, Estimate, Identifier, InputError, NoEstimate, Problem, Serves
 from methods.sampling.differentiable import Layout, log_density, prepare
-from methods.sampling.mcmc import Posterior, Proposal, estimate_from_draws, modes_of
+from methods.sampling.posterior import Posterior, estimate_from_draws, modes_of
+from methods.sampling.proposal import Proposal
 from methods.starts.rounding import rounded
 from methods.starts.spectral import OutputError
 

@@ -12,7 +12,8 @@ from bench import Channel, Normal, Problem, Record, Status
 from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
 from bench.scenario.truth import closed_form
 from bench.systems import SDOF
-from methods.regression.equation import SmoothingSpline, finite_differences, smoothing_spline, solve
+from methods.regression.derivatives import SmoothingSpline, finite_differences, smoothing_spline
+from methods.regression.equation import solve
 from methods.regression.ls import LS
 
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table

@@ -14,7 +14,9 @@ from bench.scenario.scenario import PriorSpec, Scenario
 from bench.systems import SDOF, Chain
 
 pytest.importorskip("emcee")
-from methods.sampling.mcmc import MCMC, NOISE_SD, Health, rank_r_hat
+from methods.sampling.diagnostics import Health, rank_r_hat
+from methods.sampling.mcmc import MCMC
+from methods.sampling.posterior import NOISE_SD
 
 NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
 TRUE = {"m": 1.3, "c": 0.6, "k": 9.0}
