@@ -159,7 +159,7 @@ def _polynomial(coefficients: Any, part: Any, n: int) -> list[Any]:
 
 @lru_cache(maxsize=32)
 def build_programme(shape: Shape, max_iterations: int) -> Programme:
-    """The sparse programme over ``w = [log-parameters, offsets, states at the cuts record by record]``.
+    """Build the sparse programme over ``w = [log-parameters, offsets, states at the cuts record by record]``.
 
     Its parameters, in the order of :func:`given_to`: of each record the interval lengths and forces, of each channel
     data, weights (1/sigma) and forces at the samples; then the prior's means and weights; last a common scale of
@@ -236,7 +236,7 @@ def _solver(model: Any, n_unknown: int, max_iterations: int, exact: bool) -> Pro
 
 
 def given_to(model: OutputError, plans: tuple[Plan, ...], sigma: np.ndarray) -> np.ndarray:
-    """The programme's parameters, matrices column by column."""
+    """Collect the programme's parameters, matrices column by column."""
     parts: list[np.ndarray] = []
     number = 0
     for record, plan in zip(model.problem.records, plans, strict=True):
@@ -250,11 +250,12 @@ def given_to(model: OutputError, plans: tuple[Plan, ...], sigma: np.ndarray) -> 
 
 
 def misfit_scale(model: OutputError, sigma: np.ndarray) -> float:
+    """Find the common scale of the misfits: the smallest sigma relative to its channel."""
     return float(np.min(sigma / model.rms))
 
 
 def first_guess(model: OutputError, plans: tuple[Plan, ...], theta: np.ndarray) -> np.ndarray:
-    """The unknowns at ``theta``: simulated states at the cuts, the measured displacement in place of the simulated."""
+    """Guess the unknowns at ``theta``: simulated states at the cuts, the measured displacement in place of the simulated."""
     p = {name: float(value) for name, value in model.parameters(theta).items()}
     offsets = model.offsets(theta)
     parts = [np.log(list(p.values())), offsets[list(model.offset_channels)]]
