@@ -1,6 +1,6 @@
 """The posterior of a problem as a jax function, compiled once for all problems of one layout: for gradient samplers.
 
-It is that of :class:`methods.sampling.posterior.Posterior`, term by term, in jax and differentiable: of the one residual
+It is :class:`methods.sampling.posterior.Posterior`, term by term, in jax and differentiable: of the one residual
 (:func:`bench.state_rate`, :func:`bench.rk4_step`), in natural units.
 
 - **Linear systems**: state and force over an interval in which the force is linear obey one constant-coefficient system

@@ -255,7 +255,7 @@ def misfit_scale(model: OutputError, sigma: np.ndarray) -> float:
 
 
 def first_guess(model: OutputError, plans: tuple[Plan, ...], theta: np.ndarray) -> np.ndarray:
-    """Guess the unknowns at ``theta``: simulated states at the cuts, the measured displacement in place of the simulated."""
+    """Guess the unknowns at ``theta``: states simulated at the cuts, displacements as measured."""
     p = {name: float(value) for name, value in model.parameters(theta).items()}
     offsets = model.offsets(theta)
     parts = [np.log(list(p.values())), offsets[list(model.offset_channels)]]
