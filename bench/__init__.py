@@ -1,6 +1,6 @@
 """The harness: problems, bounds, scores, tables. This face is the contract that methods import; it loads none."""
 
-from bench.contract.estimate import Belief, Cost, Draws, Estimate, Marginal, Normal, Reconstruction, Status
+from bench.contract.estimate import Belief, Cost, Draws, Estimate, Marginal, NoEstimate, Normal, Reconstruction, Status
 from bench.contract.method import Card, Identifier, Serves
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record, Units
@@ -27,6 +27,7 @@ __all__ = [
     "InitialState",
     "InputError",
     "Marginal",
+    "NoEstimate",
     "Normal",
     "Ops",
     "OutputError",

@@ -150,7 +150,7 @@ class Wrong(Identifier):
     card: ClassVar[Card] = CARD
     serves: ClassVar[Serves] = Serves()
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         return misbehave(self.kind, problem)  # type: ignore[no-any-return]
 
 
@@ -161,7 +161,7 @@ class Anytime(Identifier):
     card: ClassVar[Card] = CARD
     serves: ClassVar[Serves] = Serves()
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         for value in (1.0, 8.0):
             time.sleep(1.2)
             report_progress(problem, lambda value=value: answer(problem, value))  # type: ignore[misc]
@@ -176,7 +176,7 @@ class Draw(Identifier):
     card: ClassVar[Card] = CARD
     serves: ClassVar[Serves] = Serves()
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         return answer(problem, message=repr(float(rng.standard_normal())))
 
 
@@ -187,7 +187,7 @@ class Spy(Identifier):
     card: ClassVar[Card] = CARD
     serves: ClassVar[Serves] = Serves()
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         text = " ".join(str(argument) for _, argument, _ in pickletools.genops(pickle.dumps(problem)))
         given = [leak for leak in LEAKS if leak in text]
         alive = sorted({type(o).__name__ for o in gc.get_objects()} & set(LEAKS))
@@ -203,7 +203,7 @@ class Sometimes(Identifier):
     card: ClassVar[Card] = CARD
     serves: ClassVar[Serves] = Serves()
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         folder = pathlib.Path(self.folder)
         marked = folder / "victim"
         mine = repr(problem.records[0].channels[0].values[:3])
@@ -223,7 +223,7 @@ class Marks(Identifier):
     card: ClassVar[Card] = CARD
     serves: ClassVar[Serves] = Serves()
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         (pathlib.Path(self.folder) / f"mark-{os.getpid()}-{time.time_ns()}").touch()
         time.sleep(0.1)
         return answer(problem)
@@ -237,7 +237,7 @@ class Needy(Identifier):
     requires: ClassVar[tuple[str, ...]] = ("a_package_that_nobody_has",)
     extra: ClassVar[str] = "needy"
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         raise AssertionError("never reached")
 
 
@@ -248,7 +248,7 @@ class FreeOnly(Identifier):
     card: ClassVar[Card] = CARD
     serves: ClassVar[Serves] = Serves(forced=False)
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         return answer(problem)
 
 
@@ -262,7 +262,7 @@ class Exact(Identifier):
     card: ClassVar[Card] = CARD
     serves: ClassVar[Serves] = Serves(offsets=True)
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         covariance = np.diag([0.04, 0.0025])
         mean = np.array([self.k_over_m, self.c_over_m])
         return Estimate(problem.system, groups=Normal(("k_over_m", "c_over_m"), mean, covariance, log=False))

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
-from bench.contract.problem import InitialState, Units
-from bench.systems import LENGTH, Quantity, System
+from bench.contract.problem import InitialState, Problem, Units
+from bench.systems import LENGTH, MEASURED, Dimension, Quantity, System
 
 Reconstruction = Callable[[np.ndarray], np.ndarray]
 """Displacement (m) by times (s): shape (n,) to shape (n_dof, n). Must be picklable."""
@@ -191,6 +191,20 @@ class Cost:
     iterations: int = 0
 
 
+class NoEstimate(Exception):
+    """Raised by a method that finds none: :class:`Identifier` makes of it an Estimate with status and sentence.
+
+    Args:
+        sentence: What went wrong, and what the user can do.
+        status: ``diverged`` unless said otherwise.
+        cost: What the attempt took.
+    """
+
+    def __init__(self, sentence: str, status: Status = Status.DIVERGED, cost: Cost | None = None) -> None:
+        self.status, self.cost = status, cost or Cost()
+        super().__init__(sentence)
+
+
 @dataclass(frozen=True)
 class _Rescaled:
     """A reconstruction in other units; picklable."""
@@ -214,7 +228,8 @@ class Estimate:
     standard deviation (m) of the displacement as a function of time, one a record, where the method has it.
     ``initial_states`` (one a record) and ``offsets`` (one a channel, record by record) are the method's own, where it
     has them.
-    ``traces`` keeps named arrays worth a picture (loss history, parameter trajectory).
+    ``traces`` keeps named arrays worth a picture (loss history, parameter trajectory); ``dimensions`` gives, of those
+    that depend on the units, the dimension of each entry of the last axis (or one for all).
     """
 
     system: System
@@ -228,6 +243,7 @@ class Estimate:
     message: str = ""
     cost: Cost = Cost()
     traces: Mapping[str, np.ndarray] = field(default_factory=dict)
+    dimensions: Mapping[str, Sequence[Dimension]] = field(default_factory=dict)
 
     @staticmethod
     def failed(system: System, status: Status, message: str, cost: Cost = Cost()) -> Estimate:
@@ -265,7 +281,10 @@ class Estimate:
         return _normal_marginal(float(np.exp(centre)), centre, sd, self.groups.dof, True)
 
     def expressed_in(self, units: Units) -> Estimate:
-        """The same estimate in other units (see :meth:`Problem.expressed_in`; ``units.inverse`` leads back)."""
+        """Convert to other units (see :meth:`Problem.expressed_in`; ``units.inverse`` leads back).
+
+        Offsets stay as they are, since what their channels measure is not known here: see :meth:`returned`.
+        """
         scale = {q.name: units.of(self.system.dimension(q)) for q in self.system.quantities}
         starts = self.initial_states
         return replace(
@@ -276,7 +295,19 @@ class Estimate:
             reconstructions=tuple(_Rescaled(r, units.time, units.of(LENGTH)) for r in self.reconstructions),
             bands=tuple(_Rescaled(b, units.time, units.of(LENGTH)) for b in self.bands),
             initial_states=tuple(s.expressed_in(units) for s in starts) if starts is not None else None,
+            traces={**self.traces, **self._traces_in(units)},
         )
+
+    def _traces_in(self, units: Units) -> dict[str, np.ndarray]:
+        return {n: self.traces[n] / np.array([units.of(d) for d in own]) for n, own in self.dimensions.items()}
+
+    def returned(self, problem: Problem, units: Units) -> Estimate:
+        """Convert the answer to ``problem.expressed_in(units)``, offsets too, to the units of ``problem``."""
+        offsets = self.offsets
+        if offsets is not None:
+            sizes = [units.of(MEASURED[c.measures]) for record in problem.records for c in record.channels]
+            offsets = tuple(offset * size for offset, size in zip(offsets, sizes, strict=True))
+        return replace(self.expressed_in(units.inverse), system=problem.system, offsets=offsets)
 
     def checked(self) -> Estimate:
         """Itself, or a failure with status ``nonfinite`` where a number in it is not finite."""

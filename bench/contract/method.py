@@ -5,12 +5,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from functools import partial
+from typing import ClassVar, Literal, final
 
 import numpy as np
 
-from bench.contract.estimate import Estimate
-from bench.contract.problem import Measures, Problem
+from bench.contract.estimate import Estimate, NoEstimate, Status
+from bench.contract.problem import Measures, Problem, Units
+from bench.contract.progress import reported_as
+
+SILENT = "no sensor shows any motion; check the wiring or choose another record"
 
 
 @dataclass(frozen=True)
@@ -46,31 +50,78 @@ class Serves:
 
 
 class Identifier(ABC):
-    """A method: a frozen dataclass whose fields are its settings. Subclass it, write ``identify``, register it.
+    """A method: a frozen dataclass whose fields are its settings. Subclass it, write ``estimate``, register it.
 
     Register by an entry point in the group ``bench.methods``; that alone makes ``method=<name>`` work. A method
-    imports heavy packages inside ``identify``, names them in ``requires``, and the extra that brings them in ``extra``.
+    imports heavy packages inside ``estimate``, names them in ``requires``, and the extra that brings them in ``extra``.
+    ``works_in``: the units of the problems that ``estimate`` gets, the user's own or :meth:`Problem.natural_units`.
+
+    Call ``identify``; it does what every method needs: it answers a problem that the method objects to, or in which no
+    sensor shows any motion, by itself; converts to the units that the method works in, and its answer, its offsets and
+    its reports of progress back; silences numpy's warnings of overflow and the like; and makes an answer of a
+    :class:`NoEstimate`.
     """
 
     card: ClassVar[Card]
     serves: ClassVar[Serves] = Serves()
     requires: ClassVar[tuple[str, ...]] = ()
     extra: ClassVar[str] = ""
+    works_in: ClassVar[Literal["given units", "natural units"]] = "given units"
 
     @abstractmethod
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The estimate for one problem. Randomness comes from ``rng`` alone; the problem is read-only.
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Write this: the answer to one problem, in its units.
 
-        A fit that goes wrong is an Estimate with a status and a sentence; an exception is a bug of the method,
-        and becomes a row with status ``crashed``.
+        Args:
+            problem: What is measured and told; read-only.
+            rng: The only source of randomness.
+
+        Raises:
+            NoEstimate: A fit that went wrong, with a sentence; an Estimate with a status is as good. Any other
+                exception is a bug of the method, and becomes a row with status ``crashed``.
         """
 
-    def identify_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """One estimate a problem, in order. Override where many can be done faster than one by one.
+    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Answer the problems, in order. Override where many can be done faster than one by one.
 
         An estimate must not depend on which other problems it is solved with.
         """
-        return [self.identify(problem, rng) for problem, rng in zip(problems, rngs, strict=True)]
+        return [self._estimate_or_failure(problem, rng) for problem, rng in zip(problems, rngs, strict=True)]
+
+    def _estimate_or_failure(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        try:
+            return self.estimate(problem, rng)
+        except NoEstimate as reason:
+            return Estimate.failed(problem.system, reason.status, str(reason), reason.cost)
+
+    @final
+    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Answer one problem, in its units; see the class."""
+        return self.identify_many([problem], [rng])[0]
+
+    @final
+    def identify_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Answer the problems, in order, each in its units and as it would be alone; see the class."""
+        refused = [self._refusal(problem) for problem in problems]
+        taken = [(problem, rng) for problem, rng, no in zip(problems, rngs, refused, strict=True) if no is None]
+        originals, own_rngs = [problem for problem, _ in taken], [rng for _, rng in taken]
+        natural = self.works_in == "natural units"
+        units = [problem.natural_units() if natural else Units() for problem in originals]
+        given = [p.expressed_in(u) if natural else p for p, u in zip(originals, units, strict=True)]
+
+        def back(i: int, estimate: Estimate) -> Estimate:
+            return estimate.returned(originals[i], units[i]) if natural else estimate
+
+        with reported_as(given, originals, [partial(back, i) for i in range(len(given))]), np.errstate(all="ignore"):
+            found = self.estimate_many(given, own_rngs) if given else []
+        answers = iter([back(i, estimate) for i, estimate in zip(range(len(given)), found, strict=True)])
+        return [next(answers) if no is None else no for no in refused]
+
+    def _refusal(self, problem: Problem) -> Estimate | None:
+        objection = self.objection(problem)
+        if objection is not None:
+            return Estimate.failed(problem.system, Status.UNSUPPORTED, objection)
+        return Estimate.failed(problem.system, Status.DIVERGED, SILENT) if problem.silent else None
 
     def objection(self, problem: Problem) -> str | None:
         """Why this method cannot take the problem, in a sentence; None where it can."""

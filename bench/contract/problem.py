@@ -265,6 +265,13 @@ class Problem:
         return self.forced or any(np.any(r.added_mass > 0) for r in self.records if r.added_mass is not None)
 
     @property
+    def silent(self) -> bool:
+        """Whether no sensor shows any motion: every value zero, or constant where a constant offset is unknown."""
+        return not any(
+            np.any(c.values - (c.values[:1] if c.offset else 0.0)) for record in self.records for c in record.channels
+        )
+
+    @property
     def start_known(self) -> bool:
         """Whether every record's initial state is told."""
         return all(record.initial_state is not None for record in self.records)
@@ -274,13 +281,6 @@ class Problem:
         prior = self.prior.expressed_in(units.scales(self.system)) if self.prior else None
         system = self.system.rescaled(units.of)
         return Problem(system, tuple(r.expressed_in(units) for r in self.records), prior, self.name)
-
-    def offsets_from(self, units: Units, offsets: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        """Sensor offsets found in ``units``, one a channel record by record, in the units of this problem."""
-        if offsets is None:
-            return None
-        sizes = [units.of(MEASURED[channel.measures]) for record in self.records for channel in record.channels]
-        return tuple(offset * size for offset, size in zip(offsets, sizes, strict=True))
 
     def natural_units(self) -> Units:
         """Units in which data, time and prior mass are of order one, from the problem alone.

@@ -1,8 +1,9 @@
-"""Best parameters so far: what a long fit may say on its way, so that running out of time does not lose everything."""
+"""Best answers so far: what a long fit may say on its way, so that running out of time does not lose everything."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 from bench.contract.estimate import Estimate
 from bench.contract.problem import Problem
@@ -17,11 +18,37 @@ def listen(listener: Listener | None) -> None:
     _listener = listener
 
 
-def report_progress(problem: Problem, estimate: Callable[[], Estimate]) -> None:
-    """Report the best answer so far to a problem that ``identify`` was given; costs nothing where nobody listens.
+@contextmanager
+def reported_as(
+    given: Sequence[Problem], originals: Sequence[Problem], back: Sequence[Callable[[Estimate], Estimate]]
+) -> Iterator[None]:
+    """Pass reports on the problems ``given`` to a method on as ones on their originals, converted by ``back``."""
+    global _listener
+    outer = _listener
+    places = {id(problem): i for i, problem in enumerate(given)}
 
-    ``estimate`` is called only if it is wanted. A fit that is stopped at its time limit is then scored by its last
-    report, with status ``timeout``. Call it as often as convenient: once an iteration, say.
+    def listener(problem: Problem, estimate: Callable[[], Estimate]) -> None:
+        assert outer is not None
+        i = places.get(id(problem))
+        if i is not None:
+            outer(originals[i], lambda: back[i](estimate()))
+
+    _listener = listener if outer is not None else None
+    try:
+        yield
+    finally:
+        _listener = outer
+
+
+def report_progress(problem: Problem, estimate: Callable[[], Estimate]) -> None:
+    """Report the best answer so far to a problem that a method was given; costs nothing where nobody listens.
+
+    A fit that is stopped at its time limit is scored by its last report, with status ``timeout``. Call it as often as
+    convenient: once an iteration, say.
+
+    Args:
+        problem: The object that the method was given, not a copy.
+        estimate: Makes the answer, in the problem's units; called only if it is wanted.
     """
     if _listener is not None:
         _listener(problem, estimate)

@@ -54,19 +54,12 @@ class ReferenceFit:
 
 @dataclass(frozen=True)
 class MethodFit:
-    """A method, past its own objection to a problem."""
+    """A method; its payloads are problems."""
 
     method: Identifier
 
     def __call__(self, payloads: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        objections = [self.method.objection(problem) for problem in payloads]
-        taken = [i for i, objection in enumerate(objections) if objection is None]
-        found = self.method.identify_many([payloads[i] for i in taken], [rngs[i] for i in taken]) if taken else []
-        answers = dict(zip(taken, found, strict=True))
-        return [
-            answers[i] if objection is None else Estimate.failed(payloads[i].system, Status.UNSUPPORTED, objection)
-            for i, objection in enumerate(objections)
-        ]
+        return self.method.identify_many(payloads, rngs)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,10 +25,11 @@ from bench.scenario.truth import closed_form
 from bench.systems import SDOF
 from benchmarks.pinn.common import Part, scenario
 from methods.pinn import levenberg
+from methods.pinn.block import Spread
 from methods.pinn.engine import torch_threads
 from methods.pinn.levenberg import Walk
 from methods.pinn.method import PINN
-from methods.pinn.residuals import Residuals, Spread
+from methods.pinn.residuals import Residuals
 
 DURATION, SAMPLES, COLLOCATION, WEIGHT = 10.0, 25, 200, 0.1
 FIRST = {"k": 4.0, "c": 1.0}

@@ -11,8 +11,9 @@ import numpy as np
 from bench.entrants.registry import make_method
 from benchmarks.pinn.common import SEED, Part, compare, scenario
 from methods.pinn.method import PINN
-from methods.pinn.physics import PhysicsInformed, Task
-from methods.pinn.spectral import Guess
+from methods.pinn.physics import PhysicsInformed
+from methods.pinn.task import Task
+from methods.starts.waves import Guess
 
 Advance = Callable[[int], object]
 """Told how many more fits are done."""
@@ -88,13 +89,15 @@ def starting_values(advance: Advance) -> Part:
     """From 20 x 10 starting values, k/m 0.5 to 40 and c/m 0.05 to 2, with and without the restarts."""
     rows = []
     problem, _ = scenario(system="sdof", snr=20).replicates(SEED, 1)[0]
+    units = problem.natural_units()
+    problem = problem.expressed_in(units)
     for name, method in (("pinn", PINN()), ("pinn, no restarts", PINN(restarts=0))):
         reference = _k_over_m(method, Task(problem, np.random.default_rng(0)))
         same, restarted = 0, 0
         for k in np.geomspace(0.5, 40.0, 20):
             for c in np.geomspace(0.05, 2.0, 10):
                 task = Task(problem, np.random.default_rng(SEED))
-                omega, decay = np.sqrt(k) * task.units.time, 0.5 * c * task.units.time
+                omega, decay = np.sqrt(k) * units.time, 0.5 * c * units.time
                 task.guesses.insert(0, Guess(omega, decay, 1.0))
                 same += abs(_k_over_m(method, task) / reference - 1.0) < 1e-3
                 restarted += len(task.fits) > 1

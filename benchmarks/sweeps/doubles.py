@@ -26,7 +26,7 @@ class Empty(Identifier):
     card: ClassVar[Card] = CARD
     serves: ClassVar[Serves] = Serves()
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         return answer(problem)
 
 
@@ -46,7 +46,7 @@ class Busy(Identifier):
     card: ClassVar[Card] = CARD
     serves: ClassVar[Serves] = Serves()
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         burn(self.seconds)
         found = answer(problem)
         assert found.groups is not None

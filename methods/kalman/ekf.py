@@ -17,7 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card, Estimate, Identifier, Problem, Serves
-from methods.kalman.filtering import SERVES, Affine, Map, Settings, identify
+from methods.kalman.filtering import SERVES, Affine, Map, Settings, estimate
 
 SMALL = 1e-5
 """Step of the differences, in natural units and in log-parameters."""
@@ -46,6 +46,7 @@ class EKF(Identifier):
         tuning="none",
     )
     serves: ClassVar[Serves] = SERVES
+    works_in = "natural units"
 
     def __post_init__(self) -> None:
         self._settings()
@@ -53,9 +54,9 @@ class EKF(Identifier):
     def _settings(self) -> Settings:
         return Settings(self.passes, self.tolerance, self.drift, self.open_sd)
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """All parameters, or the groups where nothing tells the scale. Uses no randomness."""
-        return identify(problem, tangent, self._settings())
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Estimate all parameters, or the groups where nothing tells the scale. Uses no randomness."""
+        return estimate(problem, tangent, self._settings())
 
 
 def tangent(function: Map, means: np.ndarray, covariances: np.ndarray) -> Affine:

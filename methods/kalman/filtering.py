@@ -33,14 +33,13 @@ velocities).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from bench import SIGMA_FLOOR, Cost, Estimate, InputError, OutputError, Problem, Serves, Status, estimate_at
-from methods.kalman.joint import Chain, Joint, Lost, first_belief
-from methods.starts.candidates import silent
+from bench import SIGMA_FLOOR, Cost, Estimate, InputError, NoEstimate, OutputError, Problem, Serves, estimate_at
+from methods.kalman.joint import Chain, Joint, first_belief
 
 LEVELS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Standard deviations of the noise tried in the first pass, over the root mean square of each channel."""
@@ -89,37 +88,24 @@ class Settings:
                 raise InputError(f"method.{name}", getattr(self, name), "a positive number")
 
 
-def identify(problem: Problem, rule: Rule, settings: Settings) -> Estimate:
-    """The smoothed belief about the parameters (or groups), by passes of the filter that ``rule`` makes."""
-    units = problem.natural_units()
-    scaled = problem.expressed_in(units)
-    if silent(scaled):
-        sentence = "no sensor shows any motion; check the wiring or choose another record"
-        return Estimate.failed(problem.system, Status.DIVERGED, sentence)
-    with np.errstate(all="ignore"):
-        estimate = _passes(OutputError(scaled), rule, settings)
-    return replace(estimate, offsets=problem.offsets_from(units, estimate.offsets)).expressed_in(units.inverse)
-
-
-def _passes(model: OutputError, rule: Rule, settings: Settings) -> Estimate:
-    try:
-        joint = first_belief(model, settings.drift, settings.open_sd)
-        chain = Chain.of(joint, float(np.exp(0.5 * joint.spread)))
-        found = filtered(joint, chain, rule, np.array(LEVELS)[:, None] * model.rms)
-        evaluations, settled = len(LEVELS), False
-        for _done in range(1, settings.passes):
-            theta = joint.theta(found.means, chain)
-            sigma, _ = noise(joint, chain, found)
-            chain = Chain.of(joint.at(theta), 1.0)
-            last, found = found, filtered(joint, chain, rule, sigma[None], found)
-            evaluations += 1
-            shift, sd = found.means[0] - last.means[0], np.sqrt(np.diagonal(found.covariances[0]))
-            moved = np.abs(shift[joint.constants]) / np.maximum(sd[joint.constants], 1e-12)
-            settled = bool(np.max(moved) < settings.tolerance)
-            if settled:
-                break
-    except Lost as reason:
-        return Estimate.failed(model.system, Status.DIVERGED, str(reason))
+def estimate(problem: Problem, rule: Rule, settings: Settings) -> Estimate:
+    """Estimate parameters (or groups) by passes of the filter that ``rule`` makes; a problem in natural units."""
+    model = OutputError(problem)
+    joint = first_belief(model, settings.drift, settings.open_sd)
+    chain = Chain.of(joint, float(np.exp(0.5 * joint.spread)))
+    found = filtered(joint, chain, rule, np.array(LEVELS)[:, None] * model.rms)
+    evaluations, settled = len(LEVELS), False
+    for _done in range(1, settings.passes):
+        theta = joint.theta(found.means, chain)
+        sigma, _ = noise(joint, chain, found)
+        chain = Chain.of(joint.at(theta), 1.0)
+        last, found = found, filtered(joint, chain, rule, sigma[None], found)
+        evaluations += 1
+        shift, sd = found.means[0] - last.means[0], np.sqrt(np.diagonal(found.covariances[0]))
+        moved = np.abs(shift[joint.constants]) / np.maximum(sd[joint.constants], 1e-12)
+        settled = bool(np.max(moved) < settings.tolerance)
+        if settled:
+            break
     cost = Cost(evaluations * (2 * joint.size + 1), evaluations - len(LEVELS) + 1)
     sigma, used = noise(joint, chain, found)
     theta, k = joint.theta(found.means, chain), len(model.free)
@@ -128,10 +114,8 @@ def _passes(model: OutputError, rule: Rule, settings: Settings) -> Estimate:
     settled = settled or settings.passes == 1
     left = float(np.mean(((model.data - model.predict(theta)) / model.rms[model.channel_of]) ** 2))
     if not (settled or left < POOR):
-        sentence = (
-            f"the filter lost the motion: its passes do not settle, and its response leaves {left:.0%} of the data"
-        )
-        return Estimate.failed(model.system, Status.DIVERGED, sentence, cost)
+        lost = f"the filter lost the motion: its passes do not settle, and its response leaves {left:.0%} of the data"
+        raise NoEstimate(lost, cost=cost)
     said = [] if left < POOR else [f"the response leaves {left:.0%} of the data's mean square: motion lost, or noise"]
     said += [] if settled else ["the passes had not settled: raise passes"]
     return estimate_at(model, theta, covariance, used, cost, "; ".join(said))
@@ -171,7 +155,7 @@ def filtered(joint: Joint, chain: Chain, rule: Rule, sigma: np.ndarray, around: 
     """One pass forth and back at noise levels ``sigma`` (B, C), of which the most likely is kept.
 
     The affine maps are taken about the filter's own beliefs, or about those of an earlier pass, ``around``. Raises
-    Lost where the filter does not stay finite.
+    NoEstimate where the filter does not stay finite.
     """
     every, maps = np.arange(chain.nodes), None
     if around is not None:
@@ -205,7 +189,7 @@ def filtered(joint: Joint, chain: Chain, rule: Rule, sigma: np.ndarray, around: 
     likelihood = np.where(np.isfinite(likelihood), likelihood, -np.inf)
     best = int(np.argmax(likelihood))
     if likelihood[best] == -np.inf:
-        raise Lost("the filter lost the motion: its state did not stay finite; give a prior nearer to the system")
+        raise NoEstimate("the filter lost the motion: its state did not stay finite; give a prior nearer to the system")
     means, covariances = _smoothed(nodes, best)
     observed = tuple(
         np.stack([np.broadcast_to(h[i], (len(sigma), *h[i].shape[1:]))[best] for h in seen]) for i in range(3)

@@ -17,7 +17,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from bench import LOG_LIMIT, Ops, OutputError, Record, System, acceleration, numpy_ops, rk4_step, state_rate
+from bench import LOG_LIMIT, NoEstimate, Ops, OutputError, Record, System, acceleration, numpy_ops, rk4_step, state_rate
 from methods.starts.candidates import candidates
 
 START = 3.0
@@ -26,10 +26,6 @@ STEP = 0.15
 """Integration step in radians of the fastest rate: the natural frequency is then off by 4 parts in a million."""
 MAX_STEPS = 400
 """Steps between two samples beyond which a motion counts as too fast to follow."""
-
-
-class Lost(ArithmeticError):
-    """The filter lost the motion; the message is the sentence of the Estimate."""
 
 
 def _solve(matrix: Sequence[Sequence[Any]], rhs: Sequence[Any]) -> Sequence[Any]:
@@ -88,7 +84,7 @@ class Joint:
         return self.model.parameters(np.clip(logs, -LOG_LIMIT, LOG_LIMIT))
 
     def at(self, theta: np.ndarray) -> Joint:
-        """The same, with its rate taken at ``theta``; raises Lost where that is not finite."""
+        """The same, with its rate taken at ``theta``; raises NoEstimate where that is not finite."""
         logs = theta[: self.logs.size]
         return replace(self, speed=fastest_rate(self.model, logs))
 
@@ -134,7 +130,7 @@ def first_belief(model: OutputError, drift: float, open_sd: float) -> Joint:
 def fastest_rate(model: OutputError, logs: np.ndarray) -> float:
     """Largest rate (radians a unit of time) of the equation of motion linearised at rest and at the data's size.
 
-    Raises Lost where it is not finite.
+    Raises NoEstimate where it is not finite.
     """
     slow = _rate(model, logs, 0.0, 0.0)
     size = amplitude(model, slow)
@@ -165,7 +161,9 @@ def _rate(model: OutputError, logs: np.ndarray, displacement: float, velocity: f
     rows = np.stack([np.broadcast_to(rate, (2 * d,)) for rate in rates])
     slopes = (rows[:, :d] - rows[:, d:]) / 2e-5
     if not np.all(np.isfinite(slopes)):
-        raise Lost("the parameters left the range in which the motion is finite; give a prior nearer to the system")
+        raise NoEstimate(
+            "the parameters left the range in which the motion is finite; give a prior nearer to the system"
+        )
     return float(np.max(np.abs(np.linalg.eigvals(slopes))))
 
 
@@ -187,7 +185,7 @@ class Chain:
 
     @staticmethod
     def of(joint: Joint, margin: float) -> Chain:
-        """With steps that resolve ``margin`` times the fastest rate; raises Lost where that takes too many."""
+        """With steps that resolve ``margin`` times the fastest rate; raises NoEstimate where that takes too many."""
         model, longest = joint.model, STEP / max(margin * joint.speed, 1e-9)
         n, values, forces, first_of = model.system.n_dof, [], [], []
         pieces: list[tuple[np.ndarray, np.ndarray]] = []
@@ -277,7 +275,7 @@ def _steps(record: Record, n: int, start: float, end: float, longest: float) -> 
     grid = np.unique(np.concatenate([[start, end], *knots]))
     counts = np.maximum(1, np.ceil(np.diff(grid) / longest)).astype(int)
     if counts.sum() > MAX_STEPS + grid.size:
-        raise Lost("the motion came out far faster than the samples can show; give a prior nearer to the system")
+        raise NoEstimate("the motion came out far faster than the samples can show; give a prior nearer to the system")
     h = np.repeat(np.diff(grid) / counts, counts)
     at = start + np.concatenate([[0.0], np.cumsum(h)[:-1]])
     if any(force.degree > 1 for force in record.forces):

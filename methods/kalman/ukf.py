@@ -24,7 +24,7 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card, Estimate, Identifier, InputError, Problem, Serves
-from methods.kalman.filtering import SERVES, Affine, Map, Settings, identify
+from methods.kalman.filtering import SERVES, Affine, Map, Settings, estimate
 
 CERTAIN = 1e-5
 """Least standard deviation of a direction, in natural units and in log-parameters."""
@@ -55,6 +55,7 @@ class UKF(Identifier):
         tuning="none",
     )
     serves: ClassVar[Serves] = SERVES
+    works_in = "natural units"
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.kappa) and self.kappa >= 0):
@@ -64,9 +65,9 @@ class UKF(Identifier):
     def _settings(self) -> Settings:
         return Settings(self.passes, self.tolerance, self.drift, self.open_sd)
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """All parameters, or the groups where nothing tells the scale. Uses no randomness."""
-        return identify(problem, partial(regression, kappa=self.kappa), self._settings())
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Estimate all parameters, or the groups where nothing tells the scale. Uses no randomness."""
+        return estimate(problem, partial(regression, kappa=self.kappa), self._settings())
 
 
 def regression(function: Map, means: np.ndarray, covariances: np.ndarray, kappa: float = 0.0) -> Affine:

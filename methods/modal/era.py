@@ -28,9 +28,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Estimate, Identifier, InputError, Problem, Serves, Status
+from bench import Card, Estimate, Identifier, InputError, NoEstimate, Problem, Serves
+from methods.modal.free_decay import untold
 from methods.modal.matrix_pencil import MAX_SAMPLES, UNEVEN
-from methods.regression.equation import Motion, Regression, Unusable, answer, layout_objection, solve
+from methods.regression.derivatives import Motion
+from methods.regression.equation import Regression, answer, layout_objection, solve
 
 BATCH = 2_000_000
 """Matrix entries decomposed at once."""
@@ -56,6 +58,8 @@ class ERA(Identifier):
     )
     serves: ClassVar[Serves] = Serves(several_channels=True, forced=False, nonlinear=False, max_dof=None)
 
+    works_in = "natural units"
+
     def __post_init__(self) -> None:
         if not 0 < self.rows < 1:
             raise InputError("method.rows", self.rows, "a part of the number of samples, a half say")
@@ -65,22 +69,9 @@ class ERA(Identifier):
     def objection(self, problem: Problem) -> str | None:
         return super().objection(problem) or layout_objection(problem) or _sampling_objection(problem)
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The identifiable groups; ``diverged`` with a sentence where the realisation is no vibration of the system."""
-        objection = self.objection(problem)
-        if objection:
-            return Estimate.failed(problem.system, Status.UNSUPPORTED, objection)
-        units = problem.natural_units()
-        scaled = problem.expressed_in(units)
-        untold = tuple(replace(record, initial_state=None) for record in scaled.records)
-        try:
-            regression = Regression.of(replace(scaled, records=untold))
-        except Unusable as reason:
-            return Estimate.failed(problem.system, reason.status, str(reason))
-        with np.errstate(all="ignore"):
-            return self._realised(regression, rng).expressed_in(units.inverse)
-
-    def _realised(self, regression: Regression, rng: np.random.Generator) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Estimate the identifiable groups; ``diverged`` where the realisation is no vibration of the system."""
+        regression = Regression.of(untold(problem))
         system, y, times = regression.system, regression.values[0][:, 0], regression.times[0]
         step = float(times[-1] - times[0]) / (times.size - 1)
 
@@ -94,7 +85,7 @@ class ERA(Identifier):
                 "its poles are not those of a vibration of this system: take a longer record, more samples a cycle "
                 "or less noise"
             )
-            return Estimate.failed(system, Status.DIVERGED, sentence)
+            raise NoEstimate(sentence)
         response = RealisedResponse.of(np.log(rates) / step, shapes, times, y)
         unknowns, covariance = _groups(regression, rows), None
         if self.bootstrap:
@@ -105,7 +96,7 @@ class ERA(Identifier):
             unknowns, covariance = _weighted(regression, rows, lower(drawn))
         if not np.all(np.isfinite(unknowns)):
             sentence = "the realised matrices do not determine the groups: take more samples, or samples of more motion"
-            return Estimate.failed(system, Status.DIVERGED, sentence)
+            raise NoEstimate(sentence)
         said = [
             f"{name} came out negative" for name, value in zip(regression.names, unknowns[0], strict=True) if value < 0
         ]

@@ -1,8 +1,8 @@
 """What the methods share that read k/m and c/m of one mass off its free decay: logarithmic decrement, matrix pencil.
 
 A method brings one function, from displacements to (k/m, c/m) of many data sets at once. The rest is here: which
-problems are a free decay, the working in natural units, the parametric bootstrap and the answer. The start is not used
-even where it is told: that is what these methods are like.
+problems are a free decay, the parametric bootstrap and the answer. The start is not used even where it is told: that is
+what these methods are like.
 """
 
 from __future__ import annotations
@@ -12,16 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench import Estimate, Problem, Serves, Status
-from methods.regression.equation import (
-    Regression,
-    Unusable,
-    Values,
-    answer,
-    bootstrap_covariance,
-    layout_objection,
-    responses,
-)
+from bench import Estimate, NoEstimate, Problem, Serves
+from methods.regression.bootstrap import bootstrap_covariance
+from methods.regression.equation import Regression, Values, answer, layout_objection, responses
 
 Reader = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Times (n,) and displacements (sets, n) to k/m and c/m, shape (sets, 2); NaN where a set does not tell them."""
@@ -43,22 +36,15 @@ def has_offset(problem: Problem) -> bool:
     return problem.records[0].channels[0].offset
 
 
-def identify_decay(
+def decay_estimate(
     problem: Problem, read: Reader, unreadable: str, rng: np.random.Generator, bootstrap: int
 ) -> Estimate:
-    """The groups of a free decay with the covariance of ``bootstrap`` synthetic records (none where it is 0).
+    """Estimate the groups of a free decay with the covariance of ``bootstrap`` synthetic records (none where it is 0).
 
     ``unreadable`` is the sentence for a record that ``read`` makes nothing of. An unstable estimate (c/m negative) is
     given as it is, with a sentence: dropping it would drop the unlucky half of the noise.
     """
-    units = problem.natural_units()
-    scaled = problem.expressed_in(units)
-    try:
-        regression = Regression.of(
-            replace(scaled, records=tuple(replace(record, initial_state=None) for record in scaled.records))
-        )
-    except Unusable as reason:
-        return Estimate.failed(problem.system, reason.status, str(reason))
+    regression = Regression.of(untold(problem))
     times, order = regression.times[0], _order(regression)
 
     def fitter(values: Values) -> np.ndarray:
@@ -66,13 +52,18 @@ def identify_decay(
 
     unknowns = fitter(regression.values)[0]
     if not np.all(np.isfinite(unknowns)):
-        return Estimate.failed(problem.system, Status.DIVERGED, unreadable)
+        raise NoEstimate(unreadable)
     world = _world(regression, unknowns)
     covariance = bootstrap_covariance(world, fitter, rng, bootstrap) if world is not None and bootstrap else None
     damping = unknowns[order][1]
     # the resting level is found too, and costs a degree of freedom
     found = np.append(unknowns, np.zeros(int(has_offset(problem))))
-    return answer(regression, found, covariance, GROWS if damping <= 0 else "").expressed_in(units.inverse)
+    return answer(regression, found, covariance, GROWS if damping <= 0 else "")
+
+
+def untold(problem: Problem) -> Problem:
+    """Leave out the start, told or not."""
+    return replace(problem, records=tuple(replace(record, initial_state=None) for record in problem.records))
 
 
 def _order(regression: Regression) -> list[int]:

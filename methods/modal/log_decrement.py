@@ -28,8 +28,8 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card, Estimate, Identifier, InputError, Problem, Serves
-from methods.modal.free_decay import SERVES, decay_objection, has_offset, identify_decay
-from methods.regression.equation import finite_differences
+from methods.modal.free_decay import SERVES, decay_estimate, decay_objection, has_offset
+from methods.regression.derivatives import finite_differences
 
 MIN_CROSSINGS = 3
 """One full cycle."""
@@ -56,6 +56,7 @@ class LogDecrement(Identifier):
         tuning="none",
     )
     serves: ClassVar[Serves] = SERVES
+    works_in = "natural units"
 
     def __post_init__(self) -> None:
         if not 0 < self.smallest < 1:
@@ -66,8 +67,8 @@ class LogDecrement(Identifier):
     def objection(self, problem: Problem) -> str | None:
         return super().objection(problem) or decay_objection(problem)
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The groups k/m and c/m; ``diverged`` with a sentence where there are too few crossings or extremes."""
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Estimate the groups k/m and c/m; ``diverged`` where there are too few crossings or extremes."""
 
         def read(times: np.ndarray, sets: np.ndarray) -> np.ndarray:
             if has_offset(problem):
@@ -78,7 +79,7 @@ class LogDecrement(Identifier):
             f"fewer than {MIN_CROSSINGS} zero crossings or {MIN_EXTREMES} extremes above {self.smallest:g} of the "
             "largest sample: take a longer record, more samples a cycle or less noise"
         )
-        return identify_decay(problem, read, sentence, rng, self.bootstrap)
+        return decay_estimate(problem, read, sentence, rng, self.bootstrap)
 
 
 def decrement(times: np.ndarray, y: np.ndarray, smallest: float) -> tuple[float, float]:

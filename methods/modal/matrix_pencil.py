@@ -24,8 +24,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Estimate, Identifier, InputError, Problem, Serves, Status
-from methods.modal.free_decay import SERVES, decay_objection, has_offset, identify_decay
+from bench import Card, Estimate, Identifier, InputError, Problem, Serves
+from methods.modal.free_decay import SERVES, decay_estimate, decay_objection, has_offset
 
 UNEVEN = 1e-3
 """Steps may differ by this part of themselves: what rounding of printed times does."""
@@ -56,6 +56,7 @@ class MatrixPencil(Identifier):
         tuning="none",
     )
     serves: ClassVar[Serves] = SERVES
+    works_in = "natural units"
 
     def __post_init__(self) -> None:
         if not 0 < self.pencil < 1:
@@ -66,17 +67,14 @@ class MatrixPencil(Identifier):
     def objection(self, problem: Problem) -> str | None:
         return super().objection(problem) or decay_objection(problem) or _sampling_objection(problem)
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The groups k/m and c/m; ``diverged`` with a sentence where the poles are not a complex pair."""
-        objection = self.objection(problem)
-        if objection:
-            return Estimate.failed(problem.system, Status.UNSUPPORTED, objection)
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Estimate the groups k/m and c/m; ``diverged`` with a sentence where the poles are not a complex pair."""
 
         def read(times: np.ndarray, sets: np.ndarray) -> np.ndarray:
             found = poles(sets, self.pencil, 3 if has_offset(problem) else 2)
             return groups_from_poles(found, float(times[-1] - times[0]) / (times.size - 1))
 
-        return identify_decay(problem, read, NO_VIBRATION, rng, self.bootstrap)
+        return decay_estimate(problem, read, NO_VIBRATION, rng, self.bootstrap)
 
 
 def _sampling_objection(problem: Problem) -> str | None:

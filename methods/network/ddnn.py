@@ -31,6 +31,7 @@ from bench import (
     Estimate,
     Identifier,
     InitialState,
+    NoEstimate,
     Normal,
     Problem,
     Record,
@@ -39,13 +40,13 @@ from bench import (
     regression_columns,
 )
 from methods.network.response import NetworkResponse
-from methods.pinn.spectral import scan
+from methods.starts.waves import scan
 
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from methods.network.ansatz import Tape
     from methods.network.tanh import Network
-    from methods.pinn.ansatz import Tape
 
 LEAST_NOISE, MOST_NOISE = 1e-6, 0.7
 """Range of the noise over the root mean square of the data: the upper end says that at least half of the data's
@@ -80,30 +81,21 @@ class DDNN(Identifier):
     serves: ClassVar[Serves] = Serves(several_records=True, several_channels=True, max_dof=None, added_mass=True)
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"
+    works_in = "natural units"
 
     def objection(self, problem: Problem) -> str | None:
         system = problem.system
         if not system.affine_in_parameters:
             return f"its regression needs a residual affine in the parameters, which that of {system.name} is not"
-        return super().objection(problem)
+        objection = super().objection(problem)
+        if objection is None and any(
+            {c.dof for c in record.channels} != set(range(system.n_dof)) for record in problem.records
+        ):
+            return "a regression needs the displacement of every DOF in every record: measure them all"
+        return objection
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The estimate for one problem; status ``diverged`` where the regression gives no positive parameters
-        where it tells them all."""
-        system = problem.system
-        units = problem.natural_units()
-        scaled = problem.expressed_in(units)
-        if not any(np.any(c.values) for record in problem.records for c in record.channels):
-            sentence = "every measured value is zero: there is no motion to identify; check the sensor"
-            return Estimate.failed(system, Status.DIVERGED, sentence)
-        if any({c.dof for c in record.channels} != set(range(system.n_dof)) for record in problem.records):
-            sentence = "a regression needs the displacement of every DOF in every record: measure them all"
-            return Estimate.failed(system, Status.UNSUPPORTED, sentence)
-        with np.errstate(all="ignore"):
-            estimate = self._identified(scaled, rng)
-        return estimate.expressed_in(units.inverse)
-
-    def _identified(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Fit the network and regress on it; ``diverged`` where a parameter that is told comes out negative."""
         import torch
 
         threads = torch.get_num_threads()
@@ -180,9 +172,7 @@ def _estimate(
     """Groups, or parameters where the scale is told; a failure where no belief can be stated."""
     system = problem.system
     if not (np.all(np.isfinite(values)) and np.all(np.isfinite(covariance))):
-        return Estimate.failed(
-            system, Status.NONFINITE, "the regression on the derivatives is not finite", common["cost"]
-        )
+        raise NoEstimate("the regression on the derivatives is not finite", Status.NONFINITE, common["cost"])
     parameters = dict(zip(system.names, values, strict=True))
     if not problem.scale_told:
         names = tuple(group.name for group in system.groups)
@@ -196,7 +186,7 @@ def _estimate(
         sentence = (
             "the regression gives a parameter that is not positive; more samples a cycle or less noise are needed"
         )
-        return Estimate.failed(system, Status.DIVERGED, sentence, common["cost"])
+        raise NoEstimate(sentence, cost=common["cost"])
     mean, logs = np.log(values), covariance / np.outer(values, values)
     if problem.prior is not None:
         precision = np.linalg.pinv(logs, hermitian=True)

@@ -46,7 +46,7 @@ class SplineResponse:
 
 @dataclass(frozen=True, eq=False)
 class Assisted:
-    """A trained function plus multiples, ``coefficients`` (n_paths, n_fixed), of fixed ones (see forced.py)."""
+    """A trained function plus multiples, ``coefficients`` (n_paths, n_fixed), of fixed ones: the forced motion."""
 
     inner: Function
     fixed: Function
@@ -73,7 +73,7 @@ class Displacements:
 class ExactStart:
     """A response that has the told start by construction: ``(x0 + v0 t) g + (1 - g) n(t)``, ``g = exp(-(omega t)²)``.
 
-    ``displacement`` and ``velocity`` at time 0, (n_dof,) each; see :func:`methods.pinn.residuals.exact_start`.
+    ``displacement`` and ``velocity`` at time 0, (n_dof,) each; see :func:`methods.pinn.block.exact_start`.
     """
 
     inner: Function

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from methods.pinn.ansatz import Adjoints, Ansatz, Basis, Tape
+from methods.network.ansatz import Adjoints, Ansatz, Basis, Tape
 
 Layers = list[tuple[Tensor, Tensor]]
 """Weights (B, n_out, n_in) and biases (B, n_out), layer by layer; the last layer is linear."""

@@ -21,8 +21,8 @@ from methods.network.response import Function, SplineResponse
 from methods.pinn.physics import PhysicsInformed
 
 if TYPE_CHECKING:
-    from methods.pinn.ansatz import Ansatz
-    from methods.pinn.residuals import Block
+    from methods.network.ansatz import Ansatz
+    from methods.pinn.block import Block
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Collocation(PhysicsInformed):
     def ansatz(self, block: Block, resolution: int) -> Ansatz:
         import torch
 
-        from methods.pinn.ansatz import Basis
+        from methods.network.ansatz import Basis
 
         streams = []
         for times, duration in zip(block.times, block.duration, strict=True):

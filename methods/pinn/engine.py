@@ -5,25 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from bench import Problem
+from methods.network.ansatz import Ansatz, Basis, Sum
 from methods.network.response import Assisted, Band, Displacements, ExactStart, Function
 from methods.pinn import descent, levenberg
-from methods.pinn.ansatz import Basis, Sum
-from methods.pinn.forced import ForcedMotion, forced_dofs
+from methods.pinn.block import Block, Spread
 from methods.pinn.laplace import laplace
 from methods.pinn.levenberg import Walk
-from methods.pinn.residuals import TERMS, Block, Residuals, Spread
-from methods.pinn.spectral import ORDER, Guess
-
-if TYPE_CHECKING:
-    from methods.pinn.ansatz import Ansatz
-    from methods.pinn.physics import PhysicsInformed
+from methods.pinn.residuals import TERMS, Residuals
+from methods.pinn.settings import Settings
+from methods.starts.forced_motion import ForcedMotion, forced_dofs
+from methods.starts.waves import ORDER, Guess
 
 FIRST_NOISE = 0.1
 """The noise of a channel over its root mean square, before anything is known of it."""
@@ -137,7 +134,7 @@ class Attempt:
         self,
         problems: Sequence[Problem],
         guesses: Sequence[Guess],
-        settings: PhysicsInformed,
+        settings: Settings,
         rngs: Sequence[np.random.Generator],
         watch: Watch,
     ) -> None:
@@ -370,7 +367,7 @@ def torch_threads(n: int) -> Iterator[None]:
 def fit(
     problems: Sequence[Problem],
     guesses: Sequence[Guess],
-    settings: PhysicsInformed,
+    settings: Settings,
     rngs: Sequence[np.random.Generator],
     watch: Watch = lambda results: None,
 ) -> list[Fit]:

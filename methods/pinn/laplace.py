@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from methods.pinn.residuals import Block, Residuals, State
+from methods.pinn.block import Block
+from methods.pinn.residuals import Residuals, State
 
 PRECISION = 1e-10
 """Precision of the coefficients, relative to the largest squared row of J."""
@@ -60,7 +61,7 @@ def _displacements(residuals: Residuals, block: Block) -> tuple[Tensor, Tensor]:
     points = torch.arange(m, device=residuals.device).repeat(n)
     seeds = torch.zeros(residuals.n_fits, 3, n * m, block.n_paths, dtype=torch.float64, device=residuals.device)
     seeds[:, 0, :, :n] = torch.eye(n, dtype=torch.float64, device=residuals.device).repeat_interleave(m, 0)
-    return residuals.response_adjoint(block, seeds, points), points
+    return block.response_adjoint(seeds, points), points
 
 
 def _dual(residuals: Residuals, state: State, deviations: Tensor) -> tuple[Tensor, list[Tensor]]:

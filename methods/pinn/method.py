@@ -19,11 +19,11 @@ import numpy as np
 from bench import Card, InputError
 from methods.network.response import Function, NetworkResponse
 from methods.pinn.physics import PhysicsInformed
+from methods.pinn.settings import Trainable
 
 if TYPE_CHECKING:
-    from methods.pinn.ansatz import Ansatz
-    from methods.pinn.engine import Attempt
-    from methods.pinn.residuals import Block
+    from methods.network.ansatz import Ansatz
+    from methods.pinn.block import Block
 
 
 UNITS_A_CYCLE = 12
@@ -90,7 +90,7 @@ class PINN(PhysicsInformed):
 
         return NetworkResponse(tanh.unflat(coefficients, self._widths(n_paths, resolution)), duration)
 
-    def train(self, attempt: Attempt) -> None:
+    def train(self, attempt: Trainable) -> None:
         if self.optimizer == "lm":
             attempt.levenberg()
         else:

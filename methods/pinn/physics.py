@@ -9,7 +9,7 @@ The loss is minus the log posterior, whatever represents x(t):
 - **Order**: soft physics before hard, the output layer before all layers, log-parameters started at the damped wave
   that fits the data best.
 - **A known force** is carried by functions of its own, added to what represents x(t): steps, pulses and rough forces
-  would otherwise ask for an acceleration that no smooth function has (:mod:`methods.pinn.forced`).
+  would otherwise ask for an acceleration that no smooth function has (:mod:`methods.starts.forced_motion`).
 - **Open parameters**: with a known force or an added mass there may be no prior, and noise may hide a damping. The
   likelihood then rises on towards zero; such a record is fitted again with a very wide prior, and the answer says so.
 - **Hidden states** are paths of the ansatz beside the displacements, held to their own rates.
@@ -24,91 +24,25 @@ N - p degrees of freedom, those of the ensemble with ``members`` - 1.
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from copy import copy
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from bench import (
-    Cost,
-    Estimate,
-    Identifier,
-    InitialState,
-    InputError,
-    Normal,
-    Problem,
-    Record,
-    Serves,
-    Status,
-    report_progress,
-)
+from bench import Cost, Estimate, Identifier, InitialState, Normal, Problem, Serves, Status, report_progress
 from methods.network.response import Band, Function
-from methods.pinn.spectral import Guess, scan
-from methods.starts.open_parameters import left_open, very_wide
-from methods.starts.scan import records_by_load
+from methods.pinn.settings import Settings
+from methods.pinn.task import Task, simulated
 
 if TYPE_CHECKING:
-    from methods.pinn.ansatz import Ansatz
-    from methods.pinn.engine import Attempt, Fit
-    from methods.pinn.residuals import Block
-
-DIGITS = 10
-"""Digits that are kept of every number in natural units."""
-SUSPECT = 2.0
-"""A fit that leaves this many times what plain damped waves leave is in a bad basin."""
-DETOURS = (1.0, 1.6, 0.625)
-"""Where a system of several modes is started again: the dominant wave may be a high or a low one."""
-POINTS_A_CYCLE = 20
-"""Collocation points a cycle of the fastest motion that matters, where ``collocation`` would give fewer."""
+    from methods.pinn.engine import Fit
 
 
 @dataclass(frozen=True)
-class PhysicsInformed(Identifier):
-    """The settings; see the module.
-
-    ``collocation``: points where the equation of motion is asked for (more where a cycle would have fewer than 20).
-    ``slack``: how far the physics may drift over the record, in noise standard deviations. ``softness``: how many times
-    that in the first stage. ``start``: a told start as a residual (``penalty``) or built into the response (``exact``).
-    ``tolerance``: decrease of minus the log posterior below which a stage ends. ``batch``: fits solved together.
-    """
-
-    collocation: int = 200
-    slack: float = 0.2
-    softness: float = 30.0
-    start: Literal["penalty", "exact"] = "penalty"
-    output_iterations: int = 12
-    iterations: int = 60
-    tolerance: float = 1e-3
-    restarts: int = 2
-    uncertainty: Literal["laplace", "ensemble", "bootstrap"] = "laplace"
-    members: int = 20
-    batch: int = 1
-    device: str = "cpu"
-    threads: int = 1
-
-    def __post_init__(self) -> None:
-        least = {
-            "collocation": 10,
-            "output_iterations": 1,
-            "iterations": 1,
-            "restarts": 0,
-            "members": 2,
-            "batch": 1,
-            "threads": 1,
-        }
-        self._at_least(least)
-        for name in ("slack", "softness", "tolerance"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise InputError(f"method.{name}", getattr(self, name), "a positive number")
-
-    def _at_least(self, least: Mapping[str, int]) -> None:
-        for name, bound in least.items():
-            if getattr(self, name) < bound:
-                raise InputError(f"method.{name}", getattr(self, name), f"a whole number of at least {bound}")
+class PhysicsInformed(Settings, Identifier):
+    """From a Problem to fits and back to an Estimate; see the module."""
 
     serves: ClassVar[Serves] = Serves(
         measures=("displacement", "velocity", "acceleration"),
@@ -121,74 +55,37 @@ class PhysicsInformed(Identifier):
     )
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"
+    works_in = "natural units"
 
-    @abstractmethod
-    def ansatz(self, block: Block, resolution: int) -> Ansatz:
-        """What represents the response in a record of at most ``resolution`` oscillations."""
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Fit one problem; status ``diverged`` or ``nonfinite`` where nothing was found."""
+        return self.estimate_many([problem], [rng])[0]
 
-    @abstractmethod
-    def first_coefficients(
-        self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
-    ) -> np.ndarray:
-        """The coefficients to start from, (B, count), for responses of ``cycles`` (B,) oscillations."""
-
-    @abstractmethod
-    def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> Function:
-        """The paths by time, in numpy: displacements, then hidden states."""
-
-    def train(self, attempt: Attempt) -> None:
-        """Minimise."""
-        attempt.levenberg()
-
-    def points(self, resolution: int) -> int:
-        """How many collocation points so many oscillations get."""
-        return max(self.collocation, POINTS_A_CYCLE * resolution)
-
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The estimate for one problem; status ``diverged`` or ``nonfinite`` where none was found."""
-        return self.identify_many([problem], [rng])[0]
-
-    def identify_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Estimates for all problems, ``batch`` of the same structure solved at a time; each is the same as alone."""
-        found: dict[int, Estimate] = {}
-        tasks: list[tuple[int, Task]] = []
-        with np.errstate(all="ignore"):
-            for i, (problem, rng) in enumerate(zip(problems, rngs, strict=True)):
-                objection = self._obstacle(problem)
-                if objection is not None:
-                    found[i] = objection
-                else:
-                    tasks.append((i, Task(problem, rng)))
-            self.attempt([task for _, task in tasks])
-            opened = [task for _, task in tasks if task.open]
-            for task in opened:
-                task.hold()
-            self.attempt(opened)
-            if self.uncertainty != "laplace":
-                for _, task in tasks:
-                    self._resample(task)
-            for i, task in tasks:
-                found[i] = self._estimate(task)
-        return [found[i] for i in range(len(problems))]
+    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Fit all problems, ``batch`` of the same structure at a time; each answer is the same as alone."""
+        if self.device != "cpu" and not _has_device(self.device):
+            sentence = f"device={self.device} is not available here: use device=cpu"
+            return [Estimate.failed(problem.system, Status.INVALID, sentence) for problem in problems]
+        tasks = [Task(problem, rng) for problem, rng in zip(problems, rngs, strict=True)]
+        self.attempt(tasks)
+        opened = [task for task in tasks if task.open]
+        for task in opened:
+            task.hold()
+        self.attempt(opened)
+        if self.uncertainty != "laplace":
+            for task in tasks:
+                self._resample(task)
+        return [self._estimate(task) for task in tasks]
 
     def objection(self, problem: Problem) -> str | None:
         if problem.system.n_hidden and self.start == "exact":
             return "start=exact cannot start hidden states; use start=penalty"
         return super().objection(problem)
 
-    def _obstacle(self, problem: Problem) -> Estimate | None:
-        if not any(np.any(c.values) for record in problem.records for c in record.channels):
-            sentence = "every measured value is zero: there is no motion to identify; check the sensor"
-            return Estimate.failed(problem.system, Status.DIVERGED, sentence)
-        if self.device != "cpu" and not _has_device(self.device):
-            sentence = f"device={self.device} is not available here: use device=cpu"
-            return Estimate.failed(problem.system, Status.INVALID, sentence)
-        return None
-
     def attempt(self, tasks: Sequence[Task]) -> None:
         """Fit each, and start those in a bad basin again elsewhere."""
         from methods.pinn import engine
-        from methods.pinn.residuals import structure
+        from methods.pinn.block import structure
 
         for n in range(1 + self.restarts):
             groups: dict[object, list[Task]] = {}
@@ -217,7 +114,7 @@ class PhysicsInformed(Identifier):
         if best is None:
             return
         problems = [
-            _simulated(task.scaled, best, task.rng) if self.uncertainty == "bootstrap" else task.scaled
+            simulated(task.scaled, best, task.rng) if self.uncertainty == "bootstrap" else task.scaled
             for _ in range(self.members)
         ]
         guess = task.guesses[task.fits.index(best)]
@@ -248,7 +145,7 @@ class PhysicsInformed(Identifier):
         ]
         offsets = np.zeros(len(task.offset_flags))
         offsets[np.flatnonzero(task.offset_flags)] = best.offsets
-        estimate = Estimate(
+        return Estimate(
             problem.system,
             **self._belief(task, best),
             reconstructions=best.responses,
@@ -259,8 +156,6 @@ class PhysicsInformed(Identifier):
             cost=cost,
             traces=best.history,
         )
-        offsets_back = task.problem.offsets_from(task.units, estimate.offsets)
-        return replace(estimate, offsets=offsets_back).expressed_in(task.units.inverse)
 
     def _belief(self, task: Task, best: Fit) -> dict[str, Any]:
         """All parameters, or the groups where the data alone cannot tell the scale."""
@@ -293,136 +188,7 @@ class PhysicsInformed(Identifier):
         return tuple(bands)
 
 
-class Task:
-    """One problem on its way: in natural units, with its guesses, its random stream, and the attempts so far."""
-
-    def __init__(self, problem: Problem, rng: np.random.Generator) -> None:
-        self.problem, self.rng, self.units = problem, rng, problem.natural_units()
-        self.scaled = rounded(problem.expressed_in(self.units))
-        loads = records_by_load(self.scaled)
-        waves, self.reference = scan(self.scaled, self.scaled.system.n_dof * len(loads), forced=True)
-        self.guesses = _starts(waves, self.scaled.system.n_dof)
-        self.fits: list[Fit] = []
-        self.given_up: list[Fit] = []  # before the parameters that were open were held
-        self.members: list[Fit] = []
-        self.offset_flags = [c.offset for record in problem.records for c in record.channels]
-
-    def with_fit(self, fit: Fit) -> Task:
-        """The same with one more attempt."""
-        other = copy(self)
-        other.fits = [*self.fits, fit]
-        return other
-
-    def good(self, fit: Fit) -> bool:
-        """Whether a fit leaves about as little as plain damped waves."""
-        return bool(np.isfinite(fit.loss) and fit.left <= SUSPECT * self.reference + 1e-9)
-
-    @property
-    def settled(self) -> bool:
-        return any(self.good(fit) for fit in self.fits)
-
-    @property
-    def open(self) -> bool:
-        """Whether the best fit leaves a parameter more open than the very wide prior would; only without a prior."""
-        if self.scaled.prior is not None or not self.scaled.scale_told or self.best is None:
-            return False
-        return bool(np.any(left_open(np.diag(self.best.covariance))))
-
-    def hold(self) -> None:
-        """Begin again with the very wide prior: it bounds what the data leave open.
-
-        It is about where a good fit ended, and for what that leaves open, or after a bad fit, about where it began.
-        """
-        from methods.pinn import engine
-
-        best = self.best
-        assert best is not None
-        # as parameters, for with a prior the engine would take the masses from it
-        begun = [replace(own, logs=engine.first_logs(self.scaled, own)) for own in self.guesses]
-        at = self.fits.index(best)
-        logs = engine.first_logs(self.scaled, self.guesses[at])
-        if self.good(best):
-            logs = np.where(left_open(np.diag(best.covariance)), logs, best.logs)
-            begun = [replace(begun[at], logs=logs)]
-        nominal = dict(zip(self.scaled.system.names, np.exp(logs), strict=True))
-        self.scaled = replace(self.scaled, prior=very_wide(nominal))
-        self.guesses, self.given_up, self.fits = begun, self.fits, []
-
-    @property
-    def best(self) -> Fit | None:
-        finite = [fit for fit in self.fits if np.isfinite(fit.loss) and np.all(np.isfinite(fit.covariance))]
-        return min(finite, key=lambda fit: fit.loss, default=None)
-
-
-def _simulated(problem: Problem, fit: Fit, rng: np.random.Generator) -> Problem:
-    """The problem with measurements of the fitted response in place of the real ones, at the estimated noise."""
-    records, at, offset = [], 0, 0
-    for record, response in zip(problem.records, fit.responses, strict=True):
-        channels = []
-        for channel in record.channels:
-            clean = _measured(response, channel.times, channel.measures, record.duration)[channel.dof]
-            if channel.offset:
-                clean = clean + fit.offsets[offset]
-                offset += 1
-            noise = fit.sigmas[at] * rng.standard_normal(channel.n)
-            channels.append(replace(channel, values=np.round(clean + noise, DIGITS)))
-            at += 1
-        records.append(replace(record, channels=tuple(channels)))
-    return replace(problem, records=tuple(records))
-
-
-def _measured(response: Function, times: np.ndarray, measures: str, duration: float) -> np.ndarray:
-    """The response or its derivative by time, the latter by central differences inside the record.
-
-    Outside it no force is known, so a time at its very ends takes the differences about one that is a step inside.
-    """
-    if measures == "displacement":
-        return response(times)
-    h = 1e-3 * duration / 2.0
-    inside = np.clip(times, h, duration - h)
-    behind, here, ahead = (response(inside + side) for side in (-h, 0.0, h))
-    acceleration = (ahead - 2.0 * here + behind) / h**2
-    if measures == "acceleration":
-        return np.asarray(acceleration)
-    return np.asarray((ahead - behind) / (2.0 * h) + acceleration * (times - inside))
-
-
-def rounded(problem: Problem) -> Problem:
-    """The problem (in natural units) with every number to ten digits.
-
-    Thousands of steps of Adam and L-BFGS magnify the last bit of the data to a hundredth of a standard error, and a
-    gradient sampler's path magnifies it to other draws. Rounded like this, a record in other units is the same record
-    to the last bit, and so is the answer.
-    """
-
-    def same(values: np.ndarray) -> np.ndarray:
-        return np.round(values, DIGITS)
-
-    records = []
-    for record in problem.records:
-        start = record.initial_state
-        records.append(
-            Record(
-                tuple(replace(c, times=same(c.times), values=same(c.values)) for c in record.channels),
-                tuple(replace(f, times=same(f.times), values=same(f.values)) for f in record.forces),
-                InitialState(same(start.displacement), same(start.velocity)) if start is not None else None,
-                None if record.added_mass is None else same(record.added_mass),
-            )
-        )
-    prior = problem.prior
-    if prior is not None:
-        prior = replace(prior, nominal={name: float(f"{v:.{DIGITS}g}") for name, v in prior.nominal.items()})
-    return replace(problem, records=tuple(records), prior=prior)
-
-
 def _has_device(device: str) -> bool:
     import torch
 
     return device.startswith("cuda") and torch.cuda.is_available()
-
-
-def _starts(guesses: Sequence[Guess], n_dof: int) -> list[Guess]:
-    """Where to start, best first: the waves of the scan, or the dominant one and detours from it for several modes."""
-    if n_dof == 1:
-        return [*guesses, *[Guess(guesses[0].omega * d, guesses[0].decay, 1.0) for d in DETOURS[1:]]]
-    return [Guess(guesses[0].omega * d, guesses[0].decay, 1.0) for d in DETOURS]

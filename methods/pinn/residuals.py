@@ -29,10 +29,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bench import Ops, Problem, Record, System
-from methods.pinn.ansatz import Adjoints, Ansatz, Tape
-from methods.pinn.forced import forced_dofs
-from methods.pinn.spectral import ORDER
+from bench import Ops, Problem
+from methods.network.ansatz import Adjoints, Ansatz, Tape
+from methods.pinn.block import Block, Spread
 
 TERMS = ("data", "physics", "initial", "prior")
 CHUNK = 2**24
@@ -53,124 +52,6 @@ torch_ops = cast(
     ),
 )
 """The torch functions a residual may call."""
-
-
-def structure(problem: Problem) -> tuple[object, ...]:
-    """What problems of one batch have in common."""
-    records = tuple(
-        (
-            tuple((c.n, c.measures, c.dof, c.offset) for c in r.channels),
-            r.initial_state is not None,
-            forced_dofs(r.forces),
-        )
-        for r in problem.records
-    )
-    rigs = tuple(record.rig(problem.system) for record in problem.records)
-    return rigs, records, problem.prior is not None, problem.forced
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Standard deviations of the rows, fit by fit, in natural units: of the channels (B, n_channels), record by record;
-    of the equation of motion and of the hidden states' (accelerations), and of the told start's displacement and
-    velocity, (B,) each.
-    """
-
-    channels: np.ndarray
-    physics: np.ndarray
-    hidden: np.ndarray
-    displacement: np.ndarray
-    velocity: np.ndarray
-
-
-class Block:
-    """One record of every fit: the ``rig`` that moved, the points at which its response is evaluated, and which row
-    looks at which point.
-    """
-
-    def __init__(
-        self,
-        records: Sequence[Record],
-        system: System,
-        collocation: int,
-        device: torch.device,
-        omega: np.ndarray,
-        exact: bool,
-    ) -> None:
-        def tensor(values: object) -> Tensor:
-            return torch.as_tensor(np.array(values), device=device)
-
-        first = records[0]
-        self.rig = first.rig(system)
-        self.n_dof, self.n_data, self.collocation = system.n_dof, first.n, collocation
-        self.n_paths = system.n_dof + system.n_hidden
-        self.omega = tensor(omega)[:, None]
-        self.duration = np.array([r.duration for r in records])
-        grids = [np.linspace(0.0, r.duration, collocation) for r in records]
-        self.times = np.stack(
-            [np.concatenate([grid, *[c.times for c in r.channels]]) for grid, r in zip(grids, records, strict=True)]
-        )
-        self.values = tensor([np.concatenate([c.values for c in r.channels]) for r in records])
-        forces = [r.force(grid, system.n_dof) for r, grid in zip(records, grids, strict=True)]
-        self.force = [tensor([own[dof] for own in forces]) for dof in range(system.n_dof)]
-        stream = np.concatenate([np.full(c.n, ORDER[c.measures]) for c in first.channels])
-        dof = np.concatenate([np.full(c.n, c.dof) for c in first.channels])
-        self.channel = np.concatenate([np.full(c.n, i) for i, c in enumerate(first.channels)])
-        self.data_points = collocation + torch.arange(self.n_data, device=device)
-        self.pick = tensor(np.eye(3)[:, stream, None] * np.eye(self.n_paths)[dof])  # (3, n_data, n_paths), 0 and 1
-        told = None
-        if first.initial_state is not None:
-            states = [r.initial_state for r in records if r.initial_state is not None]
-            told = np.stack([np.stack([s.displacement, s.velocity]) for s in states])
-        self.lift = self.shape = None
-        # rows of the start: displacements, then velocities, then the hidden states, which are zero
-        n_told = 2 * self.n_dof if told is not None and not exact else 0
-        n_start = n_told + system.n_hidden
-        self.start = torch.zeros(len(records), n_start, dtype=torch.float64, device=device)
-        if told is not None and n_told:
-            self.start[:, :n_told] = tensor(told).flatten(1)
-        self.start_stream = [i // self.n_dof for i in range(n_told)] + [0] * system.n_hidden
-        self.start_path = [i % self.n_dof for i in range(n_told)] + list(range(self.n_dof, self.n_paths))
-        if told is not None and exact:
-            lift, shape = exact_start(self.times, told, omega)
-            self.lift, self.shape = tensor(lift), tensor(shape)
-        # rows: data, physics (path by path), start; time 0 is the first collocation point
-        physics = torch.arange(collocation, device=device).repeat(self.n_paths)
-        self.points = torch.cat([self.data_points, physics, torch.zeros(n_start, dtype=torch.long, device=device)])
-        self.n_rows = self.points.shape[0]
-        self.slices = {
-            "data": slice(0, self.n_data),
-            "physics": slice(self.n_data, self.n_data + physics.shape[0]),
-            "initial": slice(self.n_rows - n_start, self.n_rows),
-        }
-
-    def take(self, who: Tensor) -> Block:
-        other = copy.copy(self)
-        which = np.asarray(who.cpu())
-        other.times, other.duration = self.times[which], self.duration[which]
-        other.values, other.force = self.values[who], [f[who] for f in self.force]
-        other.start, other.omega = self.start[who], self.omega[who]
-        if self.lift is not None and self.shape is not None:
-            other.lift, other.shape = self.lift[who], self.shape[who]
-        return other
-
-
-def exact_start(times: np.ndarray, told: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """An ansatz that has the told start by construction: ``x(t) = (x0 + v0 t) g + (1 - g) n(t)``.
-
-    ``g = exp(-(omega t)²)`` and n is the trainable function. Returns the streams of the first part, (B, 3, n_points,
-    n_dof), and the matrices that take those of n to the second's, (B, n_points, 3, 3), by the product rule.
-    """
-    t, w2 = times, omega[:, None] ** 2
-    g = np.exp(-w2 * t**2)
-    g1, g2 = -2.0 * w2 * t * g, (4.0 * w2**2 * t**2 - 2.0 * w2) * g
-    x0, v0 = told[:, 0, None, :], told[:, 1, None, :]
-    line = x0 + v0 * t[..., None]
-    g_, g1_, g2_ = (part[..., None] for part in (g, g1, g2))
-    lift = np.stack([line * g_, v0 * g_ + line * g1_, 2.0 * v0 * g1_ + line * g2_], 1)
-    zero = np.zeros_like(g)
-    shape = np.stack([1.0 - g, zero, zero, -g1, 1.0 - g, zero, -g2, -2.0 * g1, 1.0 - g], -1)
-    return lift, shape.reshape(*g.shape, 3, 3)
 
 
 @dataclass
@@ -212,7 +93,8 @@ class Residuals:
 
     The other unknowns are the logarithms of the ``free`` parameters, then one offset for each channel that has one;
     the parameters that are not free keep their value in ``log_fixed`` (B, n_parameters). ``omega`` (B,) are the
-    frequencies of the data; ``exact`` asks for an ansatz that has the told start by construction (:func:`exact_start`).
+    frequencies of the data; ``exact`` asks for the told start by construction
+    (:func:`methods.pinn.block.exact_start`).
     """
 
     def __init__(
@@ -320,24 +202,9 @@ class Residuals:
         """The residual vectors at z, and their squared lengths term by term."""
         parts, logs, offsets = self.split(z)
         tapes = [ansatz.forward(part) for ansatz, part in zip(self.ansatzes, parts, strict=True)]
-        outputs = [self._response(block, tape.output) for block, tape in zip(self.blocks, tapes, strict=True)]
+        outputs = [block.response(tape.output) for block, tape in zip(self.blocks, tapes, strict=True)]
         rows = self._rows(outputs, self._physics(outputs, logs), logs, offsets) / deviations
         return State(z, tapes, outputs, rows, self._terms(rows))
-
-    @staticmethod
-    def _response(block: Block, output: Tensor) -> Tensor:
-        """The response's streams from those of the trainable function."""
-        if block.lift is None or block.shape is None:
-            return output
-        return block.lift + torch.einsum("bnst,btno->bsno", block.shape, output)
-
-    @staticmethod
-    def response_adjoint(block: Block, seeds: Tensor, points: Tensor | None = None) -> Tensor:
-        """Seeds by the trainable function's streams from those by the response's."""
-        if block.shape is None:
-            return seeds
-        shape = block.shape if points is None else block.shape[:, points]
-        return torch.einsum("bkst,bsko->btko", shape, seeds)
 
     def _physics(self, outputs: Sequence[Tensor], logs: Tensor) -> list[Tensor]:
         """The equations, record by record and path by path, (B, n_paths * collocation) each."""
@@ -439,7 +306,7 @@ class Residuals:
         seeds[:, :, block.slices["physics"]] = by_streams.flatten(2, 3)
         for row, (stream, path) in enumerate(zip(block.start_stream, block.start_path, strict=True)):
             seeds[:, stream, block.slices["initial"].start + row, path] = 1.0
-        return self.response_adjoint(block, seeds, block.points), by_logs
+        return block.response_adjoint(seeds, block.points), by_logs
 
     def gram(self, state: State, linear: Linear, unknowns: bool = True) -> Tensor:
         """``J Jᵀ``, (B, n_rows, n_rows); over the coefficients alone where ``unknowns`` is False."""
@@ -500,7 +367,7 @@ class Residuals:
         """The state at z and the gradient of its loss, vectors like z, by one adjoint pass over the points."""
         parts, logs, offsets = self.split(z)
         tapes = [ansatz.forward(part) for ansatz, part in zip(self.ansatzes, parts, strict=True)]
-        outputs = [self._response(block, tape.output) for block, tape in zip(self.blocks, tapes, strict=True)]
+        outputs = [block.response(tape.output) for block, tape in zip(self.blocks, tapes, strict=True)]
         leaves = [output.detach().requires_grad_(True) for output in outputs]
         free_logs = logs.detach().requires_grad_(True)
         with torch.enable_grad():
@@ -518,7 +385,7 @@ class Residuals:
             own = own_pulled[k]
             seeds[k][:, :, block.data_points] = own[:, None, : block.n_data, None] * block.pick
             seeds[k][:, block.start_stream, 0, block.start_path] += own[:, block.slices["initial"]]
-            adjoints = ansatz.adjoint(parts[k], tape, self.response_adjoint(block, seeds[k]))
+            adjoints = ansatz.adjoint(parts[k], tape, block.response_adjoint(seeds[k]))
             gradients.append(ansatz.pull_back(tape, adjoints, None))
         by_unknowns = by_logs[:, self.free]
         if self.prior is not None:

@@ -1,15 +1,8 @@
-"""What the equation-error methods share: derivatives of sampled displacements, the regression, its covariance.
+"""What the equation-error methods share: the equation of motion as a linear regression, and what its answer implies.
 
 LS, RLS, DDNN and SINDy put (displacement, velocity, acceleration) at some times into the residual of the system,
 which is affine in the parameters, and solve for them. They differ in how they differentiate and how they solve.
-
-* :func:`finite_differences` and :class:`SmoothingSpline` differentiate samples at irregular times.
-* :class:`Regression` turns the motion of every degree of freedom (DOF) into ``columns @ unknowns = target``.
-* :func:`spline_fit` is the regression on smoothing splines of many smoothing weights; the one is kept whose estimate,
-  simulated, explains the record best.
-* :func:`bootstrap_covariance` makes records like the one at hand and fits them again. The textbook covariance of a
-  regression is wrong here: its columns are noisy too (errors in variables), and the noise of differentiated data is
-  correlated.
+:class:`Regression` turns the motion of every degree of freedom (DOF) into ``columns @ unknowns = target``.
 
 Arrays hold many data sets at once: displacements of a record have shape (n_dof, sets, n), time last. Everything works
 on a problem in its natural units (:meth:`bench.Problem.natural_units`).
@@ -17,186 +10,35 @@ on a problem in its natural units (:meth:`bench.Problem.natural_units`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import NamedTuple, Protocol
+from functools import cached_property
 
 import numpy as np
-from numpy.linalg import LinAlgError
-from scipy.interpolate import BSpline
-from scipy.linalg import eigh
 
-from bench import Estimate, Normal, Problem, Record, Status, System, numpy_ops, regression_columns, simulate, state_rate
-
-
-class Motion(NamedTuple):
-    """Times (rows,), and displacement, velocity, acceleration, each (n_dof, sets, rows).
-
-    ``force`` of that shape is the known force smoothed like the motion; None means the force itself.
-    """
-
-    times: np.ndarray
-    x: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    force: np.ndarray | None = None
-
+from bench import (
+    Dimension,
+    Estimate,
+    NoEstimate,
+    Normal,
+    Problem,
+    Record,
+    Status,
+    System,
+    numpy_ops,
+    regression_columns,
+    simulate,
+    state_rate,
+)
+from methods.regression.derivatives import Motion, finite_differences, smoothing_spline
 
 Values = Sequence[np.ndarray]
 """Displacements, one array of shape (n_dof, sets, n) a record."""
 
-SMOOTHERS = ((3, 1), (3, 2), (4, 1), (4, 2))
-"""Smoothing splines tried, as (order of the penalised derivative, samples left out at each end).
-
-Degrees are 5 and 7. A natural spline bends wrongly at the ends of a record, so its derivatives there are not used.
-"""
-WEIGHTS = 40
-NEARBY = np.array([-4, -2, 0, 2, 4])
-"""Steps on the grid of weights that a bootstrap sample tries about the chosen one."""
-FEW_SAMPLES = 120
-"""With more samples the smoothing matters little, and a bootstrap sample keeps it as it is."""
 MAX_SAMPLES = 20_000
 """A record of more is refused: the arrays of the bootstrap would fill the memory, and smoothing decides nothing."""
 SINGULAR = 1e-9
 """A column that is, up to this part of its length, a combination of the others cannot be told from them."""
-MEANINGLESS = 0.9
-"""A response that leaves more than this part of the variance of the data unexplained does not describe them."""
-
-
-class Unusable(ValueError):
-    """The problem cannot be put into a regression; ``status`` and the message go into the Estimate."""
-
-    def __init__(self, status: Status, sentence: str) -> None:
-        self.status = status
-        super().__init__(sentence)
-
-
-# --------------------------------------------------------------------------------------------------- derivatives
-
-
-def finite_differences(times: np.ndarray, samples: np.ndarray) -> Motion:
-    """Central differences over three samples at uneven times, at the interior samples.
-
-    With steps ``h1`` before and ``h2`` after a sample, the parabola through the three gives
-    ``x' = -h2/(h1 (h1+h2)) x₋ + (h2-h1)/(h1 h2) x₀ + h1/(h2 (h1+h2)) x₊`` and
-    ``x'' = 2/(h1 (h1+h2)) x₋ - 2/(h1 h2) x₀ + 2/(h2 (h1+h2)) x₊``
-    (three-point weights of Fornberg, Mathematics of Computation 51 (1988) 699-706; on even times the usual
-    ``(x₊ - x₋)/2h`` and ``(x₊ - 2 x₀ + x₋)/h²``). ``times`` (n,) and ``samples`` (..., n); raises Unusable for n < 3.
-    """
-    if times.size < 3:
-        raise Unusable(Status.UNSUPPORTED, "finite differences need at least 3 samples a record")
-    before, here, after = samples[..., :-2], samples[..., 1:-1], samples[..., 2:]
-    h1, h2 = np.diff(times)[:-1], np.diff(times)[1:]
-    both = h1 + h2
-    velocity = -h2 / (h1 * both) * before + (h2 - h1) / (h1 * h2) * here + h1 / (h2 * both) * after
-    acceleration = 2.0 / (h1 * both) * before - 2.0 / (h1 * h2) * here + 2.0 / (h2 * both) * after
-    return Motion(times[1:-1], here, velocity, acceleration)
-
-
-class SmoothingSpline:
-    """Smoothing splines of degree ``2 order - 1`` through samples at fixed, irregular times.
-
-    Such a spline minimises ``sum (y - x(t))² + w ∫ (d^order x / dt^order)² dt``, time counted in mean sampling steps,
-    so that a weight ``w`` means the same at any rate and in any unit: it damps frequencies (radians a step) above
-    ``w^(-1/(2 order))`` (Wahba, Spline Models for Observational Data, 1990, chapter 1). In the basis that makes fit
-    and penalty diagonal at once (Demmler and Reinsch, Numerische Mathematik 24 (1975) 375-382) a weight costs n
-    multiplications, so all weights and all data sets are tried together.
-
-    Knots lie at the samples, thinned to at most ``MAX_KNOTS``. Raises Unusable for n < order + 1.
-    """
-
-    MAX_KNOTS = 300
-
-    def __init__(self, times: np.ndarray, order: int) -> None:
-        self.times, self.order, self.n = times, order, times.size
-        if self.n < order + 1:
-            raise Unusable(Status.UNSUPPORTED, f"its smoothing spline needs at least {order + 1} samples a record")
-        self.step = float(times[-1] - times[0]) / (self.n - 1)
-        at = (times - times[0]) / self.step
-        knots = at[np.unique(np.linspace(0, self.n - 1, min(self.n, self.MAX_KNOTS)).round().astype(int))]
-        degree = 2 * order - 1
-        self._knots = np.concatenate([np.full(degree, knots[0]), knots, np.full(degree, knots[-1])])
-        basis = self._basis(at)
-        fit, penalty = basis.T @ basis, self._penalty(knots)
-        blend = float(np.trace(fit) / np.trace(penalty))
-        # fit + blend * penalty is positive definite, where fit alone need not be
-        try:
-            penalised, vectors = eigh(penalty, fit + blend * penalty)
-        except LinAlgError:  # to rounding it is not: some times lie too near to each other for the rest
-            sentence = "its smoothing spline cannot be told apart at sample times this uneven; thin the closest ones"
-            raise Unusable(Status.DIVERGED, sentence) from None
-        seen = np.clip(1.0 - blend * penalised, 0.0, 1.0)
-        keep = seen > 1e-9
-        keep[np.argsort(seen)[: max(0, seen.size - self.n)]] = False
-        self._rough = np.clip(penalised[keep], 0.0, None) / seen[keep]
-        self._rough[:order] = 0.0  # polynomials below the order are not penalised
-        self._vectors = vectors[:, keep] / np.sqrt(seen[keep])
-        self._project = self._vectors.T @ basis.T
-
-    def _basis(self, at: np.ndarray, derivative: int = 0) -> np.ndarray:
-        count = self._knots.size - 2 * self.order
-        return np.asarray(BSpline(self._knots, np.eye(count), 2 * self.order - 1)(at, nu=derivative))
-
-    def _penalty(self, knots: np.ndarray) -> np.ndarray:
-        """Gram matrix of the penalised derivatives, exact by Gauss-Legendre quadrature in each interval."""
-        nodes, weights = np.polynomial.legendre.leggauss(self.order)
-        half = np.diff(knots) / 2
-        at = (knots[:-1] + half)[:, None] + half[:, None] * nodes
-        rough = self._basis(at.ravel(), self.order) * np.sqrt((half[:, None] * weights).ravel())[:, None]
-        return np.asarray(rough.T @ rough)
-
-    @cached_property
-    def weights(self) -> np.ndarray:
-        """A grid of weights, shape (WEIGHTS,), from a polynomial (largest) to interpolation (smallest)."""
-        corner = np.geomspace(1.0 / self.n, 30.0, WEIGHTS)
-        return np.asarray(corner ** (-2.0 * self.order))
-
-    def fit(self, samples: np.ndarray, weights: np.ndarray | float) -> np.ndarray:
-        """Spline coefficients (..., n_coefficients) of samples (..., n) at weights that broadcast with (...)."""
-        kept = 1.0 / (1.0 + np.asarray(weights)[..., None] * self._rough)
-        return np.asarray((samples @ self._project.T * kept) @ self._vectors.T)
-
-    def likely_weights(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The most likely weight of the grid and the noise's standard deviation, each (...), for samples (..., n).
-
-        The mode of the restricted likelihood (REML) of: samples = polynomial + integrated white noise + measurement
-        noise, both noise levels unknown (Wahba, Annals of Statistics 13 (1985) 1378-1402, where it is called GML). It
-        knows nothing of the system, and takes a vibration of fewer than some six samples a cycle for noise.
-        """
-        parts = samples @ self._project.T
-        rough = parts[..., self.order :] ** 2
-        outside = np.clip(np.sum(samples**2, -1) - np.sum(parts**2, -1), 0.0, None)
-        shrunk = np.maximum(self.weights[:, None] * self._rough[self.order :], 1e-300)
-        kept = 1.0 / (1.0 + shrunk)
-        # the quadratic form of the likelihood, (..., weights); a floor keeps exact data finite
-        form = rough @ (1.0 - kept).T + outside[..., None]
-        size = np.maximum(np.sum(rough, -1) + outside, 1e-300)
-        dof = self.n - self.order
-        log_det = np.sum(np.log1p(1.0 / shrunk), axis=-1)
-        best = np.argmin(dof * np.log(np.maximum(form, 1e-28 * size[..., None])) + log_det, axis=-1)
-        # residual power over the degrees of freedom that the spline left (Wahba 1990, section 4.7)
-        left = 1.0 - kept[best]
-        freedom = np.maximum(self.n - self.order - np.sum(kept[best], axis=-1), 1.0)
-        return self.weights[best], np.sqrt((np.sum(rough * left**2, axis=-1) + outside) / freedom)
-
-    def motion(self, coefficients: np.ndarray, times: np.ndarray) -> Motion:
-        """The splines, their velocities and accelerations at the times (rows,), each (..., rows)."""
-        at = (times - self.times[0]) / self.step
-        x, v, a = (coefficients @ self._basis(at, i).T / self.step**i for i in range(3))
-        return Motion(times, x, v, a)
-
-
-@lru_cache(maxsize=64)
-def _spline_at(times: bytes, order: int) -> SmoothingSpline:
-    return SmoothingSpline(np.frombuffer(times), order)
-
-
-def smoothing_spline(times: np.ndarray, order: int) -> SmoothingSpline:
-    """The smoother for these times (n,); made once and kept, since replicates share their times."""
-    return _spline_at(np.ascontiguousarray(times, float).tobytes(), order)
-
-
 # ---------------------------------------------------------------------------------------------------- regression
 
 
@@ -243,16 +85,13 @@ class Regression:
 
     @staticmethod
     def of(problem: Problem) -> Regression:
-        """The regression of a problem; raises Unusable with a sentence where it has none."""
-        objection = layout_objection(problem)
-        if objection:
-            raise Unusable(Status.UNSUPPORTED, objection)
+        """Make that of a problem past :func:`layout_objection`; NoEstimate where a displacement never changes."""
         regression = Regression(problem.system, problem.records, problem.scale_told)
         for values in regression.values:
             dead = [i for i, series in enumerate(values[:, 0]) if not np.any(series != series[0])]
             if dead:
                 where = f"the measured displacement of DOF {dead[0] + 1}"
-                raise Unusable(Status.INVALID, f"{where} never changes: check the sensor and its cable")
+                raise NoEstimate(f"{where} never changes: check the sensor and its cable", Status.INVALID)
         return regression
 
     @cached_property
@@ -309,7 +148,7 @@ class Regression:
         return self.equations([finite_differences(t, y) for t, y in zip(self.times, values, strict=True)])
 
     def splines(self, values: Values, smoother: tuple[int, int], which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The equations on smoothing splines (see SMOOTHERS) at numbers ``which`` (sets,) of the grid of weights."""
+        """The equations on smoothing splines (order, trim) at numbers ``which`` (sets,) of the grid of weights."""
         return self.equations(self.motions(values, smoother, which))
 
     def motions(self, values: Values, smoother: tuple[int, int], which: np.ndarray) -> list[Motion]:
@@ -439,216 +278,35 @@ def too_fast(system: System, p: Mapping[str, np.ndarray], state: np.ndarray, tim
     return np.asarray(fastest * np.median(np.diff(times)) > np.pi)
 
 
-# ------------------------------------------------------------------------------- the spline fit, and the bootstrap
-
-
-class World(Protocol):
-    """What synthetic records are drawn from: a response (n_dof, n) a record, and its noise (n_dof,) a record."""
-
-    @property
-    def centres(self) -> tuple[np.ndarray, ...]: ...
-
-    @property
-    def noise(self) -> tuple[np.ndarray, ...]: ...
-
-
-@dataclass(frozen=True, eq=False)
-class SplineFit:
-    """The regression on smoothing splines: unknowns (q,), the smoother and weight used, and what the data look like.
-
-    ``centres`` (n_dof, n) a record is the response that the unknowns give (or, where none describes the data, the most
-    likely spline), ``noise`` (n_dof,) a record the standard deviation of the data about it: a bootstrap's world.
-    """
-
-    unknowns: np.ndarray
-    smoother: tuple[int, int]
-    which: int
-    centres: tuple[np.ndarray, ...]
-    noise: tuple[np.ndarray, ...]
-    explained: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """Estimates (sets, candidates, q) on splines, their deviance (sets, candidates), their responses a record."""
-
-    unknowns: np.ndarray
-    deviance: np.ndarray
-    responses: tuple[np.ndarray, ...]
-
-
-def _try(regression: Regression, values: Values, smoothers: Sequence[tuple[int, int]], which: np.ndarray) -> _Trial:
-    """Every smoother at every weight number ``which`` (w,), on displacements (n_dof, sets, n) a record.
-
-    The deviance is minus twice the log-likelihood of the simulated response, the noise level of each channel unknown:
-    ``sum n log(mean squared misfit)``. It is infinite for a response that describes nothing.
-    """
-    sets, found = values[0].shape[1], []
-    for smoother in smoothers:
-        repeated = [np.repeat(y, which.size, axis=1) for y in values]
-        unknowns = solve(*regression.splines(repeated, smoother, np.tile(which, sets)))
-        found.append(unknowns.reshape(sets, which.size, -1))
-    candidates = np.concatenate(found, axis=1)
-    count = candidates.shape[1]
-    p = regression.parameters(candidates.reshape(sets * count, -1))
-    simulated, deviance = [], np.zeros(sets * count)
-    for record, times, y in zip(regression.records, regression.times, values, strict=True):
-        repeated_y = np.repeat(y, count, axis=1)
-        x = responses(regression.system, p, record, repeated_y, _start_guess(times, np.mean(y, axis=1)))
-        with np.errstate(all="ignore"):
-            square, power = np.mean((x - repeated_y) ** 2, axis=-1), np.var(repeated_y, axis=-1)
-            deviance += np.sum(times.size * np.log(np.maximum(square, 1e-28 * power)), axis=0)
-            deviance = np.where(np.all(square < MEANINGLESS * power, axis=0), deviance, np.inf)
-        simulated.append(x.reshape(x.shape[0], sets, count, -1))
-    return _Trial(candidates, deviance.reshape(sets, count), tuple(simulated))
-
-
-def _start_guess(times: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Displacement and velocity at time 0, (2 n_dof,), by the parabola through the first samples of y (n_dof, n)."""
-    polynomial = np.linalg.solve(np.vander(times[:3], increasing=True), y[:, :3].T)
-    return np.concatenate([polynomial[0], polynomial[1]])
-
-
-def spline_fit(regression: Regression) -> SplineFit:
-    """The regression on splines of each smoother and weight; kept is the one that explains the record best.
-
-    How much to smooth cannot be told from the samples alone where a cycle has few of them (the likelihood of a spline
-    without a system takes such a vibration for noise). The system can tell: each smoother and weight gives an
-    estimate, each estimate a simulated response, and the response of largest likelihood names the smoothing.
-    """
-    usable = _usable(regression)
-    # integrating a nonlinear system, or a long record, takes its time: fewer weights
-    quick = regression.system.linear and max(t.size for t in regression.times) <= 1000
-    which = np.arange(0, WEIGHTS, 1 if quick else 3)
-    trial = _try(regression, regression.values, usable, which)
-    best = int(np.argmin(trial.deviance[0]))
-    if not np.isfinite(trial.deviance[0, best]):
-        return _unexplained(regression, usable[0])
-    centres = tuple(x[:, 0, best] for x in trial.responses)
-    noise = tuple(
-        np.sqrt(np.sum((centre - y[:, 0]) ** 2, axis=-1) / _left(regression, record))
-        for record, centre, y in zip(regression.records, centres, regression.values, strict=True)
-    )
-    smoother, weight = usable[best // which.size], int(which[best % which.size])
-    return SplineFit(trial.unknowns[0, best], smoother, weight, centres, noise)
-
-
-def _usable(regression: Regression) -> list[tuple[int, int]]:
-    """The smoothers that the shortest record can bear; raises Unusable where there is none."""
-    usable = [s for s in SMOOTHERS if all(t.size > max(s[0], 2 * s[1]) for t in regression.times)]
-    if not usable:
-        needed = min(order for order, _ in SMOOTHERS) + 1
-        raise Unusable(Status.UNSUPPORTED, f"its smoothing spline needs at least {needed} samples a record")
-    return usable
-
-
-def _left(regression: Regression, record: Record) -> float:
-    """Degrees of freedom that a channel of a record keeps when each pays its share of what was fitted."""
-    n_dof = regression.system.n_dof
-    shared = len(regression.names) / (len(regression.records) * n_dof)
-    own = (0 if record.initial_state is not None else 2) + sum(c.offset for c in record.channels) / n_dof
-    return float(max(1.0, record.n / n_dof - shared - own))
-
-
-def _unexplained(regression: Regression, smoother: tuple[int, int]) -> SplineFit:
-    """No smoothing gives a response like the data: fall back on the likelihood of the spline alone."""
-    centres, noise, numbers = [], [], []
-    for times, y in zip(regression.times, regression.values, strict=True):
-        spline = smoothing_spline(times, smoother[0])
-        weights, sd = spline.likely_weights(y[:, 0])
-        centres.append(spline.motion(spline.fit(y[:, 0], weights), times).x)
-        noise.append(sd)
-        numbers.append(np.flatnonzero(np.isin(spline.weights, weights)))
-    which = int(np.median(np.concatenate(numbers)))
-    unknowns = solve(*regression.splines(regression.values, smoother, np.array([which])))[0]
-    return SplineFit(unknowns, smoother, which, tuple(centres), tuple(noise), explained=False)
-
-
-def spline_refit(regression: Regression, fit: SplineFit, values: Values) -> np.ndarray:
-    """Unknowns (sets, q) of other data (n_dof, sets, n) a record, each smoothed as :func:`smoothings` says."""
-    found = np.full((values[0].shape[1], fit.unknowns.size), np.nan)
-    chosen = smoothings(regression, fit, values)
-    for smoother in set(s for s, _ in chosen):
-        mine = np.array([s == smoother for s, _ in chosen])
-        which = np.array([w for _, w in chosen])[mine]
-        found[mine] = solve(*regression.splines([y[:, mine] for y in values], smoother, which))
-    return found
-
-
-def smoothings(regression: Regression, fit: SplineFit, values: Values) -> list[tuple[tuple[int, int], int]]:
-    """Smoother and number of the weight for each set of other data (n_dof, sets, n) a record.
-
-    For a linear system and few samples each set chooses anew, by its simulated response, among all smoothers and the
-    weights near the fit's; else the fit's own is kept.
-    """
-    sets = values[0].shape[1]
-    own = (fit.smoother, fit.which)
-    if not regression.system.linear or not fit.explained or max(t.size for t in regression.times) > FEW_SAMPLES:
-        return [own] * sets
-    usable = _usable(regression)
-    which = np.unique(np.clip(fit.which + NEARBY, 0, WEIGHTS - 1))
-    deviance = _try(regression, values, usable, which).deviance
-    best = np.argmin(deviance, axis=1)
-    return [
-        (usable[b // which.size], int(which[b % which.size])) if np.isfinite(deviance[i, b]) else own
-        for i, b in enumerate(best)
-    ]
-
-
-def bootstrap_covariance(
-    fit: World, fitter: Callable[[Values], np.ndarray], rng: np.random.Generator, count: int
-) -> np.ndarray | None:
-    """Covariance (q, q) of what ``fitter`` finds in ``count`` synthetic data sets; None where too few can be fitted.
-
-    The parametric bootstrap (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, section 6.5): records are
-    drawn from the response of a fit plus white noise of its misfit, and fitted like the data.
-    ``fitter`` maps displacements (n_dof, count, n) a record to unknowns (count, q). It measures spread, not bias.
-    """
-    drawn = [
-        centre[:, None] + sd[:, None, None] * rng.standard_normal((centre.shape[0], count, centre.shape[1]))
-        for centre, sd in zip(fit.centres, fit.noise, strict=True)
-    ]
-    found = fitter(drawn)
-    found = found[np.all(np.isfinite(found), axis=1)]
-    if found.shape[0] <= max(found.shape[1] + 1, count // 2):
-        return None
-    return np.atleast_2d(np.cov(found, rowvar=False))
-
-
 def answer(
     regression: Regression,
     unknowns: np.ndarray,
     covariance: np.ndarray | None,
     message: str = "",
     traces: Mapping[str, np.ndarray] | None = None,
+    dimensions: Mapping[str, Sequence[Dimension]] | None = None,
 ) -> Estimate:
-    """The Estimate of unknowns (q,) in the problem's units: groups, or parameters where the scale is told.
+    """Make the Estimate of unknowns (q,): groups, or parameters where the scale is told.
 
-    Nuisance unknowns are dropped. For parameters the covariance goes to the logarithms to first order, and all
-    parameters must be positive.
+    Nuisance unknowns are dropped. For parameters the covariance goes to the logarithms to first order. Raises
+    NoEstimate for unknowns that are not finite, and for parameters that are not positive.
     """
     system, d = regression.system, len(regression.names)
     mean = unknowns[:d]
     if not np.all(np.isfinite(mean)):
-        sentence = "the equations do not determine the parameters: take more samples, or samples of more motion"
-        return Estimate.failed(system, Status.DIVERGED, sentence)
+        raise NoEstimate("the equations do not determine the parameters: take more samples, or samples of more motion")
     cov = None if covariance is None else covariance[:d, :d]
     fitted_starts = sum(2 * system.n_dof for record in regression.records if record.initial_state is None)
     samples = sum(record.n for record in regression.records)
     dof = float(max(1, samples - unknowns.size - fitted_starts))
+    parameters = groups = None
     if not regression.scale_told:
         groups = Normal(regression.names, mean, cov, log=False, dof=dof)
-        return Estimate(system, groups=groups, message=message, traces=traces or {})
-    if np.any(mean <= 0):
+    elif np.any(mean <= 0):
         name = regression.names[int(np.argmin(mean))]
         sentence = f"the estimate of {name} is negative: the derivatives are too noisy; take more samples or less noise"
-        return Estimate.failed(system, Status.DIVERGED, sentence)
-    cov = None if cov is None else cov / np.outer(mean, mean)
-    parameters = Normal(regression.names, np.log(mean), cov, log=True, dof=dof)
-    return Estimate(system, parameters=parameters, message=message, traces=traces or {})
-
-
-def scales(problem: Problem, regression: Regression) -> np.ndarray:
-    """How much one natural unit of each identified quantity is in the units of the (unscaled) problem, shape (d,)."""
-    units, system = problem.natural_units(), regression.system
-    return np.array([units.of(system.dimension(system.quantity(name))) for name in regression.names])
+        raise NoEstimate(sentence)
+    else:
+        cov = None if cov is None else cov / np.outer(mean, mean)
+        parameters = Normal(regression.names, np.log(mean), cov, log=True, dof=dof)
+    return Estimate(system, parameters, groups, message=message, traces=traces or {}, dimensions=dimensions or {})

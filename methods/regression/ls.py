@@ -12,7 +12,7 @@ k/m is about ``ω²h²/12`` low: some 11 % at five samples a cycle. Noise makes 
 ``derivative="spline"`` differentiates a smoothing spline (degree 5 or 7). Smoothing damps displacement, velocity and
 acceleration of the regression alike, so it biases little. How much to smooth is decided by the data and the equations:
 each smoothing gives an estimate, and the one is kept whose simulated response is closest to the record
-(:func:`methods.regression.equation.spline_fit`). A likelihood of the spline alone fails on few samples a cycle.
+(:func:`methods.regression.bootstrap.spline_fit`). A likelihood of the spline alone fails on few samples a cycle.
 
 Told: the equations, the samples, the known force. A told start is used in choosing the smoothing and in the noise
 level of the bootstrap, not in the regression: the finite-difference estimate itself does not depend on it. The prior is
@@ -29,17 +29,8 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from bench import Card, Estimate, Identifier, Problem, Serves
-from methods.regression.equation import (
-    Regression,
-    Unusable,
-    Values,
-    answer,
-    bootstrap_covariance,
-    layout_objection,
-    solve,
-    spline_fit,
-    spline_refit,
-)
+from methods.regression.bootstrap import bootstrap_covariance, spline_fit, spline_refit
+from methods.regression.equation import Regression, Values, answer, layout_objection, solve
 
 
 @dataclass(frozen=True)
@@ -63,18 +54,16 @@ class LS(Identifier):
         several_records=True, several_channels=True, offsets=True, max_dof=None, added_mass=True
     )
 
+    works_in = "natural units"
+
     def objection(self, problem: Problem) -> str | None:
         return super().objection(problem) or layout_objection(problem)
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The estimate for one problem: groups, or parameters where the scale is told."""
-        units = problem.natural_units()
-        try:
-            regression = Regression.of(problem.expressed_in(units))
-            fit = spline_fit(regression)
-            unknowns = fit.unknowns if self.derivative == "spline" else solve(*regression.finite(regression.values))[0]
-        except Unusable as reason:
-            return Estimate.failed(problem.system, reason.status, str(reason))
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Estimate groups, or parameters where the scale is told."""
+        regression = Regression.of(problem)
+        fit = spline_fit(regression)
+        unknowns = fit.unknowns if self.derivative == "spline" else solve(*regression.finite(regression.values))[0]
 
         def fitter(values: Values) -> np.ndarray:
             if self.derivative == "spline":
@@ -82,4 +71,4 @@ class LS(Identifier):
             return solve(*regression.finite(values))
 
         covariance = bootstrap_covariance(fit, fitter, rng, self.bootstrap)
-        return answer(regression, unknowns, covariance).expressed_in(units.inverse)
+        return answer(regression, unknowns, covariance)

@@ -22,16 +22,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Estimate, Identifier, InputError, Problem, Serves
-from methods.regression.equation import (
-    Regression,
-    Unusable,
-    answer,
-    bootstrap_covariance,
-    layout_objection,
-    scales,
-    spline_fit,
-)
+from bench import Card, Dimension, Estimate, Identifier, InputError, Problem, Serves
+from methods.regression.bootstrap import bootstrap_covariance, spline_fit
+from methods.regression.equation import Regression, answer, layout_objection
 
 
 def recursive_least_squares(
@@ -73,6 +66,8 @@ class RLS(Identifier):
         several_records=True, several_channels=True, offsets=True, max_dof=None, added_mass=True
     )
 
+    works_in = "natural units"
+
     def __post_init__(self) -> None:
         if not 0 < self.forgetting <= 1:
             raise InputError("method.forgetting", self.forgetting, "a number above 0, at most 1")
@@ -82,26 +77,26 @@ class RLS(Identifier):
     def objection(self, problem: Problem) -> str | None:
         return super().objection(problem) or layout_objection(problem)
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The estimate for one problem: groups, or parameters where the scale is told."""
-        units = problem.natural_units()
-        try:
-            regression = Regression.of(problem.expressed_in(units))
-            columns, target = regression.finite(regression.values)
-            if columns.shape[1] < columns.shape[2]:
-                columns = columns * np.nan  # fewer equations than unknowns: the diffuse start would answer
-            fit = spline_fit(regression)
-        except Unusable as reason:
-            return Estimate.failed(problem.system, reason.status, str(reason))
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Estimate groups, or parameters where the scale is told."""
+        regression, system = Regression.of(problem), problem.system
+        columns, target = regression.finite(regression.values)
+        if columns.shape[1] < columns.shape[2]:
+            columns = columns * np.nan  # fewer equations than unknowns: the diffuse start would answer
+        fit = spline_fit(regression)
         path = self._path(regression, columns, target)
         covariance = bootstrap_covariance(
             fit, lambda values: self._path(regression, *regression.finite(values))[-1], rng, self.bootstrap
         )
         traces = {
-            "trajectory": path[:, 0, : len(regression.names)] * scales(problem, regression),
-            "trajectory_times": np.concatenate([t[1:-1] for t in regression.times]) * units.time,
+            "trajectory": path[:, 0, : len(regression.names)],
+            "trajectory_times": np.concatenate([t[1:-1] for t in regression.times]),
         }
-        return answer(regression, path[-1, 0], covariance, traces=traces).expressed_in(units.inverse)
+        dimensions = {
+            "trajectory": [system.dimension(system.quantity(name)) for name in regression.names],
+            "trajectory_times": [Dimension(time=1.0)],
+        }
+        return answer(regression, path[-1, 0], covariance, "", traces, dimensions)
 
     def _path(self, regression: Regression, columns: np.ndarray, target: np.ndarray) -> np.ndarray:
         return recursive_least_squares(columns, target, self.forgetting, self.diffuse, regression.system.n_dof)

@@ -5,7 +5,7 @@ three, and on the known forces, and few of them are kept (Brunton, Proctor and K
 library holds more than the equation of motion: sparsity has to find it.
 
 * Derivatives decide everything on few samples. They are those of a smoothing spline, smoothed as in LS with
-  ``derivative="spline"`` (:func:`methods.regression.equation.spline_fit`).
+  ``derivative="spline"`` (:func:`methods.regression.bootstrap.spline_fit`).
 * Terms are taken one by one by forward orthogonal least squares (FROLS of pysindy; Billings, Nonlinear System
   Identification, 2013, chapter 3): each time the one that explains most of what is left of the acceleration.
 * How many is decided as Mangan, Kutz, Brunton and Proctor do (Proceedings of the Royal Society A 473 (2017) 20170009):
@@ -33,20 +33,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Estimate, Identifier, InputError, Problem, Serves, Status, Units
-from methods.regression.equation import (
-    Motion,
-    Regression,
-    SplineFit,
-    Unusable,
-    Values,
-    answer,
-    bootstrap_covariance,
-    layout_objection,
-    smoothings,
-    solve,
-    spline_fit,
-)
+from bench import Card, Dimension, Estimate, Identifier, InputError, NoEstimate, Problem, Serves, Status
+from methods.regression.bootstrap import SplineFit, bootstrap_covariance, smoothings, spline_fit
+from methods.regression.derivatives import Motion
+from methods.regression.equation import Regression, Values, answer, layout_objection, solve
 
 RADIANS_A_STEP = 0.35
 """Step of the fourth-order integrator: its error, a phase of some 4e-5 radians a step, is far below the noise."""
@@ -78,6 +68,7 @@ class SINDy(Identifier):
     serves: ClassVar[Serves] = Serves(several_records=True, several_channels=True, offsets=True, max_dof=None)
     requires: ClassVar[tuple[str, ...]] = ("pysindy",)
     extra: ClassVar[str] = "sindy"
+    works_in = "natural units"
 
     def __post_init__(self) -> None:
         if self.most_terms < 1:
@@ -88,17 +79,13 @@ class SINDy(Identifier):
     def objection(self, problem: Problem) -> str | None:
         return super().objection(problem) or layout_objection(problem)
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The estimate for one problem: groups in free vibration, parameters with a known force."""
-        units = problem.natural_units()
-        try:
-            regression = Regression.of(problem.expressed_in(units))
-            fit = spline_fit(regression)
-            library = _Library.of(regression, self.degree)
-            motions = regression.motions(regression.values, fit.smoother, np.array([fit.which]))
-            models = library.sparse_models(motions, self.most_terms)
-        except Unusable as reason:
-            return Estimate.failed(problem.system, reason.status, str(reason))
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Estimate groups in free vibration, parameters with a known force."""
+        regression = Regression.of(problem)
+        fit = spline_fit(regression)
+        library = _Library.of(regression, self.degree)
+        motions = regression.motions(regression.values, fit.smoother, np.array([fit.which]))
+        models = library.sparse_models(motions, self.most_terms)
         best = library.best(models[None], motions, regression.values, fit.smoother[1])
         unknowns = library.projected(motions, best)[0]
 
@@ -106,8 +93,9 @@ class SINDy(Identifier):
             return library.refit(values, fit, len(models))
 
         covariance = bootstrap_covariance(fit, fitter, rng, self.bootstrap)
-        traces = {"coefficients": best[0] * library.scales(units), "powers": library.powers.astype(float)}
-        return answer(regression, unknowns, covariance, library.told(best[0]), traces).expressed_in(units.inverse)
+        traces = {"coefficients": best[0], "powers": library.powers.astype(float)}
+        dimensions = {"coefficients": library.dimensions()}
+        return answer(regression, unknowns, covariance, library.told(best[0]), traces, dimensions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +108,7 @@ class _Library:
 
     @staticmethod
     def of(regression: Regression, degree: int) -> _Library:
-        """The library; a constant is in it only where a sensor's offset is unknown. Raises Unusable for few samples."""
+        """Make the library; a constant is in it only where a sensor's offset is unknown."""
         import pysindy
 
         n = regression.system.n_dof
@@ -180,15 +168,15 @@ class _Library:
             return f"terms kept of {len(self.names)}: {kept[0]}"
         return f"terms kept of {len(self.names)}: " + "; ".join(f"{row} (DOF {i + 1})" for i, row in enumerate(kept))
 
-    def scales(self, units: Units) -> np.ndarray:
-        """How much one natural unit of each coefficient is in the problem's units, shape (terms,)."""
-        n = self.regression.system.n_dof
-        acceleration, velocity = units.length / units.time**2, units.length / units.time
-        monomials = units.length ** self.powers[:, :n].sum(1) * velocity ** self.powers[:, n:].sum(1)
-        return acceleration / np.concatenate([monomials, np.full(len(self.pushed), units.mass * acceleration)])
+    def dimensions(self) -> list[Dimension]:
+        """Dimension of each coefficient: of an acceleration over the term's own."""
+        velocities = self.powers[:, self.regression.system.n_dof :].sum(1)
+        orders = zip(self.powers.sum(1), velocities, strict=True)
+        monomials = [Dimension(0.0, 1.0 - float(length), float(velocity) - 2.0) for length, velocity in orders]
+        return monomials + [Dimension(mass=-1.0)] * len(self.pushed)
 
     def sparse_models(self, motions: Sequence[Motion], most_terms: int) -> np.ndarray:
-        """Models (sizes, n_dof, terms) of 1, 2, ... terms by pysindy's FROLS. Raises Unusable for too few samples."""
+        """Models (sizes, n_dof, terms) of 1, 2, ... terms by pysindy's FROLS. Raises NoEstimate for too few samples."""
         from pysindy import FROLS
 
         features = self.features(motions)[0]
@@ -196,7 +184,7 @@ class _Library:
             lost = self.regression.values[0].shape[-1] - motions[0].times.size
             needed = features.shape[1] + 1 + lost * len(motions)
             sentence = f"its library of {features.shape[1]} terms needs at least {needed} samples"
-            raise Unusable(Status.UNSUPPORTED, sentence)
+            raise NoEstimate(sentence, Status.UNSUPPORTED)
         target = np.concatenate([motion.a[:, 0] for motion in motions], axis=-1).T
         norms, size = np.linalg.norm(features, axis=0), np.linalg.norm(target, axis=0)
         most = min(most_terms, features.shape[1] - 1)

@@ -1,7 +1,7 @@
 """The posterior of a problem as a jax function, compiled once for all problems of one layout: for gradient samplers.
 
-It is that of :class:`methods.sampling.mcmc.Posterior`, term by term, in jax and with the response differentiable: of
-the one residual (:func:`bench.state_rate`, :func:`bench.rk4_step`), in natural units.
+It is :class:`methods.sampling.posterior.Posterior`, term by term, in jax and differentiable: of the one residual
+(:func:`bench.state_rate`, :func:`bench.rk4_step`), in natural units.
 
 - **Linear systems**: state and force over an interval in which the force is linear obey one constant-coefficient system
   (C. F. Van Loan, IEEE Trans. Automatic Control 23:395, 1978). Its matrix exponential, by scaling, a Taylor polynomial
@@ -25,7 +25,7 @@ import numpy as np
 from bench import Ops, System, acceleration, rk4_step, state_rate
 from methods.kalman import joint as joint_model
 from methods.kalman.joint import Chain, Joint, fastest_rate
-from methods.sampling.mcmc import NOISE_SD, Posterior
+from methods.sampling.posterior import NOISE_SD, Posterior
 
 STEP = 0.3
 """Integration step in radians of the fastest rate: the natural frequency is then off by at most 7 parts in 100,000."""

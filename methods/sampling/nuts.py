@@ -2,8 +2,7 @@
 
 The sampler: M. D. Hoffman, A. Gelman, J. Machine Learning Research 15:1593, 2014.
 
-The posterior is that of :mod:`methods.sampling.mcmc`: log-parameters, starts and offsets that are not told, and the
-logarithm of each channel's noise, with the same priors; but its gradient is known
+The posterior is :mod:`methods.sampling.posterior`, that of ``mcmc``, but its gradient is known
 (:mod:`methods.sampling.differentiable`), so a chain moves far in each step, however many unknowns there are. Any
 system, nonlinear ones included.
 
@@ -29,12 +28,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bench import Card, Cost, Estimate, Identifier, InputError, OutputError, Problem, Serves, Status
-from methods.kalman.joint import Lost
-from methods.pinn.physics import rounded
+from bench import Card, Cost, Estimate, Identifier, InputError, NoEstimate, OutputError, Problem, Serves
 from methods.sampling.differentiable import Layout, log_density, prepare
-from methods.sampling.mcmc import MODE_MARGIN, Posterior, Proposal, estimate_from_draws
-from methods.starts.candidates import screened, silent
+from methods.sampling.posterior import Posterior, estimate_from_draws, modes_of
+from methods.sampling.proposal import Proposal
+from methods.starts.rounding import rounded
 
 
 @dataclass(frozen=True)
@@ -76,41 +74,23 @@ class NUTS(Identifier):
     )
     requires: ClassVar[tuple[str, ...]] = ("blackjax",)
     extra: ClassVar[str] = "nuts"
+    works_in = "natural units"
 
     def __post_init__(self) -> None:
         for name, least in (("chains", 2), ("warmup", 20), ("draws", 4), ("blocks", 1), ("kept", 2), ("curves", 1)):
             if getattr(self, name) < least:
                 raise InputError(f"method.{name}", getattr(self, name), f"at least {least}")
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The posterior as draws of all parameters, or as a normal over the groups where no mass is known."""
-        units = problem.natural_units()
-        scaled = problem.expressed_in(units)
-        if silent(scaled):
-            sentence = "no sensor shows any motion; check the wiring or choose another record"
-            return Estimate.failed(problem.system, Status.DIVERGED, sentence)
-        with np.errstate(all="ignore"):
-            # to ten digits: a path of leapfrog steps magnifies the last bit of the data to other draws
-            estimate = self._sample(OutputError(rounded(scaled)), rng)
-        return replace(estimate, offsets=problem.offsets_from(units, estimate.offsets)).expressed_in(units.inverse)
-
-    def _sample(self, model: OutputError, rng: np.random.Generator) -> Estimate:
-        modes = screened(model, n=3, rounds=3, iterations=12)
-        if not modes:
-            sentence = "no start gave a finite response; give a prior nearer to the system"
-            return Estimate.failed(model.system, Status.DIVERGED, sentence)
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Sample the posterior: draws of all parameters, or a normal over the groups where no mass is known."""
+        # to ten digits: a path of leapfrog steps magnifies the last bit of the data to other draws
+        model = OutputError(rounded(problem))
+        modes = modes_of(model)
         posterior = Posterior(model, modes[0][1])
-        proposal = Proposal.around(posterior, [theta for value, theta in modes if value < modes[0][0] + MODE_MARGIN])
-        if proposal is None:
-            sentence = "the data leave a parameter open; give more samples, a known force or a prior"
-            return Estimate.failed(model.system, Status.DIVERGED, sentence)
-        try:
-            phi, health, steps = self._chains(posterior, proposal, rng)
-        except Lost as reason:
-            return Estimate.failed(model.system, Status.DIVERGED, str(reason))
+        phi, health, steps = self._chains(posterior, Proposal.around(posterior, modes), rng)
         cost = Cost(evaluations=steps, iterations=phi.shape[0] * (self.warmup + phi.shape[1]))
         if not health.converged(self):
-            return Estimate.failed(model.system, Status.DIVERGED, health.sentence(), cost)
+            raise NoEstimate(health.sentence(), cost=cost)
         flat = phi.reshape(-1, phi.shape[-1])
         few = flat[np.linspace(0, len(flat) - 1, min(self.kept, len(flat))).astype(int)]
         traces = {

@@ -21,7 +21,7 @@ Hessian.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -34,15 +34,14 @@ from bench import (
     Identifier,
     InitialState,
     InputError,
+    NoEstimate,
     OutputError,
     Problem,
     Serves,
     Standardised,
-    Status,
     estimate_at,
 )
 from methods.regression.equation import too_fast
-from methods.starts.candidates import silent
 from methods.starts.scan import records_by_load, unloaded
 
 POOR = 0.5
@@ -78,34 +77,27 @@ class SingleShooting(Identifier):
         added_mass=True,
         hidden_states=True,
     )
+    works_in = "natural units"
 
     def __post_init__(self) -> None:
         for name in ("sigma_rounds", "max_evaluations"):
             if getattr(self, name) < 1:
                 raise InputError(f"method.{name}", getattr(self, name), "at least 1")
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """The estimate: all parameters, or the groups where nothing tells the scale. Uses no randomness."""
-        units = problem.natural_units()
-        scaled = problem.expressed_in(units)
-        if silent(scaled):
-            return Estimate.failed(
-                problem.system, Status.DIVERGED, "no sensor shows any motion; check the wiring or choose another record"
-            )
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Estimate all parameters, or the groups where nothing tells the scale. Uses no randomness."""
         try:
-            with np.errstate(all="ignore"):
-                estimate = self._fitted(OutputError(scaled))
+            return self._fitted(OutputError(problem))
         except np.linalg.LinAlgError:
             sentence = "the search ran to parameters without a response; give a prior nearer to the system"
-            return Estimate.failed(problem.system, Status.DIVERGED, sentence)
-        return replace(estimate, offsets=problem.offsets_from(units, estimate.offsets)).expressed_in(units.inverse)
+            raise NoEstimate(sentence) from None
 
     def _fitted(self, model: OutputError) -> Estimate:
         start, spent = self._start(model.problem)
         theta = model.vector(start)
         if not np.all(np.isfinite(model.predict(theta))) or _out_of_reach(model, theta):
             sentence = "the response at the start values is not finite, or too fast; give a prior nearer to the system"
-            return Estimate.failed(model.system, Status.DIVERGED, sentence)
+            raise NoEstimate(sentence)
         found = self._settled(model, theta)
         residuals, theta = found.residuals, found.theta
         covariance = model.covariance(model.jacobian(theta)[1], model.noise(residuals, found.used, floor=0.0))

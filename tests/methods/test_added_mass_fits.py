@@ -150,7 +150,7 @@ def test_the_gradient_sampler_has_the_density_of_mcmc() -> None:
     import jax
 
     from methods.sampling.differentiable import log_density, prepare
-    from methods.sampling.mcmc import Posterior
+    from methods.sampling.posterior import Posterior
 
     jax.config.update("jax_enable_x64", True)
     given = problem(0.02)

@@ -11,8 +11,8 @@ from scipy.signal import lsim
 from bench import Channel, Force, Problem, simulate
 from bench.config.config import expand
 from bench.entrants.registry import make_method, missing_package
-from methods.pinn.forced import ForcedMotion, forced_motion
-from methods.pinn.spectral import scan
+from methods.starts.forced_motion import ForcedMotion, forced_motion
+from methods.starts.waves import scan
 
 RATE = -0.3 + 2.0j
 STEP = Force(np.array([0.0, 0.7, 9.0]), np.array([0.0, 2.0, 2.0]), "zero_order")

@@ -268,7 +268,7 @@ from bench import Card, Estimate, Identifier, Normal
 class Constant(Identifier):
     value: float = 8.0
     card = Card("constant", "not used", "groups", "simulated", "none", "none")
-    def identify(self, problem, rng):
+    def estimate(self, problem, rng):
         print("chatter that must not mix with the result", flush=True)
         groups = Normal(("k_over_m", "c_over_m"), np.array([self.value, 0.4]), 1e-4 * np.eye(2), log=False)
         return Estimate(problem.system, groups=groups)

@@ -110,7 +110,7 @@ class Naive(Identifier):
     card = Card("", "not used", "native", "simulated", "", "")
     serves = Serves(several_records=True)
 
-    def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         raise AssertionError("it is never asked")
 
 

@@ -20,11 +20,12 @@ from methods.pinn.physics import PhysicsInformed
 torch = pytest.importorskip("torch")
 
 from methods.network import tanh  # noqa: E402
+from methods.network.ansatz import Ansatz, Basis, Sum  # noqa: E402
 from methods.network.tanh import Network  # noqa: E402
 from methods.pinn import levenberg  # noqa: E402
-from methods.pinn.ansatz import Ansatz, Basis, Sum  # noqa: E402
-from methods.pinn.residuals import Block, Residuals, Spread  # noqa: E402
-from methods.pinn.spectral import scan  # noqa: E402
+from methods.pinn.block import Block, Spread  # noqa: E402
+from methods.pinn.residuals import Residuals  # noqa: E402
+from methods.starts.waves import scan  # noqa: E402
 
 TRUE = {"m": 1.7, "c": 0.9, "k": 14.0}
 PRIOR = Prior({"m": 1.68, "c": 1.5, "k": 9.0}, {"m": 0.02, "c": 1.0, "k": 0.5})

@@ -11,8 +11,9 @@ import pytest
 from bench import Channel, Normal, Problem, Record, Status
 from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
 from bench.scenario.truth import closed_form
-from bench.systems import SDOF
-from methods.regression.equation import SmoothingSpline, finite_differences, smoothing_spline, solve
+from bench.systems import SDOF, Chain
+from methods.regression.derivatives import SmoothingSpline, finite_differences, smoothing_spline
+from methods.regression.equation import solve
 from methods.regression.ls import LS
 
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
@@ -204,8 +205,9 @@ def test_records_it_cannot_use_are_refused_in_a_sentence() -> None:
     assert "same times" in (LS().objection(apart) or "")
 
 
-def test_a_dead_channel_is_named() -> None:
-    dead = Problem(SDOF(), (Record((Channel(np.linspace(0, 5, 20), np.zeros(20)),)),))
-    estimate = LS().identify(dead, np.random.default_rng(0))
+def test_a_dead_channel_beside_a_live_one_is_named() -> None:
+    times = np.linspace(0, 5, 20)
+    channels = (Channel(times, np.cos(3.0 * times)), Channel(times, np.zeros(20), dof=1))
+    estimate = LS().identify(Problem(Chain(2), (Record(channels),)), np.random.default_rng(0))
     assert estimate.status is Status.INVALID
-    assert "DOF 1" in estimate.message
+    assert "DOF 2" in estimate.message

@@ -13,8 +13,8 @@ from bench.systems import SDOF, Chain, Duffing, System
 pytest.importorskip("blackjax")
 from bench import OutputError
 from methods.sampling.differentiable import log_density, prepare
-from methods.sampling.mcmc import NOISE_SD, Posterior
 from methods.sampling.nuts import NUTS, Diagnostics, compiled
+from methods.sampling.posterior import NOISE_SD, Posterior
 
 NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table

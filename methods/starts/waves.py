@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from bench import Channel, Force, Problem
-from methods.pinn.forced import force_by_dof, forced_dofs, forced_motion
+from methods.starts.forced_motion import force_by_dof, forced_dofs, forced_motion
 
 DECAYS = (0.2, 1.0, 3.0, 8.0)
 """Decay rates tried, times the duration: from nearly undamped to gone within an eighth of the record."""

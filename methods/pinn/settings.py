@@ -1,0 +1,97 @@
+"""The settings that the PINN and spline collocation share, and what each of them brings: what represents x(t)."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Protocol
+
+import numpy as np
+
+from bench import InputError
+from methods.network.response import Function
+
+if TYPE_CHECKING:
+    from methods.network.ansatz import Ansatz
+    from methods.pinn.block import Block
+
+POINTS_A_CYCLE = 20
+"""Collocation points a cycle of the fastest motion that matters, where ``collocation`` would give fewer."""
+
+
+class Trainable(Protocol):
+    """The ways to the minimum that an attempt knows."""
+
+    def levenberg(self) -> None:
+        """Levenberg-Marquardt in stages."""
+
+    def adam_lbfgs(self, adam_steps: int, adam_rate: float, lbfgs_steps: int) -> None:
+        """Adam, then L-BFGS."""
+
+
+@dataclass(frozen=True)
+class Settings(ABC):
+    """The settings; see :mod:`methods.pinn.physics`.
+
+    ``collocation``: points where the equation of motion is asked for (more where a cycle would have fewer than 20).
+    ``slack``: how far the physics may drift over the record, in noise standard deviations. ``softness``: how many times
+    that in the first stage. ``start``: a told start as a residual (``penalty``) or built into the response (``exact``).
+    ``tolerance``: decrease of minus the log posterior below which a stage ends. ``batch``: fits solved together.
+    """
+
+    collocation: int = 200
+    slack: float = 0.2
+    softness: float = 30.0
+    start: Literal["penalty", "exact"] = "penalty"
+    output_iterations: int = 12
+    iterations: int = 60
+    tolerance: float = 1e-3
+    restarts: int = 2
+    uncertainty: Literal["laplace", "ensemble", "bootstrap"] = "laplace"
+    members: int = 20
+    batch: int = 1
+    device: str = "cpu"
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        least = {
+            "collocation": 10,
+            "output_iterations": 1,
+            "iterations": 1,
+            "restarts": 0,
+            "members": 2,
+            "batch": 1,
+            "threads": 1,
+        }
+        self._at_least(least)
+        for name in ("slack", "softness", "tolerance"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise InputError(f"method.{name}", getattr(self, name), "a positive number")
+
+    def _at_least(self, least: Mapping[str, int]) -> None:
+        for name, bound in least.items():
+            if getattr(self, name) < bound:
+                raise InputError(f"method.{name}", getattr(self, name), f"a whole number of at least {bound}")
+
+    @abstractmethod
+    def ansatz(self, block: Block, resolution: int) -> Ansatz:
+        """What represents the response in a record of at most ``resolution`` oscillations."""
+
+    @abstractmethod
+    def first_coefficients(
+        self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
+    ) -> np.ndarray:
+        """The coefficients to start from, (B, count), for responses of ``cycles`` (B,) oscillations."""
+
+    @abstractmethod
+    def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> Function:
+        """The paths by time, in numpy: displacements, then hidden states."""
+
+    def train(self, attempt: Trainable) -> None:
+        """Minimise."""
+        attempt.levenberg()
+
+    def points(self, resolution: int) -> int:
+        """How many collocation points so many oscillations get."""
+        return max(self.collocation, POINTS_A_CYCLE * resolution)

@@ -1,0 +1,128 @@
+"""One problem on its way through the fits of a physics-informed method: where to start, what came of it, what next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bench import Problem
+from methods.network.response import Function
+from methods.starts.open_parameters import left_open, very_wide
+from methods.starts.rounding import DIGITS, rounded
+from methods.starts.scan import records_by_load
+from methods.starts.waves import Guess, scan
+
+if TYPE_CHECKING:
+    from methods.pinn.engine import Fit
+
+SUSPECT = 2.0
+"""A fit that leaves this many times what plain damped waves leave is in a bad basin."""
+DETOURS = (1.0, 1.6, 0.625)
+"""Where a system of several modes is started again: the dominant wave may be a high or a low one."""
+
+
+class Task:
+    """One problem in natural units, with its guesses, its random stream, and the attempts so far.
+
+    ``problem`` is the one that was given, ``scaled`` the one that is fitted, to ten digits.
+    """
+
+    def __init__(self, problem: Problem, rng: np.random.Generator) -> None:
+        self.problem, self.rng, self.scaled = problem, rng, rounded(problem)
+        loads = records_by_load(self.scaled)
+        waves, self.reference = scan(self.scaled, self.scaled.system.n_dof * len(loads), forced=True)
+        self.guesses = _starts(waves, self.scaled.system.n_dof)
+        self.fits: list[Fit] = []
+        self.given_up: list[Fit] = []  # before the parameters that were open were held
+        self.members: list[Fit] = []
+        self.offset_flags = [c.offset for record in problem.records for c in record.channels]
+
+    def with_fit(self, fit: Fit) -> Task:
+        """The same with one more attempt."""
+        other = copy(self)
+        other.fits = [*self.fits, fit]
+        return other
+
+    def good(self, fit: Fit) -> bool:
+        """Whether a fit leaves about as little as plain damped waves."""
+        return bool(np.isfinite(fit.loss) and fit.left <= SUSPECT * self.reference + 1e-9)
+
+    @property
+    def settled(self) -> bool:
+        return any(self.good(fit) for fit in self.fits)
+
+    @property
+    def open(self) -> bool:
+        """Whether the best fit leaves a parameter more open than the very wide prior would; only without a prior."""
+        if self.scaled.prior is not None or not self.scaled.scale_told or self.best is None:
+            return False
+        return bool(np.any(left_open(np.diag(self.best.covariance))))
+
+    def hold(self) -> None:
+        """Begin again with the very wide prior: it bounds what the data leave open.
+
+        It is about where a good fit ended, and for what that leaves open, or after a bad fit, about where it began.
+        """
+        from methods.pinn import engine
+
+        best = self.best
+        assert best is not None
+        # as parameters, for with a prior the engine would take the masses from it
+        begun = [replace(own, logs=engine.first_logs(self.scaled, own)) for own in self.guesses]
+        at = self.fits.index(best)
+        logs = engine.first_logs(self.scaled, self.guesses[at])
+        if self.good(best):
+            logs = np.where(left_open(np.diag(best.covariance)), logs, best.logs)
+            begun = [replace(begun[at], logs=logs)]
+        nominal = dict(zip(self.scaled.system.names, np.exp(logs), strict=True))
+        self.scaled = replace(self.scaled, prior=very_wide(nominal))
+        self.guesses, self.given_up, self.fits = begun, self.fits, []
+
+    @property
+    def best(self) -> Fit | None:
+        finite = [fit for fit in self.fits if np.isfinite(fit.loss) and np.all(np.isfinite(fit.covariance))]
+        return min(finite, key=lambda fit: fit.loss, default=None)
+
+
+def simulated(problem: Problem, fit: Fit, rng: np.random.Generator) -> Problem:
+    """The problem with measurements of the fitted response in place of the real ones, at the estimated noise."""
+    records, at, offset = [], 0, 0
+    for record, response in zip(problem.records, fit.responses, strict=True):
+        channels = []
+        for channel in record.channels:
+            clean = _measured(response, channel.times, channel.measures, record.duration)[channel.dof]
+            if channel.offset:
+                clean = clean + fit.offsets[offset]
+                offset += 1
+            noise = fit.sigmas[at] * rng.standard_normal(channel.n)
+            channels.append(replace(channel, values=np.round(clean + noise, DIGITS)))
+            at += 1
+        records.append(replace(record, channels=tuple(channels)))
+    return replace(problem, records=tuple(records))
+
+
+def _measured(response: Function, times: np.ndarray, measures: str, duration: float) -> np.ndarray:
+    """The response or its derivative by time, the latter by central differences inside the record.
+
+    Outside it no force is known, so a time at its very ends takes the differences about one that is a step inside.
+    """
+    if measures == "displacement":
+        return response(times)
+    h = 1e-3 * duration / 2.0
+    inside = np.clip(times, h, duration - h)
+    behind, here, ahead = (response(inside + side) for side in (-h, 0.0, h))
+    acceleration = (ahead - 2.0 * here + behind) / h**2
+    if measures == "acceleration":
+        return np.asarray(acceleration)
+    return np.asarray((ahead - behind) / (2.0 * h) + acceleration * (times - inside))
+
+
+def _starts(guesses: Sequence[Guess], n_dof: int) -> list[Guess]:
+    """Where to start, best first: the waves of the scan, or the dominant one and detours from it for several modes."""
+    if n_dof == 1:
+        return [*guesses, *[Guess(guesses[0].omega * d, guesses[0].decay, 1.0) for d in DETOURS[1:]]]
+    return [Guess(guesses[0].omega * d, guesses[0].decay, 1.0) for d in DETOURS]

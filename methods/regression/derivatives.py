@@ -1,0 +1,154 @@
+"""Velocity and acceleration of sampled displacements at irregular times: finite differences and smoothing splines.
+
+Arrays hold many data sets at once: displacements of a record have shape (n_dof, sets, n), time last.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.linalg import LinAlgError
+from scipy.interpolate import BSpline
+from scipy.linalg import eigh
+
+from bench import NoEstimate, Status
+
+WEIGHTS = 40
+"""Smoothing weights on the grid of a spline."""
+
+
+class Motion(NamedTuple):
+    """Times (rows,), and displacement, velocity, acceleration, each (n_dof, sets, rows).
+
+    ``force`` of that shape is the known force smoothed like the motion; None means the force itself.
+    """
+
+    times: np.ndarray
+    x: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    force: np.ndarray | None = None
+
+
+def finite_differences(times: np.ndarray, samples: np.ndarray) -> Motion:
+    """Central differences over three samples at uneven times, at the interior samples.
+
+    With steps ``h1`` before and ``h2`` after a sample, the parabola through the three gives
+    ``x' = -h2/(h1 (h1+h2)) x₋ + (h2-h1)/(h1 h2) x₀ + h1/(h2 (h1+h2)) x₊`` and
+    ``x'' = 2/(h1 (h1+h2)) x₋ - 2/(h1 h2) x₀ + 2/(h2 (h1+h2)) x₊``
+    (three-point weights of Fornberg, Mathematics of Computation 51 (1988) 699-706; on even times the usual
+    ``(x₊ - x₋)/2h`` and ``(x₊ - 2 x₀ + x₋)/h²``). ``times`` (n,) and ``samples`` (..., n); raises NoEstimate for n < 3.
+    """
+    if times.size < 3:
+        raise NoEstimate("finite differences need at least 3 samples a record", Status.UNSUPPORTED)
+    before, here, after = samples[..., :-2], samples[..., 1:-1], samples[..., 2:]
+    h1, h2 = np.diff(times)[:-1], np.diff(times)[1:]
+    both = h1 + h2
+    velocity = -h2 / (h1 * both) * before + (h2 - h1) / (h1 * h2) * here + h1 / (h2 * both) * after
+    acceleration = 2.0 / (h1 * both) * before - 2.0 / (h1 * h2) * here + 2.0 / (h2 * both) * after
+    return Motion(times[1:-1], here, velocity, acceleration)
+
+
+class SmoothingSpline:
+    """Smoothing splines of degree ``2 order - 1`` through samples at fixed, irregular times.
+
+    Such a spline minimises ``sum (y - x(t))² + w ∫ (d^order x / dt^order)² dt``, time counted in mean sampling steps,
+    so that a weight ``w`` means the same at any rate and in any unit: it damps frequencies (radians a step) above
+    ``w^(-1/(2 order))`` (Wahba, Spline Models for Observational Data, 1990, chapter 1). In the basis that makes fit
+    and penalty diagonal at once (Demmler and Reinsch, Numerische Mathematik 24 (1975) 375-382) a weight costs n
+    multiplications, so all weights and all data sets are tried together.
+
+    Knots lie at the samples, thinned to at most ``MAX_KNOTS``. Raises NoEstimate for n < order + 1.
+    """
+
+    MAX_KNOTS = 300
+
+    def __init__(self, times: np.ndarray, order: int) -> None:
+        self.times, self.order, self.n = times, order, times.size
+        if self.n < order + 1:
+            raise NoEstimate(f"its smoothing spline needs at least {order + 1} samples a record", Status.UNSUPPORTED)
+        self.step = float(times[-1] - times[0]) / (self.n - 1)
+        at = (times - times[0]) / self.step
+        knots = at[np.unique(np.linspace(0, self.n - 1, min(self.n, self.MAX_KNOTS)).round().astype(int))]
+        degree = 2 * order - 1
+        self._knots = np.concatenate([np.full(degree, knots[0]), knots, np.full(degree, knots[-1])])
+        basis = self._basis(at)
+        fit, penalty = basis.T @ basis, self._penalty(knots)
+        blend = float(np.trace(fit) / np.trace(penalty))
+        # fit + blend * penalty is positive definite, where fit alone need not be
+        try:
+            penalised, vectors = eigh(penalty, fit + blend * penalty)
+        except LinAlgError:  # to rounding it is not: some times lie too near to each other for the rest
+            sentence = "its smoothing spline cannot be told apart at sample times this uneven; thin the closest ones"
+            raise NoEstimate(sentence) from None
+        seen = np.clip(1.0 - blend * penalised, 0.0, 1.0)
+        keep = seen > 1e-9
+        keep[np.argsort(seen)[: max(0, seen.size - self.n)]] = False
+        self._rough = np.clip(penalised[keep], 0.0, None) / seen[keep]
+        self._rough[:order] = 0.0  # polynomials below the order are not penalised
+        self._vectors = vectors[:, keep] / np.sqrt(seen[keep])
+        self._project = self._vectors.T @ basis.T
+
+    def _basis(self, at: np.ndarray, derivative: int = 0) -> np.ndarray:
+        count = self._knots.size - 2 * self.order
+        return np.asarray(BSpline(self._knots, np.eye(count), 2 * self.order - 1)(at, nu=derivative))
+
+    def _penalty(self, knots: np.ndarray) -> np.ndarray:
+        """Gram matrix of the penalised derivatives, exact by Gauss-Legendre quadrature in each interval."""
+        nodes, weights = np.polynomial.legendre.leggauss(self.order)
+        half = np.diff(knots) / 2
+        at = (knots[:-1] + half)[:, None] + half[:, None] * nodes
+        rough = self._basis(at.ravel(), self.order) * np.sqrt((half[:, None] * weights).ravel())[:, None]
+        return np.asarray(rough.T @ rough)
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """A grid of weights, shape (WEIGHTS,), from a polynomial (largest) to interpolation (smallest)."""
+        corner = np.geomspace(1.0 / self.n, 30.0, WEIGHTS)
+        return np.asarray(corner ** (-2.0 * self.order))
+
+    def fit(self, samples: np.ndarray, weights: np.ndarray | float) -> np.ndarray:
+        """Spline coefficients (..., n_coefficients) of samples (..., n) at weights that broadcast with (...)."""
+        kept = 1.0 / (1.0 + np.asarray(weights)[..., None] * self._rough)
+        return np.asarray((samples @ self._project.T * kept) @ self._vectors.T)
+
+    def likely_weights(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The most likely weight of the grid and the noise's standard deviation, each (...), for samples (..., n).
+
+        The mode of the restricted likelihood (REML) of: samples = polynomial + integrated white noise + measurement
+        noise, both noise levels unknown (Wahba, Annals of Statistics 13 (1985) 1378-1402, where it is called GML). It
+        knows nothing of the system, and takes a vibration of fewer than some six samples a cycle for noise.
+        """
+        parts = samples @ self._project.T
+        rough = parts[..., self.order :] ** 2
+        outside = np.clip(np.sum(samples**2, -1) - np.sum(parts**2, -1), 0.0, None)
+        shrunk = np.maximum(self.weights[:, None] * self._rough[self.order :], 1e-300)
+        kept = 1.0 / (1.0 + shrunk)
+        # the quadratic form of the likelihood, (..., weights); a floor keeps exact data finite
+        form = rough @ (1.0 - kept).T + outside[..., None]
+        size = np.maximum(np.sum(rough, -1) + outside, 1e-300)
+        dof = self.n - self.order
+        log_det = np.sum(np.log1p(1.0 / shrunk), axis=-1)
+        best = np.argmin(dof * np.log(np.maximum(form, 1e-28 * size[..., None])) + log_det, axis=-1)
+        # residual power over the degrees of freedom that the spline left (Wahba 1990, section 4.7)
+        left = 1.0 - kept[best]
+        freedom = np.maximum(self.n - self.order - np.sum(kept[best], axis=-1), 1.0)
+        return self.weights[best], np.sqrt((np.sum(rough * left**2, axis=-1) + outside) / freedom)
+
+    def motion(self, coefficients: np.ndarray, times: np.ndarray) -> Motion:
+        """The splines, their velocities and accelerations at the times (rows,), each (..., rows)."""
+        at = (times - self.times[0]) / self.step
+        x, v, a = (coefficients @ self._basis(at, i).T / self.step**i for i in range(3))
+        return Motion(times, x, v, a)
+
+
+@lru_cache(maxsize=64)
+def _spline_at(times: bytes, order: int) -> SmoothingSpline:
+    return SmoothingSpline(np.frombuffer(times), order)
+
+
+def smoothing_spline(times: np.ndarray, order: int) -> SmoothingSpline:
+    """The smoother for these times (n,); made once and kept, since replicates share their times."""
+    return _spline_at(np.ascontiguousarray(times, float).tobytes(), order)
