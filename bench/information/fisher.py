@@ -22,14 +22,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from bench.contract.problem import Force
-from bench.dynamics.mechanics import rk4_step, state_rate
-from bench.dynamics.simulate import interval_polynomials, longest_step, merged_grid
+from bench.dynamics.fixed_step import Steps, rk4_scan, step_counts
+from bench.dynamics.intervals import interval_polynomials, merged_grid
+from bench.dynamics.mechanics import state_rate
+from bench.dynamics.ops import array_ops
+from bench.dynamics.simulate import longest_step
 from bench.errors import InputError
 from bench.isolation.mainless import without_main
 from bench.scenario.scenario import Scenario
@@ -65,58 +67,18 @@ class Bound:
     null_space: tuple[tuple[float, ...], ...]
 
 
-def _jax_ops() -> Ops:
-    import jax.numpy as jnp
-
-    def solve(matrix: Sequence[Sequence[Any]], rhs: Sequence[Any]) -> list[Any]:
-        solution = jnp.linalg.solve(jnp.stack([jnp.stack(row) for row in matrix]), jnp.stack(rhs))
-        return [solution[i] for i in range(len(rhs))]
-
-    return cast(
-        Ops,
-        SimpleNamespace(
-            sin=jnp.sin, cos=jnp.cos, tanh=jnp.tanh, exp=jnp.exp, abs=jnp.abs, where=jnp.where, solve=solve
-        ),
-    )
-
-
-def _steps(
-    system: System, scenario: Scenario, forces: Sequence[Force], times: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Step lengths (n,), forces at start, middle and end of each step (n, 3, n_dof), and where each time is reached."""
-    grid = merged_grid(times, forces)
-    state = [np.array(part[i]) for part in scenario.initial for i in range(system.n_dof)]
-    state += [np.array(0.0)] * system.n_hidden
-    longest = longest_step(system, scenario.parameters, state) / REFINE
-    counts = np.maximum(1, np.ceil(np.diff(grid) / longest)).astype(int)
-    which = np.repeat(np.arange(counts.size), counts)
-    reached = np.concatenate([[0], np.cumsum(counts)])
-    parts = (np.arange(which.size) - reached[which])[:, None] + np.array([0.0, 0.5, 1.0])
-    parts /= counts[which, None]
-    coefficients = interval_polynomials(forces, grid, system.n_dof)[:, which]
-    pushes = sum(c[:, None] * parts[..., None] ** j for j, c in enumerate(coefficients))
-    return (np.diff(grid) / counts)[which], np.asarray(pushes), reached[np.searchsorted(grid, times)]
-
-
 def _by_steps(
-    system: System, scenario: Scenario, ops: Ops, forces: Sequence[Force], times: np.ndarray
+    system: System, scenario: Scenario, forces: Sequence[Force], times: np.ndarray
 ) -> Callable[[Mapping[str, Any], Any], Any]:
     """The displacement, shape (n_dof, n_times), as a function of parameters and start, by Runge-Kutta steps."""
-    import jax
-    import jax.numpy as jnp
-
-    n = system.n_dof
-    lengths, pushes, reached = _steps(system, scenario, forces, times)
+    grid = merged_grid(times, forces)
+    state = [np.array(part[i]) for part in scenario.initial for i in range(system.n_dof)]
+    longest = longest_step(system, scenario.parameters, state) / REFINE
+    steps = Steps.over(grid, step_counts(grid, longest), forces, system.n_dof)
+    reached = steps.reached[np.searchsorted(grid, times)]
 
     def path(p: Mapping[str, Any], start: Any) -> Any:
-        def step(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
-            h, push = inputs
-            f = [[push[i, j] for j in range(n)] for i in range(3)]
-            new = jnp.stack(rk4_step(system, p, [state[i] for i in range(state.shape[0])], h, (f[0], f[1], f[2]), ops))
-            return new, new[:n]
-
-        _, after = jax.lax.scan(step, start, (jnp.asarray(lengths), jnp.asarray(pushes)))
-        return jnp.concatenate([start[None, :n], after])[reached].T
+        return rk4_scan(system, p, start, steps.lengths, steps.forces)[reached, : system.n_dof].T
 
     return path
 
@@ -126,7 +88,7 @@ def _by_exponentials(
 ) -> Callable[[Mapping[str, Any], Any], Any]:
     """The same of a linear system, exact: matrix exponentials of the state, the force and its derivatives.
 
-    See :func:`bench.dynamics.simulate.matrix_exponential_response` for the formula; here jax differentiates it.
+    See :func:`bench.scenario.truth.matrix_exponential_response` for the formula; here jax differentiates it.
     """
     import jax
     import jax.numpy as jnp
@@ -168,13 +130,9 @@ def sensitivities(scenario: Scenario, seed: int, times: np.ndarray, record: int 
     import jax.numpy as jnp
 
     jax.config.update("jax_enable_x64", True)
-    system, ops = scenario.rigs()[record], _jax_ops()
+    system, ops = scenario.rigs()[record], array_ops(jnp)
     names, forces = system.names, scenario.forces(seed)
-    path = (
-        _by_exponentials(system, ops, forces, times)
-        if system.linear
-        else _by_steps(system, scenario, ops, forces, times)
-    )
+    path = _by_exponentials(system, ops, forces, times) if system.linear else _by_steps(system, scenario, forces, times)
 
     def response(theta: Any) -> Any:
         p = {name: jnp.exp(theta[i]) for i, name in enumerate(names)}

@@ -8,16 +8,13 @@ so that many nodes are passed at once. Everything is in natural units (:meth:`be
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 
-from bench import Ops, Record, System, acceleration, numpy_ops, rk4_step, state_rate
+from bench import Record, Steps, System, acceleration, fastest_rates, merged_grid, nan_ops, rk4_step, step_counts
 from methods.starts.spectral import LOG_LIMIT, OutputError, candidates
 
 START = 3.0
@@ -32,22 +29,8 @@ class Lost(ArithmeticError):
     """The filter lost the motion; the message is the sentence of the Estimate."""
 
 
-def _solve(matrix: Sequence[Sequence[Any]], rhs: Sequence[Any]) -> Sequence[Any]:
-    """As that of ``numpy_ops``, but NaN at singular matrices: a point that ran away must not stop the others."""
-    try:
-        return numpy_ops.solve(matrix, rhs)
-    except np.linalg.LinAlgError:
-        n = len(rhs)
-        entries = np.broadcast_arrays(*[entry for row in matrix for entry in row], *rhs)
-        stacked = np.stack(entries[: n * n], -1).reshape(*entries[0].shape, n, n)
-        good = np.abs(np.linalg.det(stacked)) > 0
-        rows = [[np.where(good, entries[i * n + j], float(i == j)) for j in range(n)] for i in range(n)]
-        return numpy_ops.solve(rows, [np.where(good, entry, np.nan) for entry in entries[n * n :]])
-
-
 OfRig = Callable[[System, np.ndarray, np.ndarray], np.ndarray]
 """A rig, joint states (L, S, d) and the nodes (L,) or (1,) they belong to, to values (L, S, ...)."""
-OPS = cast(Ops, SimpleNamespace(**{**vars(numpy_ops), "solve": _solve}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,9 +119,19 @@ def fastest_rate(model: OutputError, logs: np.ndarray) -> float:
 
     Raises Lost where it is not finite.
     """
-    slow = _rate(model, logs, 0.0, 0.0)
-    size = amplitude(model, slow)
-    return max(slow, _rate(model, logs, size, size * slow))
+    p, n, hidden = model.parameters(logs), model.system.n_dof, model.system.n_hidden
+
+    def fastest(displacement: float, velocity: float) -> float:
+        # hidden states are taken to be of a displacement's size
+        state = np.repeat([displacement, velocity, displacement], [n, n, hidden])
+        return float(np.max(fastest_rates(model.system, p, state)))
+
+    at_rest = fastest(0.0, 0.0)
+    size = amplitude(model, at_rest)
+    rate = fastest(size, size * at_rest)
+    if not np.isfinite(rate):
+        raise Lost("the parameters left the range in which the motion is finite; give a prior nearer to the system")
+    return rate
 
 
 def amplitude(model: OutputError, rate: float) -> float:
@@ -151,22 +144,6 @@ def amplitude(model: OutputError, rate: float) -> float:
         if order[c.measures] == least and c.n
     ]
     return max(sizes, default=0.0) or 1.0
-
-
-def _rate(model: OutputError, logs: np.ndarray, displacement: float, velocity: float) -> float:
-    """The largest rate about one state; hidden states are taken to be of a displacement's size."""
-    system = model.system
-    p = {name: float(value) for name, value in model.parameters(logs).items()}
-    n, d = system.n_dof, 2 * system.n_dof + system.n_hidden
-    level = np.array([displacement] * n + [velocity] * n + [displacement] * system.n_hidden)
-    # as many states as there are coordinates, each moved in one of them, to both sides
-    state = level[:, None] + 1e-5 * np.concatenate([np.eye(d), -np.eye(d)], axis=1)
-    rates = state_rate(system, p, list(state), [0.0] * n, OPS)
-    rows = np.stack([np.broadcast_to(rate, (2 * d,)) for rate in rates])
-    slopes = (rows[:, :d] - rows[:, d:]) / 2e-5
-    if not np.all(np.isfinite(slopes)):
-        raise Lost("the parameters left the range in which the motion is finite; give a prior nearer to the system")
-    return float(np.max(np.abs(np.linalg.eigvals(slopes))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +178,7 @@ class Chain:
             values.append(rows)
             forces.append(np.stack(record.force(times, n), axis=1))
             pieces.append((np.zeros(0), np.zeros((0, 3, n))))
-            pieces += [_steps(record, n, a, b, longest) for a, b in itertools.pairwise(times)]
+            pieces += _steps(record, n, times, longest)
         most = max(len(h) for h, _ in pieces)
         steps, pushes = np.zeros((len(pieces), most)), np.zeros((len(pieces), most, 3, n))
         for row, (h, push) in enumerate(pieces):
@@ -248,7 +225,7 @@ class Chain:
         steps, pushes = self.steps[nodes], self.pushes[nodes]
         for j in range(int(np.max(np.count_nonzero(steps, axis=1)))):
             f = [[pushes[:, j, part, i, None] for i in range(system.n_dof)] for part in range(3)]
-            state = rk4_step(system, p, state, steps[:, j, None], (f[0], f[1], f[2]), OPS)
+            state = rk4_step(system, p, state, steps[:, j, None], (f[0], f[1], f[2]), nan_ops)
         return np.concatenate([np.stack(state, axis=-1), points[..., joint.states :]], axis=-1)
 
     def observe(self, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -262,7 +239,7 @@ class Chain:
         if any(c.measures == "acceleration" for _, c in joint.model.channels):
             f = [self.forces[nodes, i][:, None] for i in range(n)]
             p = joint.parameters(points)
-            seen["acceleration"] = list(acceleration(system, p, x[:n], x[n : 2 * n], f, x[2 * n :], OPS))
+            seen["acceleration"] = list(acceleration(system, p, x[:n], x[n : 2 * n], f, x[2 * n :], nan_ops))
         offsets = dict(zip(joint.model.offset_channels, joint.constants[len(joint.model.free) :], strict=True))
         rows = [
             seen[c.measures][c.dof] + (points[..., offsets[i]] if i in offsets else 0.0)
@@ -271,25 +248,12 @@ class Chain:
         return np.stack(rows, axis=-1)
 
 
-def _steps(record: Record, n: int, start: float, end: float, longest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Steps (J,) from a time to another, none across a sample of a force, and forces (J, 3, n_dof) along each."""
-    knots = [f.times[(f.times > start) & (f.times < end)] for f in record.forces]
-    grid = np.unique(np.concatenate([[start, end], *knots]))
-    counts = np.maximum(1, np.ceil(np.diff(grid) / longest)).astype(int)
-    if counts.sum() > MAX_STEPS + grid.size:
+def _steps(record: Record, n: int, times: np.ndarray, longest: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Steps (J,) from each time to the next, none across a sample of a force, and forces (J, 3, n_dof) along each."""
+    grid = merged_grid(times, record.forces)
+    counts, nodes = step_counts(grid, longest), np.searchsorted(grid, times)
+    if np.any(np.add.reduceat(counts, nodes[:-1]) > MAX_STEPS + np.diff(nodes) + 1):
         raise Lost("the motion came out far faster than the samples can show; give a prior nearer to the system")
-    h = np.repeat(np.diff(grid) / counts, counts)
-    at = start + np.concatenate([[0.0], np.cumsum(h)[:-1]])
-    if any(force.degree > 1 for force in record.forces):
-        return h, _curved(record, n, at, h)
-    # inside a step a force is linear, so its ends follow from two inner points, whatever happens at the ends
-    near, far = (np.stack(record.force(at + part * h, n), axis=1) for part in (0.25, 0.75))
-    return h, np.stack([1.5 * near - 0.5 * far, 0.5 * (near + far), 1.5 * far - 0.5 * near], axis=1)
-
-
-def _curved(record: Record, n: int, at: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """Forces (J, 3, n_dof) at the start, middle and end of steps in which they are cubic, from four inner points."""
-    inner = np.array([0.125, 0.375, 0.625, 0.875])
-    seen = np.stack([np.stack(record.force(at + part * h, n), axis=1) for part in inner], axis=1)
-    weights = np.vander([0.0, 0.5, 1.0], 4) @ np.linalg.inv(np.vander(inner, 4))
-    return np.asarray(np.einsum("pi,jin->jpn", weights, seen))
+    steps = Steps.over(grid, counts, record.forces, n)
+    cuts = steps.reached[nodes[1:-1]]
+    return list(zip(np.split(steps.lengths, cuts), np.split(steps.forces, cuts), strict=True))
