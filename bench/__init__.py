@@ -6,7 +6,7 @@ from bench.contract.prior import Prior
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record, Units
 from bench.contract.progress import report_progress
 from bench.dynamics.fixed_step import Steps, rk4_path, rk4_scan, rk4_step, step_counts
-from bench.dynamics.intervals import interval_polynomials, merged_grid
+from bench.dynamics.intervals import interval_polynomials
 from bench.dynamics.mechanics import acceleration, mass_matrix, regression_columns, state_matrix, state_rate
 from bench.dynamics.ops import array_ops, nan_ops, numpy_ops, ops_from
 from bench.dynamics.rates import fastest_rates
@@ -49,7 +49,6 @@ __all__ = [
     "interval_polynomials",
     "mass_matrix",
     "measurements",
-    "merged_grid",
     "nan_ops",
     "numpy_ops",
     "ops_from",

@@ -16,7 +16,7 @@ STEP = 1e-6
 LEAST_STEP = 1e-9
 
 
-def fastest_rates(system: System, p: Mapping[str, Any], state: np.ndarray) -> np.ndarray:
+def fastest_rates(system: System, p: Mapping[str, Any], state: np.ndarray, step: float | None = None) -> np.ndarray:
     """Compute the largest magnitude of an eigenvalue of ``s' = f(s)`` without force, linearised at rest and at a state.
 
     Args:
@@ -24,6 +24,7 @@ def fastest_rates(system: System, p: Mapping[str, Any], state: np.ndarray) -> np
         p: the parameters, floats or arrays of one shape ``sets``.
         state: displacements, velocities and hidden states, shape (2 n_dof + n_hidden, *sets). Hidden states may be
             left out; they are zero then.
+        step: of the differences; by default a millionth of the largest component of the state, or 1e-9.
 
     Returns:
         Rates (1 / unit of time) at rest and at the state, shape (2, *sets); NaN where the linearisation is not finite.
@@ -32,7 +33,8 @@ def fastest_rates(system: System, p: Mapping[str, Any], state: np.ndarray) -> np
     state = np.concatenate([state, np.zeros((hidden, *state.shape[1:]))])
     d = len(state)
     # one step for all: a smaller one where the state is zero would show the rounding of stiff springs elsewhere
-    step = max(STEP * float(np.max(np.abs(state[np.isfinite(state)]), initial=0.0)), LEAST_STEP)
+    if step is None:
+        step = max(STEP * float(np.max(np.abs(state[np.isfinite(state)]), initial=0.0)), LEAST_STEP)
     moves = (step * np.concatenate([np.eye(d), -np.eye(d)], axis=1)).reshape(d, 2 * d, *[1] * (state.ndim - 1))
     fastest = []
     with np.errstate(all="ignore"):

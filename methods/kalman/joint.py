@@ -8,19 +8,22 @@ so that many nodes are passed at once. Everything is in natural units (:meth:`be
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from bench import Record, Steps, System, acceleration, fastest_rates, merged_grid, nan_ops, rk4_step, step_counts
+from bench import Record, System, acceleration, fastest_rates, nan_ops, rk4_step, step_counts
 from methods.starts.spectral import LOG_LIMIT, OutputError, candidates
 
 START = 3.0
 """Standard deviation of an untold start, in largest displacements of the data (and fastest rates)."""
 STEP = 0.15
 """Integration step in radians of the fastest rate: the natural frequency is then off by 4 parts in a million."""
+DIFFERENCE = 1e-5
+"""Step of the differences from which the fastest rate follows, over the size of the data."""
 MAX_STEPS = 400
 """Steps between two samples beyond which a motion counts as too fast to follow."""
 
@@ -124,7 +127,7 @@ def fastest_rate(model: OutputError, logs: np.ndarray) -> float:
     def fastest(displacement: float, velocity: float) -> float:
         # hidden states are taken to be of a displacement's size
         state = np.repeat([displacement, velocity, displacement], [n, n, hidden])
-        return float(np.max(fastest_rates(model.system, p, state)))
+        return float(np.max(fastest_rates(model.system, p, state, DIFFERENCE)))
 
     at_rest = fastest(0.0, 0.0)
     size = amplitude(model, at_rest)
@@ -178,7 +181,7 @@ class Chain:
             values.append(rows)
             forces.append(np.stack(record.force(times, n), axis=1))
             pieces.append((np.zeros(0), np.zeros((0, 3, n))))
-            pieces += _steps(record, n, times, longest)
+            pieces += [_steps(record, n, a, b, longest) for a, b in itertools.pairwise(times)]
         most = max(len(h) for h, _ in pieces)
         steps, pushes = np.zeros((len(pieces), most)), np.zeros((len(pieces), most, 3, n))
         for row, (h, push) in enumerate(pieces):
@@ -248,12 +251,25 @@ class Chain:
         return np.stack(rows, axis=-1)
 
 
-def _steps(record: Record, n: int, times: np.ndarray, longest: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Steps (J,) from each time to the next, none across a sample of a force, and forces (J, 3, n_dof) along each."""
-    grid = merged_grid(times, record.forces)
-    counts, nodes = step_counts(grid, longest), np.searchsorted(grid, times)
-    if np.any(np.add.reduceat(counts, nodes[:-1]) > MAX_STEPS + np.diff(nodes) + 1):
+def _steps(record: Record, n: int, start: float, end: float, longest: float) -> tuple[np.ndarray, np.ndarray]:
+    """Steps (J,) from a time to another, none across a sample of a force, and forces (J, 3, n_dof) along each."""
+    knots = [f.times[(f.times > start) & (f.times < end)] for f in record.forces]
+    grid = np.unique(np.concatenate([[start, end], *knots]))
+    counts = step_counts(grid, longest)
+    if counts.sum() > MAX_STEPS + grid.size:
         raise Lost("the motion came out far faster than the samples can show; give a prior nearer to the system")
-    steps = Steps.over(grid, counts, record.forces, n)
-    cuts = steps.reached[nodes[1:-1]]
-    return list(zip(np.split(steps.lengths, cuts), np.split(steps.forces, cuts), strict=True))
+    h = np.repeat(np.diff(grid) / counts, counts)
+    at = start + np.concatenate([[0.0], np.cumsum(h)[:-1]])
+    if any(force.degree > 1 for force in record.forces):
+        return h, _curved(record, n, at, h)
+    # inside a step a force is linear, so its ends follow from two inner points, whatever happens at the ends
+    near, far = (np.stack(record.force(at + part * h, n), axis=1) for part in (0.25, 0.75))
+    return h, np.stack([1.5 * near - 0.5 * far, 0.5 * (near + far), 1.5 * far - 0.5 * near], axis=1)
+
+
+def _curved(record: Record, n: int, at: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """Forces (J, 3, n_dof) at the start, middle and end of steps in which they are cubic, from four inner points."""
+    inner = np.array([0.125, 0.375, 0.625, 0.875])
+    seen = np.stack([np.stack(record.force(at + part * h, n), axis=1) for part in inner], axis=1)
+    weights = np.vander([0.0, 0.5, 1.0], 4) @ np.linalg.inv(np.vander(inner, 4))
+    return np.asarray(np.einsum("pi,jin->jpn", weights, seen))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench import Force, Steps, interval_polynomials, merged_grid, rk4_path, rk4_scan, step_counts
+from bench import Force, Steps, interval_polynomials, rk4_path, rk4_scan, step_counts
+from bench.dynamics.intervals import merged_grid
 from bench.systems import SDOF
 
 FREE = {"m": 2.0, "c": 0.8, "k": 18.0}
