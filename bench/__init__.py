@@ -5,8 +5,12 @@ from bench.contract.method import Card, Identifier, Serves
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record, Units
 from bench.contract.progress import report_progress
-from bench.dynamics.mechanics import acceleration, mass_matrix, numpy_ops, regression_columns, rk4_step, state_rate
-from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurements, simulate, state_matrix
+from bench.dynamics.fixed_step import Steps, rk4_path, rk4_scan, rk4_step, step_counts
+from bench.dynamics.intervals import interval_polynomials
+from bench.dynamics.mechanics import acceleration, mass_matrix, regression_columns, state_matrix, state_rate
+from bench.dynamics.ops import array_ops, nan_ops, numpy_ops, ops_from
+from bench.dynamics.rates import fastest_rates
+from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurements, simulate
 from bench.errors import InputError
 from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, Search, Standardised, Start, estimate_at
 from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
@@ -43,20 +47,29 @@ __all__ = [
     "Standardised",
     "Start",
     "Status",
+    "Steps",
     "System",
     "Units",
     "acceleration",
+    "array_ops",
     "estimate_at",
+    "fastest_rates",
     "fitted_start",
+    "interval_polynomials",
     "mass_matrix",
     "measurements",
+    "nan_ops",
     "numpy_ops",
+    "ops_from",
     "regression_columns",
     "report_progress",
+    "rk4_path",
+    "rk4_scan",
     "rk4_step",
     "simulate",
     "state_matrix",
     "state_rate",
+    "step_counts",
 ]
 __version__ = "0.1.0"
 __path__ = [

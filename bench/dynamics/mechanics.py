@@ -5,29 +5,13 @@ Every function runs in whichever library its arguments come from; ``ops`` names 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from types import SimpleNamespace
-from typing import Any, cast
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
+from bench.dynamics.ops import numpy_ops
 from bench.systems import Array, Components, Ops, System
-
-
-def _solve_stacked(matrix: Sequence[Sequence[Array]], rhs: Components) -> Components:
-    """Solve with numpy's broadcasting: entries may be arrays of one shape."""
-    entries = np.broadcast_arrays(*[e for row in matrix for e in row], *rhs)
-    n = len(rhs)
-    stacked = np.stack([np.stack(entries[i * n : (i + 1) * n], -1) for i in range(n)], -2)
-    solution = np.linalg.solve(stacked, np.stack(entries[n * n :], -1)[..., None])[..., 0]
-    return [solution[..., i] for i in range(n)]
-
-
-numpy_ops = cast(
-    Ops,
-    SimpleNamespace(sin=np.sin, cos=np.cos, tanh=np.tanh, exp=np.exp, abs=np.abs, where=np.where, solve=_solve_stacked),
-)
-"""The numpy functions a residual may call."""
 
 
 def mass_matrix(
@@ -61,23 +45,6 @@ def state_rate(system: System, p: Mapping[str, Array], state: Components, f: Com
     n = system.n_dof
     x, v, z = state[:n], state[n : 2 * n], state[2 * n :]
     return [*v, *acceleration(system, p, x, v, f, z, ops), *system.hidden_rates(p, x, v, f, z, ops)]
-
-
-def rk4_step(
-    system: System,
-    p: Mapping[str, Array],
-    state: Components,
-    step: Array,
-    forces: tuple[Components, Components, Components],
-    ops: Ops,
-) -> list[Array]:
-    """One classical Runge-Kutta step of order four; ``forces`` at its start, middle and end."""
-    start, middle, end = forces
-    k1 = state_rate(system, p, state, start, ops)
-    k2 = state_rate(system, p, [s + 0.5 * step * k for s, k in zip(state, k1, strict=True)], middle, ops)
-    k3 = state_rate(system, p, [s + 0.5 * step * k for s, k in zip(state, k2, strict=True)], middle, ops)
-    k4 = state_rate(system, p, [s + step * k for s, k in zip(state, k3, strict=True)], end, ops)
-    return [s + step / 6.0 * (a + 2.0 * b + 2.0 * c + d) for s, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)]
 
 
 def regression_columns(
@@ -123,3 +90,17 @@ def linear_matrices(system: System, p: Mapping[str, Any]) -> tuple[np.ndarray, n
         return result
 
     return matrix(2), matrix(1), matrix(0)
+
+
+def state_matrix(system: System, p: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """``A`` and ``B`` of ``s' = A s + B f`` for the state ``s = [x, v]``, shapes (..., 2n, 2n) and (..., 2n, n)."""
+    n = system.n_dof
+    mass, damping, stiffness = linear_matrices(system, p)
+    inverse = 1.0 / mass if n == 1 else np.linalg.inv(mass)
+    a = np.zeros((*mass.shape[:-2], 2 * n, 2 * n))
+    a[..., :n, n:] = np.eye(n)
+    a[..., n:, :n] = -inverse @ stiffness
+    a[..., n:, n:] = -inverse @ damping
+    b = np.zeros((*mass.shape[:-2], 2 * n, n))
+    b[..., n:, :] = inverse
+    return a, b

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from bench.dynamics.simulate import state_matrix
+from bench.dynamics.mechanics import state_matrix
 from bench.systems import System
 
 

@@ -18,8 +18,9 @@ import numpy as np
 from scipy.linalg import matrix_balance
 
 from bench.contract.problem import Force, InitialState
-from bench.dynamics.mechanics import numpy_ops, state_rate
-from bench.dynamics.simulate import interval_polynomials, merged_grid
+from bench.dynamics.intervals import interval_polynomials, merged_grid
+from bench.dynamics.mechanics import state_rate
+from bench.dynamics.ops import numpy_ops
 from bench.systems import Ops, System
 
 IMAGINARY = 1e-30

@@ -10,8 +10,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Sequence
 from fractions import Fraction
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -198,7 +197,7 @@ def series_ops(rng: random.Random) -> Ops:
             cosine = np.concatenate([cosine, sum(down[1:], down[0])[None]])
         return Series(sine), Series(cosine)
 
-    functions = SimpleNamespace(
+    return Ops(
         sin=lambda u: circle(u)[0],
         cos=lambda u: circle(u)[1],
         tanh=tanh,
@@ -207,7 +206,6 @@ def series_ops(rng: random.Random) -> Ops:
         where=lambda condition, a, b: a if condition else b,
         solve=_solve,
     )
-    return cast(Ops, functions)
 
 
 def _solve(matrix: Sequence[Sequence[Any]], rhs: Sequence[Any]) -> list[Any]:

@@ -9,15 +9,15 @@ import os
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from bench.contract.problem import Force, InitialState
-from bench.dynamics.mechanics import rk4_step
-from bench.dynamics.simulate import interval_polynomials, longest_step, merged_grid
-from bench.systems import Ops, System
+from bench.dynamics.fixed_step import Steps, rk4_scan, step_counts
+from bench.dynamics.intervals import merged_grid
+from bench.dynamics.simulate import longest_step
+from bench.systems import System
 
 REFINE = 12
 """Integration steps per step that plain simulation would take."""
@@ -36,21 +36,12 @@ def stepped_sensitivities(
 
     jax.config.update("jax_enable_x64", True)
     _keep_compilations()
-    n, names, ops = system.n_dof, system.names, jax_ops()
+    n, names = system.n_dof, system.names
 
     def response(theta: Any, lengths: Any, pushes: Any, reached: Any) -> tuple[Any, Any]:
         values = {name: jnp.exp(theta[i]) for i, name in enumerate(names)}
-
-        def step(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
-            h, push = inputs
-            f = [[push[i, j] for j in range(n)] for i in range(3)]
-            at = [state[i] for i in range(state.shape[0])]
-            new = jnp.stack(rk4_step(system, values, at, h, (f[0], f[1], f[2]), ops))
-            return new, new[:n]
-
         first = jnp.concatenate([theta[len(names) :], jnp.zeros(system.n_hidden)])
-        _, after = jax.lax.scan(step, first, (lengths, pushes))
-        path = jnp.concatenate([first[None, :n], after])[reached].T
+        path = rk4_scan(system, values, first, lengths, pushes)[reached, :n].T
         return path, path
 
     theta = np.concatenate([np.log([p[name] for name in names]), start.displacement, start.velocity])
@@ -59,22 +50,6 @@ def stepped_sensitivities(
         differentiated = jax.jit(jax.jacfwd(response, has_aux=True))
         slopes, path = differentiated(theta, *_steps(system, p, start, times, forces))
     return np.asarray(path), np.asarray(slopes)
-
-
-def jax_ops() -> Ops:
-    """The jax functions a residual may call."""
-    import jax.numpy as jnp
-
-    def solve(matrix: Sequence[Sequence[Any]], rhs: Sequence[Any]) -> list[Any]:
-        solution = jnp.linalg.solve(jnp.stack([jnp.stack(row) for row in matrix]), jnp.stack(rhs))
-        return [solution[i] for i in range(len(rhs))]
-
-    return cast(
-        Ops,
-        SimpleNamespace(
-            sin=jnp.sin, cos=jnp.cos, tanh=jnp.tanh, exp=jnp.exp, abs=jnp.abs, where=jnp.where, solve=solve
-        ),
-    )
 
 
 def _keep_compilations() -> None:
@@ -97,13 +72,5 @@ def _steps(
     """Step lengths (n,), forces at start, middle and end of each step (n, 3, n_dof), and where each time is reached."""
     grid = merged_grid(times, forces)
     state = [np.array(part[i]) for part in (start.displacement, start.velocity) for i in range(system.n_dof)]
-    state += [np.array(0.0)] * system.n_hidden
-    longest = longest_step(system, p, state) / REFINE
-    counts = np.maximum(1, np.ceil(np.diff(grid) / longest)).astype(int)
-    which = np.repeat(np.arange(counts.size), counts)
-    reached = np.concatenate([[0], np.cumsum(counts)])
-    parts = (np.arange(which.size) - reached[which])[:, None] + np.array([0.0, 0.5, 1.0])
-    parts /= counts[which, None]
-    coefficients = interval_polynomials(forces, grid, system.n_dof)[:, which]
-    pushes = sum(c[:, None] * parts[..., None] ** j for j, c in enumerate(coefficients))
-    return (np.diff(grid) / counts)[which], np.asarray(pushes), reached[np.searchsorted(grid, times)]
+    steps = Steps.over(grid, step_counts(grid, longest_step(system, p, state) / REFINE), forces, system.n_dof)
+    return steps.lengths, steps.forces, steps.reached[np.searchsorted(grid, times)]

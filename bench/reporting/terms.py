@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 from collections import Counter
 from functools import cache
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 from bench.contract.estimate import Status
 from bench.dynamics.mechanics import acceleration
+from bench.dynamics.ops import ops_from
 from bench.scenario.scenario import Scenario
 from bench.store.store import StoredCell
-from bench.systems import Ops, System
+from bench.systems import System
 
 
 @cache
@@ -32,13 +32,7 @@ def true_terms(system: System, forced: frozenset[int]) -> tuple[frozenset[str], 
     def solve(matrix: Any, right: Any) -> list[Any]:
         return list(sympy.Matrix(matrix).LUsolve(sympy.Matrix(right)))
 
-    ops = cast(
-        Ops,
-        SimpleNamespace(
-            sin=sympy.sin, cos=sympy.cos, tanh=sympy.tanh, exp=sympy.exp, abs=sympy.Abs, solve=solve,
-            where=lambda c, a, b: sympy.Piecewise((a, c), (b, True)),
-        ),
-    )  # fmt: skip
+    ops = ops_from(sympy, solve, abs=sympy.Abs, where=lambda c, a, b: sympy.Piecewise((a, c), (b, True)))
     if system.n_hidden:
         return None
     pushed = [f[i] if i in forced else sympy.Integer(0) for i in range(n)]

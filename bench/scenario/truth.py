@@ -8,14 +8,16 @@ eight at tight tolerance for the nonlinear ones.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from bench.contract.problem import Force, InitialState
-from bench.dynamics.mechanics import numpy_ops, state_rate
-from bench.dynamics.simulate import matrix_exponential_response
+from bench.dynamics.intervals import interval_polynomials, merged_grid
+from bench.dynamics.mechanics import state_matrix, state_rate
+from bench.dynamics.ops import numpy_ops
 from bench.systems import System
 from bench.systems.linear import SDOF
 
@@ -95,6 +97,38 @@ def closed_form(p: Mapping[str, float], x0: float, v0: float, times: np.ndarray)
     cosh = (np.exp((root - a) * t) + np.exp(-(root + a) * t)) / 2
     sinh = (np.exp((root - a) * t) - np.exp(-(root + a) * t)) / (2 * root) if root != 0 else t * np.exp(-a * t)
     return np.real(x0 * cosh + (v0 + a * x0) * sinh)
+
+
+def matrix_exponential_response(
+    system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force] = ()
+) -> np.ndarray:
+    """Displacement of a linear system, shape (n_dof, n_times), by matrix exponentials with the exact hold of the force.
+
+    The augmented-matrix form of the hold (C. F. Van Loan, IEEE Trans. Automatic Control 23:395, 1978): with
+    ``f`` a polynomial over an interval, the state, the force and its derivatives obey one constant-coefficient system.
+    """
+    from scipy.linalg import expm  # slow to import, and one mass does not need it
+
+    a, b = state_matrix(system, p)
+    n, m = b.shape
+    grid = merged_grid(times, forces)
+    pushes = interval_polynomials(forces, grid, m)
+    order = len(pushes)
+    augmented = np.zeros((n + order * m, n + order * m))
+    augmented[:n, :n], augmented[:n, n : n + m] = a, b
+    augmented[n:-m, n + m :] = np.eye((order - 1) * m)
+    state = np.concatenate([start.displacement, start.velocity])
+    path = np.empty((grid.size, n))
+    path[0] = state
+    cache: dict[float, np.ndarray] = {}
+    for i, h in enumerate(np.diff(grid)):
+        key = float(np.round(h, 14))
+        if key not in cache:
+            cache[key] = expm(augmented * h)
+        derivatives = [math.factorial(j) / h**j * pushes[j, i] for j in range(order)]
+        state = (cache[key] @ np.concatenate([state, *derivatives]))[:n]
+        path[i + 1] = state
+    return path[np.searchsorted(grid, times), : system.n_dof].T
 
 
 def _integrated(

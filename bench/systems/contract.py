@@ -13,7 +13,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Protocol, Self
+from typing import Any, ClassVar, Literal, Self
 
 Kind = Literal["mass", "damping", "stiffness", "other"]
 """What a parameter is; a prior's width is stated by kind."""
@@ -25,7 +25,8 @@ Components = Sequence[Array]
 """One entry per DOF (or per hidden state); entries may be scalars, arrays or symbols."""
 
 
-class Ops(Protocol):
+@dataclass(frozen=True)
+class Ops:
     """The functions beyond plain operators that a residual may call, for the library at hand."""
 
     sin: Callable[[Array], Array]

@@ -9,41 +9,38 @@ so that many nodes are passed at once. Everything is in natural units (:meth:`be
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 
-from bench import LOG_LIMIT, NoEstimate, Ops, OutputError, Record, System, acceleration, numpy_ops, rk4_step, state_rate
+from bench import (
+    LOG_LIMIT,
+    NoEstimate,
+    OutputError,
+    Record,
+    System,
+    acceleration,
+    fastest_rates,
+    nan_ops,
+    rk4_step,
+    step_counts,
+)
 from methods.starts.candidates import candidates
 
 START = 3.0
 """Standard deviation of an untold start, in largest displacements of the data (and fastest rates)."""
 STEP = 0.15
 """Integration step in radians of the fastest rate: the natural frequency is then off by 4 parts in a million."""
+DIFFERENCE = 1e-5
+"""Step of the differences from which the fastest rate follows, over the size of the data."""
 MAX_STEPS = 400
 """Steps between two samples beyond which a motion counts as too fast to follow."""
 
 
-def _solve(matrix: Sequence[Sequence[Any]], rhs: Sequence[Any]) -> Sequence[Any]:
-    """As that of ``numpy_ops``, but NaN at singular matrices: a point that ran away must not stop the others."""
-    try:
-        return numpy_ops.solve(matrix, rhs)
-    except np.linalg.LinAlgError:
-        n = len(rhs)
-        entries = np.broadcast_arrays(*[entry for row in matrix for entry in row], *rhs)
-        stacked = np.stack(entries[: n * n], -1).reshape(*entries[0].shape, n, n)
-        good = np.abs(np.linalg.det(stacked)) > 0
-        rows = [[np.where(good, entries[i * n + j], float(i == j)) for j in range(n)] for i in range(n)]
-        return numpy_ops.solve(rows, [np.where(good, entry, np.nan) for entry in entries[n * n :]])
-
-
 OfRig = Callable[[System, np.ndarray, np.ndarray], np.ndarray]
 """A rig, joint states (L, S, d) and the nodes (L,) or (1,) they belong to, to values (L, S, ...)."""
-OPS = cast(Ops, SimpleNamespace(**{**vars(numpy_ops), "solve": _solve}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,9 +129,21 @@ def fastest_rate(model: OutputError, logs: np.ndarray) -> float:
 
     Raises NoEstimate where it is not finite.
     """
-    slow = _rate(model, logs, 0.0, 0.0)
-    size = amplitude(model, slow)
-    return max(slow, _rate(model, logs, size, size * slow))
+    p, n, hidden = model.parameters(logs), model.system.n_dof, model.system.n_hidden
+
+    def fastest(displacement: float, velocity: float) -> float:
+        # hidden states are taken to be of a displacement's size
+        state = np.repeat([displacement, velocity, displacement], [n, n, hidden])
+        return float(np.max(fastest_rates(model.system, p, state, DIFFERENCE)))
+
+    at_rest = fastest(0.0, 0.0)
+    size = amplitude(model, at_rest)
+    rate = fastest(size, size * at_rest)
+    if not np.isfinite(rate):
+        raise NoEstimate(
+            "the parameters left the range in which the motion is finite; give a prior nearer to the system"
+        )
+    return rate
 
 
 def amplitude(model: OutputError, rate: float) -> float:
@@ -147,24 +156,6 @@ def amplitude(model: OutputError, rate: float) -> float:
         if order[c.measures] == least and c.n
     ]
     return max(sizes, default=0.0) or 1.0
-
-
-def _rate(model: OutputError, logs: np.ndarray, displacement: float, velocity: float) -> float:
-    """The largest rate about one state; hidden states are taken to be of a displacement's size."""
-    system = model.system
-    p = {name: float(value) for name, value in model.parameters(logs).items()}
-    n, d = system.n_dof, 2 * system.n_dof + system.n_hidden
-    level = np.array([displacement] * n + [velocity] * n + [displacement] * system.n_hidden)
-    # as many states as there are coordinates, each moved in one of them, to both sides
-    state = level[:, None] + 1e-5 * np.concatenate([np.eye(d), -np.eye(d)], axis=1)
-    rates = state_rate(system, p, list(state), [0.0] * n, OPS)
-    rows = np.stack([np.broadcast_to(rate, (2 * d,)) for rate in rates])
-    slopes = (rows[:, :d] - rows[:, d:]) / 2e-5
-    if not np.all(np.isfinite(slopes)):
-        raise NoEstimate(
-            "the parameters left the range in which the motion is finite; give a prior nearer to the system"
-        )
-    return float(np.max(np.abs(np.linalg.eigvals(slopes))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +237,7 @@ class Chain:
         steps, pushes = self.steps[nodes], self.pushes[nodes]
         for j in range(int(np.max(np.count_nonzero(steps, axis=1)))):
             f = [[pushes[:, j, part, i, None] for i in range(system.n_dof)] for part in range(3)]
-            state = rk4_step(system, p, state, steps[:, j, None], (f[0], f[1], f[2]), OPS)
+            state = rk4_step(system, p, state, steps[:, j, None], (f[0], f[1], f[2]), nan_ops)
         return np.concatenate([np.stack(state, axis=-1), points[..., joint.states :]], axis=-1)
 
     def observe(self, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -260,7 +251,7 @@ class Chain:
         if any(c.measures == "acceleration" for _, c in joint.model.channels):
             f = [self.forces[nodes, i][:, None] for i in range(n)]
             p = joint.parameters(points)
-            seen["acceleration"] = list(acceleration(system, p, x[:n], x[n : 2 * n], f, x[2 * n :], OPS))
+            seen["acceleration"] = list(acceleration(system, p, x[:n], x[n : 2 * n], f, x[2 * n :], nan_ops))
         offsets = dict(zip(joint.model.offset_channels, joint.constants[len(joint.model.free) :], strict=True))
         rows = [
             seen[c.measures][c.dof] + (points[..., offsets[i]] if i in offsets else 0.0)
@@ -273,7 +264,7 @@ def _steps(record: Record, n: int, start: float, end: float, longest: float) -> 
     """Steps (J,) from a time to another, none across a sample of a force, and forces (J, 3, n_dof) along each."""
     knots = [f.times[(f.times > start) & (f.times < end)] for f in record.forces]
     grid = np.unique(np.concatenate([[start, end], *knots]))
-    counts = np.maximum(1, np.ceil(np.diff(grid) / longest)).astype(int)
+    counts = step_counts(grid, longest)
     if counts.sum() > MAX_STEPS + grid.size:
         raise NoEstimate("the motion came out far faster than the samples can show; give a prior nearer to the system")
     h = np.repeat(np.diff(grid) / counts, counts)

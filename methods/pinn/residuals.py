@@ -22,14 +22,12 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from bench import Ops, Problem
+from bench import Problem, array_ops
 from methods.network.ansatz import Adjoints, Ansatz, Tape
 from methods.pinn.block import Block, Spread
 
@@ -38,19 +36,7 @@ CHUNK = 2**24
 """Entries of J formed at a time where the normal equations are built from its columns."""
 
 
-def _solve(matrix: Sequence[Sequence[Tensor]], rhs: Sequence[Tensor]) -> list[Tensor]:
-    n = len(rhs)
-    entries = torch.broadcast_tensors(*[torch.as_tensor(e) for row in matrix for e in row], *rhs)
-    stacked = torch.stack(entries[: n * n], -1).unflatten(-1, (n, n))
-    return list(torch.linalg.solve(stacked, torch.stack(entries[n * n :], -1)).unbind(-1))
-
-
-torch_ops = cast(
-    Ops,
-    SimpleNamespace(
-        sin=torch.sin, cos=torch.cos, tanh=torch.tanh, exp=torch.exp, abs=torch.abs, where=torch.where, solve=_solve
-    ),
-)
+torch_ops = array_ops(torch, lambda *entries: torch.broadcast_tensors(*map(torch.as_tensor, entries)))
 """The torch functions a residual may call."""
 
 

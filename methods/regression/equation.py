@@ -25,10 +25,9 @@ from bench import (
     Record,
     Status,
     System,
-    numpy_ops,
+    fastest_rates,
     regression_columns,
     simulate,
-    state_rate,
 )
 from methods.regression.derivatives import Motion, finite_differences, smoothing_spline
 
@@ -255,27 +254,10 @@ def _shortest(jacobian: np.ndarray, misfit: np.ndarray) -> np.ndarray:
 def too_fast(system: System, p: Mapping[str, np.ndarray], state: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Which parameter sets (sets,) move faster than samples can show: over π radians a step, at rest or at a state.
 
-    The rates are the eigenvalues of the equation of motion linearised by finite differences. Not finite counts.
-    Hidden states are moved too; at the state they are zero.
+    Not finite counts.
     """
-    n, sets = 2 * system.n_dof + system.n_hidden, np.shape(next(iter(p.values())))[0]
-    state, largest = np.append(state, np.zeros(system.n_hidden)), float(np.max(np.abs(state[: system.n_dof]))) or 1.0
-    rest = [0.0] * system.n_dof
-    fastest = np.zeros(sets)
-    with np.errstate(all="ignore"):
-        for level in (0.0, 1.0):
-            jacobian = np.empty((sets, n, n))
-            for j in range(n):
-                size = 1e-4 * largest
-                rates = []
-                for side in (size, -size):
-                    moved = [np.full(sets, level * s + side * (i == j)) for i, s in enumerate(state)]
-                    rates.append(np.array(np.broadcast_arrays(*state_rate(system, p, moved, rest, numpy_ops))))
-                jacobian[..., j] = ((rates[0] - rates[1]) / (2 * size)).T
-            healthy = np.all(np.isfinite(jacobian), axis=(-2, -1))
-            rate = np.max(np.abs(np.linalg.eigvals(np.where(healthy[:, None, None], jacobian, 0.0))), axis=-1)
-            fastest = np.maximum(fastest, np.where(healthy, rate, np.inf))
-    return np.asarray(fastest * np.median(np.diff(times)) > np.pi)
+    rates = fastest_rates(system, p, state[:, None])
+    return np.asarray(~np.all(rates * np.median(np.diff(times)) <= np.pi, axis=0))
 
 
 def answer(

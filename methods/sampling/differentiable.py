@@ -1,7 +1,7 @@
 """The posterior of a problem as a jax function, compiled once for all problems of one layout: for gradient samplers.
 
 It is :class:`methods.sampling.posterior.Posterior`, term by term, in jax and differentiable: of the one residual
-(:func:`bench.state_rate`, :func:`bench.rk4_step`), in natural units.
+(:func:`bench.state_rate`, :func:`bench.rk4_scan`), in natural units.
 
 - **Linear systems**: state and force over an interval in which the force is linear obey one constant-coefficient system
   (C. F. Van Loan, IEEE Trans. Automatic Control 23:395, 1978). Its matrix exponential, by scaling, a Taylor polynomial
@@ -15,14 +15,13 @@ jax is imported in functions: this module costs nothing where it is not used.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from bench import Ops, System, acceleration, rk4_step, state_rate
+from bench import System, acceleration, array_ops, rk4_scan, state_rate
 from methods.kalman import joint as joint_model
 from methods.kalman.joint import Chain, Joint, fastest_rate
 from methods.sampling.posterior import NOISE_SD, Posterior
@@ -111,25 +110,6 @@ def _table(chain: Chain, first: int, last: int) -> dict[str, np.ndarray]:
     return {"h": h, "push": push, "reached": reached, "gaps": gaps, "which": which, "forces": chain.forces[first:last]}
 
 
-def jax_ops() -> Ops:
-    """The jax functions that a residual may call."""
-    import jax.numpy as jnp
-
-    def solve(matrix: Sequence[Sequence[Any]], rhs: Sequence[Any]) -> list[Any]:
-        entries = jnp.broadcast_arrays(*[entry for row in matrix for entry in row], *rhs)
-        n = len(rhs)
-        stacked = jnp.stack(entries[: n * n], -1).reshape(*entries[0].shape, n, n)
-        solution = jnp.linalg.solve(stacked, jnp.stack(entries[n * n :], -1)[..., None])[..., 0]
-        return [solution[..., i] for i in range(n)]
-
-    return cast(
-        Ops,
-        SimpleNamespace(
-            sin=jnp.sin, cos=jnp.cos, tanh=jnp.tanh, exp=jnp.exp, abs=jnp.abs, where=jnp.where, solve=solve
-        ),
-    )
-
-
 def log_density(layout: Layout, data: Data, phi: Any) -> Any:
     """The log-posterior of ``phi = [theta, log sigma by channel]``, up to a constant; -inf where it is not finite."""
     import jax.numpy as jnp
@@ -153,13 +133,15 @@ def log_density(layout: Layout, data: Data, phi: Any) -> Any:
 
 def _measured(system: System, p: Mapping[str, Any], path: Any, forces: Any, measures: str, dof: int) -> Any:
     """What an ideal sensor gives at every node, (K,), from the states there (K, d)."""
+    import jax.numpy as jnp
+
     n = system.n_dof
     if measures == "displacement":
         return path[:, dof]
     if measures == "velocity":
         return path[:, n + dof]
     x, v, z = (list(part.T) for part in (path[:, :n], path[:, n : 2 * n], path[:, 2 * n :]))
-    return acceleration(system, p, x, v, list(forces.T), z, jax_ops())[dof]
+    return acceleration(system, p, x, v, list(forces.T), z, array_ops(jnp))[dof]
 
 
 def _path(layout: Layout, system: System, p: Mapping[str, Any], start: Any, table: Mapping[str, Any]) -> Any:
@@ -167,14 +149,10 @@ def _path(layout: Layout, system: System, p: Mapping[str, Any], start: Any, tabl
     import jax
     import jax.numpy as jnp
 
-    ops = jax_ops()
-    n, first = system.n_dof, jnp.concatenate([jnp.asarray(start), jnp.zeros(system.n_hidden)])
-
-    def runge_kutta(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
-        h, push = inputs
-        f = [[push[i, j] for j in range(n)] for i in range(3)]
-        new = jnp.stack(rk4_step(system, p, list(state), h, (f[0], f[1], f[2]), ops))
-        return new, new
+    first = jnp.concatenate([jnp.asarray(start), jnp.zeros(system.n_hidden)])
+    if not system.linear:
+        return rk4_scan(system, p, first, table["h"], table["push"])[table["reached"]]
+    carriers = _carriers(layout, system, p, table["gaps"])
 
     def exact(state: Any, inputs: tuple[Any, Any, Any]) -> tuple[Any, Any]:
         h, push, which = inputs
@@ -182,11 +160,7 @@ def _path(layout: Layout, system: System, p: Mapping[str, Any], start: Any, tabl
         new = carriers[which] @ whole
         return new, new
 
-    if system.linear:
-        carriers = _carriers(layout, system, p, table["gaps"])
-        _, path = jax.lax.scan(exact, first, (table["h"], table["push"], table["which"]))
-    else:
-        _, path = jax.lax.scan(runge_kutta, first, (table["h"], table["push"]))
+    _, path = jax.lax.scan(exact, first, (table["h"], table["push"], table["which"]))
     return jnp.concatenate([first[None], path])[table["reached"]]
 
 
@@ -199,7 +173,7 @@ def _carriers(layout: Layout, system: System, p: Mapping[str, Any], gaps: Any) -
     unit = np.eye(3 * n)
     # a linear residual: the rate at unit states and unit forces is the matrix, column by column
     columns = [
-        state_rate(system, p, list(unit[j, : 2 * n]), list(unit[j, 2 * n :]), jax_ops())
+        state_rate(system, p, list(unit[j, : 2 * n]), list(unit[j, 2 * n :]), array_ops(jnp))
         for j in range(3 * n if layout.forced else 2 * n)
     ]
     matrix = jnp.stack([jnp.stack([jnp.asarray(entry, float) for entry in column]) for column in columns], axis=1)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import InitialState, Record, Start, System, acceleration, numpy_ops, rk4_step, state_rate
+from bench import InitialState, Record, Start, Steps, System, acceleration, fastest_rates, numpy_ops, rk4_path
 
 RADIANS_A_STEP = 0.15
 MOST_STEPS = 64
@@ -27,25 +27,9 @@ def radians_a_step(allowed: float, turned: float) -> float:
 
 
 def fastest_rate(system: System, p: dict[str, np.ndarray], start: Start) -> float:
-    """Largest rate (1 / time) of the system linearised at rest and at its start; 0 where neither is finite.
-
-    Over all sets, where parameters and start are arrays; a set whose rates are not finite does not count. Hidden
-    states are moved too; at the start they are zero.
-    """
+    """Largest rate (1 / time) of the system at rest and at its start, over all sets; 0 where none is finite."""
     x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
-    amplitude = np.concatenate([x, v, np.zeros((system.n_hidden, *np.shape(x)[1:]))])
-    d, fastest = len(amplitude), 0.0
-    # one step for all: a smaller one where the start is zero would show the rounding of stiff springs elsewhere
-    step = 1e-6 * max(float(np.max(np.abs(amplitude[np.isfinite(amplitude)]), initial=0.0)), 1e-3)
-    moves = step * np.concatenate([np.eye(d), -np.eye(d)], axis=1)
-    for level in (0.0, 1.0):
-        shifted = level * amplitude[:, None] + moves.reshape(d, 2 * d, *[1] * (amplitude.ndim - 1))
-        rates = np.array(np.broadcast_arrays(*state_rate(system, p, list(shifted), [0.0] * system.n_dof, numpy_ops)))
-        jacobian = np.moveaxis((rates[:, :d] - rates[:, d:]) / (2 * step), (0, 1), (-2, -1))
-        finite = np.all(np.isfinite(jacobian), axis=(-2, -1))
-        if np.any(finite):
-            fastest = max(fastest, float(np.max(np.abs(np.linalg.eigvals(jacobian[finite])))))
-    return fastest
+    return float(np.fmax.reduce(fastest_rates(system, p, np.concatenate([x, v])), axis=None, initial=0.0))
 
 
 def rough_readings(
@@ -88,24 +72,5 @@ def rough_states(
     state: list[Any] = [np.broadcast_to(part[i], sets) for part in (x, v) for i in range(n)]
     with np.errstate(all="ignore"):
         rate = fastest_rate(rig, p, (np.stack(state[:n]), np.stack(state[n:])))
-        return _path(rig, p, state, grid, rate / radians, record)
-
-
-def _path(
-    rig: System, p: dict[str, np.ndarray], state: list[Any], grid: np.ndarray, steps_a_time: float, record: Record
-) -> np.ndarray:
-    """The states (2 n_dof, *sets, n_times) at the times of the grid."""
-    gaps = np.diff(grid)
-    counts = np.clip(np.ceil(gaps * steps_a_time), 1, MOST_STEPS).astype(int)
-    h = np.repeat(gaps / counts, counts)
-    begin = np.repeat(grid[:-1], counts) + h * (np.arange(h.size) - np.repeat(np.cumsum(counts) - counts, counts))
-    # sampled a little inside, since a held force jumps at the ends
-    pushes = [np.array(record.force(begin + part * h, rig.n_dof)) for part in (1e-6, 0.5, 1 - 1e-6)]
-    path = [np.stack(state)]
-    ends = set(np.cumsum(counts) - 1)
-    for i, step in enumerate(h):
-        at = [list(push[:, i]) for push in pushes]
-        state = rk4_step(rig, p, state, step, (at[0], at[1], at[2]), numpy_ops)
-        if i in ends:
-            path.append(np.stack(state))
-    return np.stack(path, axis=-1)
+        counts = np.clip(np.ceil(np.diff(grid) * rate / radians), 1, MOST_STEPS).astype(int)
+        return rk4_path(rig, p, state, Steps.over(grid, counts, record.forces, n), np.arange(grid.size))

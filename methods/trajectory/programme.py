@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 from scipy.sparse.linalg import splu
 
-from bench import Ops, OutputError, Record, Start, System, simulate
+from bench import Ops, OutputError, Record, Start, System, interval_polynomials, ops_from, simulate
 from methods.starts.rough import rough_states
 
 
@@ -31,12 +30,9 @@ class Plan:
         self.grid = grid[np.concatenate([[True], np.diff(grid) > 1e-11 * max(record.duration, 1e-300)])]
         self.steps = np.diff(self.grid)
         n = system.n_dof
-        self.degree = max((f.degree for f in record.forces), default=1)
-        # sampled inside, since a held force jumps at the cuts
-        nodes = (np.arange(self.degree + 1) + 0.5) / (self.degree + 1)
-        sampled = np.array(record.force(self.grid[:-1] + nodes[:, None] * self.steps, n))
-        coefficients = np.einsum("ij,njk->ink", np.linalg.inv(np.vander(nodes, increasing=True)), sampled)
-        self.forces = coefficients.reshape(-1, self.steps.size)
+        coefficients = interval_polynomials(record.forces, self.grid, n)
+        self.degree = len(coefficients) - 1
+        self.forces = coefficients.transpose(0, 2, 1).reshape(-1, self.steps.size)
         self.at = tuple(
             np.abs(self.grid[None] - c.times[:, None]).argmin(axis=1) if c.n else np.zeros(0, int)
             for c in record.channels
@@ -91,10 +87,7 @@ def _casadi_ops() -> Ops:
         rows = ca.vertcat(*[ca.horzcat(*row) for row in matrix])
         return cast("list[Any]", ca.vertsplit(ca.solve(rows, ca.vertcat(*right))))
 
-    return cast(
-        Ops,
-        SimpleNamespace(sin=ca.sin, cos=ca.cos, tanh=ca.tanh, exp=ca.exp, abs=ca.fabs, where=ca.if_else, solve=solve),
-    )
+    return ops_from(ca, solve, abs=ca.fabs, where=ca.if_else)
 
 
 def _rates(system: System) -> Any:

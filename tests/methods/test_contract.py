@@ -172,7 +172,7 @@ def test_without_a_prior_only_ratios_are_claimed(method: Identifier) -> None:
 def test_with_a_known_force_and_no_prior_the_mass_is_claimed_or_the_case_is_declined(method: Identifier) -> None:
     times = np.linspace(0.0, 8.0, 40)
     force = Force(np.linspace(0.0, 8.0, 161), 3.0 * np.sin(np.linspace(0.0, 8.0, 161) * 2.0))
-    from bench.dynamics.simulate import matrix_exponential_response
+    from bench.scenario.truth import matrix_exponential_response
 
     start = InitialState(np.array([0.5]), np.array([0.0]))
     clean = matrix_exponential_response(SDOF(), P, start, times, (force,))[0]

@@ -11,8 +11,7 @@ from scipy import signal
 from scipy.integrate import simpson, solve_ivp
 from scipy.linalg import expm
 
-from bench import Channel, Force, InitialState, Record, fitted_start, measurements, simulate
-from bench.dynamics.mechanics import acceleration, numpy_ops
+from bench import Channel, Force, InitialState, Record, acceleration, fitted_start, measurements, numpy_ops, simulate
 from bench.scenario.truth import closed_form, reference_response
 from bench.systems import SDOF, Chain, Duffing
 

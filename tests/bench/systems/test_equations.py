@@ -10,7 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench import Channel, InitialState, InputError, Problem, Record, Units, numpy_ops, regression_columns, simulate
+from bench import (
+    Channel,
+    InitialState,
+    InputError,
+    Problem,
+    Record,
+    Units,
+    array_ops,
+    numpy_ops,
+    regression_columns,
+    simulate,
+)
 from bench.config.config import expand, jobs_to_cells
 from bench.dynamics.mechanics import linear_matrices
 from bench.information.fisher import compute_bound
@@ -85,9 +96,7 @@ def library(name: str) -> tuple[Any, Any, Any]:
     module = pytest.importorskip(name)
     if name == "jax":
         module.config.update("jax_enable_x64", True)
-        from bench.information.stepped_sensitivities import jax_ops
-
-        return jax_ops(), module.numpy.asarray, float
+        return array_ops(module.numpy), module.numpy.asarray, float
     absolute = {"casadi": "fabs", "sympy": "Abs", "torch": "abs"}[name]
     functions = {key: getattr(module, key) for key in ("sin", "cos", "tanh", "exp")}
     ops = SimpleNamespace(**functions, abs=getattr(module, absolute))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from more_systems import BoucWen, Coupled, Exponential
 
-from bench import InputError, Ops, acceleration, mass_matrix, numpy_ops, regression_columns, state_rate
+from bench import InputError, Ops, acceleration, array_ops, mass_matrix, numpy_ops, regression_columns, state_rate
 from bench.dynamics.mechanics import linear_matrices
 from bench.systems import SDOF, Chain, Dimension, Duffing, System, make_system
 
@@ -147,11 +147,9 @@ def test_the_acceleration_of_the_duffing_oscillator_by_hand() -> None:
 def test_the_acceleration_of_a_chain_in_jax_is_numpys() -> None:
     jax = pytest.importorskip("jax")
     jax.config.update("jax_enable_x64", True)
-    from bench.information.stepped_sensitivities import jax_ops
-
     p, (x, v, _, f) = drawn(Chain(3), 1)
     x, v, f = ([c[0] for c in part] for part in (x, v, f))
-    theirs = jax.jit(lambda *args: acceleration(Chain(3), *args, [], jax_ops()))(p, x, v, f)
+    theirs = jax.jit(lambda *args: acceleration(Chain(3), *args, [], array_ops(jax.numpy)))(p, x, v, f)
     a = np.array(theirs)
     np.testing.assert_allclose(by_hand(Chain(3), p, x, v, a, f), 0.0, atol=1e-12)
 

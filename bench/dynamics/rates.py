@@ -1,0 +1,48 @@
+"""How fast a system moves: the fastest rate of its equation of motion linearised, by finite differences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bench.dynamics.mechanics import state_rate
+from bench.dynamics.ops import nan_ops
+from bench.systems import System
+
+STEP = 1e-6
+"""Step of the differences over the largest component of the state."""
+LEAST_STEP = 1e-9
+
+
+def fastest_rates(system: System, p: Mapping[str, Any], state: np.ndarray, step: float | None = None) -> np.ndarray:
+    """Compute the largest magnitude of an eigenvalue of ``s' = f(s)`` without force, linearised at rest and at a state.
+
+    Args:
+        system: any.
+        p: the parameters, floats or arrays of one shape ``sets``.
+        state: displacements, velocities and hidden states, shape (2 n_dof + n_hidden, *sets). Hidden states may be
+            left out; they are zero then.
+        step: of the differences; by default a millionth of the largest component of the state, or 1e-9.
+
+    Returns:
+        Rates (1 / unit of time) at rest and at the state, shape (2, *sets); NaN where the linearisation is not finite.
+    """
+    hidden = 2 * system.n_dof + system.n_hidden - len(state)
+    state = np.concatenate([state, np.zeros((hidden, *state.shape[1:]))])
+    d = len(state)
+    # one step for all: a smaller one where the state is zero would show the rounding of stiff springs elsewhere
+    if step is None:
+        step = max(STEP * float(np.max(np.abs(state[np.isfinite(state)]), initial=0.0)), LEAST_STEP)
+    moves = (step * np.concatenate([np.eye(d), -np.eye(d)], axis=1)).reshape(d, 2 * d, *[1] * (state.ndim - 1))
+    fastest = []
+    with np.errstate(all="ignore"):
+        for level in (0.0, 1.0):
+            moved = list(level * state[:, None] + moves)
+            rates = np.array(np.broadcast_arrays(*state_rate(system, p, moved, [0.0] * system.n_dof, nan_ops)))
+            jacobian = np.moveaxis((rates[:, :d] - rates[:, d:]) / (2 * step), (0, 1), (-2, -1))
+            finite = np.all(np.isfinite(jacobian), axis=(-2, -1))
+            eigenvalues = np.linalg.eigvals(np.where(finite[..., None, None], jacobian, 0.0))
+            fastest.append(np.where(finite, np.max(np.abs(eigenvalues), axis=-1), np.nan))
+    return np.array(fastest)
