@@ -57,6 +57,14 @@ class Identifier(ABC):
     requires: ClassVar[tuple[str, ...]] = ()
     extra: ClassVar[str] = ""
 
+    @property
+    def problems_at_once(self) -> int:
+        """How many problems :meth:`identify_many` solves together, where that depends on a setting.
+
+        A sweep hands out so many at a time; 1: as it likes, in small numbers.
+        """
+        return 1
+
     @abstractmethod
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """The estimate for one problem. Randomness comes from ``rng`` alone; the problem is read-only.

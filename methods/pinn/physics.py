@@ -122,6 +122,11 @@ class PhysicsInformed(Identifier):
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"
 
+    @property
+    def problems_at_once(self) -> int:
+        """``batch``; where members of one problem fill it, a single problem is enough."""
+        return self.batch if self.uncertainty == "laplace" else 1
+
     @abstractmethod
     def ansatz(self, block: Block, resolution: int) -> Ansatz:
         """What represents the response in a record of at most ``resolution`` oscillations."""
