@@ -1,108 +1,232 @@
 """``python -m bench.recheck``: which stale cells does a change of the code leave as they are?
 
 A cell is stale when any module that computes it has changed. Where the change was meant to alter nothing, this runs
-the first replicates of each stale cell again and compares them with the stored ones, every score to the digits that
-are stored. Where all are the same, the cell counts as computed by the present code, and its provenance says by what it
-was computed, and on how many replicates the two were compared. Where any differs, or any replicate had failed, the
-cell stays stale, for a sweep to compute.
+some replicates of each stale cell again and compares them with the stored ones, every score to the digits that are
+stored: a tenth of the replicates and at least five, drawn over the whole cell. Where all are the same, the cell counts
+as computed by the present code, and its provenance says by what it was computed, which replicates were compared, and
+how likely that misses a change of 5 % of them. Where any differs the cell is named and stays stale, for a sweep to
+compute; so does one with a failed replicate, whose repair may have been the change. Each cell is dealt with as soon as
+its replicates are there: a run that is interrupted goes on where it was.
+
+Cells that were vouched for on fewer replicates are checked again.
 """
 
 from __future__ import annotations
 
+import math
 import os
-import shutil
 import sys
-import tempfile
-from collections.abc import Sequence
-from dataclasses import replace
+import time
+from collections import defaultdict
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from bench.commands.guard import command, read_fields, whole
-from bench.commands.reproduce import compare, stored_as_cell
+import numpy as np
+
+from bench.commands.guard import command, read_fields
+from bench.commands.reproduce import compare_rows, stored_as_cell
+from bench.config.config import expand, jobs_to_cells
 from bench.contract.estimate import Status
 from bench.errors import InputError
+from bench.scoring.row import Row
 from bench.store.cell import Cell
+from bench.store.provenance import provenance
 from bench.store.store import Store, StoredCell
-from bench.sweep.launch import complete
-from bench.sweep.plan import FAILURES
+from bench.sweep.launch import fits_bar, preloaded
+from bench.sweep.plan import FAILURES, Planned, State
+from bench.sweep.runner import run_replicates
 from bench.sweep.workers import Limits
 
-USAGE = "usage: python -m bench.recheck [replicates=2] [store=results/rows]\n\n"
+USAGE = """usage: python -m bench.recheck [experiment=<name>] [method=<name>,<name>] [store=results/rows]
+
+experiment, method: only the stale cells of these\n\n"""
+ONE_IN, LEAST = 10, 5
+"""Of the replicates of a cell, one in so many is compared, and so many at least."""
+HIT_ONE_IN = 20
+"""The change that may be missed hits one replicate in so many: 5 %."""
 
 
-def stale_cells(store: Store) -> list[tuple[StoredCell, Cell]]:
-    """The stored cells that other code computed, none of whose replicates failed, as this version describes them."""
+@dataclass(frozen=True)
+class Check:
+    """A stored cell to be checked, as this version describes it, and the replicates that are compared."""
+
+    stored: StoredCell
+    cell: Cell
+    replicates: tuple[int, ...]
+
+    @property
+    def miss(self) -> float:
+        return miss_probability(self.cell.replicates, len(self.replicates))
+
+
+def n_compared(n: int) -> int:
+    """How many of ``n`` replicates are compared."""
+    return min(n, max(LEAST, -(-n // ONE_IN)))
+
+
+def draw(identity: str, n: int) -> tuple[int, ...]:
+    """The replicates of a cell that are compared: any of them with the same probability, but always the same ones."""
+    rng = np.random.default_rng(int(identity, 16))
+    return tuple(sorted(rng.choice(n, n_compared(n), replace=False).tolist()))
+
+
+def miss_probability(n: int, compared: int) -> float:
+    """The probability that ``compared`` of ``n`` replicates, drawn without replacement, hold none of the changed ones.
+
+    5 % of the replicates, rounded up, are changed: the hypergeometric distribution at zero (W. Feller, An Introduction
+    to Probability Theory and Its Applications, vol. 1, 3rd ed., 1968, section II.6).
+    """
+    changed = -(-n // HIT_ONE_IN)
+    return math.comb(n - changed, compared) / math.comb(n, compared)
+
+
+def checks(store: Store, wanted: Callable[[StoredCell], bool] = lambda stored: True) -> list[Check]:
+    """The cells to be checked: stale, or vouched for on too few replicates; none of whose replicates failed."""
     found = []
     for stored in store:
-        if any(row.status in FAILURES or row.status is Status.MISSING_DEPENDENCY for row in stored.rows):
+        failed = any(row.status in FAILURES or row.status is Status.MISSING_DEPENDENCY for row in stored.rows)
+        if failed or not wanted(stored):
             continue
         try:
             cell = stored_as_cell(stored)
         except InputError:
             continue  # its configuration means something else now
-        if cell.version.digest != stored.version.get("digest"):
-            found.append((stored, cell))
+        if cell.version.digest != stored.version.get("digest") or _vouched_on_few(stored):
+            found.append(Check(stored, cell, draw(cell.identity, cell.replicates)))
     return found
 
 
-def first_replicates(pairs: Sequence[tuple[StoredCell, Cell]], n: int, store: Store, folder: Path) -> Store:
-    """The first ``n`` replicates of the cells, computed by the present code into a store of their own."""
-    fresh = Store(folder / "rows")
-    fresh.prepare()
-    if store.bounds.is_dir():
-        shutil.copytree(store.bounds, fresh.bounds, dirs_exist_ok=True)
-    complete([shortened(cell, n) for _, cell in pairs], fresh, Limits(os.cpu_count() or 1, 600.0))
-    return fresh
+def _notes(stored: StoredCell) -> list[dict[str, Any]]:
+    return list(stored.provenance.get("rechecked", []))
 
 
-def shortened(cell: Cell, n: int) -> Cell:
-    """The same question for the first replicates alone: their data do not depend on how many there are."""
-    return replace(cell, replicates=min(n, cell.replicates))
+def _vouched_on_few(stored: StoredCell) -> bool:
+    """By the last recheck, which has compared the rows as they were computed: those before it do not matter."""
+    notes = _notes(stored)
+    if not notes:
+        return False
+    compared = notes[-1]["replicates"]
+    n = compared if isinstance(compared, int) else len(compared)  # older notes say how many, not which
+    return n < n_compared(len(stored.rows))
 
 
-def confirmed(stored: StoredCell, cell: Cell, again: StoredCell | None) -> StoredCell | None:
-    """The cell as one of the present code, where its first replicates came out the same; else None."""
-    if again is None:
-        return None
-    n = len(again.rows)
-    if compare(replace(stored, rows=stored.rows[:n]), again).name != "identical":
-        return None
-    note = {"replicates": n, "computed_by": stored.version.get("digest"), "commit": again.provenance.get("commit")}
-    before = [*stored.provenance.get("rechecked", []), note]
-    return replace(stored, version=again.version, provenance={**stored.provenance, "rechecked": before})
+def same(check: Check, rows: Sequence[Row]) -> bool:
+    """Whether replicates that were computed anew are the stored ones."""
+    chosen = set(check.replicates)
+    return compare_rows([row for row in check.stored.rows if row.replicate in chosen], rows).name == "identical"
+
+
+def vouched(check: Check, commit: str | None) -> StoredCell:
+    """The cell as one of the present code, with a note of why."""
+    stored, notes = check.stored, _notes(check.stored)
+    computed_by = notes[0]["computed_by"] if notes else stored.version.get("digest")
+    note = {
+        "replicates": list(check.replicates), "missed_5_percent": check.miss, "computed_by": computed_by,
+        "commit": commit,
+    }  # fmt: skip
+    version = check.cell.version.as_json()
+    return replace(stored, version=version, provenance={**stored.provenance, "rechecked": [*notes, note]})
+
+
+def withdrawn(check: Check) -> StoredCell:
+    """The cell as what it was before anything vouched for it: computed by code of which the digest alone is known."""
+    stored, notes = check.stored, _notes(check.stored)
+    if not notes:
+        return stored
+    kept = {key: value for key, value in stored.provenance.items() if key != "rechecked"}
+    version = {"digest": notes[0]["computed_by"], "modules": {}, "packages": {}}
+    return replace(stored, version=version, provenance=kept)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print how many cells were confirmed, and which were not; exit status 2 for bad input."""
-    return command("bench.recheck", USAGE + str(__doc__), argv, _main, "interrupted; nothing was changed")
+    kept = "interrupted; what was confirmed is kept, the same command goes on"
+    return command("bench.recheck", USAGE + str(__doc__), argv, _main, kept)
 
 
 def _main(arguments: Sequence[str]) -> int:
-    fields = read_fields(arguments, {"replicates": "2", "store": "results/rows"})
-    n, store = whole("replicates", fields["replicates"]), Store(Path(fields["store"]))
+    fields = read_fields(arguments, {"experiment": "", "method": "", "store": "results/rows"})
+    store = Store(Path(fields["store"]))
     if not store.folder.is_dir():
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
-    pairs = stale_cells(store)
-    if not pairs:
+    found = checks(store, _filter(fields))
+    if not found:
         print("no cell is stale")
         return 0
-    with tempfile.TemporaryDirectory() as folder:
-        _keep(pairs, n, store, first_replicates(pairs, n, store, Path(folder)))
+    confirmed = run(found, store, _limits(found))
+    print("\n".join(closing(found, confirmed)))
     return 0
 
 
-def _keep(pairs: Sequence[tuple[StoredCell, Cell]], n: int, store: Store, fresh: Store) -> None:
-    """Store what is confirmed, and say what is not."""
-    kept = 0
-    for stored, cell in pairs:
-        found = confirmed(stored, cell, fresh.load(shortened(cell, n).identity))
-        if found is None:
-            where = f"{stored.cell['label']} on {stored.cell['system']}, {stored.cell['snr_db']:g} dB"
-            print(f"{stored.identity[:8]}  {where}: comes out otherwise, and stays stale")
-            continue
-        store.restate(found)
-        kept += 1
-    print(f"{len(pairs)} stale cells: {kept} come out the same in their first {n} replicates, and are kept")
+def _filter(fields: Mapping[str, str]) -> Callable[[StoredCell], bool]:
+    """Whether a stored cell is of the experiment and the methods that were asked for, if any."""
+    methods = set(fields["method"].split(",")) if fields["method"] else None
+    identities: Collection[str] | None = None
+    if fields["experiment"]:
+        jobs = expand([f"experiment={fields['experiment']}"], multirun=True)
+        identities = {cell.identity for cell in jobs_to_cells(jobs)}
+    return lambda stored: (
+        (identities is None or stored.identity in identities) and (methods is None or stored.cell["label"] in methods)
+    )
+
+
+def _limits(found: Sequence[Check]) -> Limits:
+    """All cores, and the widest limits that any of the cells was computed with."""
+    given = [check.stored.provenance.get("limits", {}) for check in found]
+    widest = {
+        name: max([getattr(Limits(), name), *(one[name] for one in given if name in one)])
+        for name in ("timeout_s", "memory_mb")
+    }
+    return Limits(os.cpu_count() or 1, **widest, preload=preloaded())
+
+
+def run(found: Sequence[Check], store: Store, limits: Limits) -> dict[str, bool]:
+    """Compute the replicates of all checks, and restate each cell as soon as its own are there.
+
+    Returns:
+        Whether a cell came out the same, by identity; one that another run has stored meanwhile is left out.
+    """
+    by_identity = {check.cell.identity: check for check in found}
+    confirmed: dict[str, bool] = {}
+
+    def on_rows(cell: Cell, rows: Sequence[Row]) -> None:
+        check = by_identity[cell.identity]
+        confirmed[cell.identity] = same(check, rows)
+        if confirmed[cell.identity]:
+            come = provenance(cell.version, limits.workers, limits.timeout_s, limits.memory_mb, time.time())
+            store.restate(vouched(check, come["commit"]))
+        elif _notes(check.stored):
+            store.restate(withdrawn(check))
+
+    planned = [(Planned(check.cell, State.STALE, "", True), check.replicates) for check in found]
+    with fits_bar(sum(len(check.replicates) for check in found)) as on_progress:
+        run_replicates(planned, store, limits, on_rows, on_progress)
+    return confirmed
+
+
+def closing(found: Sequence[Check], confirmed: Mapping[str, bool]) -> list[str]:
+    """What differs, by name; what came out the same, by method, with what it can have missed."""
+    lines, groups = [], defaultdict(list)
+    for check in found:
+        what, result = check.stored.cell, confirmed.get(check.cell.identity)
+        if result is False:
+            where = f"{what['label']} on {what['system']}, {what['snr_db']:g} dB"
+            lines.append(f"{check.cell.identity[:8]}  {where}: comes out otherwise, and stays stale")
+        elif result:
+            groups[str(what["label"])].append(check)
+    for label, own in sorted(groups.items()):
+        compared, total = sum(len(check.replicates) for check in own), sum(check.cell.replicates for check in own)
+        missed = [check.miss for check in own]
+        lines.append(
+            f"{label}: {len(own)} cells, {compared} of {total} replicates; a change of 5 % of the replicates of a cell "
+            f"is missed with probability {max(missed):.2g} at most, of all cells with {math.prod(missed):.2g}"
+        )
+    kept = sum(confirmed.values())
+    stored_meanwhile = len(found) - len(confirmed)
+    more = f"; {stored_meanwhile} were stored by another run meanwhile" if stored_meanwhile else ""
+    return [*lines, f"{len(found)} cells checked: {kept} come out the same, and are kept{more}"]
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from bench.commands.guard import command
 from bench.errors import InputError
 from bench.scenario.disturbance import make_disturbance
 from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
+from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.store import DIGITS, Store, StoredCell
 from bench.store.version import Version
@@ -85,15 +86,22 @@ def _disturbance(stored: Mapping[str, Any] | None) -> Any:
 
 def compare(old: StoredCell, new: StoredCell) -> Verdict:
     """How a cell that was run again compares with the stored one: statuses, scores, data, and what computed them."""
+    verdict = compare_rows(old.rows, new.rows)
+    return replace(verdict, changed=(*verdict.changed, *_circumstances(old, new)))
+
+
+def compare_rows(old: Sequence[Row], new: Sequence[Row]) -> Verdict:
+    """How rows compare with others of the same replicates: statuses, scores, data."""
     differences: dict[str, float] = {}
     changed = []
-    for before, after in zip(old.rows, new.rows, strict=True):
+    for before, after in zip(old, new, strict=True):
+        assert before.replicate == after.replicate
         if before.status is not after.status:
             changed.append(f"replicate {before.replicate} was {before.status}, now {after.status}")
         for name in {*before.scores, *after.scores}:
             gap = _relative(before.scores.get(name, math.nan), after.scores.get(name, math.nan))
             differences[name] = max(differences.get(name, 0.0), gap)
-    other_data = sum(before.data != after.data for before, after in zip(old.rows, new.rows, strict=True))
+    other_data = sum(before.data != after.data for before, after in zip(old, new, strict=True))
     worst = max(differences.values(), default=0.0)
     name = "identical"
     if worst > 0.5 * 10.0 ** (1 - DIGITS):
@@ -102,7 +110,7 @@ def compare(old: StoredCell, new: StoredCell) -> Verdict:
         name = "drifted"
     if other_data:
         changed.append(f"the data of {other_data} replicate(s) differ in their last digits or more")
-    return Verdict(name, {k: v for k, v in differences.items() if v > 0}, (*changed, *_circumstances(old, new)))
+    return Verdict(name, {k: v for k, v in differences.items() if v > 0}, tuple(changed))
 
 
 def _relative(before: float, after: float) -> float:

@@ -68,6 +68,14 @@ class Identifier(ABC):
     extra: ClassVar[str] = ""
     works_in: ClassVar[Literal["given units", "natural units"]] = "given units"
 
+    @property
+    def problems_at_once(self) -> int:
+        """How many problems :meth:`identify_many` solves together, where that depends on a setting.
+
+        A sweep hands out so many at a time; 1: as it likes, in small numbers.
+        """
+        return 1
+
     @abstractmethod
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Write this: the answer to one problem, in its units.

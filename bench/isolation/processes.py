@@ -49,16 +49,20 @@ class Died(Exception):
         self.reason, self.message, self.log = reason, message, log
 
 
-def start_server(preload: Sequence[str] = ()) -> Any:
-    """The context of the server that all children are started from; it imports while its starter goes on.
+def start_server(preload: Sequence[str] = ()) -> None:
+    """Start the server that all children are started from; it imports while its starter goes on.
 
     The first call decides what is preloaded; a later one changes nothing.
     """
+    _context(preload)
+    with without_main():
+        forkserver.ensure_running()
+
+
+def _context(preload: Sequence[str]) -> Any:
     single_threaded()
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.frozen"])
-    with without_main():
-        forkserver.ensure_running()
     return context
 
 
@@ -66,9 +70,7 @@ class Children:
     """Starts children; one a run, since it owns their server, the folder of their logs, and their lifeline."""
 
     def __init__(self, preload: Sequence[str] = ()) -> None:
-        single_threaded()
-        self.context: Any = multiprocessing.get_context("forkserver")
-        self.context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.frozen"])
+        self.context = _context(preload)
         self.folder = tempfile.TemporaryDirectory(prefix="vibration-bench-", ignore_cleanup_errors=True)
         self.lifeline, self._alive = self.context.Pipe(duplex=False)
         self.numbers = itertools.count()

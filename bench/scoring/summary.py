@@ -94,11 +94,11 @@ def _coverage(hits: np.ndarray) -> Summary:
     if not hits.size:
         return Summary(nan, nan, nan, nan, nan, nan, 0)
     low, high = wilson_interval(int(hits.sum()), hits.size)
-    return Summary(float(hits.mean()), float(np.median(hits)), low, high, nan, nan, int(hits.size))
+    return Summary(float(hits.mean()), float(_medians(hits[None])[0]), low, high, nan, nan, int(hits.size))
 
 
 def wilson_interval(k: int, n: int) -> tuple[float, float]:
     """95 % interval of a fraction, ``k`` of ``n`` seen (E. B. Wilson, J. Am. Stat. Assoc. 22:209, 1927)."""
     z2 = Z95**2
-    half = Z95 * np.sqrt(k * (n - k) / n + z2 / 4)
+    half = Z95 * math.sqrt(k * (n - k) / n + z2 / 4)
     return max(0.0, float((k + z2 / 2 - half) / (n + z2))), min(1.0, float((k + z2 / 2 + half) / (n + z2)))

@@ -1,4 +1,4 @@
-"""From a plan to finished cells by way of a Hydra launcher: on this machine, on Ray, on Slurm.
+"""From a plan to finished cells: on this machine, or by way of a launcher of Hydra's, on Ray or Slurm.
 
 A launcher gets jobs, each with some of the sweep's cells, and calls :func:`run_job` for each, wherever it likes.
 Results come through the store alone, which all nodes must see. So a job that is tried again computes only what is
@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 import uuid
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -27,7 +27,7 @@ from bench.isolation.processes import start_server
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.plan import Planned, State, plan
-from bench.sweep.runner import needed, run_cells
+from bench.sweep.runner import Progress, needed, run_cells
 from bench.sweep.workers import Limits
 
 WATCH_S = 1.0
@@ -58,7 +58,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Launch:
-    """How a sweep is launched: Hydra's own overrides, and how many cells a job has where jobs go elsewhere."""
+    """How a sweep is launched: Hydra's own overrides, if any, and how many cells a job of a launcher has."""
 
     overrides: tuple[str, ...] = ()
     cells_per_job: int = 20
@@ -71,7 +71,7 @@ class Launch:
 
     @property
     def local(self) -> bool:
-        """Whether this process has the cells computed itself, in one job that shares out the machine's cores."""
+        """Whether this process has the cells computed itself, on the machine's cores."""
         return self.launcher == "local"
 
 
@@ -85,13 +85,16 @@ def launch(planned: Sequence[Planned], store: Store, limits: Limits, how: Launch
     wanted = tuple(one for one in planned if one.run)
     if not wanted:
         return
+    if how.local:
+        _run_here(wanted, store, limits, how)
+        return
     store = Store(store.folder.resolve())
     folder = store.folder / "launches" / uuid.uuid4().hex[:12]
     again = [one.cell.identity for one in wanted if one.state is not State.MISSING]
     sweep = Job(wanted, {identity: store.stamp(identity) for identity in again}, store, limits)
     with _launcher(folder, how) as launcher:
         try:
-            with _watched(sweep, not how.local):
+            with _watched(sweep):
                 _rounds(launcher, sweep, folder, how)
         finally:
             shutil.rmtree(folder, ignore_errors=True)  # jobs that still run elsewhere end when they see it
@@ -106,10 +109,22 @@ def complete(cells: Sequence[Cell], store: Store, limits: Limits) -> None:
 
 def warm_up(methods: Collection[str]) -> None:
     """Have this machine's server of processes import what the methods need, while the caller goes on."""
+    start_server(needed(preloaded(), methods))
+
+
+def preloaded() -> tuple[str, ...]:
+    """The packages that ``conf/launch.yaml`` has imported once a run, where a method needs them."""
     from omegaconf import OmegaConf
 
-    content = OmegaConf.create(files("conf").joinpath("launch.yaml").read_text(encoding="utf-8"))
-    start_server(needed(list(content.preload), methods))
+    return tuple(OmegaConf.create(files("conf").joinpath("launch.yaml").read_text(encoding="utf-8")).preload)
+
+
+def _run_here(wanted: Sequence[Planned], store: Store, limits: Limits, how: Launch) -> None:
+    for text in how.overrides:
+        if not text.lstrip("+").startswith("hydra/launcher="):
+            raise InputError("argument", text, "an option of a launcher: name that too, by hydra/launcher=")
+    with fits_bar(sum(one.cell.replicates for one in wanted), "bounds") as on_progress:
+        run_cells(wanted, store, replace(limits, preload=preloaded()), on_progress)
 
 
 def run_job(config: Any) -> dict[str, int]:
@@ -118,19 +133,15 @@ def run_job(config: Any) -> dict[str, int]:
 
     path = Path(config.sweep) / f"{config.job}.job"
     job: Job = pickle.loads(path.read_bytes())
-    launcher = HydraConfig.get().launcher
-    workers = config.workers or _cores(launcher)
-    limits = replace(job.limits, workers=workers, preload=tuple(config.preload))
+    limits = replace(job.limits, workers=_cores(HydraConfig.get().launcher), preload=tuple(config.preload))
     left = job.left()
-    with _progress(job.planned, left, bool(launcher.get("progress"))) as on_progress:  # shown by the local launcher
 
-        def on_fits(cell: Cell, n: int) -> None:
-            if not path.exists():  # and with it whoever waits for the job
-                remedy = "was removed while the sweep ran; start it again, what was stored is kept"
-                raise InputError("store", path.parent, remedy)
-            on_progress(cell, n)
+    def on_progress(cell: Cell, n: int) -> None:
+        if not path.exists():  # and with it whoever waits for the job
+            remedy = "was removed while the sweep ran; start it again, what was stored is kept"
+            raise InputError("store", path.parent, remedy)
 
-        run_cells(left, job.store, limits, on_fits)
+    run_cells(left, job.store, limits, on_progress)
     return {"cells": len(job.planned), "computed": len(left)}
 
 
@@ -151,21 +162,20 @@ def _cores(launcher: Any) -> int:
 def _rounds(launcher: Any, sweep: Job, folder: Path, how: Launch) -> None:
     """Launch what is left of a sweep, as long as a round brings anything."""
     n_jobs, left = 0, list(sweep.planned)
-    workers = sweep.limits.workers if how.local else "null"
+    size = how.cells_per_job
     while left:
-        size = len(left) if how.local else how.cells_per_job
         jobs: list[list[str]] = []
         for i in range(0, len(left), size):
             name = n_jobs + len(jobs)
             _write(folder / f"{name}.job", pickle.dumps(sweep.part(left[i : i + size])), sweep.store)
-            jobs.append([f"sweep={_quoted(folder)}", f"job={name}", f"workers={workers}"])
+            jobs.append([f"sweep={_quoted(folder)}", f"job={name}"])
         try:
             returns = launcher.launch(jobs, n_jobs)
             for done in returns:
                 _ = done.return_value  # raises what the job raised
             lost = ""
         except Exception as error:
-            if how.local or isinstance(error, InputError):
+            if isinstance(error, InputError):
                 raise
             lost = one_line(error)
         n_jobs += len(jobs)
@@ -212,7 +222,7 @@ def _launcher(folder: Path, how: Launch) -> Any:
                     hydra_context=context, task_function=run_job, config=config
                 )
             except (HydraException, OmegaConfBaseException, ImportError) as error:
-                known = [name for name in hydra.config_loader.get_group_options("hydra/launcher")]
+                known = ["local", *hydra.config_loader.get_group_options("hydra/launcher")]
                 reason = str(error).splitlines()[0]
                 if how.launcher not in known:
                     reason = (
@@ -229,16 +239,12 @@ def _quoted(path: Path) -> str:
 
 
 @contextmanager
-def _progress(planned: Sequence[Planned], left: Sequence[Planned], shown: bool) -> Any:
-    """A progress bar over the fits of a job; its callback."""
+def fits_bar(n_fits: int, first: str = "") -> Iterator[Progress]:
+    """A progress bar over fits on the error stream, which says ``first`` at first; the callback that moves it on."""
     from tqdm import tqdm
 
-    total = sum(one.cell.replicates for one in planned)
-    found = total - sum(one.cell.replicates for one in left)
-    with tqdm(
-        total=total, initial=found, unit="fit", file=sys.stderr, dynamic_ncols=True, mininterval=0.2, disable=not shown
-    ) as bar:
-        bar.set_description("bounds")
+    with tqdm(total=n_fits, unit="fit", file=sys.stderr, dynamic_ncols=True, mininterval=0.2) as bar:
+        bar.set_description(first)
 
         def on_progress(cell: Cell, n: int) -> None:
             bar.set_description(f"{cell.label} {cell.scenario.snr_db:g} dB")
@@ -248,13 +254,10 @@ def _progress(planned: Sequence[Planned], left: Sequence[Planned], shown: bool) 
 
 
 @contextmanager
-def _watched(sweep: Job, shown: bool) -> Any:
+def _watched(sweep: Job) -> Any:
     """A progress bar over cells that are computed elsewhere: what counts is what arrives in the store."""
     from tqdm import tqdm
 
-    if not shown:
-        yield
-        return
     over = threading.Event()
     with tqdm(total=len(sweep.planned), unit="cell", file=sys.stderr, dynamic_ncols=True) as bar:
 

@@ -35,7 +35,7 @@ CPU_MARGIN_S = 60.0
 
 
 class Fit(Protocol):
-    """What a fitter runs: payloads and random streams to estimates."""
+    """What a method's process runs: payloads and random streams to estimates."""
 
     def __call__(self, payloads: Sequence[Any], rngs: Sequence[np.random.Generator]) -> list[Estimate]: ...
 
@@ -96,7 +96,7 @@ def serve(connection: Connection) -> None:
 
 
 def ready(children: Children, spare: Child | None, requires: Sequence[str], memory_mb: float | None) -> Child:
-    """A fitter that has imported what its method needs, from a spare process where there is one; raises Died."""
+    """A process that has imported what its method needs, made of a spare one where there is one; raises Died."""
     child = spare or children.start(serve)
     child.send(pickle.dumps((tuple(requires), memory_mb)))
     child.receive(READY_S)
@@ -204,8 +204,8 @@ def _limit_memory(memory_mb: float | None) -> None:
 
 def _data_bytes() -> int:
     """Data segment in use now, what RLIMIT_DATA counts."""
-    with open("/proc/self/status", encoding="ascii") as lines:
-        return next((int(line.split()[1]) * 1024 for line in lines if line.startswith("VmData")), 0)
+    with open("/proc/self/status", "rb") as lines:  # as text, it would import a codec in every process
+        return next((int(line.split()[1]) * 1024 for line in lines if line.startswith(b"VmData")), 0)
 
 
 def _limit_processor_time(seconds: float) -> None:

@@ -7,7 +7,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,24 +21,37 @@ from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.locks import Claims
 from bench.store.store import Store
-from bench.sweep import method_process as fitter
+from bench.sweep.method_process import Fit, MethodFit, ReferenceFit
 from bench.sweep.plan import FAILURES, Planned, State
 from bench.sweep.scoring_process import Scored
 
 LARGEST_TASK = 5
-"""Replicates that a method gets at once, at most: what is lost, and tried again one by one, when a process dies."""
+"""Replicates in a task, at most, where a method does not say how many it solves together: a process that dies loses
+all of its task, and they are tried again one by one."""
 WAIT_S = 0.5
 
 
 @dataclass
-class Work:
-    """A cell under way."""
+class QueuedCell:
+    """A cell to be computed: the tasks that are still to be fitted, and the rows so far.
+
+    Attributes:
+        cell: What is computed.
+        fit: A pickled :class:`bench.sweep.method_process.Fit`.
+        requires: Packages that the method needs.
+        n_wanted: Rows at which the cell is complete.
+        stamp: When its file was written before it was queued (ns); 0 where there was none.
+        pending: Tasks, as numbers of replicates.
+        facts: What tables say of the data that all replicates share.
+        started: Seconds since the epoch.
+    """
 
     cell: Cell
     fit: bytes
     requires: tuple[str, ...]
-    pending: deque[tuple[int, ...]]
+    n_wanted: int
     stamp: int
+    pending: deque[tuple[int, ...]] = field(default_factory=deque)
     rows: list[Row] = field(default_factory=list)
     tracebacks: dict[int, str] = field(default_factory=dict)
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
@@ -47,7 +60,7 @@ class Work:
 
     @property
     def complete(self) -> bool:
-        return len(self.rows) == self.cell.replicates
+        return len(self.rows) == self.n_wanted
 
     def errors(self) -> str:
         """The tracebacks of all failed replicates, in order."""
@@ -55,55 +68,67 @@ class Work:
         return without_places("\n".join(parts))
 
 
-def work_of(planned: Planned, store: Store, workers: int) -> Work:
-    """The replicates to be fitted: all of them, or those that failed where a cell is tried again."""
+def queue_cell(planned: Planned, store: Store, workers: int, replicates: Collection[int] | None = None) -> QueuedCell:
+    """A planned cell, with what is to be fitted cut into tasks.
+
+    Args:
+        planned: The cell; where it is tried again, the rows that did not fail are taken over.
+        store: Where it is, or will be.
+        workers: How many share the replicates.
+        replicates: The numbers of those that are wanted; None: all.
+    """
     cell = planned.cell
-    requires: tuple[str, ...] = ()
-    if cell.method in REFERENCES:
-        fit: Any = fitter.ReferenceFit(cell.method)
-    else:
-        method = make_method(cell.method, dict(cell.settings))
-        requires, fit = method.requires, fitter.MethodFit(method)
-    work = Work(cell, pickle.dumps(fit), requires, deque(), store.stamp(cell.identity))
-    todo = list(range(cell.replicates))
-    if planned.state is State.FAILED:
-        todo = _keep_good(work, store)
+    wanted = sorted(range(cell.replicates) if replicates is None else replicates)
+    fit, requires, size = _fit(cell)
+    queued = QueuedCell(cell, pickle.dumps(fit), requires, len(wanted), store.stamp(cell.identity))
     lacking = missing_package(cell.method)
     if lacking:
-        work.rows = [Row(i, Status.MISSING_DEPENDENCY, lacking) for i in range(cell.replicates)]
-        return work
-    size = max(1, min(LARGEST_TASK, cell.replicates // (4 * workers)))
-    work.pending.extend(tuple(todo[i : i + size]) for i in range(0, len(todo), size))
-    return work
+        queued.rows = [Row(i, Status.MISSING_DEPENDENCY, lacking) for i in wanted]
+        return queued
+    if planned.state is State.FAILED:
+        _keep_good(queued, store)
+    kept = {row.replicate for row in queued.rows}
+    todo = [i for i in wanted if i not in kept]
+    size = size if size > 1 else max(1, min(LARGEST_TASK, len(wanted) // (4 * workers)))
+    queued.pending.extend(tuple(todo[i : i + size]) for i in range(0, len(todo), size))
+    return queued
 
 
-def _keep_good(work: Work, store: Store) -> list[int]:
-    """Take over the rows of a stored cell that did not fail; returns the replicates that did."""
-    stored = store.load(work.cell.identity)
-    retried = FAILURES | {Status.MISSING_DEPENDENCY}
-    work.rows = [row for row in stored.rows if row.status not in retried] if stored else []
-    work.arrays = store.arrays(stored) if stored else {}
-    kept = {row.replicate for row in work.rows}
-    return [i for i in range(work.cell.replicates) if i not in kept]
+def _fit(cell: Cell) -> tuple[Fit, tuple[str, ...], int]:
+    """What is run, the packages that it needs, and how many problems it solves together."""
+    if cell.method in REFERENCES:
+        return ReferenceFit(cell.method), (), 1
+    method = make_method(cell.method, dict(cell.settings))
+    return MethodFit(method), method.requires, method.problems_at_once
 
 
-class Board:
-    """What is to be done, shared by the slots: each call is one step under a lock."""
+def _keep_good(queued: QueuedCell, store: Store) -> None:
+    """Take over the rows of a stored cell that did not fail."""
+    stored = store.load(queued.cell.identity)
+    if stored is not None:
+        retried = FAILURES | {Status.MISSING_DEPENDENCY}
+        queued.rows = [row for row in stored.rows if row.status not in retried]
+        queued.arrays = store.arrays(stored)
 
-    def __init__(self, works: Sequence[Work], store: Store) -> None:
+
+class CellQueue:
+    """The cells of a run, shared by its threads: each call is one step under a lock."""
+
+    def __init__(self, cells: Sequence[QueuedCell], store: Store) -> None:
         self.store, self.claims = store, Claims(store.claims)
         self.events: queue.Queue[Any] = queue.Queue()
-        self.batches = sum(max(1, len(work.pending)) for work in works)
-        self._works = deque(works)
-        self._open: list[Work] = []
+        self.n_tasks = sum(max(1, len(queued.pending)) for queued in cells)
+        self.methods = {queued.cell.method for queued in cells}
+        self._waiting = deque(cells)
+        self._open: list[QueuedCell] = []
         self._lock = threading.Lock()
         self._stopped = threading.Event()
-        self.complete: queue.Queue[Work] = queue.Queue()
+        self.complete: queue.Queue[QueuedCell] = queue.Queue()
 
     @property
     def more(self) -> bool:
         """Whether there are cells that nobody has begun."""
-        return bool(self._works)
+        return bool(self._waiting)
 
     @property
     def stopped(self) -> bool:
@@ -112,73 +137,70 @@ class Board:
     def stop(self) -> None:
         self._stopped.set()
 
-    def take(self, last: Work | None) -> tuple[Work, tuple[int, ...]] | None:
-        """The next replicates, of the same cell if it has any; None at the end.
+    def take(self, last: QueuedCell | None) -> tuple[QueuedCell, tuple[int, ...]] | None:
+        """The next task, of the same cell if it has any; None at the end.
 
-        A cell of one slot is shared with others only when no cell is left that nobody works on.
+        A cell of one worker is shared with others only when no cell is left that nobody works on.
         """
         while not self._stopped.is_set():
             with self._lock:
                 if last is not None and last.pending:
-                    return self._hand_out(last)
-                work = self._claimed() or max(self._open, key=lambda one: len(one.pending), default=None)
-                if work is not None and work.pending:
-                    return self._hand_out(work)
-                if not self._works:
+                    return last, last.pending.popleft()
+                queued = self._claimed() or max(self._open, key=lambda one: len(one.pending), default=None)
+                if queued is not None and queued.pending:
+                    return queued, queued.pending.popleft()
+                if not self._waiting:
                     return None
             self._stopped.wait(WAIT_S)  # for cells that another run has claimed
         return None
 
-    def _claimed(self) -> Work | None:
+    def _claimed(self) -> QueuedCell | None:
         """The next cell that nobody works on; one that another run has stored meanwhile is done."""
-        for _ in range(len(self._works)):
-            work = self._works.popleft()
-            if not self.claims.take(work.cell.identity):
-                self._works.append(work)
+        for _ in range(len(self._waiting)):
+            queued = self._waiting.popleft()
+            if not self.claims.take(queued.cell.identity):
+                self._waiting.append(queued)
                 continue
-            if self._stored_meanwhile(work):
-                self.claims.release(work.cell.identity)
-                self.events.put((work.cell, work.cell.replicates - len(work.rows)))
+            if self._stored_meanwhile(queued):
+                self.claims.release(queued.cell.identity)
+                self.events.put((queued.cell, queued.n_wanted - len(queued.rows)))
                 continue
-            work.started = time.time()
-            self._open.append(work)
-            if not work.pending:  # nothing to fit: its package is missing
-                self.complete.put(work)
+            queued.started = time.time()
+            self._open.append(queued)
+            if not queued.pending:  # nothing to fit: its package is missing
+                self.complete.put(queued)
                 continue
-            return work
+            return queued
         return None
 
-    def _stored_meanwhile(self, work: Work) -> bool:
-        cell = work.cell
-        if self.store.stamp(cell.identity) == work.stamp:
+    def _stored_meanwhile(self, queued: QueuedCell) -> bool:
+        cell = queued.cell
+        if self.store.stamp(cell.identity) == queued.stamp:
             return False
         stored = self.store.load(cell.identity)
         return stored is not None and stored.version.get("digest") == cell.version.digest
 
-    def _hand_out(self, work: Work) -> tuple[Work, tuple[int, ...]]:
-        return work, work.pending.popleft()
-
-    def split(self, work: Work, replicates: Sequence[int]) -> None:
+    def split(self, queued: QueuedCell, replicates: Sequence[int]) -> None:
         """Have replicates tried again one by one."""
         with self._lock:
-            work.pending.extendleft((replicate,) for replicate in reversed(replicates))
+            queued.pending.extendleft((replicate,) for replicate in reversed(replicates))
 
-    def add(self, work: Work, scored: Sequence[Scored]) -> None:
+    def add(self, queued: QueuedCell, scored: Sequence[Scored]) -> None:
         """Note rows; a cell that is complete goes to be stored."""
         with self._lock:
             for one in scored:
-                work.rows.append(one.row)
-                work.arrays.update(one.arrays)
+                queued.rows.append(one.row)
+                queued.arrays.update(one.arrays)
                 if one.row.replicate == 0:
-                    work.facts.update(one.facts)
+                    queued.facts.update(one.facts)
                 if one.traceback:
-                    work.tracebacks[one.row.replicate] = one.traceback
-            self.events.put((work.cell, len(scored)))
-            if work.complete:
-                self.complete.put(work)
+                    queued.tracebacks[one.row.replicate] = one.traceback
+            self.events.put((queued.cell, len(scored)))
+            if queued.complete:
+                self.complete.put(queued)
 
-    def stored(self, work: Work) -> None:
-        """Note that a cell is in the store."""
+    def close(self, queued: QueuedCell) -> None:
+        """Note that a complete cell has been dealt with."""
         with self._lock:
-            self._open.remove(work)
-            self.claims.release(work.cell.identity)
+            self._open.remove(queued)
+            self.claims.release(queued.cell.identity)

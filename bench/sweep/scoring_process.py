@@ -61,12 +61,12 @@ class Failure:
 
 def serve(connection: Connection) -> None:
     """Do what the run asks, one request after another; the answers, or what went wrong, are pickled."""
-    judge = Judge()
+    scorer = Scorer()
     requests: dict[str, Callable[..., Any]] = {
-        "open": judge.open,
-        "score": judge.score,
-        "fail": judge.fail,
-        "finish": judge.finish,
+        "open": scorer.open,
+        "score": scorer.score,
+        "fail": scorer.fail,
+        "finish": scorer.finish,
     }
     connection.send_bytes(b"ready")
     while True:
@@ -78,7 +78,7 @@ def serve(connection: Connection) -> None:
         connection.send_bytes(pickle.dumps(answer))
 
 
-class Judge:
+class Scorer:
     """Holds the replicates of one cell at a time."""
 
     def __init__(self) -> None:

@@ -159,7 +159,7 @@ def _written(store: Store, cell: StoredCell, arrays: Any) -> float:
 
 def _launched(folder: Path, n: int = 50) -> float:
     """Seconds in which Hydra makes the configuration of one job."""
-    with launch._launcher(folder, Launch()) as launcher:
+    with launch._launcher(folder, Launch(("hydra/launcher=basic",))) as launcher:
         loader, config = launcher.hydra_context.config_loader, launcher.config
         return _seconds(lambda: [loader.load_sweep_config(config, [f"job={i}"]) for i in range(n)]) / n
 

@@ -57,6 +57,11 @@ class PhysicsInformed(Settings, Identifier):
     extra: ClassVar[str] = "torch"
     works_in = "natural units"
 
+    @property
+    def problems_at_once(self) -> int:
+        """``batch``; where members of one problem fill it, a single problem is enough."""
+        return self.batch if self.uncertainty == "laplace" else 1
+
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Fit one problem; status ``diverged`` or ``nonfinite`` where nothing was found."""
         return self.estimate_many([problem], [rng])[0]

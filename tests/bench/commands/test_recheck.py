@@ -1,27 +1,47 @@
 """A change that alters nothing keeps the cells; one that alters anything does not."""
 
-import json
+from __future__ import annotations
 
+import itertools
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 import pytest
 
 from bench.commands import recheck
 from bench.config.config import expand
-from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.launch import complete
 from bench.sweep.workers import Limits
 
+OLD = "0123456789abcdef"
+N = 12
+
+
+@pytest.fixture(scope="module")
+def computed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The files of a cell of each method, by name."""
+    store = Store(tmp_path_factory.mktemp("computed") / "rows")
+    store.prepare()
+    jobs = expand(["method=ls,matrix_pencil", f"replicates={N}", "system=sdof"], multirun=True)
+    complete([job.cell() for job in jobs], store, Limits(1, 60.0))
+    return {path.name: path.read_text() for path in store.folder.glob("*.json")}
+
 
 @pytest.fixture
-def store(tmp_path):
+def store(computed: dict[str, str], tmp_path: Path) -> Store:
     store = Store(tmp_path / "rows")
     store.prepare()
-    jobs = expand(["method=ls,matrix_pencil", "replicates=4", "system=sdof"], multirun=True)
-    complete([job.cell() for job in jobs], store, Limits(1, 60.0))
+    for name, text in computed.items():
+        (store.folder / name).write_text(text)
     return store
 
 
-def _edit(store: Store, method: str, **changes):
+def _edit(store: Store, method: str, **changes: Callable[[Any], Any]) -> Path:
     """Rewrite the file of a method's cell."""
     for path in store.folder.glob("*.json"):
         content = json.loads(path.read_text())
@@ -33,59 +53,159 @@ def _edit(store: Store, method: str, **changes):
     raise AssertionError(method)
 
 
-def _older(version):
-    return {**version, "digest": "0123456789abcdef"}
+def _older(version: dict[str, Any]) -> dict[str, Any]:
+    return {**version, "digest": OLD}
 
 
-def test_nothing_is_stale(store, capsys):
+def _vouched(replicates: Any) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    return lambda come: {**come, "rechecked": [{"replicates": replicates, "computed_by": OLD, "commit": None}]}
+
+
+def _moved(replicate: int) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    """Its k/m error is moved by one part in ten thousand: more than the stored digits hide."""
+
+    def moved(rows: dict[str, Any]) -> dict[str, Any]:
+        name = "k_over_m_error_pct"
+        values = [v * (1.0001 if i == replicate else 1.0) for i, v in enumerate(rows["scores"][name])]
+        return {**rows, "scores": {**rows["scores"], name: values}}
+
+    return moved
+
+
+def _digest(path: Path) -> str:
+    return str(json.loads(path.read_text())["version"]["digest"])
+
+
+def test_nothing_is_stale(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
     assert recheck.main([f"store={store.folder}"]) == 0
     assert "no cell is stale" in capsys.readouterr().out
 
 
-def test_cells_that_come_out_the_same_are_kept_and_say_so(store, capsys):
+def test_a_tenth_is_compared_and_five_at_least() -> None:
+    assert [recheck.n_compared(n) for n in (1, 5, 6, 50, 51, 100, 500)] == [1, 5, 5, 5, 6, 10, 50]
+
+
+def test_the_draw_is_repeatable_and_leaves_no_replicate_out() -> None:
+    """Of 20 replicates 5 are drawn: each with probability 1/4 over cells, within five standard errors of 4,000."""
+    cells, n = 4000, 20
+    names = [f"{i:020x}" for i in np.random.default_rng(5).integers(2**60, size=cells)]
+    draws = [recheck.draw(name, n) for name in names]
+    assert draws == [recheck.draw(name, n) for name in names]
+    assert all(len(set(draw)) == 5 for draw in draws)
+    share = np.bincount(np.concatenate(draws), minlength=n) / cells
+    assert share == pytest.approx(np.full(n, 0.25), abs=5 * math.sqrt(0.25 * 0.75 / cells))
+
+
+@pytest.mark.parametrize(("n", "changed"), [(1, 1), (7, 1), (20, 1), (40, 2), (50, 3)])
+def test_the_probability_of_a_miss_is_the_share_of_draws_without_a_changed_replicate(n: int, changed: int) -> None:
+    """5 % rounded up are changed; all draws are counted."""
+    size = recheck.n_compared(n)
+    if n <= 20:
+        missed = [not set(chosen) & set(range(changed)) for chosen in itertools.combinations(range(n), size)]
+        assert recheck.miss_probability(n, size) == pytest.approx(np.mean(missed))
+    product = math.prod((n - changed - i) / (n - i) for i in range(size))  # one draw after the other
+    assert recheck.miss_probability(n, size) == pytest.approx(product)
+
+
+def test_cells_that_come_out_the_same_are_kept_and_say_so(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
     path = _edit(store, "ls", version=_older)
     before = json.loads(path.read_text())
-    assert recheck.main([f"store={store.folder}", "replicates=2"]) == 0
-    assert "1 stale cells: 1 come out the same" in capsys.readouterr().out
+    assert recheck.main([f"store={store.folder}"]) == 0
+    said = capsys.readouterr().out
+    assert "1 cells checked: 1 come out the same" in said
+    assert f"ls: 1 cells, 5 of {N} replicates" in said
+    assert "missed with probability 0.58 at most" in said  # 7/12: one of 12 is changed, 5 are looked at
     after = json.loads(path.read_text())
     assert after["rows"] == before["rows"]
     assert after["arrays"] == before["arrays"]
     (note,) = after["provenance"]["rechecked"]
-    assert note["replicates"] == 2
-    assert note["computed_by"] == "0123456789abcdef"
-    assert not recheck.stale_cells(store)
+    assert note["replicates"] == list(recheck.draw(path.stem, N))
+    assert note["missed_5_percent"] == pytest.approx(7 / 12, rel=1e-5)
+    assert note["computed_by"] == OLD
+    assert not recheck.checks(store)
 
 
-def test_a_cell_that_comes_out_otherwise_stays_stale(store, capsys):
-    """Its stored k/m error is moved by one part in ten thousand: more than the stored digits hide."""
-
-    def moved(rows):
-        scores = rows["scores"]
-        name = "k_over_m_error_pct"
-        return {**rows, "scores": {**scores, name: [v * 1.0001 for v in scores[name]]}}
-
-    path = _edit(store, "ls", version=_older, rows=moved)
+def test_a_changed_replicate_among_those_drawn_is_found(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    path = _edit(store, "ls", version=_older)
+    last = recheck.draw(path.stem, N)[-1]
+    assert last > 1
+    _edit(store, "ls", rows=_moved(last))
+    other = _edit(store, "matrix_pencil", version=_older)
     assert recheck.main([f"store={store.folder}"]) == 0
-    assert "comes out otherwise" in capsys.readouterr().out
-    assert json.loads(path.read_text())["version"]["digest"] == "0123456789abcdef"
+    said = capsys.readouterr().out
+    assert f"{path.stem[:8]}  ls on sdof, 20 dB: comes out otherwise" in said
+    assert "2 cells checked: 1 come out the same" in said
+    assert _digest(path) == OLD
+    assert _digest(other) != OLD
 
 
-def test_a_cell_with_failures_is_not_vouched_for(store):
+def test_a_changed_replicate_is_missed_where_it_is_not_drawn(store: Store) -> None:
+    """Which is what the stated probability says of itself."""
+    path = _edit(store, "ls", version=_older)
+    spared = next(i for i in range(N) if i not in recheck.draw(path.stem, N))
+    _edit(store, "ls", rows=_moved(spared))
+    assert recheck.main([f"store={store.folder}"]) == 0
+    assert _digest(path) != OLD
+
+
+def test_cells_vouched_for_on_few_replicates_are_checked_again(store: Store) -> None:
+    few = _edit(store, "ls", provenance=_vouched(2))
+    enough = _edit(store, "matrix_pencil", provenance=_vouched([0, 3, 4, 7, 9]))
+    assert [check.stored.identity for check in recheck.checks(store)] == [few.stem]
+    kept = enough.read_text()
+    assert recheck.main([f"store={store.folder}"]) == 0
+    old, new = json.loads(few.read_text())["provenance"]["rechecked"]
+    assert (old["replicates"], len(new["replicates"])) == (2, 5)
+    assert new["computed_by"] == OLD  # not by the code that vouched for it
+    assert enough.read_text() == kept
+    assert not recheck.checks(store)
+
+
+def test_a_cell_wrongly_vouched_for_is_stale_again(store: Store) -> None:
+    path = _edit(store, "ls", provenance=_vouched(2))
+    _edit(store, "ls", rows=_moved(recheck.draw(path.stem, N)[-1]))
+    assert recheck.main([f"store={store.folder}"]) == 0
+    assert _digest(path) == OLD
+    assert "rechecked" not in json.loads(path.read_text())["provenance"]
+
+
+def test_an_interrupted_recheck_keeps_what_was_confirmed_and_goes_on(
+    store: Store, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = [_edit(store, method, version=_older) for method in ("ls", "matrix_pencil")]
+    same, asked = recheck.same, []
+
+    def once(check: recheck.Check, rows: Any) -> bool:
+        asked.append(check)
+        if len(asked) == 2:
+            raise KeyboardInterrupt
+        return same(check, rows)
+
+    monkeypatch.setattr(recheck, "same", once)
+    assert recheck.main([f"store={store.folder}"]) == 130
+    assert "what was confirmed is kept" in capsys.readouterr().err
+    assert sorted(_digest(path) == OLD for path in paths) == [False, True]
+    assert recheck.main([f"store={store.folder}"]) == 0
+    assert "1 cells checked: 1 come out the same" in capsys.readouterr().out
+    assert all(_digest(path) != OLD for path in paths)
+
+
+def test_a_recheck_of_some_methods_leaves_the_others(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    paths = [_edit(store, method, version=_older) for method in ("ls", "matrix_pencil")]
+    assert recheck.main([f"store={store.folder}", "method=ls,rls"]) == 0
+    assert [_digest(path) == OLD for path in paths] == [False, True]
+    assert recheck.main([f"store={store.folder}", "experiment=table4"]) == 0  # the cells are none of its
+    assert "no cell is stale" in capsys.readouterr().out
+    assert _digest(paths[1]) == OLD
+
+
+def test_a_cell_with_failures_is_not_vouched_for(store: Store) -> None:
     """A change may be the repair of just that failure."""
     _edit(store, "ls", version=_older, rows=lambda rows: {**rows, "status": ["crashed", *rows["status"][1:]]})
-    assert not recheck.stale_cells(store)
+    assert not recheck.checks(store)
 
 
-def test_bad_input_is_one_line(tmp_path, capsys):
+def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert recheck.main([f"store={tmp_path}/none"]) == 2
-    assert recheck.main(["replicates=none"]) == 2
+    assert recheck.main(["replicates=2"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 2
-
-
-def test_the_first_replicates_are_the_same_question():
-    cell = expand(["method=ls", "replicates=9"], multirun=False)[0].cell()
-    short = recheck.shortened(cell, 2)
-    assert isinstance(short, Cell)
-    assert short.replicates == 2
-    ours, theirs = (c.scenario.replicates(c.seed, 1)[0][0] for c in (cell, short))
-    assert list(ours.records[0].channels[0].values) == list(theirs.records[0].channels[0].values)

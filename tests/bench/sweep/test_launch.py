@@ -98,6 +98,17 @@ def test_an_unknown_launcher_is_one_line(make_store: Callable[[], Store], capsys
     assert store.identities() == []
 
 
+def test_an_option_of_a_launcher_that_is_not_named_is_one_line(
+    make_store: Callable[[], Store], capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = make_store()
+    assert _run(store, "local", "hydra.launcher.cpus_per_task=2", "format=json") == 2
+    said = capsys.readouterr().err
+    assert said.startswith("bench: argument=hydra.launcher.cpus_per_task=2: an option of a launcher")
+    assert said.count("\n") == 1
+    assert store.identities() == []
+
+
 def test_a_job_that_is_tried_again_takes_what_its_first_try_did_not_store(
     cells: list[Cell], make_store: Callable[[], Store]
 ) -> None:
@@ -167,12 +178,8 @@ def test_a_full_store_is_not_tried_again(cells: list[Cell], make_store: Callable
         launch._rounds(Full(), Job(tuple(plan(cells, store)), {}, store, Limits()), tmp_path, Launch(("x",)))
 
 
-@pytest.mark.parametrize("more", [("hydra/launcher=basic", "cells_per_job=4"), ()])
 def test_a_job_ends_with_its_sweep(
-    more: tuple[str, ...],
-    make_store: Callable[[], Store],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    make_store: Callable[[], Store], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Whoever waits for a job removes the sweep's folder when it ends: the job sees it after its next fit.
 
@@ -186,7 +193,7 @@ def test_a_job_ends_with_its_sweep(
         after.append(planned)
 
     monkeypatch.setattr(launch, "run_cells", interrupted)
-    assert main(["-m", *SWEEP, f"store={store.folder}", *more]) == 2
+    assert _run(store, "basic", "cells_per_job=4") == 2
     assert after == []
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("bench: store=")

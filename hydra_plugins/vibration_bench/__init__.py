@@ -1,1 +1,0 @@
-"""The launcher of this benchmark for Hydra."""

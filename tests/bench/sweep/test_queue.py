@@ -1,0 +1,76 @@
+"""How many problems a method gets at once, and that its answers do not depend on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+from conftest import Plugins, StoreFactory
+
+from bench import Status
+from bench.entrants.registry import default_settings, make_method
+from bench.scenario.scenario import Scenario
+from bench.scoring.row import Row
+from bench.store.cell import Cell
+from bench.store.store import Store
+from bench.sweep.plan import Planned, State, plan
+from bench.sweep.runner import run_cells, run_replicates
+from bench.sweep.workers import Limits
+
+
+def a_cell(reference: Scenario, **settings: object) -> Cell:
+    return Cell(reference, "together", {**default_settings("together"), **settings}, 20, 0, "together")
+
+
+def rows_of(store: Store, cell: Cell) -> tuple[Row, ...]:
+    run_cells(plan([cell], store), store, Limits(1, 30.0, 1000.0))
+    stored = store.load(cell.identity)
+    assert stored is not None
+    return stored.rows
+
+
+def test_a_sweep_hands_out_as_many_as_the_method_solves_together_and_the_scores_are_the_same(
+    reference: Scenario, plugins: Plugins, new_store: StoreFactory
+) -> None:
+    plugins("Together")
+    store = new_store()
+    few, eight, all_of_them = (rows_of(store, a_cell(reference, batch=n)) for n in (1, 8, 100))
+    assert {row.message for row in few} <= {"1", "2", "3", "4", "5"}
+    assert [row.message for row in eight] == ["8"] * 16 + ["4"] * 4
+    assert {row.message for row in all_of_them} == {"20"}
+    assert len({row.scores["k_over_m_error_pct"] for row in few}) == 20
+    for rows in (eight, all_of_them):
+        assert [(row.replicate, row.scores) for row in rows] == [(row.replicate, row.scores) for row in few]
+
+
+def test_what_dies_in_company_is_tried_again_one_by_one(
+    reference: Scenario, plugins: Plugins, new_store: StoreFactory
+) -> None:
+    plugins("Together")
+    rows = rows_of(new_store(), a_cell(reference, batch=20, alone=True))
+    assert {(row.status, row.message) for row in rows} == {(Status.OK, "1")}
+
+
+@pytest.mark.parametrize(("settings", "wanted"), [({}, 1), ({"batch": 20}, 20)])
+def test_the_batch_of_a_pinn_is_what_it_gets_in_a_sweep(settings: dict[str, int], wanted: int) -> None:
+    assert make_method("pinn", settings).problems_at_once == wanted
+
+
+def test_chosen_replicates_are_those_of_the_whole_cell_and_are_not_stored(
+    reference: Scenario, plugins: Plugins, new_store: StoreFactory
+) -> None:
+    plugins("Together")
+    store, chosen, found = new_store(), (3, 4, 11, 19), []
+    cell = a_cell(reference)
+
+    def on_rows(cell: Cell, rows: Sequence[Row]) -> None:
+        found.extend(rows)
+
+    wanted = [(Planned(cell, State.MISSING, "", True), chosen)]
+    run_replicates(wanted, store, Limits(1, 30.0, 1000.0), on_rows, lambda cell, n: None)
+    assert store.identities() == []
+    assert tuple(row.replicate for row in found) == chosen
+    whole = {row.replicate: row for row in rows_of(store, cell)}
+    stored_digits = [{name: float(f"{v:.6g}") for name, v in row.scores.items()} for row in found]
+    assert stored_digits == [whole[i].scores for i in chosen]
+    assert [row.data for row in found] == [whole[i].data for i in chosen]
