@@ -1,4 +1,11 @@
-"""The harness: problems, bounds, scores, tables. This face is the contract that methods import; it loads none."""
+"""The harness: problems, bounds, scores, tables.
+
+These names are the contract that methods import, and it loads none of them. ``run``, ``identify`` and ``experiment``
+are the benchmark from Python; they are loaded when they are asked for.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from bench.contract.estimate import Belief, Cost, Draws, Estimate, Marginal, Normal, Reconstruction, Status
 from bench.contract.method import Card, Identifier, Serves
@@ -10,6 +17,10 @@ from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurement
 from bench.errors import InputError
 from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
 
+if TYPE_CHECKING:
+    from bench.face.identification import Identification, identify
+    from bench.face.results import Results, experiment, run
+
 __all__ = [
     "Belief",
     "Card",
@@ -20,6 +31,7 @@ __all__ = [
     "Draws",
     "Estimate",
     "Force",
+    "Identification",
     "Identifier",
     "InitialState",
     "InputError",
@@ -32,19 +44,23 @@ __all__ = [
     "Quantity",
     "Reconstruction",
     "Record",
+    "Results",
     "Serves",
     "SimulatedResponse",
     "Status",
     "System",
     "Units",
     "acceleration",
+    "experiment",
     "fitted_start",
+    "identify",
     "mass_matrix",
     "measurements",
     "numpy_ops",
     "regression_columns",
     "report_progress",
     "rk4_step",
+    "run",
     "simulate",
     "state_matrix",
     "state_rate",
@@ -54,3 +70,18 @@ __path__ = [
     *__path__,
     *(f"{folder}/commands" for folder in __path__),
 ]  # python -m bench.tables is bench/commands/tables.py
+
+FACE = {
+    "Identification": "identification",
+    "identify": "identification",
+    "Results": "results",
+    "experiment": "results",
+    "run": "results",
+}
+"""What is loaded when it is asked for, by its module in ``bench.face``."""
+
+
+def __getattr__(name: str) -> Any:
+    if name in FACE:
+        return getattr(import_module(f"bench.face.{FACE[name]}"), name)
+    raise AttributeError(f"module {__name__} has no attribute {name}")

@@ -82,7 +82,7 @@ def _composed(overrides: tuple[tuple[str, str], ...]) -> str:
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
-    _register_method(dict(overrides).get("method", "ls"))
+    register_method(dict(overrides).get("method", "ls"))
     texts = [f"{'++' if _may_be_added(key) else ''}{key}={value}" for key, value in overrides]
     try:
         with initialize_config_module("conf", version_base="1.3"):
@@ -101,12 +101,12 @@ def _may_be_added(key: str) -> bool:
     return key.startswith("nominal.") or (key.startswith("system.") and key in optional)
 
 
-def _register_method(name: str) -> None:
+def register_method(name: str) -> None:
     """Give Hydra a method's settings with their defaults, and those of the method that a variant starts from."""
     from hydra.core.config_store import ConfigStore
 
     if name not in (*registered(), *REFERENCES):
         for base in read_yaml("method", name).get("defaults", []):
-            _register_method(base)
+            register_method(base)
         return
     ConfigStore.instance().store(group="method", name=name, node={"name": name, **default_settings(name)})

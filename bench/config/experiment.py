@@ -1,4 +1,4 @@
-"""Experiments, and the jobs and cells of a sweep: every combination of the values asked for, validated before any runs."""
+"""Experiments, and the jobs and cells of a sweep: every combination of values, validated before any runs."""
 
 from __future__ import annotations
 
@@ -48,6 +48,8 @@ class Experiment:
     def jobs(self, overrides: Overrides | None = None) -> list[Job]:
         """Its jobs; what is overridden is no longer the part of it that a further sweep describes."""
         own = overrides or {}
+        if "experiment" in own:
+            raise InputError("experiment", own["experiment"][0], "given twice; give it once")
         further = self.content.get("also", [])
         kept = [b for b, extra in zip(self.blocks, [{}, *further], strict=True) if not set(extra) & set(own)]
         return [job for block in kept for job in _product({**block, **own}, self.content, frozenset(own))]
@@ -94,9 +96,8 @@ def _product(sweep: Overrides, experiment: Mapping[str, Any], explicit: frozense
             check_choice(group, value)
     if "method" not in sweep:
         raise InputError("method", "", f"choose one: {', '.join(choices('method'))}")
-    return [
-        _job(dict(zip(sweep, values, strict=True)), experiment, explicit) for values in itertools.product(*sweep.values())
-    ]
+    every = (dict(zip(sweep, values, strict=True)) for values in itertools.product(*sweep.values()))
+    return [_job(chosen, experiment, explicit) for chosen in every]
 
 
 def _job(chosen: Mapping[str, Any], experiment: Mapping[str, Any], explicit: frozenset[str]) -> Job:

@@ -43,8 +43,10 @@ def overrides_of(settings: Mapping[str, Any]) -> Overrides:
     """
     found: dict[str, list[Any]] = {}
     for field, value in settings.items():
-        below = {f"{field}.{key}": item for key, item in value.items()} if isinstance(value, Mapping) else {field: value}
-        for key, item in below.items():
+        nested = isinstance(value, Mapping)
+        for key, item in (
+            {f"{field}.{key}": item for key, item in value.items()}.items() if nested else [(field, value)]
+        ):
             check_field(key, item)
             found[key] = _values(item)
             if not found[key]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -132,7 +132,7 @@ def _disturbance(content: Mapping[str, Any]) -> Disturbance | None:
 def validated(kind: type[Validated], values: Mapping[str, Any], paths: Mapping[str, str] | None = None) -> Validated:
     """An instance of a model or dataclass; raises InputError that names the field by its path in the configuration."""
     try:
-        return _adapter(kind).validate_python(dict(values))  # type: ignore[no-any-return]
+        return _adapter(kind).validate_python(dict(values))  # type: ignore[no-any-return,arg-type]
     except ValidationError as error:
         first = error.errors()[0]
         own = first.get("ctx", {}).get("error")

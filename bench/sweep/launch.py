@@ -62,6 +62,8 @@ class Launch:
 
     overrides: tuple[str, ...] = ()
     cells_per_job: int = 20
+    progress: bool = True
+    """Whether a bar shows how far the sweep is."""
 
     @property
     def launcher(self) -> str:
@@ -91,7 +93,7 @@ def launch(planned: Sequence[Planned], store: Store, limits: Limits, how: Launch
     sweep = Job(wanted, {identity: store.stamp(identity) for identity in again}, store, limits)
     with _launcher(folder, how) as launcher:
         try:
-            with _watched(sweep, not how.local):
+            with _watched(sweep, how.progress and not how.local):
                 _rounds(launcher, sweep, folder, how)
         finally:
             shutil.rmtree(folder, ignore_errors=True)  # jobs that still run elsewhere end when they see it
@@ -192,6 +194,8 @@ def _launcher(folder: Path, how: Launch) -> Any:
     from omegaconf.errors import OmegaConfBaseException
 
     own = [f"sweep={_quoted(folder)}"]
+    if how.local and not how.progress:
+        own.append("hydra.launcher.progress=false")
     if how.launcher == "ray":  # its default for a Ray of its own is refused by a cluster that it joins
         own.append("++hydra.launcher.ray.init.object_store_memory=null")
     state = Singleton.get_state()
@@ -231,7 +235,7 @@ def _quoted(path: Path) -> str:
 @contextmanager
 def _progress(planned: Sequence[Planned], left: Sequence[Planned], shown: bool) -> Any:
     """A progress bar over the fits of a job; its callback."""
-    from tqdm import tqdm
+    from tqdm.auto import tqdm
 
     total = sum(one.cell.replicates for one in planned)
     found = total - sum(one.cell.replicates for one in left)
@@ -250,7 +254,7 @@ def _progress(planned: Sequence[Planned], left: Sequence[Planned], shown: bool) 
 @contextmanager
 def _watched(sweep: Job, shown: bool) -> Any:
     """A progress bar over cells that are computed elsewhere: what counts is what arrives in the store."""
-    from tqdm import tqdm
+    from tqdm.auto import tqdm
 
     if not shown:
         yield
