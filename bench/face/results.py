@@ -105,13 +105,13 @@ class Results(Sequence[Result]):
         return f"<Results of {len(self)} cells in {self.store.folder}: {methods}; frame() is a table>"
 
     def _repr_html_(self) -> str:
-        """A notebook's table: a line a cell, with the median of every metric."""
+        """A notebook's table: a line a cell, with the median errors."""
         frame = self.frame()
-        if "metric" not in frame:
-            return str(frame.to_html(index=False))
-        varying = [key for key in ("method", "system", "snr", "initial_state", "disturbance", "seed", "status")]
-        shown = frame.pivot_table("median", varying, "metric", sort=False).reset_index()
-        return str(shown.to_html(index=False, float_format="{:.3g}".format, na_rep="-"))
+        if "metric" in frame:
+            named = ["method", "system", "snr", "initial_state", "disturbance", "seed", "n_ok", "replicates"]
+            errors = frame[(frame.metric == "rmse") | frame.metric.str.endswith("_error_pct", na=False)]
+            frame = errors.pivot_table("median", named, "metric", sort=False).reset_index()
+        return str(frame.to_html(index=False, float_format="{:.3g}".format, na_rep="-"))
 
 
 def run(
