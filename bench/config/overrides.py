@@ -36,18 +36,21 @@ def of_launcher(text: str) -> bool:
     return text.lstrip("+~").startswith(("hydra/", "hydra."))
 
 
-def overrides_of(settings: Mapping[str, Any]) -> Overrides:
+def overrides_of(*settings: Mapping[str, Any]) -> Overrides:
     """Settings from Python as overrides: a list, tuple, range or array is swept over, a mapping sets what is below it.
 
-    Raises InputError for an unknown field or choice, and for nothing to sweep over.
+    None stands for what is not set. Raises InputError for an unknown field or choice, for nothing to sweep over, and
+    for a field that is set twice.
     """
     found: dict[str, list[Any]] = {}
-    for field, value in settings.items():
+    for field, value in [item for part in settings for item in part.items() if item[1] is not None]:
         nested = isinstance(value, Mapping)
         for key, item in (
             {f"{field}.{key}": item for key, item in value.items()}.items() if nested else [(field, value)]
         ):
             check_field(key, item)
+            if key in found:
+                raise InputError(key, item, "given twice; give it once")
             found[key] = _values(item)
             if not found[key]:
                 raise InputError(key, item, "sweeps over nothing")

@@ -14,7 +14,7 @@ from bench.config.experiment import sweep
 from bench.config.overrides import overrides_of
 from bench.config.schema import Job
 from bench.errors import InputError
-from bench.face.results import finite, given
+from bench.face.results import finite
 from bench.measured.record import Table, identify_record, report, table_of
 from bench.reporting.terminal_tables import record_page
 
@@ -152,7 +152,7 @@ def identify(
         "memory_mb": memory_mb, "data": path,
     }  # fmt: skip
     known = {"start": [list(start)], "initial_state": "known"} if start is not None else {}
-    jobs = sweep(overrides_of({**given(fields), **known, **(settings or {})}))
+    jobs = sweep(overrides_of(fields, known, settings or {}))
     if len(jobs) > 1:
         raise InputError("data", path or "times", "one record and one method at a time")
     return identification(jobs[0], table)

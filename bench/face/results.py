@@ -164,11 +164,11 @@ def run(
     >>> import tempfile
     >>> import bench
     >>> folder = tempfile.TemporaryDirectory()
-    >>> results = bench.run(method=["prior", "ls"], snr=[40, 20], replicates=2, workers=1, store=folder.name)
+    >>> results = bench.run(method=["ls", "matrix_pencil"], snr=[40, 20], replicates=2, workers=1, store=folder.name)
     >>> [(result.cell.label, result.cell.scenario.snr_db, result.stored.n_ok) for result in results]
-    [('prior', 40.0, 2), ('prior', 20.0, 2), ('ls', 40.0, 2), ('ls', 20.0, 2)]
+    [('ls', 40.0, 2), ('ls', 20.0, 2), ('matrix_pencil', 40.0, 2), ('matrix_pencil', 20.0, 2)]
     >>> medians = results.frame().query("metric == 'k_over_m_error_pct'").set_index(["method", "snr"])["median"]
-    >>> bool(medians["ls", 40.0] < medians["ls", 20.0])
+    >>> bool(medians["matrix_pencil", 40.0] < medians["matrix_pencil", 20.0])
     True
     >>> bench.run(method="ls", snr="loud")
     Traceback (most recent call last):
@@ -180,7 +180,7 @@ def run(
         "prior": prior, "disturbance": disturbance, "replicates": replicates, "seed": seed,
     }  # fmt: skip
     single = {"store": store, "workers": workers, "timeout_s": timeout_s, "memory_mb": memory_mb, "retry": retry}
-    jobs = sweep(overrides_of({**given(swept), **(settings or {}), **given(single)}))
+    jobs = sweep(overrides_of(swept, settings or {}, single))
     if jobs[0].config.data is not None:
         raise InputError("data", jobs[0].config.data, "a measured record is for bench.identify")
     return compute(jobs, Launch(progress=progress))
@@ -205,11 +205,6 @@ def experiment(name: str, **fields: Values) -> list[Cell]:
     bench.errors.InputError: experiment=table99: did you mean table5? known: calibration, efficiency, forced, ...
     """
     return Experiment(name).cells(overrides_of(fields))
-
-
-def given(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields that are not None."""
-    return {name: value for name, value in fields.items() if value is not None}
 
 
 def compute(jobs: Sequence[Job], how: Launch, say: Callable[[list[Planned]], None] | None = None) -> Results:

@@ -146,3 +146,5 @@ def test_python_and_a_command_line_ask_for_the_same_cells() -> None:
     python = overrides_of({"snr": (40, 20), "system": {"samples": np.int64(30)}, "seed": range(2), "replicates": 3})
     assert python == {"snr": [40, 20], "system.samples": [30], "seed": [0, 1], "replicates": [3]}
     assert type(python["system.samples"][0]) is int
+    with pytest.raises(InputError, match=r"system\.samples=9: given twice"):
+        overrides_of({"system.samples": 8}, {"system": {"samples": 9}})
