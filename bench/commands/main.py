@@ -61,7 +61,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: list[str]) -> int:
     flags = {argument for argument in arguments if argument.startswith("-")}
-    overrides = [argument for argument in arguments if argument not in flags]
     unknown = flags - {"-m", "--multirun", "-h", "--help", "--cfg", "--version"}
     if unknown:
         raise InputError("option", sorted(unknown)[0], _no_option(sorted(unknown)[0]))
@@ -73,11 +72,13 @@ def _main(arguments: list[str]) -> int:
 
         print(__version__)
         return 0
-    from bench.config.experiment import expand
-    from bench.config.overrides import of_launcher
+    from bench.config.overrides import of_launcher, read_overrides
 
-    launcher = [text for text in overrides if of_launcher(text)]
-    jobs = expand([text for text in overrides if text not in launcher], bool(flags & {"-m", "--multirun"}))
+    launcher = [text for text in arguments if of_launcher(text)]
+    overrides = read_overrides([text for text in arguments if text not in {*launcher, *flags}])
+    from bench.config.experiment import sweep  # half a second to import: a mistyped name is said before
+
+    jobs = sweep(overrides, multirun=bool(flags & {"-m", "--multirun"}))
     if "--cfg" in flags:
         for job in jobs:
             print(job.config.model_dump_json(indent=2))
@@ -106,6 +107,7 @@ def _usage() -> str:
 
 
 def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
+    config, cells = jobs[0].config, [job.cell() for job in jobs]  # what makes no sense is said before more is loaded
     from bench.face.results import compute
     from bench.reporting.plan_table import counted, listing
     from bench.reporting.terminal_tables import Closing, cell_table
@@ -113,9 +115,8 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
     from bench.sweep.launch import Launch
     from bench.sweep.plan import plan, read_retry
 
-    config = jobs[0].config
     if config.dry_run:
-        store, cells = Store(config.store), [job.cell() for job in jobs]
+        store = Store(config.store)
         planned = plan(cells, store, read_retry(config.retry))
         print(listing(planned, store, config.workers or os.cpu_count() or 1))
         return 0
@@ -124,7 +125,7 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
         if config.format == "table" and len(jobs) > 1:
             print(f"bench: {counted(planned)}", file=sys.stderr)
 
-    results = compute(jobs, Launch(tuple(launcher), config.cells_per_job), say)
+    results = compute(cells, config, Launch(tuple(launcher), config.cells_per_job), say)
     closing = Closing(len(results))
     for result in results:
         if result.cell.identity not in closing.seen:  # a cell may stand in several tables

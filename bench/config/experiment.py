@@ -65,8 +65,13 @@ class Experiment:
                 yield job.scenario, job.config.seed
 
 
-def sweep(overrides: Overrides) -> list[Job]:
-    """The jobs of some overrides, over those of the experiments among them; raises InputError."""
+def sweep(overrides: Overrides, multirun: bool = True) -> list[Job]:
+    """The jobs of some overrides, over those of the experiments among them.
+
+    Raises InputError for what makes no sense, and for several values without ``multirun``.
+    """
+    if not multirun:
+        _check_single(overrides)
     own = {field: values for field, values in overrides.items() if field != "experiment"}
     found: list[Job] = []
     for name in overrides.get("experiment", [None]):
@@ -75,11 +80,8 @@ def sweep(overrides: Overrides) -> list[Job]:
 
 
 def expand(texts: Sequence[str], multirun: bool) -> list[Job]:
-    """The jobs of a command line; raises InputError for several values without ``multirun``."""
-    overrides = read_overrides(texts)
-    if not multirun:
-        _check_single(overrides)
-    return sweep(overrides)
+    """The jobs of a command line; raises InputError."""
+    return sweep(read_overrides(texts), multirun)
 
 
 def _check_single(overrides: Overrides) -> None:

@@ -20,7 +20,7 @@ from bench.reporting.terminal_tables import record_page
 
 
 @dataclass(frozen=True)
-class Marginal:
+class IntervalEstimate:
     """What was found of one quantity: its value and 95 % interval, in ``unit``."""
 
     value: float
@@ -55,7 +55,7 @@ class Identification:
     status: str
     message: str
     wall_s: float
-    estimates: Mapping[str, Marginal]
+    estimates: Mapping[str, IntervalEstimate]
     residuals: Residuals | None
     scale_is_free: bool
 
@@ -183,7 +183,7 @@ def identification(job: Job, table: Table | None = None) -> Identification:
         status=found["status"],
         message=found["message"],
         wall_s=found["wall_s"],
-        estimates={name: Marginal(**own) for name, own in found["estimates"].items()},
+        estimates={name: IntervalEstimate(**own) for name, own in found["estimates"].items()},
         residuals=None if residuals is None else Residuals(**{**residuals, "values": np.array(residuals["values"])}),
         scale_is_free=problem.prior is None and not problem.forced,
     )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.config.experiment import Experiment, sweep
 from bench.config.overrides import overrides_of
-from bench.config.schema import Job
+from bench.config.schema import Config
 from bench.errors import InputError
 from bench.store.cell import Cell
 from bench.store.store import Store, StoredCell
@@ -183,7 +183,7 @@ def run(
     jobs = sweep(overrides_of(swept, settings or {}, single))
     if jobs[0].config.data is not None:
         raise InputError("data", jobs[0].config.data, "a measured record is for bench.identify")
-    return compute(jobs, Launch(progress=progress))
+    return compute([job.cell() for job in jobs], jobs[0].config, Launch(progress=progress))
 
 
 def experiment(name: str, **fields: Values) -> list[Cell]:
@@ -207,11 +207,14 @@ def experiment(name: str, **fields: Values) -> list[Cell]:
     return Experiment(name).cells(overrides_of(fields))
 
 
-def compute(jobs: Sequence[Job], how: Launch, say: Callable[[list[Planned]], None] | None = None) -> Results:
-    """Have what the store lacks of some jobs computed; ``say`` is called with the plan before. Raises InputError."""
-    config = jobs[0].config
+def compute(
+    cells: Sequence[Cell], config: Config, how: Launch, say: Callable[[list[Planned]], None] | None = None
+) -> Results:
+    """Have what the store lacks of some cells computed, and return the results; raises InputError.
+
+    The configuration says where and within what limits; ``say`` is called with the plan before anything runs.
+    """
     retry = read_retry(config.retry)
-    cells = [job.cell() for job in jobs]
     store = Store(config.store)
     store.prepare()
     if how.local and not all(store.path(cell.identity).exists() for cell in cells):

@@ -56,7 +56,7 @@ class PriorSpec:
         return cls("stored", widths, **{name: value for name, value in stated.items() if name in own})
 
 
-class Start(NamedTuple):
+class InitialMotion(NamedTuple):
     """How a configuration writes the true state at time 0: metres and metres a second, one number a DOF."""
 
     displacement: tuple[float, ...]
@@ -101,7 +101,7 @@ class Scenario:
     __pydantic_config__ = STRICT
     system: str = field(metadata={**STATED, "path": "system.kind"})
     parameters: Mapping[str, Positive] = field(metadata=STATED)
-    initial: Annotated[tuple[tuple[float, ...], tuple[float, ...]], WrittenAs(Start)] = field(metadata=STATED)
+    initial: Annotated[tuple[tuple[float, ...], tuple[float, ...]], WrittenAs(InitialMotion)] = field(metadata=STATED)
     snr_db: Annotated[float, Within(ge=-40, le=300)] = field(metadata={**STATED, "path": "snr"})
     duration: Positive = field(default=10.0, metadata=STATED)
     samples: Annotated[int, Within(ge=MIN_SAMPLES, le=100_000)] = field(default=25, metadata=STATED)
