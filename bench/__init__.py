@@ -1,4 +1,11 @@
-"""The harness: problems, bounds, scores, tables. This face is the contract that methods import; it loads none."""
+"""The harness: problems, bounds, scores, tables.
+
+These names are the contract that methods import, and it loads none of them. ``run``, ``identify`` and ``experiment``
+are the benchmark from Python; they are loaded when they are asked for.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from bench.contract.estimate import Belief, Cost, Draws, Estimate, Marginal, NoEstimate, Normal, Reconstruction, Status
 from bench.contract.method import Card, Identifier, Serves
@@ -15,6 +22,10 @@ from bench.errors import InputError
 from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, Search, Standardised, Start, estimate_at
 from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
 
+if TYPE_CHECKING:
+    from bench.face.identification import Identification, identify
+    from bench.face.results import Results, experiment, run
+
 __all__ = [
     "LOG_LIMIT",
     "SIGMA_FLOOR",
@@ -27,6 +38,7 @@ __all__ = [
     "Draws",
     "Estimate",
     "Force",
+    "Identification",
     "Identifier",
     "InitialState",
     "InputError",
@@ -41,6 +53,7 @@ __all__ = [
     "Quantity",
     "Reconstruction",
     "Record",
+    "Results",
     "Search",
     "Serves",
     "SimulatedResponse",
@@ -53,8 +66,10 @@ __all__ = [
     "acceleration",
     "array_ops",
     "estimate_at",
+    "experiment",
     "fastest_rates",
     "fitted_start",
+    "identify",
     "interval_polynomials",
     "mass_matrix",
     "measurements",
@@ -66,6 +81,7 @@ __all__ = [
     "rk4_path",
     "rk4_scan",
     "rk4_step",
+    "run",
     "simulate",
     "state_matrix",
     "state_rate",
@@ -76,3 +92,18 @@ __path__ = [
     *__path__,
     *(f"{folder}/commands" for folder in __path__),
 ]  # python -m bench.tables is bench/commands/tables.py
+
+FACE = {
+    "Identification": "identification",
+    "identify": "identification",
+    "Results": "results",
+    "experiment": "results",
+    "run": "results",
+}
+"""What is loaded when it is asked for, by its module in ``bench.face``."""
+
+
+def __getattr__(name: str) -> Any:
+    if name in FACE:
+        return getattr(import_module(f"bench.face.{FACE[name]}"), name)
+    raise AttributeError(f"module {__name__} has no attribute {name}")

@@ -15,7 +15,8 @@ from pathlib import Path
 from tabulate import tabulate
 
 from bench.commands.guard import command
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import Experiment
+from bench.config.overrides import Overrides, read_overrides
 from bench.information.fisher import bound_identity, load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
@@ -25,9 +26,9 @@ from bench.sweep.workers import Limits
 EXPERIMENTS = ("table3", "table4", "table5")
 
 
-def _cells(extra: Sequence[str]) -> list[Cell]:
+def _cells(overrides: Overrides) -> list[Cell]:
     """The different cells of the three tables."""
-    cells = [c for e in EXPERIMENTS for c in jobs_to_cells(expand([f"experiment={e}", *extra], multirun=True))]
+    cells = [cell for name in EXPERIMENTS for cell in Experiment(name).cells(overrides)]
     return list({cell.identity: cell for cell in cells}.values())
 
 
@@ -43,11 +44,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str]) -> int:
-    extra = [a for a in arguments if not a.startswith("workers=")]
-    asked = [a for a in arguments if a.startswith("workers=")] or ["workers=2"]
-    workers = expand(["method=prior", *asked], multirun=True)[0].config.workers or 2
-    full = {_place(c): c.replicates for c in _cells([a for a in extra if a.startswith("method=")])}
-    cells = _cells(extra)
+    overrides = {"workers": [2], **read_overrides(arguments)}
+    workers = Experiment(EXPERIMENTS[0]).jobs(overrides)[0].config.workers or 2
+    full = {_place(c): c.replicates for c in _cells({k: v for k, v in overrides.items() if k == "method"})}
+    cells = _cells(overrides)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder))

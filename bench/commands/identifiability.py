@@ -139,7 +139,7 @@ def report(request: Request, structure: Structure, told: Information, quantities
     start = "the start of this scenario" if structure.at_start else "any start"
     force = "" if scenario.force is None else f" and a known force on DOF {scenario.force.dof}"
     lines = [
-        f"{scenario.label}, {scenario.snr_db:g} dB, initial state {scenario.told}, prior {prior}",
+        f"{scenario.label}, {scenario.snr_db:g} dB, initial state {scenario.initial_state}, prior {prior}",
         "",
         wrapped(f"Perfect displacement of DOF {dofs}, from {start}{force}, without a prior:"),
         *(wrapped(f"- {line}") for line in structure.sentences()),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import sys
 from collections.abc import Sequence
@@ -62,7 +61,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: list[str]) -> int:
     flags = {argument for argument in arguments if argument.startswith("-")}
-    overrides = [argument for argument in arguments if argument not in flags]
     unknown = flags - {"-m", "--multirun", "-h", "--help", "--cfg", "--version"}
     if unknown:
         raise InputError("option", sorted(unknown)[0], _no_option(sorted(unknown)[0]))
@@ -74,18 +72,18 @@ def _main(arguments: list[str]) -> int:
 
         print(__version__)
         return 0
-    from bench.config.config import expand, of_launcher
+    from bench.config.overrides import of_launcher, read_overrides
 
-    launcher = [text for text in overrides if of_launcher(text)]
-    jobs = expand([text for text in overrides if text not in launcher], bool(flags & {"-m", "--multirun"}))
+    launcher = [text for text in arguments if of_launcher(text)]
+    overrides = read_overrides([text for text in arguments if text not in {*launcher, *flags}])
+    from bench.config.experiment import sweep  # half a second to import: a mistyped name is said before
+
+    jobs = sweep(overrides, multirun=bool(flags & {"-m", "--multirun"}))
     if "--cfg" in flags:
         for job in jobs:
             print(job.config.model_dump_json(indent=2))
         return 0
     if jobs[0].config.data is not None:
-        disturbance = jobs[0].config.disturbance.kind
-        if disturbance != "none":
-            raise InputError("disturbance", disturbance, "a measured record is taken as it is; leave it out")
         if len(jobs) > 1:
             raise InputError("data", jobs[0].config.data, "one record and one method at a time")
         return _identify(jobs[0])
@@ -93,61 +91,53 @@ def _main(arguments: list[str]) -> int:
 
 
 def _no_option(text: str) -> str:
-    from bench.config.config import FIELDS
+    from bench.config.overrides import settable
 
     field = text.lstrip("-").partition("=")[0]
-    written = f"; a field has no dashes: {field}=<value>" if field in FIELDS else ""
+    written = f"; a field has no dashes: {field}=<value>" if field in settable() else ""
     return f"options are -m, --cfg, --version, --help{written}"
 
 
 def _usage() -> str:
-    from bench.config.config import choices
+    from bench.config.choices import GROUPS, choices
     from bench.reporting.terminal import wrapped
 
-    names = {
-        f"{group}s": ", ".join(choices(group)) for group in ("method", "system", "prior", "disturbance", "experiment")
-    }
+    names = {f"{group}s": ", ".join(choices(group)) for group in GROUPS}
     return "\n".join(wrapped(line, " " * 17) for line in USAGE.format(**names).splitlines())
 
 
 def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
-    from bench.config.config import jobs_to_cells
+    config, cells = jobs[0].config, [job.cell() for job in jobs]  # what makes no sense is said before more is loaded
+    from bench.face.results import compute
     from bench.reporting.plan_table import counted, listing
     from bench.reporting.terminal_tables import Closing, cell_table
     from bench.store.store import Store
-    from bench.sweep.launch import Launch, launch, warm_up
+    from bench.sweep.launch import Launch
     from bench.sweep.plan import plan, read_retry
-    from bench.sweep.workers import Limits
 
-    config = jobs[0].config
-    retry = read_retry(config.retry)
-    cells = jobs_to_cells(jobs)
-    store = Store(config.store)
     if config.dry_run:
-        print(listing(plan(cells, store, retry), store, config.workers or os.cpu_count() or 1))
+        store = Store(config.store)
+        planned = plan(cells, store, read_retry(config.retry))
+        print(listing(planned, store, config.workers or os.cpu_count() or 1))
         return 0
-    store.prepare()
-    how = Launch(tuple(launcher), config.cells_per_job)
-    if how.local and not all(store.path(cell.identity).exists() for cell in cells):
-        warm_up({cell.method for cell in cells})
-    limits = Limits(config.workers or os.cpu_count() or 1, config.timeout_s, config.memory_mb)
-    planned = plan(cells, store, retry)
-    if config.format == "table" and len(jobs) > 1:
-        print(f"bench: {counted(planned)}", file=sys.stderr)
-    launch(planned, store, limits, how)
-    closing = Closing(len(cells))
-    for job, cell in zip(jobs, cells, strict=True):
-        result = store.load(cell.identity)
-        if cell.identity not in closing.seen:  # a cell may stand in several tables
-            closing.add(cell, result, store)
+
+    def say(planned: Any) -> None:
+        if config.format == "table" and len(jobs) > 1:
+            print(f"bench: {counted(planned)}", file=sys.stderr)
+
+    results = compute(cells, config, Launch(tuple(launcher), config.cells_per_job), say)
+    closing = Closing(len(results))
+    for result in results:
+        if result.cell.identity not in closing.seen:  # a cell may stand in several tables
+            closing.add(result.cell, result.stored, results.store)
         if config.format == "json":
-            print(json.dumps(_as_json(job, cell, result), allow_nan=False))
-        elif len(jobs) == 1 and result is not None:
-            print(cell_table(cell, result))
+            print(json.dumps(result.as_dict(), allow_nan=False))
+        elif len(jobs) == 1 and result.stored is not None:
+            print(cell_table(result.cell, result.stored))
     if config.format == "table":
         if len(jobs) > 1:
             print(closing.table())
-        print(_whereabouts(store, cells))
+        print(_whereabouts(results.store, results.cells))
     return closing.said_of_failures()
 
 
@@ -158,50 +148,13 @@ def _whereabouts(store: Any, cells: Sequence[Any]) -> str:
     return f"full results: {store.folder} (format=json prints them)"
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _as_json(job: Any, cell: Any, result: Any) -> dict[str, Any]:
-    keys = ("mean", "median", "ci_low", "ci_high", "bound", "excess")
-    if result is None:
-        return {"cell": cell.identity, "method": cell.label, "status": "missing"}
-    return {
-        "cell": cell.identity,
-        "method": cell.label,
-        "system": cell.scenario.label,
-        "snr": cell.scenario.snr_db,
-        "replicates": cell.replicates,
-        "seed": cell.seed,
-        "initial_state": cell.scenario.told,
-        "prior": job.config.prior.name,
-        "disturbance": job.config.disturbance.kind,
-        "n_ok": result.n_ok,
-        "status": result.status.value,
-        "message": "" if result.n_ok else result.rows[0].message,
-        "wall_s": result.wall_s,
-        "metrics": {name: {key: _finite(values[key]) for key in keys} for name, values in result.summary.items()},
-    }
-
-
 def _identify(job: Any) -> int:
-    from bench.measured.record import identify_record, report
-    from bench.reporting.terminal_tables import record_page
+    from bench.face.identification import identification
 
-    problem, outcome = identify_record(job)
-    result = {"method": job.label, "data": str(job.config.data), **report(problem, outcome)}
+    found = identification(job)
     if job.config.format == "json":
-        print(json.dumps(_nulls(result), allow_nan=False))
+        print(json.dumps(found.as_dict(), allow_nan=False))
         return 0
-    print(record_page(job.label, job.config.data, result, problem.prior is None and not problem.forced))
+    print(found)
     print("nothing of a measured record is stored: format=json prints all, with residuals")
     return 0
-
-
-def _nulls(value: Any) -> Any:
-    """The same with null for numbers that JSON cannot hold."""
-    if isinstance(value, float):
-        return _finite(value)
-    if isinstance(value, dict):
-        return {key: _nulls(item) for key, item in value.items()}
-    return [_nulls(item) for item in value] if isinstance(value, list) else value

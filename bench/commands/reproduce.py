@@ -14,12 +14,10 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from bench.commands.guard import command
 from bench.errors import InputError
-from bench.scenario.disturbance import make_disturbance
-from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
+from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.store import DIGITS, Store, StoredCell
@@ -45,43 +43,11 @@ class Verdict:
 def stored_as_cell(stored: StoredCell) -> Cell:
     """The cell whose description is stored; raises InputError where this version describes it differently."""
     what = stored.cell
-    data, told = what["data"], what["told"]
-    prior = told["prior"]
-    if prior is not None:
-        widths = {kind: sd for kind, sd in prior.items() if kind != "wrong"}
-        prior = PriorSpec("stored", widths, prior["wrong"], "truth" if data.get("truth") == "drawn" else "nominal")
-    scenario = Scenario(
-        system=data["system"],
-        parameters=data["parameters"],
-        initial=(tuple(data["initial"][0]), tuple(data["initial"][1])),
-        snr_db=data["snr_db"],
-        duration=data["duration"],
-        samples=data["samples"],
-        told=told["initial_state"],
-        prior=prior,
-        force=ForceSpec(**data["force"]) if data["force"] else None,
-        options=data["options"],
-        dense=what["dense"],
-        forecast=what["forecast"],
-        label=what["system"],
-        disturbance=_disturbance(data.get("disturbance")),
-        measured=tuple(data["measured"]) if "measured" in data else None,
-        added_mass=tuple(data["added_mass"]) if "added_mass" in data else None,
-    )
-    # the description sorts them; a prior that is centred on them names them in the system's order
-    names = scenario.make_system().names
-    scenario = replace(scenario, parameters={name: data["parameters"][name] for name in names})
+    scenario = Scenario.from_dict(what, label=what["system"])
     cell = Cell(scenario, what["method"], what["settings"], what["replicates"], what["seed"], what["label"])
     if cell.identity != stored.identity:
         raise InputError("cell", stored.identity, "this version describes its configuration differently; run it anew")
     return cell
-
-
-def _disturbance(stored: Mapping[str, Any] | None) -> Any:
-    if not stored:
-        return None
-    settings = dict(stored)
-    return make_disturbance(settings.pop("kind"), settings)
 
 
 def compare(old: StoredCell, new: StoredCell) -> Verdict:

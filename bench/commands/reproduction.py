@@ -56,7 +56,7 @@ ASSUMPTIONS: dict[str, Callable[[Scenario], Scenario]] = {
     "as in the protocol": lambda scenario: scenario,
     "records of 5 s": lambda scenario: replace(scenario, duration=5.0),
     "records of 20 s": lambda scenario: replace(scenario, duration=20.0),
-    "start unknown": lambda scenario: replace(scenario, told="unknown"),
+    "start unknown": lambda scenario: replace(scenario, initial_state="unknown"),
     "handbook prior": lambda scenario: replace(scenario, prior=_handbook()),
     "SNR from the peak": _peak,
 }
@@ -99,7 +99,7 @@ def base_cells(store: Store) -> dict[Place, Cell]:
         (table, entry.row, entry.cell.label): entry.cell
         for table in TABLES
         for entry in entries(f"table{table}", store)[2]
-        if entry.cell.scenario.told == "known" and entry.cell.label in wanted
+        if entry.cell.scenario.initial_state == "known" and entry.cell.label in wanted
     }
 
 

@@ -145,7 +145,8 @@ def _information(
     Records add up; a start that is not told is each record's own.
     """
     system = scenario.make_system()
-    n, own, records = len(system.names), 0 if scenario.told == "known" else 2 * system.n_dof, len(scenario.rigs())
+    own = 0 if scenario.initial_state == "known" else 2 * system.n_dof
+    n, records = len(system.names), len(scenario.rigs())
     dofs = list(scenario.measured_dofs if measured is None else measured)
     data, precision = np.zeros((n + own * records, n + own * records)), np.zeros(n + own * records)
     for record in range(records):

@@ -151,7 +151,7 @@ def profiles(
         record = replace(record, channels=tuple(c for c in record.channels if c.dof in measured))
     first = np.log([scenario.parameters[name] for name in system.names])
     likelihood = _Likelihood(system, record, first)
-    if scenario.told == "unknown":
+    if scenario.initial_state == "unknown":
         start = np.concatenate([scenario.start.displacement, scenario.start.velocity])
         first = np.concatenate([first, start / likelihood.scale])
     scalings = np.zeros((len(structure.scalings), len(first)))

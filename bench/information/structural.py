@@ -97,15 +97,15 @@ def structure_of(scenario: Scenario, measured: Sequence[int] | None = None) -> S
         remedy = "the exact verdict is for one record; leave the added mass out"
         raise InputError("system.added_mass", list(scenario.added_mass), remedy)
     forced = () if scenario.force is None else (scenario.force.dof,)
-    start = scenario.initial if scenario.told == "known" else None
+    start = scenario.initial if scenario.initial_state == "known" else None
     measured = scenario.measured_dofs if measured is None else measured
-    return structure(scenario.make_system(), measured, scenario.told, forced, start)
+    return structure(scenario.make_system(), measured, scenario.initial_state, forced, start)
 
 
 def structure(
     system: System,
     measured: Sequence[int] | None = None,
-    told: Literal["known", "unknown"] = "known",
+    initial_state: Literal["known", "unknown"] = "known",
     forced: Sequence[int] = (),
     start: tuple[Sequence[float], Sequence[float]] | None = None,
 ) -> Structure:
@@ -124,11 +124,11 @@ def structure(
     rank, settled, seed = -1, 0, 0
     while settled < SETTLED:
         try:
-            rows = _jacobian(system, measured, told, forced, start, random.Random(seed))
+            rows = _jacobian(system, measured, initial_state, forced, start, random.Random(seed))
         except ZeroDivisionError:
             if start is None:
                 raise
-            return structure(system, measured, told, forced, None)
+            return structure(system, measured, initial_state, forced, None)
         seed += 1
         here = [row[:n] for row in _null(rows, len(rows[0]))]
         own = _null(here, n)
@@ -163,14 +163,14 @@ def _require_sympy() -> None:
 def _jacobian(
     system: System,
     measured: Sequence[int],
-    told: str,
+    initial_state: str,
     forced: Sequence[int],
     start: tuple[Sequence[float], Sequence[float]] | None,
     rng: random.Random,
 ) -> list[list[Any]]:
     """Exact derivatives of the measured Taylor coefficients, by log-parameters and then by the unknown start."""
     n, names = system.n_dof, system.names
-    free = len(names) + (2 * n if told == "unknown" else 0)
+    free = len(names) + (2 * n if initial_state == "unknown" else 0)
     order = 2 * n + system.n_hidden + max(len(names), 2 * n + system.n_hidden)
 
     def draw() -> Any:
@@ -182,7 +182,7 @@ def _jacobian(
         p[name] = Series.constant(value, free, i, value)  # d/d(log p) = p d/dp
     given = [draw() for _ in range(2 * n)] if start is None else [rational(float(v)) for part in start for v in part]
     first = [*given, *[rational(0)] * system.n_hidden]
-    unknown = [len(names) + i if told == "unknown" and i < 2 * n else None for i in range(len(first))]
+    unknown = [len(names) + i if initial_state == "unknown" and i < 2 * n else None for i in range(len(first))]
     state = [Series.constant(value, free, which) for value, which in zip(first, unknown, strict=True)]
     push = {dof: [draw() for _ in range(order)] for dof in forced}
     ops = series_ops(rng)

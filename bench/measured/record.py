@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from bench.config.config import Job
+from bench.config.schema import Job
 from bench.contract.estimate import Estimate, Status
 from bench.contract.prior import Prior
 from bench.contract.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Record
@@ -58,10 +59,7 @@ def read_record(path: Path) -> Table:
     lines = [line for line in lines if line.strip() and not line.lstrip().startswith(("#", "%"))]
     cells = [_split(line) for line in lines]
     header = cells.pop(0) if cells and not _is_number(cells[0][0]) else []
-    if len(cells) < MIN_SAMPLES:
-        raise InputError("data", path, f"{len(cells)} samples; at least {MIN_SAMPLES} are needed")
-    if len(cells) > MAX_SAMPLES:
-        raise InputError("data", path, f"{len(cells)} samples; at most {MAX_SAMPLES}, thin the record")
+    _check_length(len(cells), path)
     width = len(header) or len(cells[0])
     if width not in (2, 3):
         raise InputError("data", path, f"{width} columns; write t, x and optionally a force")
@@ -69,6 +67,30 @@ def read_record(path: Path) -> Table:
         if len(row) != width or not all(_is_number(cell) for cell in row):
             raise InputError("data", f"{path} row {i + 1}", f"{width} numbers are needed, found {', '.join(row)}")
     return _table(np.array(cells, dtype=float), header)
+
+
+def table_of(times: ArrayLike, displacement: ArrayLike, force: ArrayLike | None = None) -> Table:
+    """A record from arrays in SI units, of one length; raises InputError."""
+    given = {"times": times, "displacement": displacement, **({} if force is None else {"force": force})}
+    columns = {}
+    for name, values in given.items():
+        try:
+            columns[name] = np.array(values, dtype=float)
+        except (TypeError, ValueError):
+            raise InputError(name, "array", "numbers are needed") from None
+        if columns[name].ndim != 1 or columns[name].size != columns["times"].size:
+            remedy = "one-dimensional, with a number for each of the times"
+            raise InputError(name, f"array of shape {columns[name].shape}", remedy)
+    _check_length(columns["times"].size, "arrays")
+    shifted = columns["times"] - columns["times"][0]
+    return Table(shifted, columns["displacement"], columns.get("force"), "m")
+
+
+def _check_length(n: int, source: object) -> None:
+    if n < MIN_SAMPLES:
+        raise InputError("data", source, f"{n} samples; at least {MIN_SAMPLES} are needed")
+    if n > MAX_SAMPLES:
+        raise InputError("data", source, f"{n} samples; at most {MAX_SAMPLES}, thin the record")
 
 
 def _split(line: str) -> list[str]:
@@ -102,22 +124,25 @@ def _table(values: np.ndarray, header: Sequence[str]) -> Table:
     return Table(times - times[0], values[:, 1], values[:, 2] if len(columns) == 3 else None, unit)
 
 
-def measured_problem(job: Job) -> Problem:
-    """The problem of a record: no prior and an unknown start unless the user says otherwise; an offset is estimated."""
-    config = job.config
-    assert config.data is not None
-    system = make_system(config.system.kind, config.system.options) if "system" in job.explicit else SDOF()
+def measured_problem(job: Job, table: Table | None = None) -> Problem:
+    """The problem of a record, that of the job's file unless a table is given.
+
+    No prior and an unknown start unless the user says otherwise; an offset is estimated. Raises InputError.
+    """
+    config, physics = job.config, job.config.system
+    system = make_system(physics["kind"], physics["options"]) if "system" in job.explicit else SDOF()
     if system.n_dof != 1:
-        raise InputError("system", config.system.label, "a record with columns t, x is of one DOF")
-    table = read_record(config.data)
+        raise InputError("system", physics["label"], "a record with columns t, x is of one DOF")
+    source = config.data or Path("arrays")
+    table = read_record(source) if table is None else table
     start = _start(job)
     try:
         channel = Channel(table.times, table.displacement, unit=table.unit, offset=start is None)
         forces = () if table.force is None else (Force(table.times, table.force),)
         record = Record((channel,), forces, start)
     except InputError as error:
-        raise InputError("data", f"{config.data} ({error.field} {error.value})", error.remedy) from None
-    return Problem(system, (record,), _prior(job, system), name=config.data.name)
+        raise InputError("data", f"{source} ({error.field} {error.value})", error.remedy) from None
+    return Problem(system, (record,), _prior(job, system), name=source.name)
 
 
 def _start(job: Job) -> InitialState | None:
@@ -143,12 +168,15 @@ def _prior(job: Job, system: System) -> Prior | None:
     )
 
 
-def identify_record(job: Job) -> tuple[Problem, Outcome]:
-    """Identify the record of a job with its method, in a process of its own."""
+def identify_record(job: Job, table: Table | None = None) -> tuple[Problem, Outcome]:
+    """Identify the record of a job, or the one given, with the job's method, in a process of its own."""
     name = job.config.method["name"]
+    disturbance = job.config.disturbance["kind"]
+    if disturbance != "none":
+        raise InputError("disturbance", disturbance, "a measured record is taken as it is; leave it out")
     if name in REFERENCES:
         raise InputError("method", name, "it needs the truth, which a measured record does not have; choose a method")
-    problem = measured_problem(job)
+    problem = measured_problem(job, table)
     lacking = missing_package(name)
     if lacking:
         return problem, Outcome(None, Status.MISSING_DEPENDENCY, lacking)

@@ -12,13 +12,14 @@ No method is told of a disturbance, except that the times of ``irregular`` are s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
 
 from bench.contract.problem import Force, InitialState
 from bench.errors import InputError
+from bench.scenario.declaration import STRICT, changed
 from bench.scenario.truth import integrated_response, reference_response, reference_state
 from bench.systems import System
 
@@ -30,6 +31,7 @@ class Disturbance:
     ``allowed``: the size is above the first number and at most the second; ``meaning``: what it is.
     """
 
+    __pydantic_config__ = STRICT
     size: float
     kind: ClassVar[str]
     allowed: ClassVar[tuple[float, float]]
@@ -40,9 +42,15 @@ class Disturbance:
         if not low < self.size <= high:
             raise InputError("disturbance.size", self.size, f"above {low:g}, at most {high:g}: {self.meaning}")
 
-    def identity(self) -> dict[str, Any]:
-        """Kind and settings, for the identity of the data."""
-        return {"kind": self.kind, **{field.name: float(getattr(self, field.name)) for field in fields(self)}}
+    def to_dict(self) -> dict[str, Any]:
+        """Kind and settings, as JSON holds them."""
+        return {"kind": self.kind, **changed(self)}
+
+    @staticmethod
+    def from_dict(stated: Mapping[str, Any]) -> Disturbance:
+        """The disturbance of :meth:`to_dict`; raises InputError for what is unknown, missing or too large."""
+        settings = dict(stated)
+        return kind_of(settings.pop("kind"), settings)(**settings)
 
     def check(self, duration: float, forced: bool) -> None:
         """Raise InputError where the disturbance does not go with a record of that duration (s), forced or free."""
@@ -209,13 +217,12 @@ KINDS: dict[str, type[Disturbance]] = {
 }  # fmt: skip
 
 
-def make_disturbance(kind: str, settings: Mapping[str, float]) -> Disturbance | None:
-    """The disturbance of that kind, None for ``none``; raises InputError for what is unknown, missing or too large."""
-    if kind == "none" and not settings:
-        return None
+def kind_of(kind: str, settings: Mapping[str, Any]) -> type[Disturbance]:
+    """The class of a kind; raises InputError for an unknown one, and where these are not its settings."""
     if kind not in KINDS:
         raise InputError("disturbance.kind", kind, f"known: none, {', '.join(KINDS)}")
     names = [field.name for field in fields(KINDS[kind])]
-    if set(settings) != set(names):
+    needed = [field.name for field in fields(KINDS[kind]) if field.default is MISSING]
+    if not set(needed) <= set(settings) <= set(names):
         raise InputError("disturbance", kind, f"its settings are {' and '.join(names)}, and each is needed")
-    return KINDS[kind](**{name: float(value) for name, value in settings.items()})
+    return KINDS[kind]

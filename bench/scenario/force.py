@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
 from bench.contract.problem import DEGREES, Force, Hold
 from bench.errors import InputError
+from bench.scenario.declaration import STRICT, Positive, Within, changed, plain, restored
 
 Shape = Literal["multisine", "impulse", "step", "swept_sine", "band_limited_noise", "column"]
 MIN_IN_PULSE = 5
@@ -37,16 +38,17 @@ class ForceSpec:
     a force known exactly, hence still a bound. The force is zero after the record.
     """
 
-    amplitude: float
-    low_hz: float | None = None
-    high_hz: float | None = None
-    tones: int = 10
-    samples: int = 201
+    __pydantic_config__ = STRICT
+    amplitude: Positive
+    low_hz: Positive | None = None
+    high_hz: Positive | None = None
+    tones: Annotated[int, Within(ge=1)] = 10
+    samples: Annotated[int, Within(ge=2)] = 201
     hold: Hold = "linear"
-    dof: int = 0
+    dof: Annotated[int, Within(ge=0)] = 0
     kind: Shape = "multisine"
-    start_s: float = 0.0
-    length_s: float | None = None
+    start_s: Annotated[float, Within(ge=0.0)] = 0.0
+    length_s: Positive | None = None
     file: str | None = None
     noise_db: float | None = None
 
@@ -67,15 +69,19 @@ class ForceSpec:
         if self.file is not None:
             object.__setattr__(self, "samples", _read_column(self.file).size)
 
-    def identity(self, with_noise: bool = True) -> dict[str, Any]:
-        """What decides the force, and with ``with_noise`` what is told of it; what a kind has not is left out."""
-        shape: dict[str, Any] = {name: getattr(self, name) for name in SHAPES[self.kind][1] if name != "file"}
-        if self.file is not None:
-            shape["file"] = hashlib.sha256(_read_column(self.file).tobytes()).hexdigest()
-        common = {"amplitude": self.amplitude, "samples": self.samples, "hold": self.hold, "dof": self.dof}
-        kind = {} if self.kind == "multisine" else {"kind": self.kind}
-        noise = {} if self.noise_db is None or not with_noise else {"noise_db": self.noise_db}
-        return {**common, **shape, **kind, **noise}
+    def to_dict(self) -> dict[str, Any]:
+        """What decides the force and what is told of it, as JSON holds it; what its kind has not is left out."""
+        specific = {name for _, names in SHAPES.values() for name in names}
+        stated = ("samples", "hold", "dof", *SHAPES[self.kind][1])
+        found = changed(self, *specific) | {name: plain(ForceSpec, name, getattr(self, name)) for name in stated}
+        if self.file is not None:  # known by its numbers, not by its place
+            found["file"] = hashlib.sha256(_read_column(self.file).tobytes()).hexdigest()
+        return found
+
+    @classmethod
+    def from_dict(cls, stated: Mapping[str, Any]) -> ForceSpec:
+        """The force of :meth:`to_dict`; raises InputError for one that was read from a file."""
+        return cls(**{name: restored(cls, name, value) for name, value in stated.items()})
 
     @property
     def band(self) -> tuple[float, float]:

@@ -5,15 +5,16 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import Field, dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
 from bench.contract.prior import Prior, draw_prior, wrong_prior
 from bench.contract.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Record
 from bench.errors import InputError
+from bench.scenario.declaration import STRICT, Positive, Within, WrittenAs, changed, is_default, plain, restored
 from bench.scenario.disturbance import Disturbance
 from bench.scenario.force import ForceSpec
 from bench.scenario.truth import Truth, reference_response
@@ -36,10 +37,41 @@ class PriorSpec:
     calibration asks (S. Talts et al., arXiv:1804.06788).
     """
 
+    __pydantic_config__ = STRICT
     name: str
-    sd_by_kind: Mapping[str, float]
+    sd_by_kind: Mapping[str, Positive]
     wrong: bool = False
     draws: Literal["nominal", "truth"] = "nominal"
+
+    def to_dict(self) -> dict[str, Any]:
+        """What a method is told of it, as JSON holds it: neither the name nor which of the two is drawn."""
+        widths = plain(PriorSpec, "sd_by_kind", self.sd_by_kind)
+        return {**widths, "wrong": self.wrong, **changed(self, "name", "sd_by_kind", "draws")}
+
+    @classmethod
+    def from_dict(cls, stated: Mapping[str, Any]) -> PriorSpec:
+        """The prior of :meth:`to_dict`, without its name."""
+        own = {f.name for f in fields(cls)}
+        widths = {kind: sd for kind, sd in stated.items() if kind not in own}
+        return cls("stored", widths, **{name: value for name, value in stated.items() if name in own})
+
+
+class InitialMotion(NamedTuple):
+    """How a configuration writes the true state at time 0: metres and metres a second, one number a DOF."""
+
+    displacement: tuple[float, ...]
+    velocity: tuple[float, ...]
+
+
+STATED: dict[str, Any] = {"stated": True}
+"""Fields that stand in the identity at their defaults too, and must be given in a file; they key the random streams."""
+TOLD: dict[str, Any] = {"stated": True, "part": "told"}
+SCORED: dict[str, Any] = {"stated": True, "part": None}
+
+
+def config_path(declared: Field[Any]) -> str:
+    """Where a configuration and a command line have a field: ``system.samples``, or what its metadata says."""
+    return str(declared.metadata.get("path", f"system.{declared.name}"))
 
 
 def _later(record: int) -> tuple[int, ...]:
@@ -51,7 +83,8 @@ def _later(record: int) -> tuple[int, ...]:
 class Scenario:
     """Everything that decides the data, and what is told of them; SI units.
 
-    ``initial`` is the true displacement and velocity of each DOF at time 0, ``told`` whether a method knows it.
+    ``initial`` is the true displacement and velocity of each DOF at time 0, ``initial_state`` whether a method knows
+    it. ``dense`` and ``forecast`` say where displacement is scored: at so many times, and so long (s) after the record.
     ``samples`` uniform displacement samples of every ``measured`` DOF (from 0; None: all) over ``duration``, both ends
     included; noise at ``snr_db``, DOF by DOF. Hidden states start at 0. Displacement errors and their bound are over
     the measured DOFs: what is said of a mass without a sensor may be arbitrarily bad.
@@ -59,23 +92,28 @@ class Scenario:
     start under the same force; displacements are scored on the first.
     ``disturbance`` breaks what methods assume of the data; noise draw, noise level, nominal values and bound stay those
     of the undisturbed scenario.
+
+    A field that is added here is read from the files of ``conf/system`` and from ``system.<field>=`` on a command line,
+    within the limits of its type; it decides the data, so it stands in the identity unless it is at its default; and it
+    is found again from a stored cell. Nothing else has to know of it but what makes the data.
     """
 
-    system: str
-    parameters: Mapping[str, float]
-    initial: tuple[tuple[float, ...], tuple[float, ...]]
-    snr_db: float
-    duration: float = 10.0
-    samples: int = 25
-    told: Literal["known", "unknown"] = "known"
-    prior: PriorSpec | None = None
-    force: ForceSpec | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
-    dense: int = 1000
-    forecast: float = 10.0
-    label: str = ""
-    disturbance: Disturbance | None = None
-    measured: tuple[int, ...] | None = None
+    __pydantic_config__ = STRICT
+    system: str = field(metadata={**STATED, "path": "system.kind"})
+    parameters: Mapping[str, Positive] = field(metadata=STATED)
+    initial: Annotated[tuple[tuple[float, ...], tuple[float, ...]], WrittenAs(InitialMotion)] = field(metadata=STATED)
+    snr_db: Annotated[float, Within(ge=-40, le=300)] = field(metadata={**STATED, "path": "snr"})
+    duration: Positive = field(default=10.0, metadata=STATED)
+    samples: Annotated[int, Within(ge=MIN_SAMPLES, le=100_000)] = field(default=25, metadata=STATED)
+    initial_state: Literal["known", "unknown"] = field(default="known", metadata={**TOLD, "path": "initial_state"})
+    prior: PriorSpec | None = field(default=None, metadata={**TOLD, "path": "prior"})
+    force: ForceSpec | None = field(default=None, metadata=STATED)
+    options: Mapping[str, Any] = field(default_factory=dict, metadata=STATED)
+    dense: Annotated[int, Within(ge=2, le=100_000)] = field(default=1000, metadata=SCORED)
+    forecast: Positive = field(default=10.0, metadata=SCORED)
+    label: str = field(default="", metadata={"part": "label"})
+    disturbance: Disturbance | None = field(default=None, metadata={"path": "disturbance"})
+    measured: tuple[Annotated[int, Within(ge=0)], ...] | None = None
     added_mass: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
@@ -85,15 +123,17 @@ class Scenario:
         for name, value in self.parameters.items():
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"system.parameters.{name}", value, "a positive number")
+        # in the system's order, however they were written: what is drawn around them is drawn in this order
+        object.__setattr__(self, "parameters", {name: self.parameters[name] for name in system.names})
         for part in self.initial:
             if len(part) != system.n_dof or not np.all(np.isfinite(part)):
                 raise InputError("system.initial", list(part), f"{system.n_dof} finite number(s), one a DOF")
         if not np.isfinite(self.snr_db):
             raise InputError("snr", self.snr_db, "a finite number of decibels")
         if not (np.isfinite(self.duration) and self.duration > 0):
-            raise InputError("duration", self.duration, "a positive number of seconds")
+            raise InputError("system.duration", self.duration, "a positive number of seconds")
         if self.samples < MIN_SAMPLES:
-            raise InputError("samples", self.samples, f"at least {MIN_SAMPLES}")
+            raise InputError("system.samples", self.samples, f"at least {MIN_SAMPLES}")
         if not np.any(np.asarray(self.initial)) and self.force is None:
             raise InputError("system.initial", list(map(list, self.initial)), "a start away from rest, or a force")
         if self.disturbance is not None:
@@ -118,50 +158,63 @@ class Scenario:
     def make_system(self) -> System:
         return make_system(self.system, self.options)
 
+    def to_dict(self) -> dict[str, Any]:
+        """The scenario as JSON holds it: what decides the ``data``, what is ``told`` of them, and where it is scored.
+
+        This is what an identity is made of: the label has no part in it, nor has an optional field at its default.
+        """
+        return {"data": self.data_identity(), "told": self.told_identity(), **self._part(None)}
+
+    @classmethod
+    def from_dict(cls, stated: Mapping[str, Any], label: str = "") -> Scenario:
+        """The scenario of :meth:`to_dict`; raises InputError where this version states it differently."""
+        top = {f.name: stated[f.name] for f in fields(cls) if f.metadata.get("part", "data") is None}
+        values = {**stated["data"], **stated["told"], **top}
+        drawn = values.pop("truth", "") == "drawn"
+        foreign = sorted(set(values) - {f.name for f in fields(cls)})
+        if foreign:
+            raise InputError("scenario", ", ".join(foreign), "this version has no such field of a scenario")
+        found = cls(label=label, **{name: restored(cls, name, value) for name, value in values.items()})
+        return found if found.prior is None or not drawn else replace(found, prior=replace(found.prior, draws="truth"))
+
     def data_identity(self) -> dict[str, Any]:
         """What decides the data, and nothing else: neither the label nor what is told of them."""
-        disturbance = {"disturbance": self.disturbance.identity()} if self.disturbance else {}
-        drawn = {"truth": "drawn"} if self.truth_drawn else {}
-        force = {"force": self.force.identity()} if self.force else {}
-        measured: dict[str, Any] = {} if self.measured is None else {"measured": list(self.measured)}
-        if self.added_mass is not None:
-            measured["added_mass"] = list(map(float, self.added_mass))
-        return self._undisturbed_identity() | force | measured | disturbance | drawn
-
-    def _undisturbed_identity(self) -> dict[str, Any]:
-        return {
-            "system": self.system,
-            "options": dict(self.options),
-            "parameters": {name: float(self.parameters[name]) for name in sorted(self.parameters)},
-            "initial": [list(map(float, part)) for part in self.initial],
-            "snr_db": float(self.snr_db),
-            "duration": float(self.duration),
-            "samples": self.samples,
-            "force": self.force.identity(with_noise=False) if self.force else None,
-        }
+        return self._part("data") | ({"truth": "drawn"} if self.truth_drawn else {})
 
     def told_identity(self) -> dict[str, Any]:
         """What a method is told beyond the data."""
+        return self._part("told")
+
+    def _part(self, part: str | None, optional: bool = True) -> dict[str, Any]:
+        """The fields of a part of the identity as JSON holds them; of the optional ones those not at their defaults."""
         return {
-            "initial_state": self.told,
-            "prior": None
-            if self.prior is None
-            else {**{k: float(v) for k, v in self.prior.sd_by_kind.items()}, "wrong": self.prior.wrong},
+            f.name: plain(type(self), f.name, getattr(self, f.name))
+            for f in fields(self)
+            if f.metadata.get("part", "data") == part
+            and (f.metadata.get("stated") or (optional and not is_default(f, getattr(self, f.name))))
         }
 
     def stream(self, axis: int, seed: int, replicate: int, *key: int) -> np.random.Generator:
         """The random stream of one axis, replicate and scenario; independent of every other.
 
-        A disturbed scenario has the streams of the undisturbed one: they differ by the disturbance alone. So do those
-        that differ in which DOFs are measured, or in how well the force is.
+        A disturbed scenario has the streams of the undisturbed one: they differ by the disturbance alone. So have those
+        that differ in an optional field, as in which DOFs are measured, or in how well the force is.
         """
         sequence = np.random.SeedSequence(seed, spawn_key=(axis, *self._key, replicate, *key))
         return np.random.default_rng(sequence)
 
     @cached_property
     def _key(self) -> tuple[int, ...]:
-        digest = hashlib.sha256(json.dumps(self._undisturbed_identity(), sort_keys=True).encode()).digest()
+        decisive = self._part("data", optional=False)
+        if decisive["force"]:
+            decisive["force"].pop("noise_db", None)
+        digest = hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).digest()
         return tuple(int.from_bytes(digest[i : i + 4], "big") for i in (0, 4))
+
+    @property
+    def told(self) -> str:
+        """The same as ``initial_state``, for reporting until it says so."""
+        return self.initial_state
 
     @property
     def truth_drawn(self) -> bool:
@@ -256,7 +309,7 @@ class Scenario:
     ) -> tuple[Problem, Truth]:
         system = self.make_system()
         measured = list(self.measured_dofs)
-        start = self.start if self.told == "known" else None
+        start = self.start if self.initial_state == "known" else None
         records, ideals, errors, levels = [], [], [], []
         for number, rig in enumerate(self.rigs()):
             if number:

@@ -39,10 +39,7 @@ class Cell:
             "settings": dict(self.settings),
             "replicates": self.replicates,
             "seed": self.seed,
-            "data": self.scenario.data_identity(),
-            "told": self.scenario.told_identity(),
-            "dense": self.scenario.dense,
-            "forecast": float(self.scenario.forecast),
+            **self.scenario.to_dict(),
         }
 
     @property

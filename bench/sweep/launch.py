@@ -62,6 +62,8 @@ class Launch:
 
     overrides: tuple[str, ...] = ()
     cells_per_job: int = 20
+    progress: bool = True
+    """Whether a bar shows how far the sweep is."""
 
     @property
     def launcher(self) -> str:
@@ -94,7 +96,7 @@ def launch(planned: Sequence[Planned], store: Store, limits: Limits, how: Launch
     sweep = Job(wanted, {identity: store.stamp(identity) for identity in again}, store, limits)
     with _launcher(folder, how) as launcher:
         try:
-            with _watched(sweep):
+            with _watched(sweep, how.progress):
                 _rounds(launcher, sweep, folder, how)
         finally:
             shutil.rmtree(folder, ignore_errors=True)  # jobs that still run elsewhere end when they see it
@@ -123,7 +125,7 @@ def _run_here(wanted: Sequence[Planned], store: Store, limits: Limits, how: Laun
     for text in how.overrides:
         if not text.lstrip("+").startswith("hydra/launcher="):
             raise InputError("argument", text, "an option of a launcher: name that too, by hydra/launcher=")
-    with fits_bar(sum(one.cell.replicates for one in wanted), "bounds") as on_progress:
+    with fits_bar(sum(one.cell.replicates for one in wanted), "bounds", how.progress) as on_progress:
         run_cells(wanted, store, replace(limits, preload=preloaded()), on_progress)
 
 
@@ -202,6 +204,8 @@ def _launcher(folder: Path, how: Launch) -> Any:
     from omegaconf.errors import OmegaConfBaseException
 
     own = [f"sweep={_quoted(folder)}"]
+    if how.local and not how.progress:
+        own.append("hydra.launcher.progress=false")
     if how.launcher == "ray":  # its default for a Ray of its own is refused by a cluster that it joins
         own.append("++hydra.launcher.ray.init.object_store_memory=null")
     state = Singleton.get_state()
@@ -239,11 +243,11 @@ def _quoted(path: Path) -> str:
 
 
 @contextmanager
-def fits_bar(n_fits: int, first: str = "") -> Iterator[Progress]:
+def fits_bar(n_fits: int, first: str = "", shown: bool = True) -> Iterator[Progress]:
     """A progress bar over fits on the error stream, which says ``first`` at first; the callback that moves it on."""
-    from tqdm import tqdm
+    from tqdm.auto import tqdm
 
-    with tqdm(total=n_fits, unit="fit", file=sys.stderr, dynamic_ncols=True, mininterval=0.2) as bar:
+    with tqdm(total=n_fits, unit="fit", file=sys.stderr, dynamic_ncols=True, mininterval=0.2, disable=not shown) as bar:
         bar.set_description(first)
 
         def on_progress(cell: Cell, n: int) -> None:
@@ -254,12 +258,12 @@ def fits_bar(n_fits: int, first: str = "") -> Iterator[Progress]:
 
 
 @contextmanager
-def _watched(sweep: Job) -> Any:
+def _watched(sweep: Job, shown: bool) -> Any:
     """A progress bar over cells that are computed elsewhere: what counts is what arrives in the store."""
-    from tqdm import tqdm
+    from tqdm.auto import tqdm
 
     over = threading.Event()
-    with tqdm(total=len(sweep.planned), unit="cell", file=sys.stderr, dynamic_ncols=True) as bar:
+    with tqdm(total=len(sweep.planned), unit="cell", file=sys.stderr, dynamic_ncols=True, disable=not shown) as bar:
 
         def count() -> float:
             started = time.monotonic()

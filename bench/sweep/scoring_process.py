@@ -172,7 +172,7 @@ class Scorer:
                 "label": cell.label,
                 "system": cell.scenario.label,
                 "snr_db": cell.scenario.snr_db,
-                "initial_state": cell.scenario.told,
+                "initial_state": cell.scenario.initial_state,
                 **(known or facts(self._pair(cell, 0)[1])),
             },
             rows=ordered,

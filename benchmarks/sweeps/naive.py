@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import hydra
 import numpy as np
 
-from bench.config.config import Config, register_methods
+from bench.config.composition import register_method
+from bench.config.schema import scenario_from
 from bench.entrants.registry import make_method
-from bench.scenario.scenario import PriorSpec, Scenario
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import score
 
@@ -20,21 +21,15 @@ def main(config: Any) -> None:
     """Make the data, identify, score, and write one file."""
     from omegaconf import OmegaConf
 
-    content = OmegaConf.to_container(config, resolve=True)
-    assert isinstance(content, dict)
-    cell = Config.model_validate(content)
-    folder = cell.store
-    system = cell.system
-    prior = PriorSpec("nominal", {str(kind): sd for kind, sd in (cell.prior.sd_by_kind or {}).items()})
-    start = (tuple(system.initial.displacement), tuple(system.initial.velocity))
-    scenario = Scenario(system.kind, system.parameters, start, cell.snr, prior=prior, label=system.label)
-    problem, truth = scenario.replicates(cell.seed, 1)[0]
-    estimate = make_method("empty", {}).identify(problem, np.random.default_rng(cell.seed))
+    content: Any = OmegaConf.to_container(config, resolve=True)
+    seed, folder = content["seed"], Path(content["store"])
+    problem, truth = scenario_from(content).replicates(seed, 1)[0]
+    estimate = make_method("empty", {}).identify(problem, np.random.default_rng(seed))
     scores = score(combine_with_prior(estimate, problem.prior), problem, truth)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{cell.seed}.json").write_text(json.dumps(scores))
+    (folder / f"{seed}.json").write_text(json.dumps(scores))
 
 
 if __name__ == "__main__":
-    register_methods()
+    register_method("empty")
     main()

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from bench.commands import benchmark
-from bench.config import config
+from bench.config.experiment import Experiment
 
 
 @pytest.fixture(autouse=True)
@@ -15,7 +15,7 @@ def _small(monkeypatch: pytest.MonkeyPatch, any_bound: None) -> None:
     """Tables of two methods at one noise level, four replicates, and bounds that say nothing."""
     sweep = {"method": ["prior", "oracle"], "snr": [20], "initial_state": ["known"]}
     described: dict[str, Any] = {"sweep": sweep, "replicates": 4, "table": {"number": 3, "title": "T"}}
-    monkeypatch.setattr(config, "_experiment", lambda name: described if name else {})
+    monkeypatch.setattr(Experiment, "content", property(lambda self: described))
 
 
 def lines(out: str) -> dict[str, list[str]]:

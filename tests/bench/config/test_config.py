@@ -7,14 +7,15 @@ from typing import Any
 import pytest
 
 from bench import InputError
-from bench.config.config import choices, expand, jobs_to_cells
+from bench.config.choices import choices
+from bench.config.experiment import Experiment, expand
 from bench.reporting.tables.tables import paper_numbers
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 
 
 def cells(*texts: str, multirun: bool = False) -> list[Cell]:
-    return jobs_to_cells(expand(texts, multirun))
+    return [job.cell() for job in expand(texts, multirun)]
 
 
 def test_the_defaults_are_the_protocols(reference: Scenario) -> None:
@@ -114,8 +115,6 @@ def test_every_prior_in_conf_is_what_the_protocol_says(name: str) -> None:
 
 
 def test_an_experiment_sets_its_sweep_and_the_command_line_has_the_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
-    from bench.config import config
-
     described: dict[str, Any] = {
         "replicates": 100,
         "replicates_by_method": {"prior": 7},
@@ -123,7 +122,7 @@ def test_an_experiment_sets_its_sweep_and_the_command_line_has_the_last_word(mon
         "sweep": {"method": ["prior", "oracle"], "snr": [40, 20]},
         "table": {"number": 5, "title": "T"},
     }
-    monkeypatch.setattr(config, "_experiment", lambda name: described if name else {})
+    monkeypatch.setattr(Experiment, "content", property(lambda self: described))
     found = cells("experiment=table5", multirun=True)
     assert [(c.method, c.scenario.snr_db, c.replicates, c.seed) for c in found] == [
         ("prior", 40.0, 7, 3), ("prior", 20.0, 7, 3), ("oracle", 40.0, 100, 3), ("oracle", 20.0, 100, 3),
@@ -134,9 +133,7 @@ def test_an_experiment_sets_its_sweep_and_the_command_line_has_the_last_word(mon
 
 @pytest.mark.parametrize("table", [2, 3, 4, 5])
 def test_the_experiments_ask_for_every_row_of_the_papers_table_in_both_readings(table: int) -> None:
-    from bench.config.config import _experiment
-
-    experiment = _experiment(f"table{table}")
+    experiment = Experiment(f"table{table}").content
     sweep, numbers = experiment["sweep"], paper_numbers()
     theirs = numbers[numbers.table == table]
     assert set(map(float, sweep["snr"])) == set(theirs.snr_db.astype(float))
@@ -153,7 +150,8 @@ def test_the_robustness_experiment_tells_the_start_only_where_the_trigger_is_lat
     found = cells("experiment=robustness", multirun=True)
     kinds = {told: [] for told in ("known", "unknown")}  # type: dict[str, list[str]]
     for cell in found:
-        kinds[cell.scenario.told].append(cell.scenario.disturbance.kind if cell.scenario.disturbance else "none")
+        disturbance = cell.scenario.disturbance
+        kinds[cell.scenario.initial_state].append(disturbance.kind if disturbance else "none")
         assert cell.replicates == {"mcmc": 20, "sindy": 40, "pinn": 50}.get(cell.method, 100)
     assert set(kinds["known"]) == {"none", "late_trigger"}
     assert set(kinds["unknown"]) == set(choices("disturbance")) - {"late_trigger"}
@@ -167,7 +165,7 @@ def test_a_further_sweep_of_an_experiment_is_left_out_where_the_command_line_set
     ]:
         found = cells("experiment=robustness", "method=oracle", text, multirun=True)
         assert {c.scenario.disturbance.kind for c in found if c.scenario.disturbance} == kinds
-        assert {c.scenario.told for c in found} == told
+        assert {c.scenario.initial_state for c in found} == told
 
 
 def test_nominal_values_of_a_measured_record_can_be_set() -> None:
@@ -178,10 +176,8 @@ def test_nominal_values_of_a_measured_record_can_be_set() -> None:
 
 
 def test_several_experiments_are_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    from bench.config import config
-
     sweeps = {"table3": {"method": ["prior"], "snr": [20]}, "table5": {"method": ["prior"], "snr": [40, 20]}}
-    monkeypatch.setattr(config, "_experiment", lambda name: {"sweep": sweeps[name]} if name else {})
+    monkeypatch.setattr(Experiment, "content", property(lambda self: {"sweep": sweeps[self.name]}))
     found = cells("experiment=table3,table5", multirun=True)
     assert [cell.scenario.snr_db for cell in found] == [20.0, 40.0, 20.0]
 

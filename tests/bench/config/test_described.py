@@ -3,7 +3,7 @@
 import pytest
 
 from bench.commands.reproduce import stored_as_cell
-from bench.config.config import expand
+from bench.config.experiment import expand
 from bench.store.store import StoredCell
 
 

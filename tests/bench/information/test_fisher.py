@@ -77,7 +77,7 @@ PROTOCOL = {
 @pytest.mark.parametrize("told", ["known", "unknown"])
 @pytest.mark.parametrize("snr", [40, 30, 20, 10, 5])
 def test_the_protocols_displacement_bounds(told: str, snr: int) -> None:
-    found = compute_bound(replace(SDOF_FREE, snr_db=float(snr), told=told)).rmse  # type: ignore[arg-type]
+    found = compute_bound(replace(SDOF_FREE, snr_db=float(snr), initial_state=told)).rmse  # type: ignore[arg-type]
     assert found == pytest.approx(PROTOCOL[told][snr], abs=0.00005000001)
 
 
@@ -99,7 +99,7 @@ def test_fisher_information_and_bound_are_those_of_the_closed_form() -> None:
     for told, free in (("known", [1, 2]), ("unknown", [1, 2, 3, 4])):
         g = gradient_of_closed_form(t)[:, free]  # with m fixed, log c and log k are log c/m and log k/m
         covariance = np.linalg.inv(g.T @ g) * sigma**2
-        found = compute_bound(replace(SDOF_FREE, told=told))  # type: ignore[arg-type]
+        found = compute_bound(replace(SDOF_FREE, initial_state=told))  # type: ignore[arg-type]
         assert found.relative_sd["c_over_m"] == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-6)
         assert found.relative_sd["k_over_m"] == pytest.approx(np.sqrt(covariance[1, 1]), rel=1e-6)
         w = np.array([1.0, -0.5, 0.0, 0.0][: len(free)])  # log of damping ratio = log c - ½ log k + ...
@@ -124,7 +124,7 @@ def test_on_the_samples_the_mean_variance_is_sigma_squared_times_p_over_n(
     scenario: Scenario, told: str, unknowns: int
 ) -> None:
     """The trace of a projection on p columns is p: over the samples themselves, the bound is ``σ √(p/N)`` exactly."""
-    scenario = on_its_samples(scenario, told=told)
+    scenario = on_its_samples(scenario, initial_state=told)
     sigma = scenario.sigmas(0)[0]
     assert compute_bound(scenario).rmse == pytest.approx(sigma * np.sqrt(unknowns / scenario.samples), rel=1e-6)
 
@@ -132,7 +132,7 @@ def test_on_the_samples_the_mean_variance_is_sigma_squared_times_p_over_n(
 def test_with_parameters_known_only_the_start_is_a_linear_gaussian_problem() -> None:
     """Parameters held to one part in 10¹²: x is linear in x0 and v0, whose regression leaves ``σ √(2/N)``."""
     exact = PriorSpec("exact", dict.fromkeys(("mass", "damping", "stiffness", "other"), 1e-12))
-    scenario = on_its_samples(SDOF_FREE, told="unknown", prior=exact)
+    scenario = on_its_samples(SDOF_FREE, initial_state="unknown", prior=exact)
     assert compute_bound(scenario).rmse == pytest.approx(scenario.sigmas(0)[0] * np.sqrt(2 / 25), rel=1e-6)
 
 
@@ -144,7 +144,7 @@ def declared(scenario: Scenario) -> tuple[System, Bound]:
 @pytest.mark.parametrize("scenario", [SDOF_FREE, CHAIN_FREE, DUFFING_FREE], ids=["sdof", "chain", "duffing"])
 def test_free_vibration_tells_exactly_the_groups_that_the_system_declares(scenario: Scenario, told: str) -> None:
     """Scaling all masses, dampings and stiffnesses alike changes nothing: one null direction, that of equal logs."""
-    system, bound = declared(on_its_samples(scenario, told=told))
+    system, bound = declared(on_its_samples(scenario, initial_state=told))
     null = np.array(bound.null_space)
     assert null.shape == (1, len(system.names))
     np.testing.assert_allclose(np.abs(null[0]), 1 / np.sqrt(len(system.names)), atol=1e-6)
@@ -161,7 +161,7 @@ def test_free_vibration_tells_exactly_the_groups_that_the_system_declares(scenar
 @pytest.mark.parametrize("told", ["known", "unknown"])
 @pytest.mark.parametrize("scenario", [SDOF_FREE, CHAIN_FREE, DUFFING_FREE], ids=["sdof", "chain", "duffing"])
 def test_a_known_force_tells_everything(scenario: Scenario, told: str) -> None:
-    system, bound = declared(on_its_samples(scenario, told=told, force=MULTISINE))
+    system, bound = declared(on_its_samples(scenario, initial_state=told, force=MULTISINE))
     assert bound.null_space == ()
     assert all(bound.identifiable.values())
     assert all(math.isfinite(bound.relative_sd[name]) for name in system.names)
@@ -170,7 +170,7 @@ def test_a_known_force_tells_everything(scenario: Scenario, told: str) -> None:
 def test_three_samples_do_not_tell_two_groups_and_a_start() -> None:
     """Three equations: with the start known, two groups; with it unknown, four unknowns, so one combination is lost."""
     three = on_its_samples(SDOF_FREE, samples=3, duration=2.0)
-    known, unknown = (compute_bound(replace(three, told=told)) for told in ("known", "unknown"))  # type: ignore[arg-type]
+    known, unknown = (compute_bound(replace(three, initial_state=told)) for told in ("known", "unknown"))  # type: ignore[arg-type]
     assert (len(known.null_space), len(unknown.null_space)) == (1, 2)
     assert known.identifiable["k_over_m"]
     assert not unknown.identifiable["k_over_m"]
@@ -280,7 +280,7 @@ def test_a_bound_is_shared_where_nothing_that_it_depends_on_differs() -> None:
     assert bound_identity(scenario, 0) == bound_identity(replace(scenario, label="other"), 1)
     different = [
         replace(scenario, snr_db=21.0),
-        replace(scenario, told="unknown"),
+        replace(scenario, initial_state="unknown"),
         replace(scenario, prior=None),
         replace(scenario, samples=26),
         replace(scenario, parameters={**SDOF_TRUE, "m": 1.1}),

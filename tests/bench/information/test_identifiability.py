@@ -42,7 +42,7 @@ from bench.systems import MASS, SDOF, STIFFNESS, Chain, Duffing, Parameter, Quan
 
 CHAIN_TRUE = {"m1": 1.0, "m2": 0.8, "c1": 0.2, "c2": 0.15, "k1": 12.0, "k2": 9.0}
 CHAIN_FREE = Scenario(
-    "chain", CHAIN_TRUE, ((1.0, 0.0), (0.0, 0.0)), 20.0, 4.0, samples=40, told="unknown", options={"n": 2}
+    "chain", CHAIN_TRUE, ((1.0, 0.0), (0.0, 0.0)), 20.0, 4.0, samples=40, initial_state="unknown", options={"n": 2}
 )
 DUFFING_FREE = Scenario("duffing", {"m": 1.0, "c": 0.4, "k": 8.0, "k3": 5.0}, ((1.0,), (0.0,)), 20.0, 4.0, samples=40)
 ONES = {1: (1, 1, 1), 2: (1,) * 6, 3: (1,) * 9}
@@ -89,7 +89,7 @@ def test_free_vibration_tells_an_oscillator_its_two_ratios(told: Any) -> None:
     Their sum is -c/m, their product k/m; both show in any response that excites the poles, known start or not.
     So is every product of powers whose exponents add up to nothing: sqrt(k/m), and c / sqrt(k m).
     """
-    found = structure(SDOF(), told=told)
+    found = structure(SDOF(), initial_state=told)
     assert found.rank == 2
     assert found.scalings == ((1, 1, 1),)
     assert {readable(group) for group in found.groups} == {"c/m", "k/m"}
@@ -99,17 +99,17 @@ def test_free_vibration_tells_an_oscillator_its_two_ratios(told: Any) -> None:
 @pytest.mark.parametrize("told", ["known", "unknown"])
 def test_a_known_force_sets_the_scale(told: Any) -> None:
     """``1 / (m s² + c s + k)`` is the transfer function: its three coefficients are the parameters themselves."""
-    found = structure(SDOF(), told=told, forced=(0,))
+    found = structure(SDOF(), initial_state=told, forced=(0,))
     assert (found.rank, found.scalings) == (3, ())
     assert all(found.identifiable(q) for q in SDOF().quantities)
 
 
 def test_a_cubic_spring_adds_one_ratio() -> None:
     """``x'' + (c/m) x' + (k/m) x + (k3/m) x³ = 0``, and x itself is measured: three coefficients, all told."""
-    found = structure(Duffing(), told="unknown")
+    found = structure(Duffing(), initial_state="unknown")
     assert {readable(group) for group in found.groups} == {"c/m", "k/m", "k3/m"}
     assert found.scalings == ((1, 1, 1, 1),)
-    assert structure(Duffing(), told="unknown", forced=(0,)).rank == 4
+    assert structure(Duffing(), initial_state="unknown", forced=(0,)).rank == 4
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
@@ -118,7 +118,7 @@ def test_a_chain_measured_everywhere_is_told_up_to_one_scale(n: int) -> None:
 
     Row 1 gives k2/m1 and (k1 + k2)/m1, row 2 gives k2/m2, hence m2/m1, and so on down the chain; likewise damping.
     """
-    found = structure(Chain(n), told="unknown")
+    found = structure(Chain(n), initial_state="unknown")
     assert (found.rank, found.scalings) == (3 * n - 1, (ONES[n],))
     assert same_span(exponents(found), [g.vector(found.names) for g in Chain(n).groups])
 

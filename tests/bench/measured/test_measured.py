@@ -13,7 +13,7 @@ import pytest
 
 from bench import InputError
 from bench.commands.main import main
-from bench.config import config
+from bench.config import choices, composition
 from bench.entrants import registry
 from bench.measured.record import read_record
 from bench.scenario.truth import closed_form
@@ -151,11 +151,11 @@ def test_what_is_missing_for_a_measured_record_is_named(
 @pytest.fixture
 def _exact(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Register the double that answers with the groups of its settings, and those that go wrong."""
-    caches = (config.choices, config.register_methods, config._composed, registry.load_method)
+    caches = (choices.choices, composition._composed, registry.load_method)
     names = {"exact": "Exact", "wrong": "Wrong", "needy": "Needy"}
     ours = {name: EntryPoint(name, f"misbehaving:{attribute}", registry.GROUP) for name, attribute in names.items()}
     known = {**registry.registered(), **ours}
-    for module in (registry, config):
+    for module in (registry, choices, composition):
         monkeypatch.setattr(module, "registered", lambda: known)
     for cached in caches:
         cached.cache_clear()

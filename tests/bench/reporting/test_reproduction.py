@@ -34,7 +34,7 @@ def test_there_are_59_numbers() -> None:
 def test_readings_change_what_they_say_and_nothing_else(reference: Scenario) -> None:
     changed = {name: change(reference) for name, change in ASSUMPTIONS.items()}
     assert changed["records of 5 s"] == replace(reference, duration=5.0)
-    assert changed["start unknown"].told == "unknown"
+    assert changed["start unknown"].initial_state == "unknown"
     # the peak is the start; noise of the same decibels from the peak is larger by peak over root mean square
     other = changed["SNR from the peak"]
     peak = abs(reference.initial[0][0])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from bench import Status
-from bench.config import config
+from bench.config.experiment import Experiment
 from bench.information.fisher import Bound
 from bench.reporting.tables.robustness import COLUMNS, PANELS, markdown, pairs, ratio, tidy
 from bench.reporting.tables.tables import described_cells, main, table_experiments
@@ -94,7 +94,7 @@ def test_each_line_stands_beside_its_undisturbed_value(reference: Scenario, stor
 
 def test_the_undisturbed_value_is_of_the_same_reading_of_the_start(reference: Scenario, store: Store) -> None:
     found = [cell(reference, "ls", kind) for kind in (None, "late_trigger")]
-    found += [replace(c, scenario=replace(c.scenario, told="unknown")) for c in found]
+    found += [replace(c, scenario=replace(c.scenario, initial_state="unknown")) for c in found]
     for c, scale in zip(found, (1.0, 4.0, 3.0, 3.0), strict=True):
         store.save(stored(c, scale))
     lines = tidy(pairs(found, store)).query("metric == 'rmse'").set_index(["initial_state", "disturbance"])
@@ -114,15 +114,13 @@ def test_failures_and_cells_that_were_not_run_say_so(reference: Scenario, store:
 
 @pytest.fixture
 def _short_experiments(monkeypatch: pytest.MonkeyPatch) -> None:
-    original = config._experiment
+    original = Experiment.content.func  # type: ignore[attr-defined]
 
-    def shortened(name: str | None) -> dict[str, Any]:
-        described = original(name)
-        if not described:
-            return described
+    def shortened(self: Experiment) -> dict[str, Any]:
+        described = original(self)
         return {**described, "replicates": 4, "sweep": {**described["sweep"], "method": ["oracle"]}}
 
-    monkeypatch.setattr(config, "_experiment", shortened)
+    monkeypatch.setattr(Experiment, "content", property(shortened))
 
 
 @pytest.mark.usefixtures("_short_experiments")

@@ -15,6 +15,7 @@ import pytest
 
 from bench import Status
 from bench.config import config
+from bench.config.experiment import Experiment
 from bench.information.fisher import Bound
 from bench.reporting.tables import tables
 from bench.reporting.tables.tables import COLUMNS, METRICS, Entry, main, paper_numbers, paper_value, tidy
@@ -187,15 +188,13 @@ def test_failures_stand_in_the_table_with_their_reason(reference: Scenario) -> N
 @pytest.fixture
 def _short_experiments(monkeypatch: pytest.MonkeyPatch) -> None:
     """The four experiments with two methods and 30 replicates."""
-    original = config._experiment
+    original = Experiment.content.func  # type: ignore[attr-defined]
 
-    def shortened(name: str | None) -> dict[str, Any]:
-        described = original(name)
-        if not described:
-            return described
+    def shortened(self: Experiment) -> dict[str, Any]:
+        described = original(self)
         return {**described, "replicates": 30, "sweep": {**described["sweep"], "method": ["prior", "oracle"]}}
 
-    monkeypatch.setattr(config, "_experiment", shortened)
+    monkeypatch.setattr(Experiment, "content", property(shortened))
 
 
 @pytest.fixture
@@ -205,7 +204,8 @@ def small_store(tmp_path: Path, _short_experiments: None) -> Store:
     store.prepare()
     for name in ("table2", "table3", "table4", "table5"):
         for cell in config.jobs_to_cells(config.expand([f"experiment={name}"], multirun=True)):
-            if not (cell.scenario.label == "table4_5" and cell.method == "oracle" and cell.scenario.told == "known"):
+            scenario = cell.scenario
+            if not (scenario.label == "table4_5" and cell.method == "oracle" and scenario.initial_state == "known"):
                 store.save(stored(cell))
     return store
 
@@ -258,7 +258,7 @@ def test_bad_input_is_one_line(bad: str, capsys: pytest.CaptureFixture[str]) -> 
 
 def test_one_scenario_at_two_starts_has_two_bounds(reference: Scenario) -> None:
     known = entry(reference, "comparison", "oracle")
-    cell = Cell(replace(reference, told="unknown"), "oracle", {}, 40, 0, "oracle")
+    cell = Cell(replace(reference, initial_state="unknown"), "oracle", {}, 40, 0, "oracle")
     data = tidy(3, [known, Entry("comparison", cell, stored(cell))])
     bounds = data[(data.method == "bound") & (data.metric == "rmse")]
     assert list(bounds.initial_state) == ["known", "unknown"]

@@ -243,7 +243,7 @@ def test_the_realised_snr_counts_all_that_the_samples_are_off_by() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_problem_says_nothing_of_its_disturbance(kind: str) -> None:
     size = 0.0198765 if DEFAULTS[kind]["size"] < 1 and kind != "integrator" else DEFAULTS[kind]["size"]
-    scenario = disturbed(kind, replace(BASE, told="unknown"), size=size)
+    scenario = disturbed(kind, replace(BASE, initial_state="unknown"), size=size)
     payload = pickle.dumps(scenario.replicates(0, 1)[0][0])
     assert b"isturb" not in payload
     assert kind.encode() not in payload

@@ -222,7 +222,7 @@ def test_errors_and_bound_are_over_the_masses_with_a_sensor() -> None:
     assert scores["rmse"] == pytest.approx(0.25, rel=1e-6)
     assert scores["rmse_simulated"] == pytest.approx(0.0, abs=1e-6)
     for told, unknowns in (("known", 5), ("unknown", 8)):
-        bound = compute_bound(replace(one, told=told))  # type: ignore[arg-type]
+        bound = compute_bound(replace(one, initial_state=told))  # type: ignore[arg-type]
         assert bound.rmse == pytest.approx(one.sigmas(0)[1] * math.sqrt(unknowns / 40), rel=1e-5)
 
 

@@ -94,7 +94,12 @@ def test_noise_of_a_chain_is_scaled_channel_by_channel() -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{"told": "unknown"}, {"prior": None}, {"prior": PriorSpec("handbook", NOMINAL.sd_by_kind, True)}, {"label": "x"}],
+    [
+        {"initial_state": "unknown"},
+        {"prior": None},
+        {"prior": PriorSpec("handbook", NOMINAL.sd_by_kind, True)},
+        {"label": "x"},
+    ],
     ids=["start", "no prior", "wrong prior", "label"],
 )
 def test_data_do_not_depend_on_what_a_method_is_told(changes: dict[str, Any]) -> None:
@@ -208,7 +213,7 @@ def reachable(root: object) -> list[object]:
 @pytest.mark.parametrize("told", ["known", "unknown"])
 @pytest.mark.parametrize("scenario", [BASE, replace(BASE, force=ForceSpec(1.0, 0.1, 1.0)), CHAIN], ids=["1", "f", "2"])
 def test_no_truth_can_be_reached_from_a_problem(scenario: Scenario, told: str) -> None:
-    problem, truth = replace(scenario, told=told).replicates(0, 1)[0]
+    problem, truth = replace(scenario, initial_state=told).replicates(0, 1)[0]
     items = reachable(problem)
     assert any(isinstance(item, Problem) for item in items)
     assert any(isinstance(item, System) for item in items)
@@ -226,7 +231,7 @@ def test_no_truth_can_be_reached_from_a_problem(scenario: Scenario, told: str) -
 
 
 def test_the_bytes_that_a_method_gets_hold_no_true_value() -> None:
-    problem, truth = replace(BASE, told="unknown").replicates(0, 1)[0]
+    problem, truth = replace(BASE, initial_state="unknown").replicates(0, 1)[0]
     payload = pickle.dumps(problem)
     for value in (*TRUE.values(), 0.34567891, truth.sigma[0]):
         assert struct.pack("<d", value) not in payload
@@ -273,7 +278,7 @@ def test_a_cell_is_known_by_what_it_computes() -> None:
         replace(cell, settings={"a": 2}),
         replace(cell, replicates=21),
         replace(cell, seed=1),
-        replace(cell, scenario=replace(BASE, told="unknown")),
+        replace(cell, scenario=replace(BASE, initial_state="unknown")),
         replace(cell, scenario=replace(BASE, prior=None)),
         replace(cell, scenario=replace(BASE, snr_db=21.0)),
         replace(cell, scenario=replace(BASE, dense=60)),

@@ -141,7 +141,7 @@ def test_the_tangent_is_the_derivative() -> None:
 @BOTH
 @pytest.mark.parametrize("told", ["known", "unknown"])
 def test_clean_data_give_the_groups(method: Identifier, told: str) -> None:
-    problem, _ = scenario(100.0, told=told, prior=None).replicates(0, 1)[0]
+    problem, _ = scenario(100.0, initial_state=told, prior=None).replicates(0, 1)[0]
     estimate = fit(method, problem)
     assert value(estimate, "k_over_m") == pytest.approx(9.0 / 1.3, rel=1e-4)
     assert value(estimate, "c_over_m") == pytest.approx(0.6 / 1.3, rel=1e-3)
@@ -151,7 +151,7 @@ def test_clean_data_give_the_groups(method: Identifier, told: str) -> None:
 @pytest.mark.parametrize("told", ["known", "unknown"])
 def test_it_agrees_with_output_error(method: Identifier, told: str) -> None:
     """At 30 dB both are the most probable parameters of the same model, found by code that shares only the physics."""
-    for problem, _ in scenario(30.0, told=told).replicates(3, 3):
+    for problem, _ in scenario(30.0, initial_state=told).replicates(3, 3):
         mine, other = fit(method, problem), fit(SingleShooting(), problem)
         assert isinstance(mine.parameters, Normal)
         assert isinstance(other.parameters, Normal)

@@ -91,7 +91,7 @@ def test_its_own_response_goes_on_after_the_record() -> None:
 
 def test_two_masses_come_near_the_bound_and_the_covariance_is_the_spread() -> None:
     """Root mean square error over the bound of the unknown start at 30 dB, 40 replicates, each group."""
-    scenario = Scenario("chain", TWO, START[2], 30.0, told="unknown", samples=40, options={"n": 2})
+    scenario = Scenario("chain", TWO, START[2], 30.0, initial_state="unknown", samples=40, options={"n": 2})
     bound = compute_bound(scenario).relative_sd
     fits = [groups(problem) for problem, _ in scenario.replicates(5, 40)]
     truth = np.array([group.value(TWO) for group in Chain(2).groups])
@@ -105,7 +105,7 @@ def test_two_masses_come_near_the_bound_and_the_covariance_is_the_spread() -> No
 
 def test_weights_pay() -> None:
     """The equations of two masses are known with very different errors: unweighted they lose."""
-    scenario = Scenario("chain", TWO, START[2], 30.0, told="unknown", samples=40, options={"n": 2})
+    scenario = Scenario("chain", TWO, START[2], 30.0, initial_state="unknown", samples=40, options={"n": 2})
     truth = np.array([group.value(TWO) for group in Chain(2).groups])
     problems = [problem for problem, _ in scenario.replicates(6, 30)]
     error = {n: np.array([groups(p, bootstrap=n).mean / truth - 1 for p in problems]) for n in (0, 200)}

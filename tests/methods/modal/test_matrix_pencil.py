@@ -85,7 +85,7 @@ def test_it_agrees_with_the_era_of_python_control(noise: float) -> None:
 
 def test_it_comes_near_the_bound_of_the_unknown_start() -> None:
     """Root mean square error over the bound at 20 dB: not below what 100 replicates allow, not far above."""
-    scenario = Scenario("sdof", PLANT, ((0.8,), (0.5,)), 20.0, told="unknown")
+    scenario = Scenario("sdof", PLANT, ((0.8,), (0.5,)), 20.0, initial_state="unknown")
     bound = compute_bound(scenario).relative_sd
     found = np.array([groups(p, bootstrap=0).mean for p, _ in scenario.replicates(5, 100)])
     truth = np.array([PLANT["k"] / PLANT["m"], PLANT["c"] / PLANT["m"]])

@@ -77,7 +77,7 @@ def test_uneven_differences_are_exact_for_a_parabola() -> None:
 
 def test_spline_recovers_dense_and_nearly_noise_free_samples() -> None:
     """400 samples over 10 s at 120 dB: k/m to 1e-5 and c/m to 1e-4 of the truth, from the smoothing alone."""
-    for problem, _ in scenario(120, samples=400, told="unknown").replicates(4, 3):
+    for problem, _ in scenario(120, samples=400, initial_state="unknown").replicates(4, 3):
         k, c = groups(problem, LS("spline")).mean
         assert k == pytest.approx(9.0 / 1.3, rel=1e-5)
         assert c == pytest.approx(0.6 / 1.3, rel=1e-4)
@@ -165,7 +165,7 @@ def test_two_masses_and_a_hardening_spring() -> None:
         ((0.5, -0.3), (0.0, 0.4)),
         60,
         samples=200,
-        told="unknown",
+        initial_state="unknown",
     )
     duffing = Scenario("duffing", {"m": 1.2, "c": 0.3, "k": 5.0, "k3": 6.0}, ((1.0,), (0.2,)), 60, samples=150)
     for case in (chain, duffing):
@@ -176,7 +176,7 @@ def test_two_masses_and_a_hardening_spring() -> None:
 
 
 def test_an_unknown_offset_changes_nothing() -> None:
-    problem, _ = scenario(30, told="unknown").replicates(3, 1)[0]
+    problem, _ = scenario(30, initial_state="unknown").replicates(3, 1)[0]
     channel = problem.records[0].channels[0]
 
     def shifted(by: float) -> Problem:

@@ -135,9 +135,8 @@ def test_walkers_that_move_by_each_other_alone_do_not_mix_among_many_unknowns() 
     n = range(1, 5)
     parameters = {f"m{i}": 1.0 for i in n} | {f"c{i}": 0.2 for i in n} | {f"k{i}": 10.0 for i in n}
     start = ((1.0, 0.0, 0.0, 0.0), (0.0,) * 4)
-    made = scenario(
-        20.0, system="chain", options={"n": 4}, parameters=parameters, initial=start, samples=40, told="unknown"
-    )
+    setting = {"parameters": parameters, "initial": start, "samples": 40, "initial_state": "unknown"}
+    made = scenario(20.0, system="chain", options={"n": 4}, **setting)
     estimate = sample(made.replicates(0, 1)[0][0], independent=0.0, blocks=4)
     assert estimate.status is Status.DIVERGED
     assert "autocorrelation time" in estimate.message
@@ -177,7 +176,7 @@ def test_r_hat_tells_ensembles_apart() -> None:
 
 @pytest.mark.parametrize("told", ["known", "unknown"])
 def test_the_mode_recovers_clean_data(told: str) -> None:
-    problem, _ = scenario(120.0, told=told).replicates(0, 1)[0]
+    problem, _ = scenario(120.0, initial_state=told).replicates(0, 1)[0]
     estimate = sample(problem)
     mode = dict(zip(problem.system.names, estimate.traces["posterior_mode"], strict=True))
     assert mode["k"] / mode["m"] == pytest.approx(9.0 / 1.3, rel=1e-5)
@@ -190,14 +189,14 @@ def test_the_mode_recovers_clean_data(told: str) -> None:
 
 
 def test_a_wrong_half_period_in_the_prior_does_not_hold_it() -> None:
-    problem, _ = scenario(20.0, told="unknown", parameters={"m": 0.5, "c": 0.1, "k": 6.0}).replicates(3, 1)[0]
+    problem, _ = scenario(20.0, initial_state="unknown", parameters={"m": 0.5, "c": 0.1, "k": 6.0}).replicates(3, 1)[0]
     marginal = sample(problem).marginal(problem.system.quantity("k_over_m"))
     assert marginal is not None
     assert marginal.value == pytest.approx(12.0, rel=0.05)
 
 
 def test_the_reconstruction_is_the_mean_response_and_can_be_pickled() -> None:
-    problem, truth = scenario(10.0, told="unknown").replicates(4, 1)[0]
+    problem, truth = scenario(10.0, initial_state="unknown").replicates(4, 1)[0]
     estimate = sample(problem)
     curve = pickle.loads(pickle.dumps(estimate.reconstructions[0]))(truth.dense_times)
     assert curve.shape == (1, truth.dense_times.size)
@@ -255,7 +254,7 @@ def test_a_chain_of_two_masses() -> None:
 @pytest.mark.parametrize("told", ["known", "unknown"])
 @pytest.mark.parametrize("prior", [NOMINAL, None])
 def test_five_samples_give_an_answer_or_a_sentence(told: str, prior: PriorSpec | None) -> None:
-    for problem, _ in scenario(10.0, told=told, samples=5, prior=prior).replicates(0, 2):
+    for problem, _ in scenario(10.0, initial_state=told, samples=5, prior=prior).replicates(0, 2):
         estimate = sample(problem, blocks=4).checked()
         assert estimate.status is Status.OK or (estimate.status is Status.DIVERGED and len(estimate.message) > 20)
 

@@ -39,7 +39,7 @@ def exact(system: System, p: dict[str, float], start: InitialState, channel: Cha
 
 @pytest.mark.parametrize("told", ["known", "unknown"])
 def test_clean_data_give_the_truth(told: str) -> None:
-    problem, _ = scenario(120.0, told=told).replicates(1, 1)[0]
+    problem, _ = scenario(120.0, initial_state=told).replicates(1, 1)[0]
     estimate = fit(problem)
     assert value(estimate, problem.system, "k_over_m") == pytest.approx(9.0 / 1.3, rel=1e-5)
     assert value(estimate, problem.system, "c_over_m") == pytest.approx(0.6 / 1.3, rel=1e-4)
@@ -52,7 +52,7 @@ def test_from_near_it_ends_where_the_oracle_does(told: str, snr: float) -> None:
     decide as many directions as the oracle counts; a hundredth of a standard error is left to the noise level.
     """
     prior = Prior({"m": 1.31, "c": 0.56, "k": 9.4}, {"m": 0.02, "c": 1.0, "k": 0.5})
-    for data, truth in scenario(snr, told=told).replicates(3, 4):
+    for data, truth in scenario(snr, initial_state=told).replicates(3, 4):
         problem = Problem(data.system, data.records, prior)
         mine, oracle = fit(problem), oracle_estimate(problem, truth)
         for quantity in problem.system.quantities:
@@ -76,7 +76,7 @@ def test_without_a_prior_it_falls_into_wrong_minima_and_says_so() -> None:
     with a finite answer; wherever the response misses most of the data, a sentence says so.
     """
     wrong = 0
-    for problem, _ in scenario(20.0, prior=None, told="unknown").replicates(77, 12):
+    for problem, _ in scenario(20.0, prior=None, initial_state="unknown").replicates(77, 12):
         estimate = fit(problem)
         assert estimate.status is Status.OK
         found = value(estimate, problem.system, "k_over_m")
@@ -93,7 +93,7 @@ def test_multiple_shooting_finds_what_it_misses() -> None:
     pytest.importorskip("casadi")
     from methods.trajectory.shooting import Shooting
 
-    for problem, _ in scenario(20.0, prior=None, told="unknown").replicates(77, 12):
+    for problem, _ in scenario(20.0, prior=None, initial_state="unknown").replicates(77, 12):
         estimate = Shooting().identify(problem, np.random.default_rng(0))
         assert value(estimate, problem.system, "k_over_m") == pytest.approx(9.0 / 1.3, rel=0.1)
 

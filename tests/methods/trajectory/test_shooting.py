@@ -58,7 +58,7 @@ def noisy_record(
 
 @pytest.mark.parametrize("told", ["known", "unknown"])
 def test_data_almost_without_noise_give_the_groups_to_one_part_in_100000(told: str) -> None:
-    problem, _ = scenario(120.0, told=told).replicates(0, 1)[0]
+    problem, _ = scenario(120.0, initial_state=told).replicates(0, 1)[0]
     estimate = fit(problem)
     assert value(estimate, problem.system, "k_over_m") == pytest.approx(9.0 / 1.3, rel=1e-5)
     assert value(estimate, problem.system, "c_over_m") == pytest.approx(0.6 / 1.3, rel=1e-5)
@@ -84,13 +84,13 @@ def test_a_prior_in_the_wrong_half_period_does_not_decide_the_frequency(wrong: f
 
 @pytest.mark.parametrize("parameters", [{"m": 0.5, "c": 0.05, "k": 1.0}, {"m": 2.0, "c": 4.0, "k": 60.0}])
 def test_it_needs_no_hint_of_the_frequency(parameters: dict[str, float]) -> None:
-    for problem, _ in scenario(20.0, parameters=parameters, told="unknown").replicates(5, 5):
+    for problem, _ in scenario(20.0, parameters=parameters, initial_state="unknown").replicates(5, 5):
         estimate = fit(problem)
         assert value(estimate, problem.system, "k_over_m") == pytest.approx(parameters["k"] / parameters["m"], rel=0.2)
 
 
 def test_free_vibration_without_a_prior_gives_groups_only() -> None:
-    problem, _ = scenario(40.0, prior=None, told="unknown").replicates(0, 1)[0]
+    problem, _ = scenario(40.0, prior=None, initial_state="unknown").replicates(0, 1)[0]
     estimate = fit(problem)
     assert estimate.parameters is None
     assert estimate.groups is not None
@@ -103,7 +103,7 @@ def test_free_vibration_without_a_prior_gives_groups_only() -> None:
 @pytest.mark.parametrize("told", ["known", "unknown"])
 def test_a_known_force_tells_mass_damping_and_stiffness(hold: str, told: str) -> None:
     push = ForceSpec(3.0, 0.1, 1.0, samples=101, hold=hold)  # type: ignore[arg-type]
-    problem, _ = scenario(120.0, prior=None, force=push, told=told, samples=50).replicates(0, 1)[0]
+    problem, _ = scenario(120.0, prior=None, force=push, initial_state=told, samples=50).replicates(0, 1)[0]
     estimate = fit(problem)
     for name, true in TRUE.items():
         assert value(estimate, problem.system, name) == pytest.approx(true, rel=1e-4)
@@ -153,7 +153,8 @@ def test_displacement_with_acceleration_beats_either() -> None:
 def test_a_chain_of_two_masses() -> None:
     parameters = {"m1": 1.2, "m2": 0.9, "c1": 0.25, "c2": 0.2, "k1": 7.0, "k2": 11.0}
     start = ((0.5, -0.4), (0.0, 1.0))
-    made = scenario(60.0, system="chain", parameters=parameters, initial=start, samples=60, prior=None, told="unknown")
+    setting = {"parameters": parameters, "initial": start, "samples": 60, "initial_state": "unknown"}
+    made = scenario(60.0, system="chain", prior=None, **setting)
     problem, truth = made.replicates(0, 1)[0]
     estimate = fit(problem)
     for group in Chain(2).groups:
@@ -171,7 +172,7 @@ def test_a_duffing_oscillator() -> None:
 
 
 def test_units_change_nothing_but_units() -> None:
-    problem, _ = scenario(10.0, told="unknown").replicates(7, 1)[0]
+    problem, _ = scenario(10.0, initial_state="unknown").replicates(7, 1)[0]
     units = Units(3.0, 1e-3, 0.1)
     plain, other = fit(problem), fit(problem.expressed_in(units))
     for q in problem.system.quantities:
@@ -185,7 +186,7 @@ def test_units_change_nothing_but_units() -> None:
 @pytest.mark.parametrize("told", ["known", "unknown"])
 @pytest.mark.parametrize("prior", [NOMINAL, None])
 def test_five_samples_give_an_answer_or_a_sentence(told: str, prior: PriorSpec | None) -> None:
-    for problem, _ in scenario(10.0, told=told, samples=5, prior=prior).replicates(0, 4):
+    for problem, _ in scenario(10.0, initial_state=told, samples=5, prior=prior).replicates(0, 4):
         estimate = fit(problem).checked()
         assert estimate.status is Status.OK or (estimate.status is Status.DIVERGED and len(estimate.message) > 20)
 

@@ -1,0 +1,119 @@
+"""Experiments, and the jobs and cells of a sweep: every combination of values, validated before any runs."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from bench.config.choices import GROUPS, check_choice, choices
+from bench.config.composition import composed, read_yaml
+from bench.config.overrides import OF_EXPERIMENTS, Overrides, read_overrides
+from bench.config.schema import Job, config_from
+from bench.errors import InputError
+from bench.scenario.scenario import Scenario
+from bench.store.cell import Cell
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A file of ``conf/experiment``: sweeps with their replicates, and the table that is made of them.
+
+    Raises InputError for an unknown name. ``Experiment("table3").cells({"method": ["ls"]})`` are those of one method.
+    """
+
+    name: str
+
+    def __post_init__(self) -> None:
+        check_choice("experiment", self.name)
+
+    @cached_property
+    def content(self) -> Mapping[str, Any]:
+        """What its file says."""
+        return read_yaml("experiment", self.name)
+
+    @property
+    def table(self) -> Mapping[str, Any]:
+        """What is said of its table: ``title``, ``number``, ``form``; empty where it describes none."""
+        return self.content.get("table") or {}
+
+    @property
+    def blocks(self) -> list[dict[str, list[Any]]]:
+        """Its sweeps: the first, and each further one with what it has in common with the first."""
+        first = self.content.get("sweep", {})
+        return [dict(first), *({**first, **block} for block in self.content.get("also", []))]
+
+    def jobs(self, overrides: Overrides | None = None) -> list[Job]:
+        """Its jobs; what is overridden is no longer the part of it that a further sweep describes."""
+        own = overrides or {}
+        if "experiment" in own:
+            raise InputError("experiment", own["experiment"][0], "given twice; give it once")
+        further = self.content.get("also", [])
+        kept = [b for b, extra in zip(self.blocks, [{}, *further], strict=True) if not set(extra) & set(own)]
+        return [job for block in kept for job in _product({**block, **own}, self.content, frozenset(own))]
+
+    def cells(self, overrides: Overrides | None = None) -> list[Cell]:
+        """Its cells in order; one that stands in several of its sweeps stands here as often."""
+        return [job.cell() for job in self.jobs(overrides)]
+
+    def scenarios(self) -> Iterator[tuple[Scenario, int]]:
+        """Its scenarios with their seeds, method apart: all methods of a sweep have the same."""
+        for block in self.blocks:
+            for job in _product({**block, "method": block.get("method", ["oracle"])[:1]}, self.content):
+                yield job.scenario, job.config.seed
+
+
+def sweep(overrides: Overrides, multirun: bool = True) -> list[Job]:
+    """The jobs of some overrides, over those of the experiments among them.
+
+    Raises InputError for what makes no sense, and for several values without ``multirun``.
+    """
+    if not multirun:
+        _check_single(overrides)
+    own = {field: values for field, values in overrides.items() if field != "experiment"}
+    found: list[Job] = []
+    for name in overrides.get("experiment", [None]):
+        found += _product(own, {}, frozenset(own)) if name is None else Experiment(name).jobs(own)
+    return found
+
+
+def expand(texts: Sequence[str], multirun: bool) -> list[Job]:
+    """The jobs of a command line; raises InputError."""
+    return sweep(read_overrides(texts), multirun)
+
+
+def _check_single(overrides: Overrides) -> None:
+    names = [name for name in overrides.get("experiment", []) if name is not None]
+    swept = {**(Experiment(names[0]).blocks[0] if names else {}), **overrides}
+    for field, values in swept.items():
+        if len(values) > 1:
+            raise InputError(field, ",".join(map(str, values)), "several values need -m: python -m bench -m ...")
+
+
+def _product(sweep: Overrides, experiment: Mapping[str, Any], explicit: frozenset[str] = frozenset()) -> list[Job]:
+    for group in set(GROUPS) & set(sweep):
+        for value in sweep[group]:
+            check_choice(group, value)
+    if "method" not in sweep:
+        raise InputError("method", "", f"choose one: {', '.join(choices('method'))}")
+    every = (dict(zip(sweep, values, strict=True)) for values in itertools.product(*sweep.values()))
+    return [_job(chosen, experiment, explicit) for chosen in every]
+
+
+def _job(chosen: Mapping[str, Any], experiment: Mapping[str, Any], explicit: frozenset[str]) -> Job:
+    plain = {k: v for k, v in chosen.items() if k not in GROUPS and "." not in k}
+    in_groups = {k: v for k, v in chosen.items() if k not in plain}
+    content = composed(in_groups)
+    default_prior = content["system"].get("default_prior", "nominal")
+    if "prior" not in chosen and default_prior != content["prior"]["name"]:
+        check_choice("prior", default_prior)
+        content = composed({**in_groups, "prior": default_prior})
+    fields = {k: v for k, v in experiment.items() if k not in OF_EXPERIMENTS}
+    by_method = experiment.get("replicates_by_method", {})
+    if chosen["method"] in by_method and "replicates" not in explicit:
+        fields["replicates"] = by_method[chosen["method"]]
+    config = {k: v for k, v in content.items() if k not in OF_EXPERIMENTS}
+    settings = [f"{k.partition('.')[2]}={v}" for k, v in chosen.items() if k.startswith("method.")]
+    return Job(config_from({**config, **fields, **plain}), " ".join([str(chosen["method"]), *settings]), explicit)

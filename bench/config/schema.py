@@ -1,0 +1,149 @@
+"""A composed configuration, validated: the fields of a run, and the scenario by its own declaration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from bench.entrants.reference import REFERENCES
+from bench.entrants.registry import default_settings, make_method
+from bench.errors import InputError
+from bench.scenario import scenario as declared
+from bench.scenario.disturbance import Disturbance, kind_of
+from bench.scenario.scenario import PriorSpec, Scenario, config_path
+from bench.store.cell import Cell
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(allow_inf_nan=False, gt=0)]
+Validated = TypeVar("Validated")
+
+
+class Config(BaseModel):
+    """What a configuration says beside the scenario: the method, how often, from which seed, where, within what limits.
+
+    The groups of the scenario stand here as they are written. Unknown fields are refused.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    method: dict[str, Any]
+    system: dict[str, Any]
+    prior: dict[str, Any]
+    disturbance: dict[str, Any]
+    snr: Any
+    initial_state: Any
+    replicates: Annotated[int, Field(ge=1, le=1_000_000)]
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    store: Path
+    format: Literal["table", "json"]
+    workers: Annotated[int, Field(ge=1, le=1024)] | None
+    timeout_s: Positive
+    memory_mb: Annotated[float, Field(allow_inf_nan=False, ge=100)]
+    retry: str
+    dry_run: bool
+    cells_per_job: Annotated[int, Field(ge=1)]
+    data: Path | None
+    nominal: dict[str, Positive]
+    start: list[Finite] | None
+
+
+@dataclass(frozen=True)
+class Job:
+    """A validated configuration, with the variant of the method as it was named."""
+
+    config: Config
+    label: str
+    explicit: frozenset[str]
+    """Fields that the user set, as opposed to defaults."""
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """The scenario; raises InputError where it does not make sense."""
+        return scenario_from(self.config.model_dump())
+
+    def prior_spec(self) -> PriorSpec | None:
+        """The prior, None for none."""
+        return _prior(self.config.prior)
+
+    def settings(self) -> dict[str, Any]:
+        """All settings of the method, defaults included, as validated plain values."""
+        name, given = self.config.method["name"], {k: v for k, v in self.config.method.items() if k != "name"}
+        if name in REFERENCES:
+            return {}
+        method = make_method(name, given)
+        return {key: getattr(method, key) for key in default_settings(name)}
+
+    def cell(self) -> Cell:
+        """The cell; raises InputError where the scenario or a setting does not make sense."""
+        return Cell(
+            scenario=self.scenario,
+            method=self.config.method["name"],
+            settings={key: list(v) if isinstance(v, tuple) else v for key, v in self.settings().items()},
+            replicates=self.config.replicates,
+            seed=self.config.seed,
+            label=self.label,
+        )
+
+
+def config_from(content: Mapping[str, Any]) -> Config:
+    """The validated fields of a composed configuration; raises InputError."""
+    if not str(content["store"] or ""):
+        raise InputError("store", "", "name a folder")
+    return validated(Config, content)
+
+
+def scenario_from(content: Mapping[str, Any]) -> Scenario:
+    """The scenario of a composed configuration: each field from where its declaration says; raises InputError."""
+    kind = declared.Scenario
+    system = {name: value for name, value in content["system"].items() if name != "default_prior"}
+    given = {**content, "prior": _prior(content["prior"]), "disturbance": _disturbance(content["disturbance"])}
+    paths = {f.name: config_path(f) for f in fields(kind)}
+    values = {}
+    for f in fields(kind):
+        group, _, name = paths[f.name].partition(".")
+        if not name:
+            values[f.name] = given[group]
+        elif name in system:
+            values[f.name] = system.pop(name)
+        elif f.name == "label" or (f.metadata.get("stated") and "part" not in f.metadata):
+            raise InputError(paths[f.name], "", "field required")
+    for name, value in system.items():
+        raise InputError(f"system.{name}", value, "extra inputs are not permitted")
+    return validated(kind, values, paths)
+
+
+def _prior(content: Mapping[str, Any]) -> PriorSpec | None:
+    if content["sd_by_kind"] is None:
+        return None
+    return validated(PriorSpec, content, {f.name: f"prior.{f.name}" for f in fields(PriorSpec)})
+
+
+def _disturbance(content: Mapping[str, Any]) -> Disturbance | None:
+    settings = {name: value for name, value in content.items() if name != "kind" and value is not None}
+    if content["kind"] == "none" and not settings:
+        return None
+    return validated(kind_of(content["kind"], settings), settings, {name: f"disturbance.{name}" for name in settings})
+
+
+def validated(kind: type[Validated], values: Mapping[str, Any], paths: Mapping[str, str] | None = None) -> Validated:
+    """An instance of a model or dataclass; raises InputError that names the field by its path in the configuration."""
+    try:
+        return _adapter(kind).validate_python(dict(values))  # type: ignore[no-any-return,arg-type]
+    except ValidationError as error:
+        first = error.errors()[0]
+        own = first.get("ctx", {}).get("error")
+        if isinstance(own, InputError):
+            raise own from None
+        where, *below = (str(part) for part in first["loc"])
+        field = ".".join([(paths or {}).get(where, where), *below])
+        raise InputError(field, first["input"], first["msg"].lower()) from None
+
+
+@cache
+def _adapter(kind: type[Any]) -> Any:
+    """pydantic's validation of a class, made once."""
+    return TypeAdapter(kind)

@@ -1,0 +1,167 @@
+"""The benchmark from Python: the cells and sentences of the command line, as objects, silently, from anywhere."""
+
+from __future__ import annotations
+
+import doctest
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import REPOSITORY
+
+import bench
+from bench.commands.main import main
+from bench.config.experiment import Experiment
+
+TIMES = np.linspace(0.0, 8.0, 60)
+DECAY = np.exp(-0.25 * TIMES) * np.cos(3.0 * TIMES) + 0.01 * np.random.default_rng(5).standard_normal(60)
+
+
+@pytest.fixture
+def store(tmp_path: Path, bounds_folder: Path) -> Path:
+    folder = tmp_path / "rows"
+    folder.mkdir()
+    shutil.copytree(bounds_folder, folder / "bounds")
+    return folder
+
+
+@pytest.mark.usefixtures("any_bound")
+@pytest.mark.parametrize("module", ["results", "identification"])
+def test_the_examples_of_the_documentation_run(module: str) -> None:
+    found = doctest.testmod(import_module(f"bench.face.{module}"), optionflags=doctest.ELLIPSIS)
+    assert found.attempted > 3
+    assert found.failed == 0
+
+
+def test_a_sweep_is_the_commands_sweep_and_is_not_computed_twice(
+    store: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    results = bench.run(method="oracle", snr=20, replicates=2, workers=1, store=store)
+    assert capfd.readouterr() == ("", "")
+    (path,) = store.glob("*.json")
+    before = path.stat().st_mtime_ns
+    assert main(["method=oracle", "snr=20.0", "replicates=2", "workers=1", f"store={store}", "format=json"]) == 0
+    assert path.stat().st_mtime_ns == before
+    assert json.loads(capfd.readouterr().out) == results[0].as_dict()
+    frame = results.frame()
+    assert set(frame.cell) == {path.stem}
+    assert frame.metric.is_unique
+    median = frame.set_index("metric").loc["rmse", "median"]
+    assert median == results[0].stored.summary["rmse"]["median"]
+    assert f"{median:.3g}" in results._repr_html_()
+
+
+def test_progress_is_shown_where_it_is_asked_for(store: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    bench.run(method="prior", replicates=2, workers=1, store=store, progress=True)
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert "2/2" in err
+
+
+def test_a_cell_that_is_not_there_is_one_line_of_the_table(tmp_path: Path) -> None:
+    from bench.face.results import Results
+    from bench.store.store import Store
+
+    results = Results(tuple(bench.experiment("table3", method="ls")), Store(tmp_path))
+    assert list(results.frame().status) == ["missing", "missing"]
+    assert "missing" in results._repr_html_()
+
+
+def test_experiments_are_lists_of_cells_that_can_be_overridden() -> None:
+    cells = bench.experiment("table5", method=["ls", "rls"], snr=[15], replicates=3)
+    assert {(c.method, c.scenario.snr_db, c.replicates) for c in cells} == {("ls", 15.0, 3), ("rls", 15.0, 3)}
+    assert [c.identity for c in bench.experiment("table3")] == [c.identity for c in Experiment("table3").cells()]
+
+
+LINES: dict[str, dict[str, Any]] = {
+    "method=pin": {"method": "pin"},
+    "method=ls snr=nan": {"method": "ls", "snr": float("nan")},
+    "method=ls system=beam": {"method": "ls", "system": "beam"},
+    "method=ls method.depth=3": {"method": "ls", "settings": {"method.depth": 3}},
+    "method=ls disturbance=jitter disturbance.size=0": {
+        "method": "ls", "disturbance": "jitter", "settings": {"disturbance": {"size": 0}},
+    },
+    "method=ls replicates=0": {"method": "ls", "replicates": 0},
+    "method=ls retry=sometimes": {"method": "ls", "retry": "sometimes"},
+    "snr=20": {"snr": 20},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_bad_input_is_said_as_on_the_command_line(line: str, store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*line.split(), f"store={store}"]) == 2
+    with pytest.raises(bench.InputError) as caught:
+        bench.run(**LINES[line], store=store)
+    assert capsys.readouterr().err == f"bench: {caught.value}\n"
+
+
+def test_a_record_is_identified_from_a_file_as_from_arrays(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "record.csv"
+    np.savetxt(path, np.column_stack([TIMES + 5.0, 1e3 * DECAY]), delimiter=",", header="t [s],x [mm]", comments="")
+    arrays, file = bench.identify(TIMES, DECAY, method="shooting"), bench.identify(path, method="shooting")
+    assert capfd.readouterr() == ("", "")
+    assert file.values == pytest.approx(arrays.values, rel=1e-6)
+    low, high = arrays.intervals["k_over_m"]
+    assert low < 9.0 + 0.25**2 < high  # x'' + 2·0.25 x' + (3² + 0.25²) x = 0
+    assert arrays.residuals is not None
+    assert arrays.residuals.rms == pytest.approx(0.01, rel=0.4)
+    assert arrays.residuals.values.shape == (60,)
+    assert "k/m" in repr(arrays)
+    assert "<table" in arrays._repr_html_()
+    json.dumps(arrays.as_dict(), allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"data": TIMES}, "displacement=None: times need displacements"),
+        ({"data": "r.csv", "displacement": DECAY}, "displacement=array: a file has it"),
+        ({"data": TIMES, "displacement": DECAY[1:]}, r"displacement=array of shape \(59,\): one-dimensional"),
+        ({"data": TIMES, "displacement": ["a"] * 60}, "displacement=array: numbers"),
+        ({"data": TIMES[:2], "displacement": DECAY[:2]}, "2 samples; at least 3"),
+        ({"data": TIMES[::-1], "displacement": DECAY}, "times must increase"),
+        ({"data": TIMES, "displacement": DECAY, "system": "chain2"}, "system=chain2: .*one DOF"),
+        ({"data": TIMES, "displacement": DECAY, "prior": "nominal"}, "nominal values: nominal.m="),
+        ({"data": TIMES, "displacement": DECAY, "start": (1.0,)}, r"start=\[1.0\]"),
+        ({"data": TIMES, "displacement": DECAY, "settings": {"disturbance": "bias"}}, "=bias: .*leave it out"),
+    ],
+)
+def test_a_record_that_makes_no_sense_is_one_sentence(given: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(bench.InputError, match=sentence):
+        bench.identify(given.pop("data"), method="ls", **given)
+
+
+SCRIPT = """
+import threading, bench
+found = []
+def work():
+    found.append(bench.run(method="prior", replicates=2, workers=1, store={store!r}))
+work = threading.Thread(target=work)
+work.start()
+work.join()
+print(found[0][0].stored.n_ok, "once")
+"""
+
+
+def test_it_runs_from_a_thread_of_a_script_without_a_guard(store: Path, tmp_path: Path) -> None:
+    """Read from the standard input, as a notebook's cells are: child processes do not run it again."""
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    said = {"input": SCRIPT.format(store=str(store)), "capture_output": True, "text": True, "timeout": 300}
+    done = subprocess.run([sys.executable, "-"], cwd=tmp_path, env=environment, **said)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "2 once\n", "")
+
+
+def test_the_contract_alone_loads_none_of_it(python: Callable[..., Any]) -> None:
+    later = {"hydra", "pydantic", "pandas", "bench.face", "bench.sweep"}
+    code = f"import sys, bench; print(sorted({later!r} & set(sys.modules)))"
+    assert python("-c", code, env={"PYTHONPATH": str(REPOSITORY)}).stdout == "[]\n"
+    with pytest.raises(AttributeError, match="no attribute fit"):
+        _ = bench.fit  # type: ignore[attr-defined]

@@ -1,0 +1,150 @@
+"""A field that is added to a scenario is declared once: files, command lines, identities and stored cells know it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pytest
+
+from bench import InputError
+from bench.commands import reproduce
+from bench.config.experiment import expand
+from bench.config.overrides import overrides_of
+from bench.scenario import scenario as declared
+from bench.scenario.declaration import Within, plain, restored
+from bench.scenario.disturbance import KINDS
+from bench.scenario.force import ForceSpec
+from bench.scenario.scenario import PriorSpec, Scenario
+from bench.store.cell import Cell
+from bench.store.store import StoredCell
+
+
+@dataclass(frozen=True)
+class Grainy(Scenario):
+    """A scenario whose sensor cannot see less than a ``grain`` (m): the noise is never below it."""
+
+    grain: Annotated[float, Within(ge=0.0, lt=1.0)] = 0.0
+
+    def sigmas(self, seed: int, record: int = 0) -> np.ndarray:
+        return np.hypot(super().sigmas(seed, record), self.grain)
+
+
+@pytest.fixture(autouse=True)
+def _declared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if the one line above stood in the declaration of a scenario."""
+    for module in (declared, reproduce):
+        monkeypatch.setattr(module, "Scenario", Grainy)
+
+
+def cell(*texts: str) -> Cell:
+    (job,) = expand(["method=ls", *texts], multirun=False)
+    return job.cell()
+
+
+def stored(cell: Cell) -> StoredCell:
+    """What the store holds of a cell, as it comes back from JSON."""
+    what = json.loads(json.dumps({**cell.description(), "label": cell.label, "system": cell.scenario.label}))
+    return StoredCell(cell.identity, what, (), {}, {}, {}, 0.0)
+
+
+def test_it_is_set_on_a_command_line_and_found_again_in_a_stored_cell() -> None:
+    grainy = cell("system.grain=0.2")
+    assert isinstance(grainy.scenario, Grainy)
+    assert grainy.scenario.grain == 0.2
+    assert grainy.description()["data"]["grain"] == 0.2
+    again = reproduce.stored_as_cell(stored(grainy))
+    assert again.identity == grainy.identity
+    assert grainy.scenario.prior is not None
+    assert again.scenario == replace(grainy.scenario, prior=replace(grainy.scenario.prior, name="stored"))
+    ours, theirs = (one.scenario.replicates(0, 1)[0][0].records[0].channels[0] for one in (grainy, again))
+    np.testing.assert_array_equal(ours.values, theirs.values)
+
+
+def test_it_is_read_from_a_file_of_ones_own(tmp_path: Path) -> None:
+    path = tmp_path / "worn.yaml"
+    path.write_text("defaults: [sdof]\nlabel: worn\ngrain: 0.1\n")
+    found = cell(f"system={path}").scenario
+    assert (found.label, found.grain) == ("worn", 0.1)  # type: ignore[attr-defined]
+
+
+def test_at_its_default_it_is_in_no_identity_and_elsewhere_in_each() -> None:
+    plain_cell, same, other = cell(), cell("system.grain=0"), cell("system.grain=0.2")
+    assert "grain" not in plain_cell.description()["data"]
+    assert plain_cell.identity == same.identity != other.identity
+
+
+def test_data_that_differ_in_it_are_paired() -> None:
+    """The base noise is the same draw: the two noises are in the ratio of their standard deviations."""
+    quiet, grainy = (cell(*texts).scenario for texts in ([], ["system.grain=0.2"]))
+    clean = quiet._response(quiet.times, 0)[0]
+    noises = [s.replicates(0, 1)[0][0].records[0].channels[0].values - clean for s in (quiet, grainy)]
+    ratio = math.hypot(quiet.sigmas(0)[0], 0.2) / quiet.sigmas(0)[0]
+    np.testing.assert_allclose(noises[1], ratio * noises[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("value", "remedy"),
+    [("1", "less than 1"), ("-0.1", "greater than or equal to 0"), ("nan", "finite"), ("x", "number")],
+)
+def test_its_limits_are_said_with_its_name(value: str, remedy: str) -> None:
+    with pytest.raises(InputError, match=rf"^system\.grain={value}: input should be a?.*{remedy}"):
+        cell(f"system.grain={value}")
+
+
+def test_a_version_that_does_not_have_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    newer = stored(cell("system.grain=0.2"))
+    monkeypatch.setattr(reproduce, "Scenario", Scenario)
+    with pytest.raises(InputError, match="grain: this version has no such field"):
+        reproduce.stored_as_cell(newer)
+
+
+KINDS_OF_PARAMETERS = ("mass", "damping", "stiffness", "other")
+BASE = Scenario("sdof", {"k": 9, "m": 1, "c": 0.5}, ((1,), (0,)), 20, duration=4)  # type: ignore[arg-type]
+CHANGES: dict[str, Any] = {
+    "as it is": {},
+    "force": {"force": ForceSpec(2, 0.5, 3, kind="swept_sine", noise_db=30)},
+    "impulse": {"force": ForceSpec(5, kind="impulse", start_s=0.5, length_s=0.5, hold="cubic")},
+    "prior": {"prior": PriorSpec("stored", {"mass": 1, "damping": 0.5, "stiffness": 0.1, "other": 1}, wrong=True)},
+    "drawn": {"prior": PriorSpec("stored", dict.fromkeys(KINDS_OF_PARAMETERS, 0.1), draws="truth")},
+    "outliers": {"disturbance": KINDS["outliers"](10, 0.1)},  # type: ignore[call-arg]
+    "bias": {"disturbance": KINDS["bias"](0.1), "initial_state": "unknown"},
+    "rig": {"measured": (0,), "added_mass": (1,), "dense": 50, "forecast": 2},
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_scenario_comes_back_from_json_as_it_was(name: str) -> None:
+    scenario = replace(BASE, **CHANGES[name])
+    text = json.dumps(scenario.to_dict())
+    again = Scenario.from_dict(json.loads(text))
+    assert again == scenario
+    assert json.dumps(again.to_dict()) == text
+
+
+def test_whole_numbers_are_the_floats_they_stand_for_and_parameters_are_in_the_systems_order() -> None:
+    data = BASE.to_dict()["data"]
+    assert json.dumps(data["parameters"]) == '{"c": 0.5, "k": 9.0, "m": 1.0}'
+    numbers = [data[name] for name in ("initial", "snr_db", "duration", "samples")]
+    assert json.dumps(numbers) == "[[[1.0], [0.0]], 20.0, 4.0, 25]"
+    assert list(BASE.parameters) == ["m", "c", "k"]
+
+
+@pytest.mark.parametrize("kind", [Scenario, ForceSpec, PriorSpec, *KINDS.values()])
+def test_every_declared_type_has_a_way_to_json_and_back(kind: Any) -> None:
+    """None is null, whatever the type; a sample of each other kind of value is in the tests above."""
+    for declared_field in fields(kind):
+        assert plain(kind, declared_field.name, None) is None
+        assert restored(kind, declared_field.name, None) is None
+
+
+def test_python_and_a_command_line_ask_for_the_same_cells() -> None:
+    python = overrides_of({"snr": (40, 20), "system": {"samples": np.int64(30)}, "seed": range(2), "replicates": 3})
+    assert python == {"snr": [40, 20], "system.samples": [30], "seed": [0, 1], "replicates": [3]}
+    assert type(python["system.samples"][0]) is int
+    with pytest.raises(InputError, match=r"system\.samples=9: given twice"):
+        overrides_of({"system.samples": 8}, {"system": {"samples": 9}})
