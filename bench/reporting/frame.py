@@ -1,7 +1,7 @@
 """The read model: stored cells, and cells that an experiment describes, as all tables, figures and pages read them.
 
-A :class:`Result` is one cell, run or not, with the facts of its scenario and what came out. The keys of a stored
-description are known to :meth:`Result.of_description` alone. A :class:`Frame` is the results of one experiment; those
+A :class:`Result` is one cell, run or not, with the facts of its scenario and what came out; it alone knows the keys of
+a stored description. A :class:`Frame` is the results of one experiment; those
 of a store are a plain list (:func:`stored_results`).
 """
 
@@ -24,6 +24,7 @@ from bench.entrants.reference import REFERENCES
 from bench.errors import InputError
 from bench.reporting.labels import title
 from bench.scenario.scenario import Scenario
+from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.store import Store, StoredCell
 from bench.systems import System, make_system
@@ -117,6 +118,34 @@ class Result:
         return bool(self.data.get("force"))
 
     @property
+    def force(self) -> str:
+        """The known force in words: its shape, and its amplitude where that is stored; empty in free vibration."""
+        force = self.data.get("force") or {}
+        # a stored description names every shape but the default
+        shape = str(force.get("kind", "multisine")).replace("_", " ") if force else ""
+        return shape + (f", amplitude {float(force['amplitude']):g} N" if "amplitude" in force else "")
+
+    @property
+    def duration(self) -> float:
+        """Of the record (s)."""
+        return float(self.data.get("duration", math.nan))
+
+    @property
+    def samples(self) -> int:
+        """Samples of a sensor; 0 where the description does not say."""
+        return int(self.data.get("samples", 0))
+
+    @property
+    def n_dof(self) -> int:
+        """Masses that move; 0 where the description does not say."""
+        return len(self.data.get("initial", [[]])[0])
+
+    @property
+    def added_mass(self) -> tuple[float, ...]:
+        """Known masses (kg, one a DOF) of a second record; none where there is one record."""
+        return tuple(map(float, self.data.get("added_mass") or ()))
+
+    @property
     def truth_drawn(self) -> bool:
         """Whether each replicate has a truth of its own."""
         return "truth" in self.data
@@ -134,6 +163,12 @@ class Result:
         """What is the same for all methods that were asked the same: data, what is told, and seed."""
         told = {"initial_state": self.initial_state, "prior": self.prior}
         return json.dumps([self.data, told, self.seed, self.system], sort_keys=True, default=str)
+
+    @cached_property
+    def series(self) -> str:
+        """What is the same for all cells that differ in method, noise level and start alone."""
+        data = {key: value for key, value in self.data.items() if key != "snr_db"}
+        return json.dumps({"data": data, "prior": self.prior, "seed": self.seed}, sort_keys=True)
 
     @cached_property
     def model(self) -> System:
@@ -154,6 +189,11 @@ class Result:
         return self.cell.scenario
 
     @property
+    def identity(self) -> str:
+        """What names the cell in a store."""
+        return self.stored.identity if self.stored else self.cell.identity if self.cell else ""
+
+    @property
     def is_reference(self) -> bool:
         """Whether it is a reference row, which sees the truth or no data, and competes with nobody."""
         return self.method in REFERENCES
@@ -166,17 +206,28 @@ class Result:
     # ---- what came out
 
     @property
+    def rows(self) -> tuple[Row, ...]:
+        """The replicates, as they are stored."""
+        return self.stored.rows if self.stored else ()
+
+    @property
     def n(self) -> int:
         """Replicates that are stored."""
-        return len(self.stored.rows) if self.stored else 0
+        return len(self.rows)
 
     @cached_property
     def statuses(self) -> tuple[Status, ...]:
-        return tuple(row.status for row in self.stored.rows) if self.stored else ()
+        return tuple(row.status for row in self.rows)
 
     @cached_property
     def n_ok(self) -> int:
         return self.statuses.count(Status.OK)
+
+    @property
+    def status(self) -> Status:
+        """``ok`` where any replicate succeeded, else the most frequent failure."""
+        assert self.stored is not None
+        return self.stored.status
 
     @cached_property
     def ok(self) -> np.ndarray:
@@ -216,13 +267,12 @@ class Result:
 
     def has(self, score: str) -> bool:
         """Whether any replicate has a score."""
-        return bool(self.stored) and any(score in row.scores for row in self.stored.rows)  # type: ignore[union-attr]
+        return any(score in row.scores for row in self.rows)
 
     def scores(self, name: str) -> np.ndarray:
         """A score by replicate (n,), NaN where a replicate has none."""
         if name not in self._columns:
-            rows = self.stored.rows if self.stored else ()
-            self._columns[name] = np.array([row.scores.get(name, math.nan) for row in rows], float)
+            self._columns[name] = np.array([row.scores.get(name, math.nan) for row in self.rows], float)
         return self._columns[name]
 
     def errors(self, metric: str) -> np.ndarray:
@@ -242,7 +292,7 @@ class Result:
     @cached_property
     def cpu_s(self) -> np.ndarray:
         """Processor time of each fit (s)."""
-        return np.array([row.cpu_s for row in self.stored.rows] if self.stored else [], float)
+        return np.array([row.cpu_s for row in self.rows], float)
 
     def arrays(self, store: Store) -> dict[str, np.ndarray]:
         """The arrays kept of replicate 0, as double precision; none where they are missing or damaged."""

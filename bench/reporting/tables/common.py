@@ -1,4 +1,4 @@
-"""What the tables share: the metrics that methods are ranked on, notes on failures, and tables as Markdown and LaTeX."""
+"""What the tables share: the metrics that methods are ranked on, notes on failures, Markdown, LaTeX and CSV."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ times the least of all methods (performance profile); near-ties make small facto
 def collected(results: Iterable[Result], metric: str) -> Errors | None:
     """The errors of every method on the replicates that all of them were given; None where a cell is missing."""
     # by identity: the reference system at 20 dB stands in two tables
-    own = {result.cell.identity: result for result in results if result.cell and not result.is_reference}
+    own = {result.identity: result for result in results if not result.is_reference}
     if not own or not all(result.stored for result in own.values()):
         return None
     fewest = min(result.n for result in own.values())

@@ -149,13 +149,14 @@ class PaperTable:
         for result in own:
             if result.stored and not bounded:
                 bounded = True
-                finite = {metric: math.isfinite(result.bound(metric)) for metric in HEADINGS}
-                yield ["bound", *(number(result.bound(m)) if finite[m] else "-" for m in HEADINGS), "", ""]
-                shares = {m: result.prior_share.get(m.removesuffix(ERROR), math.nan) for m in HEADINGS}
-                known = {m: finite[m] and math.isfinite(shares[m]) for m in HEADINGS}
-                yield [
-                    "of it from the prior", *(f"{100 * shares[m]:.0f} %" if known[m] else "-" for m in HEADINGS), "", "",
-                ]  # fmt: skip
+                bounds = {metric: result.bound(metric) for metric in HEADINGS}
+                yield ["bound", *(number(one) if math.isfinite(one) else "-" for one in bounds.values()), "", ""]
+                shares = [
+                    result.prior_share.get(metric.removesuffix(ERROR), math.nan) if math.isfinite(one) else math.nan
+                    for metric, one in bounds.items()
+                ]
+                said = [f"{100 * share:.0f} %" if math.isfinite(share) else "-" for share in shares]
+                yield ["of it from the prior", *said, "", ""]
             cells = []
             for metric in HEADINGS:
                 ranking = self.standings.get((start, row, metric))
