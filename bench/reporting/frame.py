@@ -298,8 +298,8 @@ class Result:
         """The arrays kept of replicate 0, as double precision; none where they are missing or damaged."""
         if self.stored:
             with contextlib.suppress(OSError, ValueError, KeyError, zipfile.BadZipFile):
-                kept = self.stored and store.arrays(self.stored)
-                return {name: a.astype(float) if a.dtype.kind == "f" else a for name, a in kept.items()}
+                found = store.arrays(self.stored)
+                return {name: a.astype(float) if a.dtype.kind == "f" else a for name, a in found.items()}
         return {}
 
 

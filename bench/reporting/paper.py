@@ -53,6 +53,11 @@ def paper_value(table: int, row: str, label: str, metric: str) -> float:
     return _values().get((table, row, card.paper, metric), math.nan) if card and card.paper else math.nan
 
 
+def row_name(table: int, system: str, snr_db: float) -> str:
+    """The name of the row of a table in which a scenario stands."""
+    return system.rpartition("_")[2] if table == 4 else ROWS.get(table, f"{snr_db:g}")
+
+
 def own_method() -> str:
     """The method that the paper proposes, whose estimate its Table 2 gives."""
     return next(p.method for p in printed() if p.table == 2)

@@ -155,17 +155,16 @@ class Closing:
 
     def _leading(self, i: int) -> set[tuple[str, ...]]:
         """Of the i-th metric, the best methods of all scenarios that several methods were fitted to."""
-        from bench.reporting.tables.tables import leads
-        from bench.scoring.comparison import against_best
+        from bench.scoring.comparison import standing
 
         found: set[tuple[str, ...]] = set()
         for contest in self.contests.values():
             values = {str(n): errors[i] for n, errors in enumerate(contest.values())}
-            if len(values) < 2 or all(np.isinf(own).any() and np.isinf(np.median(own)) for own in values.values()):
+            if all(np.isinf(own).any() and np.isinf(np.median(own)) for own in values.values()):
                 continue
             excess = {str(n): self.lines[key][0][2][i].get("excess", math.nan) for n, key in enumerate(contest)}
-            ranking = against_best(values)
-            found |= {key for n, key in enumerate(contest) if leads(ranking, str(n), excess)}
+            ranking = standing(values, excess)
+            found |= {key for n, key in enumerate(contest) if ranking and str(n) in ranking.level}
         return found
 
     def said_of_failures(self) -> int:

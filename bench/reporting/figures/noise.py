@@ -71,9 +71,9 @@ def _caption(found: Sequence[Result], sizes: Mapping[str, float], paper: bool) -
     hollow = f" {len(sizes)} methods lie on each other there: hollow markers, one in another." if sizes else ""
     return (
         f"Error against noise for every method ({found[0].system}, initial state {found[0].initial_state}; "
-        f"{counts(found)} replicates a point): root mean square error over the replicates, failures left out. The line is "
-        "the Cramér-Rao bound, and below it, in grey, no unbiased method can be; a biased one can, where the noise is "
-        f"large.{hollow} A line that runs level has an error of its own that no better sensor "
+        f"{counts(found)} replicates a point): root mean square error over the replicates, failures left out. The line "
+        "is the Cramér-Rao bound, and below it, in grey, no unbiased method can be; a biased one can, where the noise "
+        f"is large.{hollow} A line that runs level has an error of its own that no better sensor "
         "removes." + (" Orange diamonds: the paper's own PINN (its Table 5, Figure 10)." if paper else "")
     )
 

@@ -63,12 +63,10 @@ def headline_places(reading: Reading) -> list[int]:
         most = max(range(len(panels)), key=lambda i: (len(panels[i].methods), panels[i].plain, -i))
         return [most]
     first = panels[wanted[0]]
-    same = [
-        i for i in wanted if panels[i].facts.system == first.facts.system and panels[i].experiments == first.experiments
-    ]
     by_start: dict[str, int] = {}
-    for i in same:
-        by_start.setdefault(panels[i].facts.initial_state, i)
+    for i in wanted:
+        if (panels[i].facts.system, panels[i].experiments) == (first.facts.system, first.experiments):
+            by_start.setdefault(panels[i].facts.initial_state, i)
     return list(by_start.values())
 
 

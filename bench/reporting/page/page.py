@@ -176,8 +176,8 @@ def _preset(reading: Reading, places: Sequence[int]) -> dict[str, str]:
     panel = reading.panels[places[0]]
     metric = panel.ranked[0] if panel.ranked else ""
     return {
-        "system": panel.facts.system, "snr": decibels(panel.facts.snr_db), "start": panel.facts.initial_state, "data": panel.kind,
-        "quantity": heading(metric) if metric else "",
+        "system": panel.facts.system, "snr": decibels(panel.facts.snr_db), "start": panel.facts.initial_state,
+        "data": panel.kind, "quantity": heading(metric) if metric else "",
     }  # fmt: skip
 
 

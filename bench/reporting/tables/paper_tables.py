@@ -12,7 +12,7 @@ from typing import Any
 
 from bench.reporting.frame import ERROR, Frame, Result, group
 from bench.reporting.labels import title, told
-from bench.reporting.paper import ROWS, paper_value
+from bench.reporting.paper import paper_value, row_name
 from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.common import (
     PRIMARY,
@@ -67,9 +67,7 @@ class PaperTable:
 
     def row(self, result: Result) -> str:
         """The name of the row that a result stands in."""
-        if self.number == 4:
-            return result.system.rpartition("_")[2]
-        return ROWS.get(self.number, f"{result.snr_db:g}")
+        return row_name(self.number, result.system, result.snr_db)
 
     @cached_property
     def standings(self) -> dict[tuple[str, str, str], Standing]:
