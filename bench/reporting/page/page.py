@@ -130,7 +130,7 @@ def contents(store: Store, out: Path) -> dict[str, Any]:
     snr = reading.panels[places[0]].facts.snr_db
     methods = {result.label: result.method for panel in reading.panels for result in panel.methods}
     return {
-        "gathered": reading,
+        "reading": reading,
         "answers": answers,
         "methods": len(methods),
         "variants": len(methods) > len(set(methods.values())),
