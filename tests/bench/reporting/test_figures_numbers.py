@@ -342,7 +342,7 @@ def test_of_cells_that_differ_in_settings_the_usual_one_is_shown(store: Store) -
     for settings, snr in (({"steps": 1}, 20.0), ({"steps": 2}, 20.0), ({"steps": 2}, 10.0)):
         save(store, {**described("pinn", snr, n=5), "settings": settings}, scored("pinn", 5))
     shown = [(cell.snr_db, cell.settings) for cell in Gallery(store).cells]
-    assert shown == [(20.0, '{"steps": 2}'), (10.0, '{"steps": 2}')]
+    assert shown == [(20.0, {"steps": 2}), (10.0, {"steps": 2})]
 
 
 def test_a_noise_level_of_few_methods_is_not_in_a_sweep(store: Store) -> None:
