@@ -22,15 +22,15 @@ import pandas as pd
 from tabulate import tabulate
 
 from bench.commands.guard import command, read_fields, whole
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import expand
 from bench.contract.estimate import Status
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import default_settings, method_names
 from bench.errors import InputError
-from bench.reporting.figures.style import STYLES, pyplot, save_figure
+from bench.reporting import frame, labels
+from bench.reporting.figures.style import looks, pyplot, save_figure
 from bench.reporting.rounding import excess_text, number
-from bench.reporting.tables.systems import pooled_excess
-from bench.reporting.tables.tables import TITLES
+from bench.reporting.tables.pooling import pooled_excess
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.store import Store, StoredCell
@@ -77,7 +77,7 @@ def scenario(n: int) -> Scenario:
 
     The times at which the displacement is scored, and forecast, are the samples' and equal parts of their steps.
     """
-    common = jobs_to_cells(expand(["method=prior", "system=chain2", "snr=30"], multirun=False))[0].scenario
+    common = [job.cell() for job in expand(["method=prior", "system=chain2", "snr=30"], multirun=False)][0].scenario
     frequencies = natural_frequencies(n)
     duration = float(math.ceil(PERIODS * 2.0 * math.pi / frequencies[0]))
     steps = math.ceil(PER_PERIOD * duration * frequencies[-1] / (2.0 * math.pi))
@@ -146,6 +146,7 @@ def line(result: Result) -> dict[str, Any]:
     head: dict[str, Any] = {"n": result.n, "parameters": 3 * result.n, "method": result.method}
     if stored is None:
         return {**head, "n_ok": 0, "n_fits": 0, "status": "not tried"}
+    scored = frame.Result.of_stored(stored)
     seconds = [row.cpu_s for row in stored.rows if row.status is Status.OK]
     failed = [row for row in stored.rows if row.status is not Status.OK]
     return {
@@ -156,8 +157,8 @@ def line(result: Result) -> dict[str, Any]:
         "cpu_s": median(seconds) if seconds else math.nan,
         "rmse_m": stored.summary["rmse"]["median"],
         "rmse_excess": stored.summary["rmse"]["excess"],
-        "parameters_excess": pooled_excess(stored, system.names),
-        "ratios_excess": pooled_excess(stored, [group.name for group in system.groups]),
+        "parameters_excess": pooled_excess(scored, system.names),
+        "ratios_excess": pooled_excess(scored, [group.name for group in system.groups]),
         "message": failed[0].message if failed else "",
     }
 
@@ -221,7 +222,7 @@ def page(data: pd.DataFrame, timeout_s: float) -> str:
     )]  # fmt: skip
     methods = list(dict.fromkeys(data.method))
     served = [m for m in methods if not (data[data.method == m].status == Status.UNSUPPORTED.value).all()]
-    lines = [f"| {TITLES.get(m, m)} {reach(data[data.method == m])}" for m in served if m != "prior"]
+    lines = [f"| {labels.title(m)} {reach(data[data.method == m])}" for m in served if m != "prior"]
     head = (
         f"| method | solved up to n = (all fits ok, rmse excess below {ASTRAY:g}) | and then, at n = |\n|---|---|---|"
     )
@@ -230,15 +231,13 @@ def page(data: pd.DataFrame, timeout_s: float) -> str:
     columns = ["method", "time (s)", "rmse", "parameters", "ratios", "ok"]
     for n, own in data.groupby("n", sort=True):
         cell_scenario = scenario(int(n))
-        rows = [[TITLES.get(at["method"], at["method"]), *entry(at)] for at in own.to_dict("records") if _asked(at)]
+        rows = [[labels.title(at["method"]), *entry(at)] for at in own.to_dict("records") if _asked(at)]
         size = f"{3 * n} parameters, {cell_scenario.samples} samples of each mass over {cell_scenario.duration:g} s"
         table = tabulate(rows, headers=columns, tablefmt="github", disable_numparse=True)
         parts += [f"## n = {n}: {size}", table]
     unsupported = data[data.status == Status.UNSUPPORTED.value].drop_duplicates("method")
     if len(unsupported):
-        said = "\n".join(
-            f"- {TITLES.get(at.method, at.method)}: {at.message} (n = {at.n})" for at in unsupported.itertuples()
-        )
+        said = "\n".join(f"- {labels.title(at.method)}: {at.message} (n = {at.n})" for at in unsupported.itertuples())
         parts += ["## Not served", said]
     return "\n\n".join(parts) + "\n"
 
@@ -252,11 +251,11 @@ def picture(data: pd.DataFrame, out: Path) -> list[Path]:
     plt = pyplot()
     figure, axes = plt.subplots(1, 2, figsize=(10.0, 4.6), layout="constrained")
     panels = (("cpu_s", "processor time of a fit (s)"), ("rmse_excess", "excess of the displacement: error / bound"))
-    for method, (colour, marker) in STYLES.items():
+    for method, look in looks(set(data.method)).items():
         own = data[(data.method == method) & (data.n_ok > 0)]
         for axis, (what, _) in zip(axes, panels, strict=True):
             if len(own) and not (method == "oracle" and what == "cpu_s"):
-                axis.plot(own.n, own[what], color=colour, marker=marker, ms=5, lw=1.2, label=TITLES.get(method, method))
+                axis.plot(own.n, own[what], color=look.colour, marker=look.marker, ms=5, lw=1.2, label=look.title)
     sizes = sorted(set(data.n))
     for axis, (_, title) in zip(axes, panels, strict=True):
         axis.set(xscale="log", yscale="log", xlabel="masses in the chain", title=title)
@@ -309,9 +308,7 @@ def read_options(arguments: Sequence[str]) -> Options:
 
 def _others() -> list[str]:
     """The registered methods in the order of the other tables, any others behind."""
-    own = [name for name in method_names() if name not in REFERENCES]
-    order = list(TITLES)
-    return sorted(own, key=lambda name: (order.index(name) if name in order else len(order), name))
+    return labels.in_order(name for name in method_names() if name not in REFERENCES)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -27,7 +27,7 @@ from tqdm import tqdm
 
 from bench import Estimate, Normal, Problem, Status
 from bench.commands.guard import command, read_fields, whole
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import expand
 from bench.entrants.registry import make_method
 from bench.information.fisher import load_bounds
 from bench.isolation.failure import one_line
@@ -243,7 +243,7 @@ def _main(arguments: Sequence[str]) -> int:
         for label, count in counts.items():
             for snr in SNRS:
                 jobs = expand(["method=prior", f"system={label}", f"snr={snr}"], multirun=False)
-                outcomes = measure(jobs_to_cells(jobs)[0].scenario, count, limit, bar.update)
+                outcomes = measure([job.cell() for job in jobs][0].scenario, count, limit, bar.update)
                 rows += [row(label, snr, name, own) for name, own in outcomes.items()]
     (out / "handwritten.md").write_text(page(rows, limit), encoding="utf-8")
     print(out / "handwritten.md")

@@ -95,7 +95,7 @@ class Request:
 
 def read_request(arguments: Sequence[str]) -> Request:
     """The request of a command line; raises InputError for what makes no sense."""
-    from bench.config.config import expand
+    from bench.config.experiment import expand
 
     own: dict[str, str] = {"profile": "false", "out": "results/figures"}
     overrides = []

@@ -27,7 +27,7 @@ import numpy as np
 
 from bench.commands.guard import command, read_fields
 from bench.commands.reproduce import compare_rows, stored_as_cell
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import Experiment
 from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.scoring.row import Row
@@ -165,8 +165,7 @@ def _filter(fields: Mapping[str, str]) -> Callable[[StoredCell], bool]:
     methods = set(fields["method"].split(",")) if fields["method"] else None
     identities: Collection[str] | None = None
     if fields["experiment"]:
-        jobs = expand([f"experiment={fields['experiment']}"], multirun=True)
-        identities = {cell.identity for cell in jobs_to_cells(jobs)}
+        identities = {cell.identity for cell in Experiment(fields["experiment"]).cells()}
     return lambda stored: (
         (identities is None or stored.identity in identities) and (methods is None or stored.cell["label"] in methods)
     )

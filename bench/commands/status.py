@@ -150,10 +150,10 @@ def read_watch(text: str) -> float:
 
 def _sweep(fields: Sequence[str]) -> tuple[list[Cell], frozenset[Status]]:
     """The cells of a sweep, and the failures that it tries again."""
-    from bench.config.config import expand, jobs_to_cells
+    from bench.config.experiment import expand
 
     jobs = expand(fields, multirun=True)
-    return jobs_to_cells(jobs), read_retry(jobs[0].config.retry)
+    return [job.cell() for job in jobs], read_retry(jobs[0].config.retry)
 
 
 if __name__ == "__main__":

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import ClassVar, Literal, final
+from typing import Any, ClassVar, Literal, final
 
 import numpy as np
 
@@ -19,9 +19,16 @@ SILENT = "no sensor shows any motion; check the wiring or choose another record"
 
 @dataclass(frozen=True)
 class Card:
-    """What a reader must know of a method before comparing it: see the table of cards in the documentation.
+    """What a reader must know of a method before comparing it, and how tables, figures and the page show it.
 
     ``scale`` says whether it works on all parameters with the prior (``native``) or returns identifiable groups only.
+
+    What follows ``tuning`` may be left out. ``title``: its name for people (else its registered name). ``order``: its
+    place in tables and legends, lowest first (else behind those that have one, by name). ``colour`` (``#rrggbb``) and
+    ``marker`` (matplotlib's) of its points (else of a palette, by its name). ``paper``: the method of the paper that it
+    stands beside, as ``bench/data/paper_tables.csv`` calls it. ``states_terms``: the messages of its estimates name the
+    terms of the equation of motion that it found, after ``terms kept of N:``. ``variants``: by the name of a file of
+    ``conf/method`` that starts from this method, the fields of the card that differ for it.
     """
 
     summary: str
@@ -31,6 +38,17 @@ class Card:
     uncertainty: str
     settings_source: str
     tuning: str = "none"
+    title: str = ""
+    order: int = 1000
+    colour: str = ""
+    marker: str | tuple[int, int, float] = ""
+    paper: str = ""
+    states_terms: bool = False
+    variants: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def variant(self, name: str) -> Card:
+        """The card of a variant: this one with the fields that differ."""
+        return replace(self, variants={}, **self.variants[name])
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ def disturbance_of(scenario: Scenario) -> str:
 
 def described(scenario: Scenario) -> str:
     """A scenario in a few words."""
-    text = f"{scenario.label} {scenario.snr_db:g} dB {scenario.told}"
+    text = f"{scenario.label} {scenario.snr_db:g} dB {scenario.initial_state}"
     return f"{text}, {disturbance_of(scenario)}" if scenario.disturbance else text
 
 
@@ -44,7 +44,7 @@ def cell_table(cell: Cell, stored: StoredCell) -> str:
     scenario = cell.scenario
     disturbed = f"disturbance {disturbance_of(scenario)}, " if scenario.disturbance else ""
     head = (
-        f"{cell.label} on {scenario.label}, {scenario.snr_db:g} dB, initial state {scenario.told}, {disturbed}"
+        f"{cell.label} on {scenario.label}, {scenario.snr_db:g} dB, initial state {scenario.initial_state}, {disturbed}"
         f"{stored.n_ok}/{len(stored.rows)} ok"
     )
     labels = {f"{q.name}_error_pct": f"{readable(q.name)} error %" for q in scenario.make_system().quantities} | RMSES
@@ -110,7 +110,7 @@ class Closing:
             cell.label,
             scenario.label,
             f"{scenario.snr_db:g}",
-            scenario.told,
+            scenario.initial_state,
             disturbance_of(scenario),
         )
         key = (*key, cell.identity) if self.listed else key
@@ -155,17 +155,16 @@ class Closing:
 
     def _leading(self, i: int) -> set[tuple[str, ...]]:
         """Of the i-th metric, the best methods of all scenarios that several methods were fitted to."""
-        from bench.reporting.tables.tables import leads
-        from bench.scoring.comparison import against_best
+        from bench.scoring.comparison import standing
 
         found: set[tuple[str, ...]] = set()
         for contest in self.contests.values():
             values = {str(n): errors[i] for n, errors in enumerate(contest.values())}
-            if len(values) < 2 or all(np.isinf(own).any() and np.isinf(np.median(own)) for own in values.values()):
+            if all(np.isinf(own).any() and np.isinf(np.median(own)) for own in values.values()):
                 continue
             excess = {str(n): self.lines[key][0][2][i].get("excess", math.nan) for n, key in enumerate(contest)}
-            ranking = against_best(values)
-            found |= {key for n, key in enumerate(contest) if leads(ranking, str(n), excess)}
+            ranking = standing(values, excess)
+            found |= {key for n, key in enumerate(contest) if ranking and str(n) in ranking.level}
         return found
 
     def said_of_failures(self) -> int:

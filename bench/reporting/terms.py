@@ -27,7 +27,8 @@ def true_terms(system: System, forced: frozenset[int]) -> tuple[frozenset[str], 
     n, single = system.n_dof, system.n_dof == 1
     number = [""] if single else [str(i + 1) for i in range(n)]
     x, v, f = ([sympy.Symbol(f"{s}{i}", real=True) for i in number] for s in "xvf")
-    p = {name: sympy.Symbol(f"p_{name}", positive=True) for name in system.names}
+    # parameters as different primes: exact, fast, and no term of theirs is nil by accident
+    p = {name: sympy.Integer(sympy.prime(10 + i)) for i, name in enumerate(system.names)}
 
     def solve(matrix: Any, right: Any) -> list[Any]:
         return list(sympy.Matrix(matrix).LUsolve(sympy.Matrix(right)))
@@ -39,7 +40,7 @@ def true_terms(system: System, forced: frozenset[int]) -> tuple[frozenset[str], 
     states, found = [*x, *v, *f], []
     for one in acceleration(system, p, x, v, pushed, [], ops):
         try:
-            polynomial = sympy.Poly(sympy.expand(sympy.simplify(one)), *states)
+            polynomial = sympy.Poly(sympy.expand(one), *states)
         except sympy.PolynomialError:
             return None
         found.append(frozenset(_name(powers, [str(s) for s in states]) for powers in polynomial.monoms()))

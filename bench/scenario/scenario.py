@@ -212,11 +212,6 @@ class Scenario:
         return tuple(int.from_bytes(digest[i : i + 4], "big") for i in (0, 4))
 
     @property
-    def told(self) -> str:
-        """The same as ``initial_state``, for reporting until it says so."""
-        return self.initial_state
-
-    @property
     def truth_drawn(self) -> bool:
         """Whether each replicate has a truth of its own."""
         return self.prior is not None and self.prior.draws == "truth"

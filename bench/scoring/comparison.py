@@ -12,9 +12,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtr, ndtri
 
 from bench.errors import InputError
 
@@ -22,7 +23,9 @@ RESAMPLES = 1000
 LEVEL = 0.05
 MARGIN = 0.02
 """Errors whose median ratio is closer to 1 than this are a tie for any purpose, however sure the difference is."""
-POWER = float(stats.norm.ppf(0.975) + stats.norm.ppf(0.8))
+GROSS = 2.0
+"""A method whose excess is this many times the best's is not level with it: it fails grossly now and then."""
+POWER = float(ndtri(0.975) + ndtri(0.8))
 """How many standard errors a difference must be to be found with 80 % probability at the 5 % level."""
 
 
@@ -97,13 +100,19 @@ def differences(a: np.ndarray, b: np.ndarray, scenario: np.ndarray) -> np.ndarra
 def signed_rank(values: np.ndarray) -> float:
     """Two-sided p-value of Wilcoxon's signed-rank test, zeros split (J. W. Pratt, J. Am. Stat. Assoc. 54:655, 1959).
 
-    Infinite values have the highest ranks.
+    By the normal approximation, corrected for ties (M. Hollander, D. A. Wolfe, Nonparametric Statistical Methods, 2nd
+    edition, 1999, section 3.1). Infinite values have the highest ranks.
     """
     if not np.any(values):
         return 1.0
     finite = np.abs(values[np.isfinite(values)])
     bounded = np.clip(values, -1.0 - finite.max(initial=0.0), 1.0 + finite.max(initial=0.0))
-    return float(stats.wilcoxon(bounded, zero_method="zsplit", method="approx").pvalue)
+    n = float(values.size)
+    _, places, ties = np.unique(np.abs(bounded), return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(ties) - 0.5 * (ties - 1.0))[places]
+    above = np.sum(ranks[bounded > 0]) + 0.5 * np.sum(ranks[bounded == 0])
+    variance = (n * (n + 1.0) * (2.0 * n + 1.0) - np.sum(ties**3.0 - ties) / 2.0) / 24.0
+    return float(2.0 * ndtr(-abs((above - n * (n + 1.0) * 0.25) / np.sqrt(variance))))
 
 
 def holm(p_values: Sequence[float]) -> np.ndarray:
@@ -159,6 +168,30 @@ def against_best(values: Mapping[str, np.ndarray]) -> tuple[str, list[Comparison
     return best, adjusted(found)
 
 
+@dataclass(frozen=True)
+class Standing:
+    """Who is best in one scenario by one metric, and how the others compare with it.
+
+    ``level``: the best, and all that cannot be told from it and make no gross errors, which ranks do not see.
+    """
+
+    best: str
+    comparisons: tuple[Comparison, ...]
+    level: frozenset[str]
+
+
+def standing(values: Mapping[str, np.ndarray], excess: Mapping[str, float]) -> Standing | None:
+    """Where methods stand by their errors ``values[method]`` (n,) and their excess; None for fewer than two.
+
+    It is the one rule of all tables and of the page; they differ in which methods they put in. NaN errors are failures.
+    """
+    if len(values) < 2:
+        return None
+    best, others = against_best({method: np.where(np.isnan(own), np.inf, own) for method, own in values.items()})
+    gross = {method for method in values if excess.get(method, np.nan) > GROSS * excess.get(best, np.nan)}
+    return Standing(best, tuple(others), frozenset({best, *(c.a for c in others if c.tie and c.a not in gross)}))
+
+
 def profile(errors: Errors, factors: Sequence[float]) -> dict[str, np.ndarray]:
     """Performance profiles: the share of data sets on which a method's error is within each factor of the least.
 
@@ -173,8 +206,8 @@ def profile(errors: Errors, factors: Sequence[float]) -> dict[str, np.ndarray]:
 
 def _median(values: np.ndarray) -> np.ndarray:
     """Medians along the last axis where values may be infinite, the lower of the middle two."""
-    ordered = np.sort(values, axis=-1)
-    return np.asarray(ordered[..., (ordered.shape[-1] - 1) // 2])
+    middle = (values.shape[-1] - 1) // 2
+    return np.asarray(np.partition(values, middle, axis=-1)[..., middle])
 
 
 def _resamples(scenario: np.ndarray) -> np.ndarray:
@@ -185,10 +218,15 @@ def _resamples(scenario: np.ndarray) -> np.ndarray:
     labels, counts = np.unique(scenario, return_counts=True)
     if np.unique(counts).size > 1:
         raise InputError("replicates", counts.tolist(), "as many of every scenario")
+    if labels.size == 1:
+        return _of_one_scenario(int(counts[0]))
     members = np.stack([np.flatnonzero(scenario == label) for label in labels])
     rng, n = np.random.default_rng(0), int(counts[0])
-    chosen = (
-        rng.integers(0, labels.size, (RESAMPLES, labels.size)) if labels.size > 1 else np.zeros((RESAMPLES, 1), int)
-    )
+    chosen = rng.integers(0, labels.size, (RESAMPLES, labels.size))
     within = rng.integers(0, n, (RESAMPLES, labels.size, n))
     return np.asarray(members[chosen[..., None], within].reshape(RESAMPLES, -1))
+
+
+@cache
+def _of_one_scenario(n: int) -> np.ndarray:
+    return np.random.default_rng(0).integers(0, n, (RESAMPLES, 1, n)).reshape(RESAMPLES, -1)

@@ -17,7 +17,7 @@ from tabulate import tabulate
 from tqdm import tqdm
 
 from bench.commands.guard import command, read_fields, whole
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import expand
 from bench.errors import InputError
 from bench.isolation.processes import single_threaded
 from bench.store.store import Store
@@ -56,7 +56,7 @@ def run(part: str, chosen: dict[str, str]) -> Part:
     """One part, with a progress bar where it is long."""
     from benchmarks.pinn import rivals, robustness, scaling
 
-    adam = dict(jobs_to_cells(expand(["method=pinn_adam"], multirun=False))[0].settings)
+    adam = dict([job.cell() for job in expand(["method=pinn_adam"], multirun=False)][0].settings)
     replicates = int(chosen["replicates"])
     few = max(1, min(5, replicates))
     peers = Path(chosen["peers"]) if chosen["peers"] else None

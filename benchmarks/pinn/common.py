@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bench import Identifier
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import expand
 from bench.entrants.reference import oracle_estimate
 from bench.information.fisher import load_bounds
 from bench.scenario.scenario import METHOD, Scenario
@@ -40,7 +40,7 @@ class Part:
 def scenario(**fields: Any) -> Scenario:
     """A scenario by fields of the configuration, e.g. ``system="sdof", snr=20``."""
     arguments = [f"{name}={value}" for name, value in {"method": "prior", **fields}.items()]
-    return jobs_to_cells(expand(arguments, multirun=False))[0].scenario
+    return [job.cell() for job in expand(arguments, multirun=False)][0].scenario
 
 
 def root_mean_squares(scores: Sequence[dict[str, float]], names: Sequence[str]) -> np.ndarray:

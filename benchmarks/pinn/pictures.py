@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.reporting.figures.style import FULL, MM, STYLES, legend_below, pyplot, save_figure
+from bench.reporting.figures.style import FULL, MM, legend_below, looks, pyplot, save_figure
 
 LABELS = {
     "pinn": "PINN (Levenberg-Marquardt)",
@@ -22,7 +22,7 @@ def loss_picture(data: dict[str, Any], out: Path) -> list[Path]:
     figure, axes = plt.subplots(1, 3, figsize=(FULL, 58.0 * MM), layout="constrained")
     for name, own in data.items():
         evaluations = np.array(own["evaluations"]) + 1.0
-        style = {"color": STYLES[name][0], "label": LABELS[name]}
+        style = {"color": looks([name])[name].colour, "label": LABELS[name]}
         axes[0].loglog(evaluations, own["loss"], **style)
         axes[1].loglog(evaluations, own["mean_square_data"], **style)
         axes[2].loglog(evaluations, _positive(own["mean_square_physics"]), **style)
@@ -48,11 +48,11 @@ def scaling_picture(data: dict[str, Any], out: Path) -> list[Path]:
     for column, (kind, label) in enumerate(labels.items()):
         for name in ("pinn", "collocation"):
             own = [point for point in data[kind] if point["method"] == name]
-            colour, marker = STYLES[name]
+            look = looks([name])[name]
             size = [point["size"] for point in own]
             for row, what in enumerate(("seconds", "ratio")):
                 values = [point[what] for point in own]
-                axes[row, column].plot(size, values, color=colour, marker=marker, ms=4, label=LABELS[name])
+                axes[row, column].plot(size, values, color=look.colour, marker=look.marker, ms=4, label=LABELS[name])
         axes[1, column].axhline(1.0, color="0.7", lw=0.8)
         axes[1, column].set_xlabel(label)
         axes[0, column].set_yscale("log")

@@ -27,7 +27,7 @@ from bench import (
     simulate,
 )
 from bench.commands.guard import command, read_fields, whole
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import expand
 from bench.contract.problem import Hold
 from bench.entrants.registry import make_method, missing_package, registered
 from bench.errors import InputError
@@ -93,7 +93,7 @@ def fitted(name: str, problem: Problem, timeout_s: float) -> Outcome:
     """One method on one problem, in a process of its own."""
     base, settings = name, {}
     if name in VARIANTS:
-        cell = jobs_to_cells(expand([f"method={name}"], multirun=False))[0]
+        cell = [job.cell() for job in expand([f"method={name}"], multirun=False)][0]
         base, settings = cell.method, dict(cell.settings)
     lacking = missing_package(base)
     if lacking:

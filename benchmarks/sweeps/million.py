@@ -24,7 +24,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from tabulate import tabulate
 
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import expand
 from bench.information.fisher import compute_bound, load_bounds
 from bench.store import index as view
 from bench.store.cell import Cell
@@ -137,7 +137,7 @@ def measure(folder: Path) -> Costs:
 
 def _cells(seeds: int) -> list[Cell]:
     texts = ["method=ls,log_decrement", f"seed=range({seeds})", f"replicates={REPLICATES}"]
-    return list(jobs_to_cells(expand(texts, True)))
+    return list([job.cell() for job in expand(texts, True)])
 
 
 def _seconds(step: Callable[[], Any]) -> float:

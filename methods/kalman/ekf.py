@@ -44,6 +44,10 @@ class EKF(Identifier):
         uncertainty="covariance of the last smoothing pass, Student t with N - p degrees of freedom",
         settings_source="no process noise, since parameters are constants; passes until they settle",
         tuning="none",
+        title="Extended Kalman filter",
+        order=170,
+        colour="#117733",
+        marker=(4, 1, 0.0),
     )
     serves: ClassVar[Serves] = SERVES
     works_in = "natural units"

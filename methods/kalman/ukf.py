@@ -53,6 +53,10 @@ class UKF(Identifier):
         uncertainty="covariance of the last smoothing pass, Student t with N - p degrees of freedom",
         settings_source="kappa of the cubature filter; no process noise, since parameters are constants",
         tuning="none",
+        title="Unscented Kalman filter",
+        order=180,
+        colour="#661100",
+        marker=(6, 1, 0.0),
     )
     serves: ClassVar[Serves] = SERVES
     works_in = "natural units"

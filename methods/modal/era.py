@@ -55,6 +55,10 @@ class ERA(Identifier):
         uncertainty="covariance of a parametric bootstrap, Student t with N - (groups and start) degrees of freedom",
         settings_source="order 2 a DOF by the system; square Hankel matrix as in Juang and Pappa (1985)",
         tuning="none",
+        title="Eigensystem realisation",
+        order=190,
+        colour="#AA4499",
+        marker=(3, 1, 0.0),
     )
     serves: ClassVar[Serves] = Serves(several_channels=True, forced=False, nonlinear=False, max_dof=None)
 

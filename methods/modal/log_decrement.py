@@ -54,6 +54,10 @@ class LogDecrement(Identifier):
         uncertainty="covariance of a parametric bootstrap: spread only, not the bias of few samples a cycle",
         settings_source="textbook; the level at which reading stops is a rule of thumb",
         tuning="none",
+        title="Logarithmic decrement",
+        order=110,
+        colour="#44AA99",
+        marker="<",
     )
     serves: ClassVar[Serves] = SERVES
     works_in = "natural units"

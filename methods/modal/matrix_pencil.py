@@ -54,6 +54,10 @@ class MatrixPencil(Identifier):
         uncertainty="covariance of a parametric bootstrap, Student t with N - 4 degrees of freedom",
         settings_source="pencil parameter N/3: least variance in Hua and Sarkar (1990)",
         tuning="none",
+        title="Matrix pencil",
+        order=100,
+        colour="#882255",
+        marker="d",
     )
     serves: ClassVar[Serves] = SERVES
     works_in = "natural units"

@@ -77,6 +77,11 @@ class DDNN(Identifier):
         settings_source="64-64 tanh: the paper; regularisation and first-layer slopes by the evidence",
         tuning="9 ranges of first-layer slopes, 2 starts of the noise, 7 regressions (ends left out, weights), on 9-64"
         " development records at 5-40 dB, judged by displacement and k/m against the truth",
+        title="DDNN",
+        order=160,
+        colour="#CC79A7",
+        marker="*",
+        paper="ddnn",
     )
     serves: ClassVar[Serves] = Serves(several_records=True, several_channels=True, max_dof=None, added_mass=True)
     requires: ClassVar[tuple[str, ...]] = ("torch",)

@@ -40,6 +40,18 @@ class Collocation(PhysicsInformed):
         uncertainty="Gauss-Newton covariance of the log-parameters, spline coefficients profiled out, Student's t",
         settings_source="those of the PINN; degree and intervals from the spline's resolution",
         tuning="none of its own",
+        title="Spline collocation",
+        order=70,
+        colour="#8C564B",
+        marker="h",
+        variants={
+            "collocation_bootstrap": {
+                "title": "Spline collocation, bootstrap",
+                "order": 80,
+                "colour": "#C49C94",
+                "marker": "H",
+            },
+        },
     )
 
     def __post_init__(self) -> None:

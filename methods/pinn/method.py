@@ -54,6 +54,21 @@ class PINN(PhysicsInformed):
         tuning="first weights: 26 combinations; slack, damping, tolerance: 25; units a cycle: 9; adam_lbfgs: 12; 3-16"
         " records each, 5-120 dB, 2-30 cycles, damping 2-20 %, judged by maximum a posteriori from the truth on the"
         " same data",
+        title="PINN",
+        order=40,
+        colour="#D55E00",
+        marker="s",
+        paper="pinn",
+        variants={
+            "pinn_adam": {"title": "PINN (paper's training)", "order": 50, "colour": "#E69F00", "marker": "P"},
+            "pinn_ensemble": {
+                "title": "PINN, ensemble (paper's way)",
+                "order": 60,
+                "colour": "#CC6677",
+                "marker": "X",
+                "paper": "",
+            },
+        },
     )
 
     def __post_init__(self) -> None:

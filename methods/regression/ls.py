@@ -49,6 +49,20 @@ class LS(Identifier):
         settings_source="finite: the paper's baseline; spline: smoothing by the likelihood of the simulated response",
         tuning="finite: none; spline: on 3 development systems (damping 3-26 %, 2.7-5.4 cycles) at 40-5 dB tried "
         "penalty orders 2-4, 0-3 samples left out, weight by restricted likelihood or by simulation",
+        title="LS, finite differences",
+        order=120,
+        colour="#000000",
+        marker="x",
+        paper="ls",
+        variants={
+            "ls_spline": {
+                "title": "LS, smoothing spline",
+                "order": 130,
+                "colour": "#555555",
+                "marker": "+",
+                "paper": "",
+            },
+        },
     )
     serves: ClassVar[Serves] = Serves(
         several_records=True, several_channels=True, offsets=True, max_dof=None, added_mass=True

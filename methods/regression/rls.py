@@ -61,6 +61,11 @@ class RLS(Identifier):
         uncertainty="covariance of a parametric bootstrap: spread only, not the bias of differentiation",
         settings_source="forgetting: Ljung, System Identification Toolbox user's guide (typically 0.97 to 0.995)",
         tuning="none",
+        title="RLS",
+        order=140,
+        colour="#999999",
+        marker="1",
+        paper="rls",
     )
     serves: ClassVar[Serves] = Serves(
         several_records=True, several_channels=True, offsets=True, max_dof=None, added_mass=True

@@ -64,6 +64,11 @@ class SINDy(Identifier):
         settings_source="number of terms: least AICc of the simulated model; smoothing: as ls with derivative=spline",
         tuning="on 3 development systems (damping 3-26 %, 2.7-5.4 cycles) at 40-5 dB tried STLSQ and FROLS, and BIC of "
         "the simulated response (start fixed or fitted), BIC of the regression, AICc of the simulated response",
+        title="SINDy",
+        order=150,
+        colour="#009E73",
+        marker="^",
+        states_terms=True,
     )
     serves: ClassVar[Serves] = Serves(several_records=True, several_channels=True, offsets=True, max_dof=None)
     requires: ClassVar[tuple[str, ...]] = ("pysindy",)

@@ -70,6 +70,10 @@ class MCMC(Identifier):
         uncertainty="quantiles of the posterior draws (without a prior in free vibration: their covariance)",
         settings_source="convergence criteria from the literature; lengths for a fit in half a second",
         tuning="two shares of moves, three lengths; on development systems (40 to 5 dB, damping 2-20 %, 2-10 cycles)",
+        title="Bayesian MCMC",
+        order=20,
+        colour="#56B4E9",
+        marker="v",
     )
     serves: ClassVar[Serves] = Serves(
         measures=("displacement", "velocity", "acceleration"),

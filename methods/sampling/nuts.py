@@ -62,6 +62,10 @@ class NUTS(Identifier):
         uncertainty="quantiles of the posterior draws (without a prior in free vibration: their covariance)",
         settings_source="diagnostics of Vehtari et al. (2021); lengths for some hundred effective draws",
         tuning="none",
+        title="Bayesian NUTS",
+        order=30,
+        colour="#332288",
+        marker=">",
     )
     serves: ClassVar[Serves] = Serves(
         measures=("displacement", "velocity", "acceleration"),

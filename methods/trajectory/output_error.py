@@ -67,6 +67,10 @@ class SingleShooting(Identifier):
         uncertainty="inverse Gauss-Newton Hessian in the log-parameters, Student t with N - p degrees of freedom",
         settings_source="rounds of the oracle, tolerance below the noise level's own error; SciPy's defaults else",
         tuning="none",
+        title="Output error, one cold start",
+        order=90,
+        colour="#4D3559",
+        marker="p",
     )
     serves: ClassVar[Serves] = Serves(
         measures=("displacement", "velocity", "acceleration"),

@@ -91,6 +91,10 @@ class Shooting(Identifier):
         uncertainty="inverse reduced Hessian in the log-parameters, Student t with N - p degrees of freedom",
         settings_source="defaults by reasoning on accuracy and cost",
         tuning="two values of noise_share; development systems at 40 to 5 dB, damping ratio 2-20 %, 2-10 cycles",
+        title="Multiple shooting",
+        order=10,
+        colour="#0072B2",
+        marker="o",
     )
     serves: ClassVar[Serves] = Serves(
         measures=("displacement", "velocity", "acceleration"),

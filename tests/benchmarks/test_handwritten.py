@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 
 from bench import Estimate, Problem, Status
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import expand
 from bench.scenario.scenario import Scenario
 from benchmarks.handwritten import Outcome, attempt, by_hand, chain_rates, duffing_rates, main, page, row
 
 
 def scenario(system: str, snr: float) -> Scenario:
-    return jobs_to_cells(expand(["method=prior", f"system={system}", f"snr={snr}", "prior=handbook"], False))[
-        0
-    ].scenario
+    return expand(["method=prior", f"system={system}", f"snr={snr}", "prior=handbook"], False)[0].scenario
 
 
 def test_the_equations_are_those_of_a_chain() -> None:

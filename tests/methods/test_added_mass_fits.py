@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 from bench import Channel, Estimate, Identifier, InitialState, OutputError, Problem, Record, Status, Units
-from bench.config.config import expand
+from bench.config.experiment import expand
 from bench.entrants.registry import make_method, missing_package
 from bench.scenario.truth import closed_form
 from bench.systems import SDOF, Chain, System

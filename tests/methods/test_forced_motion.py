@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lsim
 
 from bench import Channel, Force, Problem, simulate
-from bench.config.config import expand
+from bench.config.experiment import expand
 from bench.entrants.registry import make_method, missing_package
 from methods.starts.forced_motion import ForcedMotion, forced_motion
 from methods.starts.waves import scan

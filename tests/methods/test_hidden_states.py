@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from bench import Channel, InitialState, Prior, Problem, Record, Status
-from bench.config.config import expand
+from bench.config.experiment import expand
 from bench.entrants.registry import make_method, missing_package
 from bench.scenario.truth import Truth
 from bench.systems import SDOF, System

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench import Channel, Estimate, Problem, Record, Status
-from bench.config.config import expand
+from bench.config.experiment import expand
 from bench.entrants.registry import make_method
 from bench.systems import SDOF
 from methods.regression.equation import _shortest

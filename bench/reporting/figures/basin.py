@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from bench.dynamics.simulate import simulate
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, Shown, where
-from bench.reporting.figures.response import Arrays, samples_of, start_told, system_of, with_record
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, where
+from bench.reporting.figures.response import Arrays, samples_of, with_record
 from bench.reporting.figures.scatter import LEVEL, C, K, bound_covariance
 from bench.reporting.figures.style import FULL, MM, Look, entry, handle, legend_below, plain_logarithmic, pyplot
+from bench.reporting.frame import Result
 
 FAR = (8.0, 30.0)
 """How many times more and less than the truth the wide panel shows of k/m and c/m."""
@@ -19,14 +20,14 @@ NEAR = 5.0
 POINTS = 121
 
 
-def misfit(cell: Shown, arrays: Arrays, k: np.ndarray, c: np.ndarray) -> np.ndarray:
+def misfit(cell: Result, arrays: Arrays, k: np.ndarray, c: np.ndarray) -> np.ndarray:
     """Root mean square (m) of the samples' residuals over k/m (nk,) and c/m (nc,), shape (nc, nk).
 
     From the start that was told, else from the best one for each pair: the response is linear in it.
     """
     times, values = samples_of(arrays, 0)
     p = {"m": np.ones((c.size, k.size)), "k": np.tile(k, (c.size, 1)), "c": np.tile(c[:, None], (1, k.size))}
-    system, start = system_of(cell), start_told(cell)
+    system, start = cell.model, cell.start_told
 
     def response(x0: float, v0: float) -> np.ndarray:
         state = (np.full((1, c.size, k.size), x0), np.full((1, c.size, k.size), v0))
@@ -42,12 +43,12 @@ def misfit(cell: Shown, arrays: Arrays, k: np.ndarray, c: np.ndarray) -> np.ndar
 
 def draw_basin(gallery: Gallery) -> Picture:
     """The whole basin with the other minima on the left, its floor with the 95 % region on the right."""
-    cells = [c for c in gallery.main if c.data["system"] == "sdof" and not c.data.get("force")]
+    cells = [c for c in gallery.main if c.kind == "sdof" and not c.forced]
     if not cells:
         raise Nothing("no record of one mass in free vibration is stored")
     found = with_record(gallery, gallery.scene(cells, "known"))
     cell, arrays = found[0]
-    true = {name: float(value) for name, value in cell.data["parameters"].items()}
+    true = {name: float(value) for name, value in cell.parameters.items()}
     centre = np.array([true["k"] / true["m"], true["c"] / true["m"]])
     points = {
         one.label: centre * (one.first(f"{K}_ratio"), one.first(f"{C}_ratio"))

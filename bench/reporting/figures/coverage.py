@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom
 
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, Shown, counts, where
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, counts, where
 from bench.reporting.figures.style import entry, legend_below, panels, wrapped
+from bench.reporting.frame import Result
 from bench.reporting.tables.calibration import FEWEST
 
 NOMINAL = np.linspace(0.01, 0.99, 99)
@@ -26,14 +27,14 @@ def covered(levels: np.ndarray, nominal: np.ndarray) -> np.ndarray:
     return np.asarray(np.mean(np.abs(levels - 0.5)[:, None] <= nominal / 2.0 + 1e-12, axis=0))
 
 
-def _most_replicates(gallery: Gallery) -> list[Shown]:
+def _most_replicates(gallery: Gallery) -> list[Result]:
     """The main scenario under the seed with most levels: calibration is tested on one of its own."""
 
-    def alike(cell: Shown) -> str:
+    def alike(cell: Result) -> str:
         return json.dumps({**json.loads(cell.series), "seed": 0}, sort_keys=True)
 
     wanted = alike(gallery.main[0])
-    by_seed: dict[int, list[Shown]] = {}
+    by_seed: dict[int, list[Result]] = {}
     for cell in gallery.cells:
         if alike(cell) == wanted:
             by_seed.setdefault(cell.seed, []).append(cell)
@@ -67,12 +68,12 @@ def draw_coverage(gallery: Gallery) -> Picture:
     )
 
 
-def _band(cell: Shown) -> list[tuple[int, float]]:
+def _band(cell: Result) -> list[tuple[int, float]]:
     found = [(level, cell.successful(f"band_inside_{level}")) for level in BAND_LEVELS]
     return [(level, float(own.mean())) for level, own in found if own.size]
 
 
-def _panel(axis: Any, gallery: Gallery, cell: Shown) -> None:
+def _panel(axis: Any, gallery: Gallery, cell: Result) -> None:
     look, n = gallery.looks[cell.label], cell.successful("k_over_m_pit").size
     low, high = (100.0 * binom.ppf(tail, n, NOMINAL) / n for tail in (0.025, 0.975))
     axis.fill_between(100.0 * NOMINAL, low, high, color="0.88", lw=0)

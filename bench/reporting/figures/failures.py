@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from bench.contract.estimate import Status
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, Shown, where
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, where
 from bench.reporting.figures.style import FULL, MM, SMALL, entry, legend_below, pyplot, width_of
+from bench.reporting.frame import Result
 
 LETTERS = {
     Status.DIVERGED: "d", Status.NONFINITE: "n", Status.TIMEOUT: "t", Status.KILLED: "k", Status.OOM: "o",
@@ -24,7 +25,7 @@ MOST = 60
 """Scenarios shown at most: those with most failures."""
 
 
-def shares(cell: Shown) -> tuple[float, Status | None, Status | None]:
+def shares(cell: Result) -> tuple[float, Status | None, Status | None]:
     """Share of replicates that were tried and failed, their most frequent status, and why it was not tried, if so."""
     counted = Counter(cell.statuses)
     absent = max((s for s in NOT_TRIED if counted[s]), key=lambda s: counted[s], default=None)
@@ -35,9 +36,11 @@ def shares(cell: Shown) -> tuple[float, Status | None, Status | None]:
 
 def draw_failures(gallery: Gallery) -> Picture:
     """A heat map, a row a scenario and a column a method."""
-    scenes: dict[tuple[Any, ...], list[Shown]] = {}
+    scenes: dict[tuple[Any, ...], list[Result]] = {}
     for cell in gallery.cells:
-        scenes.setdefault((cell.system, cell.disturbance, -cell.snr_db, cell.told, cell.series), []).append(cell)
+        scenes.setdefault((cell.system, cell.disturbance, -cell.snr_db, cell.initial_state, cell.series), []).append(
+            cell
+        )
     bad = {key: sum(c.n - c.n_ok for c in own) for key, own in scenes.items()}
     keys = sorted(key for key in scenes if bad[key])
     if not keys:
@@ -45,7 +48,7 @@ def draw_failures(gallery: Gallery) -> Picture:
     if len(keys) > MOST:
         keys = sorted(sorted(keys, key=lambda key: -bad[key])[:MOST])
     labels = [label for label in gallery.looks if any(c.label == label for key in keys for c in scenes[key])]
-    grid: dict[tuple[int, int], Shown] = {
+    grid: dict[tuple[int, int], Result] = {
         (row, labels.index(c.label)): c for row, key in enumerate(keys) for c in scenes[key]
     }
     many = len(labels) > MANY
@@ -72,7 +75,7 @@ def _caption(left_out: int, failed: int, total: int) -> str:
     )
 
 
-def _heat(axis: Any, grid: dict[tuple[int, int], Shown], shape: tuple[int, int], between: str) -> None:
+def _heat(axis: Any, grid: dict[tuple[int, int], Result], shape: tuple[int, int], between: str) -> None:
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Rectangle
@@ -103,7 +106,7 @@ def _heat(axis: Any, grid: dict[tuple[int, int], Shown], shape: tuple[int, int],
         axis.plot([c for _, c in missing], [r for r, _ in missing], marker=".", ms=1.5, color="0.6", ls="none")
 
 
-def _names(cells: Sequence[Shown]) -> list[str]:
+def _names(cells: Sequence[Result]) -> list[str]:
     """A name for each row; with what tells rows of one name apart."""
     names = [where(c).replace("initial state", "start") for c in cells]
     for name, several in Counter(names).items():
@@ -121,11 +124,10 @@ def _names(cells: Sequence[Shown]) -> list[str]:
     return names
 
 
-def _traits(cell: Shown) -> tuple[str, ...]:
+def _traits(cell: Result) -> tuple[str, ...]:
     """What may tell scenarios of one name apart."""
-    data = cell.data
     prior = f"mass known to {100 * cell.prior['mass']:g} %" if cell.prior else "no prior"
-    return f"{data['duration']:g} s", f"{data['samples']} samples", prior, f"seed {cell.seed}"
+    return f"{cell.duration:g} s", f"{cell.samples} samples", prior, f"seed {cell.seed}"
 
 
 def _handles(used: set[Status], gaps: bool) -> list[Any]:

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, Shown, counts
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, counts
 from bench.reporting.figures.style import FULL, MM, entry, legend_below, pyplot
+from bench.reporting.frame import Result
 from bench.scoring.summary import RESAMPLES
 
 METRICS = (("k_over_m_error_pct", "k/m"), ("c_over_m_error_pct", "c/m"))
@@ -36,8 +37,8 @@ def excess_interval(errors: np.ndarray, bound: float) -> tuple[float, float, flo
 
 def draw_forest(gallery: Gallery) -> Picture:
     """A column a noise level, a row a method, best first."""
-    told = gallery.scene(gallery.main, "unknown")[0].told
-    cells = [cell for cell in gallery.main if cell.told == told and cell.label != "prior"]
+    told = gallery.scene(gallery.main, "unknown")[0].initial_state
+    cells = [cell for cell in gallery.main if cell.initial_state == told and cell.label != "prior"]
     metrics = [m for m in METRICS if any(math.isfinite(c.bound(m[0])) for c in cells)] or list(OTHERWISE)
     found = {
         (c.label, c.snr_db, metric): own
@@ -66,8 +67,8 @@ def draw_forest(gallery: Gallery) -> Picture:
     return Picture(figure, _caption(cells, [name for _, name in metrics], told))
 
 
-def _caption(cells: Sequence[Shown], names: Sequence[str], told: str) -> str:
-    second = f" Filled: {names[0]}; hollow: {names[1]}." if len(names) > 1 else f" Shown is the {names[0]}."
+def _caption(cells: Sequence[Result], names: Sequence[str], told: str) -> str:
+    second = f" Filled: {names[0]}; hollow: {names[1]}." if len(names) > 1 else f" Result is the {names[0]}."
     return (
         f"How far each method is from the best that the data allow, at each noise level ({cells[0].system}, initial "
         f"state {told}; {counts(cells)} replicates).{second} Lines are 95 % intervals (bootstrap over the replicates). "
@@ -91,7 +92,7 @@ def _column(
     gallery: Gallery,
     labels: Sequence[str],
     found: dict[tuple[str, float, str], tuple[float, float, float]],
-    cells: Sequence[Shown],
+    cells: Sequence[Result],
     metrics: Sequence[tuple[str, str]],
 ) -> None:
     axis.axvline(1.0, color="black", lw=0.9, zorder=1)

@@ -8,20 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, Shown, counts
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, counts
 from bench.reporting.figures.style import (
     FULL,
     MM,
-    STYLES,
     Look,
     decibels,
     entry,
     handle,
     legend_below,
+    looks,
     plain_logarithmic,
     pyplot,
 )
-from bench.reporting.tables.tables import paper_numbers
+from bench.reporting.frame import Result
+from bench.reporting.labels import beside_paper, title
+from bench.reporting.paper import own_method, printed
 
 PANELS = (
     ("k_over_m_error_pct", "error of k/m (%)"),
@@ -30,19 +32,19 @@ PANELS = (
 )
 ON_BOUND, MOSTLY = 1.25, 0.75
 """A method whose errors are mostly below so many times the bound lies on it: its markers are hollow, one in another."""
-PAPER = {"marker": "D", "mfc": "none", "color": STYLES["pinn"][0], "ls": "none", "ms": 5.0, "mew": 1.1}
+PAPER = {"marker": "D", "mfc": "none", "linestyle": "none", "ms": 5.0, "mew": 1.1}
 PAPER_SYSTEM = {"m": 1.0, "c": 0.4, "k": 8.0}
 
 
-def root_mean_square(cell: Shown, metric: str) -> float:
+def root_mean_square(cell: Result, metric: str) -> float:
     """From the stored summary: excess times bound; NaN where the method has none."""
-    summary = cell.stored.summary.get(metric)
+    summary = cell.summary.get(metric)
     return summary["excess"] * summary["bound"] if summary else math.nan
 
 
 def draw_noise(gallery: Gallery) -> Picture:
     """One panel a metric, one line a method, over SNR; start known."""
-    started = [cell for cell in gallery.main if cell.told == "known"] or gallery.main
+    started = [cell for cell in gallery.main if cell.initial_state == "known"] or gallery.main
     found = [cell for cell in started if cell.label != "prior"]
     metrics = [(m, label) for m, label in PANELS if any(math.isfinite(root_mean_square(c, m)) for c in found)]
     if not metrics:
@@ -57,45 +59,47 @@ def draw_noise(gallery: Gallery) -> Picture:
         axis.set_title(label, loc="left")
     handles = [_region(), *(_entry(look, sizes) for label, look in gallery.looks.items() if label in drawn)]
     if metrics[-1][0] == "rmse" and _papers(found):
-        axes[0][-1].plot(*_paper_points(), **PAPER, zorder=20)
-        handles.append(entry(**PAPER, label="the paper's PINN"))
+        theirs = beside_paper(own_method())[0]
+        style = {**PAPER, "color": looks([theirs])[theirs].colour}
+        axes[0][-1].plot(*_paper_points(), **style, zorder=20)
+        handles.append(entry(**style, label=f"the paper's {title(theirs)}"))
     legend_below(figure, handles)
     return Picture(figure, _caption(found, sizes, len(handles) - 1 > len(drawn)))
 
 
-def _caption(found: Sequence[Shown], sizes: Mapping[str, float], paper: bool) -> str:
+def _caption(found: Sequence[Result], sizes: Mapping[str, float], paper: bool) -> str:
     hollow = f" {len(sizes)} methods lie on each other there: hollow markers, one in another." if sizes else ""
     return (
-        f"Error against noise for every method ({found[0].system}, initial state {found[0].told}; {counts(found)} "
-        "replicates a point): root mean square error over the replicates, failures left out. The line is the "
-        "Cramér-Rao bound, and below it, in grey, no unbiased method can be; a biased one can, where the noise is "
-        f"large.{hollow} A line that runs level has an error of its own that no better sensor "
+        f"Error against noise for every method ({found[0].system}, initial state {found[0].initial_state}; "
+        f"{counts(found)} replicates a point): root mean square error over the replicates, failures left out. The line "
+        "is the Cramér-Rao bound, and below it, in grey, no unbiased method can be; a biased one can, where the noise "
+        f"is large.{hollow} A line that runs level has an error of its own that no better sensor "
         "removes." + (" Orange diamonds: the paper's own PINN (its Table 5, Figure 10)." if paper else "")
     )
 
 
-def _papers(found: Sequence[Shown]) -> bool:
+def _papers(found: Sequence[Result]) -> bool:
     """Whether this is the system of the paper's Table 5."""
-    return found[0].data["parameters"] == PAPER_SYSTEM and found[0].data["system"] == "sdof"
+    return found[0].parameters == PAPER_SYSTEM and found[0].kind == "sdof"
 
 
-def _paper_points() -> tuple[Any, Any]:
-    paper = paper_numbers().query("table == 5")
-    return paper.snr_db, paper.displacement_rmse
+def _paper_points() -> tuple[Any, ...]:
+    points = [(p.snr_db, p.value) for p in printed() if p.table == 5 and p.metric == "rmse"]
+    return tuple(zip(*points, strict=True))
 
 
-def _sizes(found: Sequence[Shown]) -> dict[str, float]:
+def _sizes(found: Sequence[Result]) -> dict[str, float]:
     """Marker sizes of the methods that lie on the bound, from large to small in the order of methods."""
     near: dict[str, list[bool]] = {}
     for cell in found:
-        excess = [cell.stored.summary.get(metric, {}).get("excess", math.nan) for metric, _ in PANELS]
+        excess = [cell.summary.get(metric, {}).get("excess", math.nan) for metric, _ in PANELS]
         near.setdefault(cell.label, []).extend(e < ON_BOUND for e in excess if math.isfinite(e))
     on = [label for label, own in near.items() if own and np.mean(own) >= MOSTLY]
     return {label: 3.0 + 7.5 * (len(on) - i) / len(on) for i, label in enumerate(on)} if len(on) > 1 else {}
 
 
 def _panel(
-    axis: Any, gallery: Gallery, found: Sequence[Shown], metric: str, sizes: Mapping[str, float]
+    axis: Any, gallery: Gallery, found: Sequence[Result], metric: str, sizes: Mapping[str, float]
 ) -> dict[str, Look]:
     points: dict[str, dict[float, float]] = {}
     for cell in found:

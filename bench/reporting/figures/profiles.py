@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, Shown, methods_only
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, methods_only
 from bench.reporting.figures.style import FULL, MM, handle, legend_below, pyplot
+from bench.reporting.frame import Result
 from bench.scoring.comparison import Errors, profile
 
 METRICS = (("k_over_m_error_pct", "k/m"), ("c_over_m_error_pct", "c/m"), ("rmse", "displacement"))
@@ -16,7 +17,7 @@ FACTORS = np.geomspace(1.0, 100.0, 161)
 Scene = tuple[str, float]
 
 
-def common(gallery: Gallery, told: str) -> tuple[list[str], list[Scene], dict[tuple[str, Scene], Shown]]:
+def common(gallery: Gallery, told: str) -> tuple[list[str], list[Scene], dict[tuple[str, Scene], Result]]:
     """Methods and scenarios of which the store has every cell, as many cells as possible.
 
     Undisturbed scenarios with the main one's prior, seed and start.
@@ -25,9 +26,9 @@ def common(gallery: Gallery, told: str) -> tuple[list[str], list[Scene], dict[tu
     cells = {
         (c.label, (c.series, c.snr_db)): c
         for c in methods_only(gallery.cells)
-        if (c.told, c.seed, c.disturbance) == (told, main.seed, main.disturbance)
-        and (c.prior, c.data.get("truth")) == (main.prior, main.data.get("truth"))
-        and c.data["system"] == main.data["system"]
+        if (c.initial_state, c.seed, c.disturbance) == (told, main.seed, main.disturbance)
+        and (c.prior, c.truth_drawn) == (main.prior, main.truth_drawn)
+        and c.kind == main.kind
     }
     scenes: dict[str, set[Scene]] = {}
     for label, scene in cells:
@@ -43,13 +44,13 @@ def common(gallery: Gallery, told: str) -> tuple[list[str], list[Scene], dict[tu
 
 def draw_profiles(gallery: Gallery) -> Picture:
     """One panel a metric."""
-    told = gallery.scene(gallery.main, "unknown")[0].told
+    told = gallery.scene(gallery.main, "unknown")[0].initial_state
     labels, scenes, cells = common(gallery, told)
     if len(labels) < 2:
         raise Nothing("a comparison needs two methods on the same data")
     chosen = [cells[label, scene] for label in labels for scene in scenes]
     fewest = min(c.n for c in chosen)
-    metrics = [m for m in METRICS if all(m[0] in c.scores or not c.n_ok for c in chosen)]
+    metrics = [m for m in METRICS if all(c.has(m[0]) or not c.n_ok for c in chosen)]
     if not metrics:
         raise Nothing("no error that all methods have is stored")
     figure, axes = pyplot().subplots(
@@ -81,7 +82,7 @@ def draw_profiles(gallery: Gallery) -> Picture:
 
 
 def joined(
-    labels: Sequence[str], scenes: Sequence[Scene], cells: dict[tuple[str, Scene], Shown], metric: str, n: int
+    labels: Sequence[str], scenes: Sequence[Scene], cells: dict[tuple[str, Scene], Result], metric: str, n: int
 ) -> Errors:
     """The errors of every method on the first ``n`` replicates of every scenario, failures infinite."""
     values = {label: np.concatenate([cells[label, scene].errors(metric)[:n] for scene in scenes]) for label in labels}

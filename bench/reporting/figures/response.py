@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from bench.contract.problem import Channel, InitialState, Record
+from bench.contract.problem import Channel, Record
 from bench.dynamics.simulate import fitted_start, simulate
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, Shown, where
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, where
 from bench.reporting.figures.style import HALF, MM, entry, legend_below, panels, pyplot, wrapped
-from bench.systems import System, make_system
+from bench.reporting.frame import Result
 
 TRUE = {"color": "0.6", "lw": 2.2, "label": "true response"}
-SAMPLES = {"color": "black", "marker": "o", "ms": 2.6, "mfc": "white", "mew": 0.6, "ls": "none"}
+SAMPLES = {"color": "black", "marker": "o", "ms": 2.6, "mfc": "white", "mew": 0.6, "linestyle": "none"}
 Arrays = Mapping[str, np.ndarray]
 
 
@@ -24,7 +24,7 @@ def samples_of(arrays: Arrays, dof: int) -> tuple[np.ndarray, np.ndarray]:
     return arrays["sample_times"][own], arrays["sample_values"][own]
 
 
-def with_record(gallery: Gallery, cells: list[Shown]) -> list[tuple[Shown, dict[str, np.ndarray]]]:
+def with_record(gallery: Gallery, cells: list[Result]) -> list[tuple[Result, dict[str, np.ndarray]]]:
     """The cells whose record is stored, with the arrays."""
     found = [(one, gallery.arrays(one)) for one in cells]
     found = [(one, arrays) for one, arrays in found if "true_displacement" in arrays and "sample_values" in arrays]
@@ -41,14 +41,12 @@ def draw_record(gallery: Gallery) -> Picture:
     figure, axes = pyplot().subplots(
         n, 1, figsize=(HALF, (12.0 + 42.0 * n) * MM), layout="constrained", squeeze=False, sharex=True
     )
-    sigmas = cell.stored.cell.get("sigma") or []
     for i, (dof, axis) in enumerate(zip(dofs, axes[:, 0], strict=True)):
         axis.plot(arrays["dense_times"], arrays["true_displacement"][dof], **TRUE)
         times, values = samples_of(arrays, dof)
-        sigma = sigmas[i] if i < len(sigmas) else None
-        style = {key: value for key, value in SAMPLES.items() if key != "ls"}
+        sigma = cell.sigma[i] if i < len(cell.sigma) else None
         label = "samples" if sigma is None else "samples, bars of ± σ"
-        axis.errorbar(times, values, sigma, **style, ls="none", elinewidth=0.7, label=label)
+        axis.errorbar(times, values, sigma, **SAMPLES, elinewidth=0.7, label=label)
         axis.set_ylabel("displacement (m)" if len(arrays["true_displacement"]) == 1 else f"$x_{{{dof + 1}}}$ (m)")
         axis.grid()
     axes[-1, 0].set_xlabel("time (s)")
@@ -58,48 +56,37 @@ def draw_record(gallery: Gallery) -> Picture:
     return Picture(
         figure,
         f"The record that the methods are given ({where(cell)}; replicate 0): {size} samples of {of} over "
-        f"{cell.data['duration']:g} s, and the true response, which no method sees. The bars are the noise's standard "
+        f"{cell.duration:g} s, and the true response, which no method sees. The bars are the noise's standard "
         "deviation σ, which no method is told either. The noise level is the same over the whole record, so the "
         "decayed part tells less. The paper's Figure 4 shows the same.",
     )
 
 
-def point_parameters(cell: Shown) -> dict[str, float] | None:
+def point_parameters(cell: Result) -> dict[str, float] | None:
     """The parameters that a method found in replicate 0, from its scores: ratio times truth; None where not all are."""
-    true = cell.data["parameters"]
+    true = cell.parameters
     values = {name: cell.first(f"{name}_ratio") * float(value) for name, value in true.items()}
     return values if all(np.isfinite(value) for value in values.values()) else None
 
 
-def system_of(cell: Shown) -> System:
-    """The system whose equations a cell's methods were given."""
-    return make_system(cell.data["system"], cell.data.get("options", {}))
-
-
-def start_told(cell: Shown) -> InitialState | None:
-    """The initial state, where the methods were told it."""
-    initial = cell.data["initial"]
-    return InitialState(np.array(initial[0]), np.array(initial[1])) if cell.told == "known" else None
-
-
-def simulated(cell: Shown, arrays: Arrays) -> np.ndarray | None:
+def simulated(cell: Result, arrays: Arrays) -> np.ndarray | None:
     """The free response of the parameters found, (n_dof, n_dense): what is scored where a method reconstructs nothing.
 
     From the start that was told, or the one that fits the samples best. None with a force, which is not stored.
     """
     p = point_parameters(cell)
-    if p is None or cell.data.get("force") or cell.data.get("added_mass"):
+    if p is None or cell.forced or cell.added_mass:
         return None
-    system = system_of(cell)
+    system = cell.model
     dofs = sorted(set(arrays["sample_dof"].tolist()))
     channels = tuple(Channel(*samples_of(arrays, dof), dof=dof) for dof in dofs)
-    start = start_told(cell) or fitted_start(system, p, Record(channels, (), None))
+    start = cell.start_told or fitted_start(system, p, Record(channels, (), None))
     return np.asarray(simulate(system, p, start, arrays["dense_times"]).displacement)
 
 
 def draw_reconstruction(gallery: Gallery) -> Picture:
     """Every method's displacement of the same replicate beside the true one; the first measured DOF."""
-    drawn = list[tuple[Shown, Arrays, np.ndarray, bool]]()
+    drawn = list[tuple[Result, Arrays, np.ndarray, bool]]()
     for cell, arrays in with_record(gallery, gallery.scene(gallery.main, "known")):
         own = arrays.get("displacement")
         curve = simulated(cell, arrays) if own is None else own
@@ -126,7 +113,7 @@ def draw_reconstruction(gallery: Gallery) -> Picture:
     )
 
 
-def _panel(axis: Any, gallery: Gallery, cell: Shown, arrays: Arrays, curve: np.ndarray, dof: int, own: bool) -> None:
+def _panel(axis: Any, gallery: Gallery, cell: Result, arrays: Arrays, curve: np.ndarray, dof: int, own: bool) -> None:
     look = gallery.looks[cell.label]
     axis.plot(arrays["dense_times"], arrays["true_displacement"][dof], **TRUE)
     axis.plot(arrays["dense_times"], curve, color=look.colour, ls="-" if own else "--", lw=1.1)

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, Shown, counts, where
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, counts, where
 from bench.reporting.figures.style import entry, legend_below, panels, wrapped
+from bench.reporting.frame import Result
 
 LEVEL = 5.991
 """The 95 % quantile of chi-squared with two degrees of freedom."""
@@ -17,7 +18,7 @@ REACH = 4.5
 K, C = "k_over_m", "c_over_m"
 
 
-def bound_covariance(cell: Shown) -> np.ndarray | None:
+def bound_covariance(cell: Result) -> np.ndarray | None:
     """The bound on the covariance of (log k/m, log c/m), (2, 2); None where the cell's bounds do not tell it.
 
     All is in the stored bounds: with ``ζ = (c/m) / 2 (k/m)^(1/2)``, ``var log ζ = var log c/m + var log k/m / 4 -
@@ -66,16 +67,16 @@ def draw_scatter(gallery: Gallery) -> Picture:
     )
 
 
-def _limits(cells: list[Shown], covariance: np.ndarray | None) -> np.ndarray:
+def _limits(cells: list[Result], covariance: np.ndarray | None) -> np.ndarray:
     if covariance is not None:
         return 100.0 * REACH * np.sqrt(np.diag(covariance))
     spreads = [[np.median(np.abs(c.successful(f"{n}_ratio") - 1.0)) for n in (K, C)] for c in cells]
     return np.asarray(100.0 * 5.0 * np.maximum(np.median(spreads, axis=0), 1e-6))
 
 
-def _panel(axis: Any, gallery: Gallery, cell: Shown, covariance: np.ndarray | None, limits: np.ndarray) -> None:
+def _panel(axis: Any, gallery: Gallery, cell: Result, covariance: np.ndarray | None, limits: np.ndarray) -> None:
     look = gallery.looks[cell.label]
-    k, c = (100.0 * (cell.scores[f"{name}_ratio"] - 1.0) for name in (K, C))
+    k, c = (100.0 * (cell.scores(f"{name}_ratio") - 1.0) for name in (K, C))
     good = np.isfinite(k) & np.isfinite(c)
     errors = np.stack([k[good], c[good]])
     clipped = np.clip(errors, -limits[:, None], limits[:, None])
@@ -85,7 +86,7 @@ def _panel(axis: Any, gallery: Gallery, cell: Shown, covariance: np.ndarray | No
     small = 2.8 if look.marker not in ("s", "D", "P", "X", "h", "H") else 2.3
     axis.plot(*clipped[:, ~outside], **{**look.point(small), "mew": 0.4}, ls="none", alpha=0.8, zorder=2)
     for x, y, turn in _edges(clipped[:, outside], limits):
-        style = {"mfc": look.colour, "mec": look.colour, "mew": 0.2, "ls": "none", "clip_on": False, "zorder": 3}
+        style = {"mfc": look.colour, "mec": look.colour, "mew": 0.2, "linestyle": "none", "clip_on": False, "zorder": 3}
         axis.plot(x, y, marker=(3, 0, turn), ms=3.4, **style)
     axis.plot(0.0, 0.0, marker="+", color="black", ms=7, mew=0.9, zorder=4)
     axis.set_title(wrapped(look.title, 31.0), loc="left")

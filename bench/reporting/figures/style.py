@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.reporting.tables.tables import TITLES
+from bench.reporting.labels import cards, in_order, title
 
 MM = 1.0 / 25.4
 """Inches a millimetre."""
@@ -30,23 +30,13 @@ LONGEST = 30
 """Letters of a name that are drawn; of a longer one, its two ends."""
 Marker = str | tuple[int, int, float]
 
-STYLES: dict[str, tuple[str, Marker]] = {
-    "oracle": ("#7f7f7f", "D"), "shooting": ("#0072B2", "o"), "mcmc": ("#56B4E9", "v"), "nuts": ("#332288", ">"),
-    "pinn": ("#D55E00", "s"), "pinn_adam": ("#E69F00", "P"), "pinn_ensemble": ("#CC6677", "X"),
-    "collocation": ("#8C564B", "h"), "collocation_bootstrap": ("#C49C94", "H"), "output_error": ("#4D3559", "p"),
-    "ekf": ("#117733", (4, 1, 0.0)), "ukf": ("#661100", (6, 1, 0.0)), "matrix_pencil": ("#882255", "d"),
-    "era": ("#AA4499", (3, 1, 0.0)), "log_decrement": ("#44AA99", "<"), "ls": ("#000000", "x"),
-    "ls_spline": ("#555555", "+"), "rls": ("#999999", "1"), "sindy": ("#009E73", "^"), "ddnn": ("#CC79A7", "*"),
-    "prior": ("#b0b0b0", (5, 2, 0.0)),
-}  # fmt: skip
-"""A method's colour (Okabe and Ito's palette, greys, and some of Tol's) and marker; also the order of methods."""
 MORE_COLOURS = (
     "#0077BB", "#EE7733", "#009988", "#EE3377", "#004488", "#DDAA33", "#6A3D9A", "#33BBEE", "#CC3311",
 )  # fmt: skip
 MORE_MARKERS: tuple[Marker, ...] = (
     "8", "2", (5, 0, 36.0), "3", (7, 1, 0.0), "|", (6, 2, 0.0), "4", (5, 1, 36.0), (3, 1, 60.0),
 )  # fmt: skip
-"""Of these are the methods that the list above does not have; as many colours as markers have no common factor."""
+"""Of these are the methods whose card names none; the numbers of colours and of markers have no common factor."""
 FILLED = frozenset("ov^<>8sphHDdPX*")
 
 
@@ -67,32 +57,29 @@ class Look:
         return {"marker": self.marker, "ms": size, "mfc": face, "mec": self.colour, "mew": edge}
 
 
-def in_order(labels: Iterable[str]) -> list[str]:
-    """Methods in the order of :data:`STYLES`, then all others by name."""
-    known = {label: i for i, label in enumerate(STYLES)}
-    return sorted(set(labels), key=lambda label: (known.get(label, len(known)), label))
-
-
 def looks(labels: Iterable[str]) -> dict[str, Look]:
-    """The look of every method, by label, in order.
+    """The look of every method, by label, in order: as its card says.
 
-    One that :data:`STYLES` does not have gets colour and marker by a hash of its name, the next ones where another has
-    these already: up to 90 such methods all look different.
+    What a card leaves out is of a palette by a hash of the label, the next where another has that already: up to 90
+    such methods all look different.
     """
     found, taken, titles, several = {}, set[int](), set[str](), len(MORE_COLOURS) * len(MORE_MARKERS)
     for label in in_order(labels):
-        if label in STYLES:
-            colour, marker = STYLES[label]
-        else:
+        card = cards().get(label)
+        colour, marker = (card.colour, card.marker) if card else ("", "")
+        if not (colour and marker):
             at = int.from_bytes(hashlib.sha256(label.encode()).digest()[:8], "big") % several
             at = next((i % several for i in range(at, at + several) if i % several not in taken), at)
             taken.add(at)
-            colour, marker = MORE_COLOURS[at % len(MORE_COLOURS)], MORE_MARKERS[at % len(MORE_MARKERS)]
-        title = plain = drawable(TITLES.get(label, label))
-        while title in titles:
-            title = f"{plain} ({len(titles)})"
-        titles.add(title)
-        found[label] = Look(label, title, colour, marker)
+            colour, marker = (
+                colour or MORE_COLOURS[at % len(MORE_COLOURS)],
+                marker or MORE_MARKERS[at % len(MORE_MARKERS)],
+            )
+        name = plain = drawable(title(label))
+        while name in titles:
+            name = f"{plain} ({len(titles)})"
+        titles.add(name)
+        found[label] = Look(label, name, colour, marker)
     return found
 
 

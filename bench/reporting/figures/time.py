@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from bench.contract.estimate import Status
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, Shown, methods_only, where
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, methods_only, where
 from bench.reporting.figures.style import FULL, MM, Look, handle, legend_below, plain_logarithmic, pyplot
+from bench.reporting.frame import Result
 
 METRICS = (("k_over_m_error_pct", "k/m"), ("rmse", "displacement"))
 
@@ -18,7 +19,7 @@ def draw_time(gallery: Gallery) -> Picture:
     """Excess against processor time, one panel a reading of the start."""
     usual = gallery.scene(gallery.main, "known")[0].snr_db
     cells = [c for c in methods_only(gallery.main) if c.snr_db == usual]
-    found = {told: [c for c in cells if c.told == told] for told in ("known", "unknown")}
+    found = {told: [c for c in cells if c.initial_state == told] for told in ("known", "unknown")}
     choices = [(name, _points(found, metric)) for metric, name in METRICS]
     name, points = next(((name, own) for name, own in choices if own), ("", {}))
     if not points:
@@ -43,17 +44,17 @@ def draw_time(gallery: Gallery) -> Picture:
     )
 
 
-def _points(found: dict[str, list[Shown]], metric: str) -> dict[str, dict[str, tuple[float, float, float]]]:
+def _points(found: dict[str, list[Result]], metric: str) -> dict[str, dict[str, tuple[float, float, float]]]:
     """By start, then by method; a start with no method is left out."""
     points = {told: {c.label: p for c in own if (p := _point(c, metric))} for told, own in found.items()}
     return {told: own for told, own in points.items() if own}
 
 
-def _point(cell: Shown, metric: str) -> tuple[float, float, float] | None:
+def _point(cell: Result, metric: str) -> tuple[float, float, float] | None:
     """Median and longest time (s) of a fit, and excess; None where the cell has none of these."""
     ok = np.array([status is Status.OK for status in cell.statuses])
     seconds = cell.cpu_s[ok & np.isfinite(cell.cpu_s) & (cell.cpu_s > 0)]
-    excess = cell.stored.summary.get(metric, {}).get("excess", math.nan)
+    excess = cell.summary.get(metric, {}).get("excess", math.nan)
     if not seconds.size or not math.isfinite(excess) or excess <= 0:
         return None
     return float(np.sort(seconds)[seconds.size // 2]), float(seconds.max()), excess

@@ -6,8 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, Shown, where
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, where
 from bench.reporting.figures.style import Look, handle, legend_below, panels, plain_logarithmic, wrapped
+from bench.reporting.frame import Result
+from bench.reporting.labels import beside_paper, title
+from bench.reporting.paper import own_method
 
 LOSS, EVALUATIONS, TERM = "trace_loss", "trace_evaluations", "trace_mean_square_"
 TITLES = {
@@ -42,8 +45,10 @@ def draw_training(gallery: Gallery) -> Picture:
         f"{gallery.looks[cell.label].title} {arrays[EVALUATIONS].max():.0f} (loss {arrays[LOSS][-1]:.3g})"
         for cell, arrays in found
     )
-    both = {"pinn", "pinn_adam"} <= {cell.label for cell, _ in found}
-    trainings = " The PINN's two trainings minimise the same loss of the same network." if both else ""
+    same = [label for label in beside_paper(own_method()) if label in {cell.label for cell, _ in found}]
+    trainings = (
+        f" The {title(same[0])}'s two trainings minimise the same loss of the same network." if len(same) == 2 else ""
+    )
     return Picture(
         figure,
         f"Training on the same record ({where(found[0][0])}; replicate 0): the whole loss, each term with the weight "
@@ -55,7 +60,7 @@ def draw_training(gallery: Gallery) -> Picture:
     )
 
 
-def _any(found: list[tuple[Shown, dict[str, np.ndarray]]], name: str) -> bool:
+def _any(found: list[tuple[Result, dict[str, np.ndarray]]], name: str) -> bool:
     return any(np.any(arrays[name] > 0) for _, arrays in found if name in arrays)
 
 

@@ -5,36 +5,35 @@ from __future__ import annotations
 import numpy as np
 
 from bench.dynamics.simulate import simulate
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, Shown, methods_only, where
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, methods_only, where
 from bench.reporting.figures.response import (
     SAMPLES,
     TRUE,
     Arrays,
     point_parameters,
     samples_of,
-    start_told,
-    system_of,
     with_record,
 )
 from bench.reporting.figures.style import FULL, MM, legend_below, pyplot
+from bench.reporting.frame import Result
+from bench.reporting.labels import beside_paper
+from bench.reporting.paper import own_method
 from bench.scoring.summary import Z95
 
 DRAWS = 400
 MOST = 5
 """DOFs shown at most."""
-FIRST = ("pinn", "shooting", "collocation")
-"""Of several methods the first of these is shown: the paper's own, then others on the bound."""
 
 
 def draw_two_masses(gallery: Gallery) -> Picture:
     """Response of every DOF, identified and true, and beside it the error with its band."""
-    cells = gallery.largest(one for one in gallery.cells if len(one.data["initial"][0]) > 1)
+    cells = gallery.largest(one for one in gallery.cells if one.n_dof > 1)
     own = methods_only(gallery.scene(cells, "known"))
     found = [(cell, a) for cell, a in with_record(gallery, own) if "displacement" in a]
     if not found:
         raise Nothing("no reconstruction of a system of two masses or more is stored")
-    rank = {label: i for i, label in enumerate(FIRST)}
-    cell, arrays = min(found, key=lambda pair: rank.get(pair[0].label, len(rank)))
+    first = beside_paper(own_method())  # the paper's own, else the first of all
+    cell, arrays = next((pair for label in first for pair in found if pair[0].label == label), found[0])
     sd, source = band(cell, arrays)
     n = min(len(arrays["true_displacement"]), MOST)
     figure, axes = pyplot().subplots(
@@ -63,7 +62,7 @@ def draw_two_masses(gallery: Gallery) -> Picture:
     return Picture(figure, _caption(cell, arrays, sd, source, n))
 
 
-def _caption(cell: Shown, arrays: Arrays, sd: np.ndarray | None, source: str, n: int) -> str:
+def _caption(cell: Result, arrays: Arrays, sd: np.ndarray | None, source: str, n: int) -> str:
     inside = ""
     if sd is not None:
         off = np.abs(arrays["displacement"] - arrays["true_displacement"])[:n]
@@ -76,7 +75,7 @@ def _caption(cell: Shown, arrays: Arrays, sd: np.ndarray | None, source: str, n:
     )
 
 
-def band(cell: Shown, arrays: Arrays) -> tuple[np.ndarray | None, str]:
+def band(cell: Result, arrays: Arrays) -> tuple[np.ndarray | None, str]:
     """Standard deviation (n_dof, n_dense) of the displacement, and in words where it is from.
 
     The method's own, or the spread of responses to draws of its stated normal belief or to its own draws, where the
@@ -85,10 +84,10 @@ def band(cell: Shown, arrays: Arrays) -> tuple[np.ndarray | None, str]:
     if "displacement_sd" in arrays:
         return arrays["displacement_sd"], " The band is the method's own, 1.96 standard deviations to either side."
     draws = belief_draws(cell, arrays)
-    start = start_told(cell)
-    if draws is None or start is None or cell.data.get("force"):
+    start = cell.start_told
+    if draws is None or start is None or cell.forced:
         return None, " The method states no band."
-    system = system_of(cell)
+    system = cell.model
     p = dict(zip(system.names, draws.T, strict=True))
     spread = (np.repeat(part[:, None], len(draws), 1) for part in (start.displacement, start.velocity))
     x0, v0 = spread
@@ -96,7 +95,7 @@ def band(cell: Shown, arrays: Arrays) -> tuple[np.ndarray | None, str]:
     return np.nanstd(paths, axis=1), " The band is the spread of the responses to the method's stated parameters."
 
 
-def belief_draws(cell: Shown, arrays: Arrays) -> np.ndarray | None:
+def belief_draws(cell: Result, arrays: Arrays) -> np.ndarray | None:
     """Draws (n, n_parameters) of a stored belief over all parameters in the system's order; None where it is another.
 
     A stored mean does not say whether it is of logarithms, nor in which order: it is taken if it gives the parameters
@@ -105,7 +104,7 @@ def belief_draws(cell: Shown, arrays: Arrays) -> np.ndarray | None:
     p = point_parameters(cell)
     if p is None:
         return None
-    values = np.array([p[name] for name in system_of(cell).names])
+    values = np.array([p[name] for name in cell.model.names])
     if "draws" in arrays:
         own = arrays["draws"]
         close = own.shape[1] == values.size and np.all(np.abs(np.log(np.median(own, 0) / values)) < 0.5)

@@ -6,15 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
-from bench.config.config import choices
+from bench.config.choices import choices
 from bench.contract.method import Card, Serves
 from bench.entrants.registry import default_settings, load_method, missing_package, registered
 from bench.errors import InputError
-from bench.reporting.page.words import joined, title_of
+from bench.reporting.labels import title
+from bench.reporting.page.words import joined
 
 
 @dataclass(frozen=True)
-class Shown:
+class Description:
     """A card ready for the page; ``broken`` says why a registered method has none.
 
     ``variants``: of each its name in ``conf``, its title, and what it sets.
@@ -30,30 +31,30 @@ class Shown:
     broken: str
 
 
-def cards() -> list[Shown]:
+def cards() -> list[Description]:
     """All registered methods, by name."""
     return [_shown(name) for name in registered()]
 
 
-def about(shown: Sequence[Shown]) -> dict[str, str]:
+def about(shown: Sequence[Description]) -> dict[str, str]:
     """By title, what a method or variant is, in a line."""
     found = {}
     for one in shown:
         if one.card:
             found[one.title] = one.card.summary
-            found |= {title: f"{one.card.summary}; with {text}" for _, title, text in one.variants}
+            found |= {name: f"{one.card.summary}; with {text}" for _, name, text in one.variants}
     return found
 
 
-def _shown(name: str) -> Shown:
+def _shown(name: str) -> Description:
     try:
         method = load_method(name)
         settings = {key: "–" if value is None else str(value) for key, value in default_settings(name).items()}
     except InputError as error:
-        return Shown(name, title_of(name), None, "", (), (), "", str(error))
+        return Description(name, title(name), None, "", (), (), "", str(error))
     serves = _serves(method.serves)
     missing = missing_package(name) or ""
-    return Shown(name, title_of(name), method.card, serves, tuple(settings.items()), _variants(name), missing, "")
+    return Description(name, title(name), method.card, serves, tuple(settings.items()), _variants(name), missing, "")
 
 
 def _variants(name: str) -> tuple[tuple[str, str, str], ...]:
@@ -67,7 +68,7 @@ def _variants(name: str) -> tuple[tuple[str, str, str], ...]:
             continue
         content = dict(OmegaConf.to_container(OmegaConf.create(path.read_text(encoding="utf-8"))))  # type: ignore[arg-type]
         if content.pop("defaults", None) == [name]:
-            found.append((choice, title_of(choice), ", ".join(f"{key}={value}" for key, value in content.items())))
+            found.append((choice, title(choice), ", ".join(f"{key}={value}" for key, value in content.items())))
     return tuple(found)
 
 

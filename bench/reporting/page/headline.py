@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
-from bench.reporting.page.board import Rankings
-from bench.reporting.page.gather import ERROR, Gathered, Panel, label_of
+from bench.reporting.frame import ERROR, Result
+from bench.reporting.labels import title
+from bench.reporting.page.leaderboard import Rankings
+from bench.reporting.page.reading import Panel, Reading
 from bench.reporting.page.standing import Ranking, fit_seconds
 from bench.reporting.page.typical import SNR_DB
-from bench.reporting.page.words import joined, number, percent, quantity, seconds, title_of
+from bench.reporting.page.words import joined, number, percent, quantity, seconds
 from bench.scoring.comparison import Comparison
-from bench.store.store import StoredCell
 
 
 @dataclass(frozen=True)
@@ -51,45 +52,46 @@ class Hidden:
     shares: tuple[tuple[str, str], ...]
 
 
-def headline_places(gathered: Gathered) -> list[int]:
+def headline_places(reading: Reading) -> list[int]:
     """The panels of the first screen: one system at 20 dB, undisturbed, by both readings of the start.
 
     The first such system in the order of the tables; where no cell is at 20 dB, the scenario with the most methods.
     """
-    panels = gathered.panels
-    wanted = [i for i, p in enumerate(panels) if p.plain and p.snr_db == SNR_DB and p.methods]
+    panels = reading.panels
+    wanted = [i for i, p in enumerate(panels) if p.plain and p.facts.snr_db == SNR_DB and p.methods]
     if not wanted:
         most = max(range(len(panels)), key=lambda i: (len(panels[i].methods), panels[i].plain, -i))
         return [most]
     first = panels[wanted[0]]
-    same = [i for i in wanted if panels[i].system == first.system and panels[i].experiments == first.experiments]
-    by_told: dict[str, int] = {}
-    for i in same:
-        by_told.setdefault(panels[i].told, i)
-    return list(by_told.values())
+    by_start: dict[str, int] = {}
+    for i in wanted:
+        if (panels[i].facts.system, panels[i].experiments) == (first.facts.system, first.experiments):
+            by_start.setdefault(panels[i].facts.initial_state, i)
+    return list(by_start.values())
 
 
 def answer(place: int, panel: Panel, ranked: Rankings, separated: AbstractSet[str] = frozenset()) -> Answer:
     """Winners and whether they really are; ``separated``: labels that more data find behind the best."""
     own = {metric: ranking for metric in panel.ranked if (ranking := ranked.get((place, metric))) is not None}
-    cells = {label_of(cell): cell for cell in panel.methods}
+    cells = {result.label: result for result in panel.methods}
     level = [label for label in cells if own and all(label in ranking.level for ranking in own.values())]
     weak = {label for label in level if any(label in ranking.weak for ranking in own.values())}
     order = sorted(level, key=lambda label: (_seconds(fit_seconds(cells[label])), label))
     found = {
         label: Winner(
-            title_of(label),
-            str(cells[label].cell.get("method", label)),
+            title(label),
+            cells[label].method,
             joined([f"{quantity(m)} {_error(m, cells[label].summary.get(m, {}))}" for m in own]),
             seconds(fit_seconds(cells[label])),
-            len(cells[label].rows),
+            cells[label].n,
         )
         for label in order
     }
     sure = [label for label in order if label not in weak]
-    behind = tuple(title_of(label) for label in order if label in separated)
+    behind = tuple(title(label) for label in order if label in separated)
     start = {"unknown": "Start unknown, as on a real rig", "known": "Start known"}
-    said = start.get(panel.told, f"Start {panel.told}")
+    told = panel.facts.initial_state
+    said = start.get(told, f"Start {told}")
     winners, undecided = (tuple(found[label] for label in order if (label in weak) == few) for few in (False, True))
     return Answer(panel, said, winners, undecided, behind, tuple(_real(sure, weak, own, cells)))
 
@@ -105,7 +107,7 @@ def _error(metric: str, summary: Mapping[str, float]) -> str:
 
 
 def _real(
-    level: Sequence[str], weak: AbstractSet[str], own: Mapping[str, Ranking], cells: Mapping[str, StoredCell]
+    level: Sequence[str], weak: AbstractSet[str], own: Mapping[str, Ranking], cells: Mapping[str, Result]
 ) -> list[str]:
     """Sentences on what the replicates could and could not tell apart: ``level`` methods, ``weak`` ones left out."""
     if len(cells) < 2:
@@ -114,11 +116,11 @@ def _real(
     if len(level) > 1:
         said.append(_among(level, own, cells))
     elif len(level) == 1:
-        said.append(f"{title_of(level[0])} is the only method that is best or level with the best in every quantity.")
+        said.append(f"{title(level[0])} is the only method that is best or level with the best in every quantity.")
     else:
         said.append("No method is best in every quantity; the leaderboard says which is best in which.")
     behind = [(c, metric) for metric, r in own.items() for c in r.comparisons.values() if c.a not in {*level, *weak}]
-    lost = sorted({title_of(label) for label, cell in cells.items() if cell.n_ok == 0}, key=str.casefold)
+    lost = sorted({title(label) for label, cell in cells.items() if cell.n_ok == 0}, key=str.casefold)
     behind = [(c, metric) for c, metric in behind if not c.tie and c.ratio > 1 and cells[c.a].n_ok]
     if behind:
         said.append(_nearest(behind))
@@ -127,9 +129,9 @@ def _real(
     return said
 
 
-def _among(level: Sequence[str], own: Mapping[str, Ranking], cells: Mapping[str, StoredCell]) -> str:
+def _among(level: Sequence[str], own: Mapping[str, Ranking], cells: Mapping[str, Result]) -> str:
     """That the best cannot be told apart, and how large a difference would have shown."""
-    n = max(len(cells[label].rows) for label in level)
+    n = max(cells[label].n for label in level)
     shows = [
         (c.resolved, metric) for metric, r in own.items() for c in r.comparisons.values()
         if c.a in level and math.isfinite(c.resolved)
@@ -153,10 +155,10 @@ def _nearest(behind: Sequence[tuple[Comparison, str]]) -> str:
     c, metric = min(worst.values(), key=lambda pair: (pair[0].ratio, pair[0].a))
     sure = f"were they equal, luck would show so clear a difference {chance(c.adjusted)}."
     if not math.isfinite(c.ratio):
-        return f"To the others: yes. {title_of(c.a)}, for one, fails on at least half of the data sets; {sure}"
+        return f"To the others: yes. {title(c.a)}, for one, fails on at least half of the data sets; {sure}"
     ends = f" (95 % interval: {c.low:.2f} to {c.high:.2f})" if math.isfinite(c.low) and math.isfinite(c.high) else ""
     return (
-        f"To the others: yes. The nearest of them (the least behind in its own worst quantity) is {title_of(c.a)}: "
+        f"To the others: yes. The nearest of them (the least behind in its own worst quantity) is {title(c.a)}: "
         f"its error of {quantity(metric)} is {c.ratio:.2f} times the best’s, by the median of the ratios on the same "
         f"data sets{ends}; {sure}"
     )
@@ -183,11 +185,11 @@ def hidden(panel: Panel) -> Hidden | None:
     names, plain = joined([word(n) for n in lost]), all(n in WORDS for n in lost)
     first = f"{names[:1].upper()}{names[1:]}" if plain else f"The values of {names}"
     twice = "the mass, damping and stiffness" if plain else "every mass, damping and stiffness"
-    free = panel.data.get("force") is None
+    free = not panel.facts.forced
     alike = f"in free vibration, a system with twice {twice}" if free else "a system that differs in them"
     why = f"{first}: {alike} moves exactly alike."
     told = f"The motion tells only {joined(ranked)}." if ranked else ""
-    given = tuple((word(n), percent(share)) for n, share in shares if math.isfinite(share)) if panel.prior else ()
+    given = tuple((word(n), percent(share)) for n, share in shares if math.isfinite(share)) if panel.facts.prior else ()
     return Hidden(why, told, given)
 
 

@@ -7,13 +7,14 @@ from collections import Counter
 from collections.abc import Sequence
 
 from bench.contract.estimate import Status
-from bench.reporting.page.gather import decibels, label_of
-from bench.reporting.page.words import title_of
+from bench.reporting.frame import Result
+from bench.reporting.page.reading import decibels
 from bench.store.store import StoredCell
 
 
-def origin(cells: Sequence[StoredCell]) -> list[tuple[str, str]]:
+def origin(results: Sequence[Result]) -> list[tuple[str, str]]:
     """Lines for the page: name and text; of several values each with the number of its cells."""
+    cells = [result.stored for result in results if result.stored]
     packages: dict[str, Counter[str]] = {}
     for cell in cells:
         for name, version in (cell.provenance.get("packages") or {}).items():
@@ -61,28 +62,27 @@ def _several(found: Counter[str]) -> str:
     return "; ".join(f"{value} ({n} cell{'s' if n > 1 else ''})" for value, n in sorted(found.items()))
 
 
-def unsupported(cells: Sequence[StoredCell]) -> list[tuple[int, str, str]]:
+def unsupported(results: Sequence[Result]) -> list[tuple[int, str, str]]:
     """What was not tried, since a method cannot take such data: how many fits, method, reason; most frequent first."""
     counts = Counter(
-        (title_of(label_of(cell)), row.message[:200])
-        for cell in cells
-        for row in cell.rows
+        (result.title, row.message[:200])
+        for result in results
+        for row in result.rows
         if row.status is Status.UNSUPPORTED
     )
     return sorted(((n, *key) for key, n in counts.items()), key=lambda line: (-line[0], line[1:]))
 
 
-def failures(cells: Sequence[StoredCell]) -> list[tuple[int, str, str, str, str]]:
+def failures(results: Sequence[Result]) -> list[tuple[int, str, str, str, str]]:
     """What failed: how often, method, status, scenario's system and noise, message; most frequent first.
 
     Data that a method cannot take are no failure (:func:`unsupported`).
     """
     counts: Counter[tuple[str, str, str, str]] = Counter()
-    for cell in cells:
-        where = f"{cell.cell.get('system', '?')}, {decibels(cell.cell.get('snr_db', math.nan))} dB"
-        disturbance = (cell.cell.get("data", {}).get("disturbance") or {}).get("kind")
-        where += f", {disturbance}".replace("_", " ") if disturbance else ""
-        for row in cell.rows:
+    for result in results:
+        where = f"{result.system}, {decibels(result.snr_db)} dB"
+        where += f", {result.disturbance.replace('_', ' ')}" if result.disturbance else ""
+        for row in result.rows:
             if row.status not in (Status.OK, Status.UNSUPPORTED):
-                counts[title_of(label_of(cell)), row.status.value, where, row.message[:200]] += 1
+                counts[result.title, row.status.value, where, row.message[:200]] += 1
     return sorted(((n, *key) for key, n in counts.items()), key=lambda line: (-line[0], line[1:]))

@@ -19,11 +19,12 @@ from pathlib import Path
 from typing import Any
 
 from bench.errors import InputError
-from bench.reporting.page import beside, board, cards, headline, origin
-from bench.reporting.page.gather import Gathered, Panel, decibels, gather, label_of
-from bench.reporting.page.kept import system_of
+from bench.reporting.frame import Result
+from bench.reporting.labels import title
+from bench.reporting.page import cards, headline, leaderboard, neighbours, origin
+from bench.reporting.page.reading import Panel, Reading, decibels, read
 from bench.reporting.page.typical import typical
-from bench.reporting.page.words import number, percent, quantity, title_of
+from bench.reporting.page.words import heading, number, percent, quantity
 from bench.store.store import Store
 
 LIMIT = 2_500_000
@@ -47,48 +48,41 @@ class Drawn:
     again: str
 
 
-def chosen(gathered: Gathered, places: Sequence[int]) -> list[int]:
+def chosen(reading: Reading, places: Sequence[int]) -> list[int]:
     """The scenarios that are shown in full: those of the first screen, then the typical one of every other system."""
-    seen = {gathered.panels[i].system for i in places}
-    others = [i for i in typical(gathered.panels) if gathered.panels[i].system not in seen]
+    seen = {reading.panels[i].facts.system for i in places}
+    others = [i for i in typical(reading.panels) if reading.panels[i].facts.system not in seen]
     return [*places, *others][:MOST_DRAWN]
 
 
 def told(panel: Panel) -> tuple[tuple[str, str], ...]:
     """What the methods were told of a scenario, and what they were not."""
-    data, prior = panel.data, panel.prior
-    start = "told" if panel.told == "known" else "not told; estimated with the rest"
-    duration = data.get("duration")
+    facts = panel.facts
+    duration = f"{facts.duration:g}" if math.isfinite(facts.duration) else None
+    sigma = ", ".join(map(number, facts.sigma))
     lines = [
-        ("Samples", f"{data.get('samples', '?')} over {duration if duration is None else f'{duration:g}'} s"),
-        ("Initial state", start),
-        ("Force", "none: free vibration" if data.get("force") is None else _force(data["force"])),
-        ("Prior", "none" if prior is None else _prior(panel)),
+        ("Samples", f"{facts.samples or '?'} over {duration} s"),
+        ("Initial state", "told" if facts.initial_state == "known" else "not told; estimated with the rest"),
+        ("Force", f"{facts.force}; told" if facts.forced else "none: free vibration"),
+        ("Prior", "none" if facts.prior is None else _prior(facts)),
+        (
+            "Noise",
+            f"{decibels(facts.snr_db)} dB" + (f", standard deviation {sigma} m" if sigma else "") + "; not told",
+        ),
     ]
-    sigma = ", ".join(number(float(s)) for s in panel.what.get("sigma") or ())
-    lines.append(
-        ("Noise", f"{decibels(panel.snr_db)} dB" + (f", standard deviation {sigma} m" if sigma else "") + "; not told")
-    )
-    if data.get("added_mass"):
-        added = ", ".join(f"{float(mass):g}" for mass in data["added_mass"])
+    if facts.added_mass:
+        added = ", ".join(f"{mass:g}" for mass in facts.added_mass)
         lines.append(("Second record", f"of the same rig with {added} kg added, told"))
     if panel.disturbance:
         lines.append(("Disturbance", f"{panel.disturbance}; not told"))
-    true = ", ".join(f"{name} = {number(float(value))}" for name, value in data.get("parameters", {}).items())
+    true = ", ".join(f"{name} = {number(float(value))}" for name, value in facts.parameters.items())
     lines.append(("True values", f"{true} (SI units); told to nobody" if true else "not recorded"))
     return tuple(lines)
 
 
-def _force(force: Mapping[str, Any]) -> str:
-    """What is known of a force: a stored description names every kind but the default."""
-    kind = str(force.get("kind", "multisine")).replace("_", " ")
-    size = f", amplitude {float(force['amplitude']):g} N" if "amplitude" in force else ""
-    return f"{kind}{size}; told"
-
-
-def _prior(panel: Panel) -> str:
+def _prior(facts: Result) -> str:
     """How far the nominal values may be off, by kind of parameter."""
-    prior, system = panel.prior or {}, system_of(panel.cells[0])
+    prior, system = facts.prior or {}, facts.known_model
     there = {parameter.kind for parameter in system.parameters} if system else set(KINDS)
     kinds = [f"{kind} {100 * float(prior[kind]):g} %" for kind in KINDS if kind in prior and kind in there]
     off = "; deliberately three standard deviations off" if prior.get("wrong") else ""
@@ -99,111 +93,120 @@ def again(panel: Panel) -> str:
     """The command that computes a scenario again."""
     if panel.experiments:
         return f"python -m bench -m experiment={panel.experiments[0].name}"
-    return f"python -m bench.reproduce {panel.cells[0].identity[:8]}"
+    return f"python -m bench.reproduce {panel.facts.identity[:8]}"
 
 
-def drawn(store: Store, gathered: Gathered, places: Sequence[int]) -> list[Drawn]:
+def drawn(store: Store, reading: Reading, places: Sequence[int]) -> list[Drawn]:
     """The chosen scenarios with their pictures; without one only those of the first screen, which come first."""
-    from bench.reporting.page.draw import draw_panel
+    from bench.reporting.page.drawing import draw_panel
 
     found: list[Drawn] = []
-    first = headline.headline_places(gathered)
+    first = headline.headline_places(reading)
     for i in places:
-        n, panel = len(found), gathered.panels[i]
+        n, panel = len(found), reading.panels[i]
         picture, undrawn = draw_panel(store, panel, f"p{n}")
         if not picture and i not in first:
             continue
-        found.append(Drawn(panel, f"scenario-{n}", picture, tuple(map(title_of, undrawn)), told(panel), again(panel)))
+        found.append(Drawn(panel, f"scenario-{n}", picture, tuple(map(title, undrawn)), told(panel), again(panel)))
     return found
 
 
 def contents(store: Store, out: Path) -> dict[str, Any]:
     """All that the template shows, figures apart; raises InputError for a store that cannot be shown."""
-    from bench.reporting.page.draw import draw_answers
+    from bench.reporting.page.drawing import draw_answers
 
-    gathered = gather(store)
-    ranked = board.rankings(gathered)
-    places = headline.headline_places(gathered)
+    reading = read(store)
+    ranked = leaderboard.rankings(reading)
+    places = headline.headline_places(reading)
     results = store.folder.parent
-    panels = {i: gathered.panels[i] for i in places}
-    answers = [headline.answer(i, panel, ranked, beside.separated(results, panel.told)) for i, panel in panels.items()]
-    lines = board.board(gathered, ranked)
+    panels = {i: reading.panels[i] for i in places}
+    answers = [
+        headline.answer(i, panel, ranked, neighbours.separated(results, panel.facts.initial_state))
+        for i, panel in panels.items()
+    ]
+    lines = leaderboard.leaderboard(reading, ranked)
     shown = cards.cards()
-    full = drawn(store, gathered, chosen(gathered, places))
-    snr = gathered.panels[places[0]].snr_db
-    methods = {label_of(cell): cell.cell.get("method") for panel in gathered.panels for cell in panel.methods}
+    full = drawn(store, reading, chosen(reading, places))
+    snr = reading.panels[places[0]].facts.snr_db
+    methods = {result.label: result.method for panel in reading.panels for result in panel.methods}
     return {
-        "gathered": gathered,
+        "reading": reading,
         "answers": answers,
         "methods": len(methods),
         "variants": len(methods) > len(set(methods.values())),
         "stored": set(methods.values()),
-        "absent": [title_of(label) for label in sorted(set(methods) - _labels(panels.values()))],
+        "absent": [title(label) for label in sorted(set(methods) - _labels(panels.values()))],
         "snr": f"{snr:g}",
         "noise": f"{100 * 10 ** (-snr / 20):.2g}" if math.isfinite(snr) else "",
-        "hidden": headline.hidden(gathered.panels[places[0]]),
+        "hidden": headline.hidden(reading.panels[places[0]]),
         "overview": draw_answers(answers) if any(one.panel.methods for one in answers) else [],
-        "n": max((len(cell.rows) for panel in panels.values() for cell in panel.methods), default=0),
-        "board": lines,
+        "n": max((result.n for panel in panels.values() for result in panel.methods), default=0),
+        "leaderboard": lines,
         "filters": {
-            name: board.options(lines.lines, name) for name in ("system", "snr", "start", "data", "method", "quantity")
+            name: leaderboard.options(lines.lines, name)
+            for name in ("system", "snr", "start", "data", "method", "quantity")
         },
-        "preset": _preset(gathered, places),
+        "preset": _preset(reading, places),
         "drawn": full,
-        "undrawn": len(gathered.panels) - len(full),
-        "shares": _shares(gathered, places),
+        "undrawn": len(reading.panels) - len(full),
+        "shares": _shares(reading, places),
         "cards": shown,
         "named": sorted({w.name for one in answers for w in (*one.winners, *one.undecided)}, key=str.casefold),
         "about": cards.about(shown),
-        "overall": beside.overall(results),
-        "reproduction": beside.reproduction(results),
-        "calibration": beside.calibration(results / "calibration.csv"),
-        "sbc": beside.calibration(results / "sbc.csv"),
-        "robustness": beside.robustness(results),
-        "origin": origin.origin(gathered.cells),
-        "failures": origin.failures(gathered.cells),
-        "unsupported": origin.unsupported(gathered.cells),
-        "experiments": ",".join(one.name for one in gathered.experiments),
-        "others": beside.fits_beside(out, [*(OTHERS[0].format(n=n) for n in range(2, 20)), *OTHERS[1:]]),
+        "overall": neighbours.overall(results),
+        "reproduction": neighbours.reproduction(results),
+        "calibration": neighbours.calibration(results / "calibration.csv"),
+        "sbc": neighbours.calibration(results / "sbc.csv"),
+        "robustness": neighbours.robustness(results),
+        "origin": origin.origin(reading.results),
+        "failures": origin.failures(reading.results),
+        "unsupported": origin.unsupported(reading.results),
+        "experiments": ",".join(one.name for one in reading.experiments),
+        "others": neighbours.files_beside(out, [*(OTHERS[0].format(n=n) for n in range(2, 20)), *OTHERS[1:]]),
     }
 
 
 def _labels(panels: Iterable[Panel]) -> set[str]:
     """The methods and variants of some scenarios."""
-    return {label_of(cell) for panel in panels for cell in panel.methods}
+    return {result.label for panel in panels for result in panel.methods}
 
 
-def _preset(gathered: Gathered, places: Sequence[int]) -> dict[str, str]:
+def _preset(reading: Reading, places: Sequence[int]) -> dict[str, str]:
     """What the filters of the leaderboard are set to at first: the first screen's scenario and first quantity."""
-    from bench.reporting.page.words import heading
-
-    panel = gathered.panels[places[0]]
+    panel = reading.panels[places[0]]
     metric = panel.ranked[0] if panel.ranked else ""
     return {
-        "system": panel.system, "snr": decibels(panel.snr_db), "start": panel.told, "data": panel.kind,
-        "quantity": heading(metric) if metric else "",
+        "system": panel.facts.system, "snr": decibels(panel.facts.snr_db), "start": panel.facts.initial_state,
+        "data": panel.kind, "quantity": heading(metric) if metric else "",
     }  # fmt: skip
 
 
-def _shares(gathered: Gathered, places: Sequence[int]) -> beside.Table:
+def _shares(reading: Reading, places: Sequence[int]) -> neighbours.Table:
     """By scenario and quantity, the prior's share of the variance at the bound: one scenario a system and start."""
     seen: dict[tuple[str, str], Panel] = {}
-    order = [*places, *range(len(gathered.panels))]
+    order = [*places, *range(len(reading.panels))]
     for i in order:
-        panel = gathered.panels[i]
+        panel = reading.panels[i]
         if panel.plain and panel.prior_share:
-            seen.setdefault((panel.system, panel.told), panel)
+            seen.setdefault((panel.facts.system, panel.facts.initial_state), panel)
     rows = []
     for panel in seen.values():
         for name, share in panel.prior_share.items():
             tells = {True: "the data", False: "not by the data alone"}.get(panel.identifiable.get(name, True), "")
             rows.append(
-                (panel.system, decibels(panel.snr_db), panel.told, quantity(f"{name}_error_pct"), percent(share), tells)
+                (
+                    panel.facts.system,
+                    decibels(panel.facts.snr_db),
+                    panel.facts.initial_state,
+                    quantity(f"{name}_error_pct"),
+                    percent(share),
+                    tells,
+                )
             )
-    return beside.Table(("System", "SNR (dB)", "Start", "Quantity", "Prior's share", "Told by"), tuple(rows))
+    return neighbours.Table(("System", "SNR (dB)", "Start", "Quantity", "Prior's share", "Told by"), tuple(rows))
 
 
-def render(context: Mapping[str, Any], figures: Sequence[beside.Figure]) -> str:
+def render(context: Mapping[str, Any], figures: Sequence[neighbours.Figure]) -> str:
     """The page. Every text is escaped; the script runs by its digest and nothing else may load or run."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -229,14 +232,14 @@ def page(store: Store, out: Path) -> str:
         context = contents(store, out)
     folder = store.folder.parent / "figures"
     while True:
-        linked = len(render(context, beside.figures(folder, out, 0)).encode())
+        linked = len(render(context, neighbours.figures(folder, out, 0)).encode())
         if linked <= LIMIT - ROOM or not any(one.picture for one in context["drawn"]):
             break
         kept = [one for one in context["drawn"] if one.picture]
         last = kept[-1]
         context["drawn"] = [one for one in context["drawn"] if one is not last]
         context["undrawn"] += 1
-    return render(context, beside.figures(folder, out, LIMIT - linked - 1000))
+    return render(context, neighbours.figures(folder, out, LIMIT - linked - 1000))
 
 
 def write(path: Path, text: str) -> None:

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from bench.contract.estimate import Status
-from bench.reporting.page.gather import Panel, label_of
-from bench.reporting.tables.tables import errors_of, leads
-from bench.scoring.comparison import Comparison, against_best
-from bench.store.store import StoredCell
+from bench.reporting.frame import Result
+from bench.reporting.page.reading import Panel
+from bench.scoring.comparison import Comparison, standing
 
 Place = Literal["best", "level", "behind", "alone", "all failed"]
 
 
 @dataclass(frozen=True)
 class Ranking:
-    """Of one scenario and metric: the ``best`` method, every method's place, and its comparison with the best.
+    """Of one scenario and metric: every method's place, and its comparison with the best.
 
     ``weak``: level with the best on fewer replicates than the best has, so that less could have been told.
     """
 
-    best: str
     places: Mapping[str, Place]
     comparisons: Mapping[str, Comparison]
     weak: frozenset[str]
@@ -37,34 +33,27 @@ class Ranking:
 
 
 def rank(panel: Panel, metric: str) -> Ranking | None:
-    """The methods of a scenario by one metric, by the rules of the tables; None where none has it."""
-    own = {label_of(cell): cell for cell in panel.methods if metric in cell.summary}
-    values = {label: _errors(cell, metric) for label, cell in own.items()}
-    values = {label: errors for label, errors in values.items() if errors.size}
-    if not values:
+    """The methods of a scenario by one metric, by the rule of the tables; None where none has it."""
+    own = {result.label: result for result in panel.methods if metric in result.summary and result.n}
+    if not own:
         return None
-    if not any(np.isfinite(errors).any() for errors in values.values()):
-        return Ranking("", dict.fromkeys(values, "all failed"), {}, frozenset())
-    if len(values) == 1:
-        return Ranking(next(iter(values)), dict.fromkeys(values, "alone"), {}, frozenset())
-    best, found = against_best(values)
-    comparisons = {c.a: c for c in found}
-    excess = {label: cell.summary[metric]["excess"] for label, cell in own.items()}
-    places: dict[str, Place] = {}
-    for label in values:
-        failed = not np.isfinite(values[label]).any()
-        tie = leads((best, found), label, excess)
-        places[label] = "best" if label == best else "all failed" if failed else "level" if tie else "behind"
-    fewer = {label for label in values if places[label] == "level" and values[label].size < values[best].size}
-    return Ranking(best, places, comparisons, frozenset(fewer))
+    errors = {label: result.errors(metric) for label, result in own.items()}
+    failed = {label for label, values in errors.items() if not np.isfinite(values).any()}
+    if failed == set(own):
+        return Ranking(dict.fromkeys(own, "all failed"), {}, frozenset())
+    found = standing(errors, {label: result.excess(metric) for label, result in own.items()})
+    if found is None:
+        return Ranking(dict.fromkeys(own, "alone"), {}, frozenset())
+    places: dict[str, Place] = {
+        label: "best" if label == found.best else "all failed" if label in failed
+        else "level" if label in found.level else "behind"
+        for label in own
+    }  # fmt: skip
+    fewer = {label for label in own if places[label] == "level" and own[label].n < own[found.best].n}
+    return Ranking(places, {c.a: c for c in found.comparisons}, frozenset(fewer))
 
 
-def _errors(cell: StoredCell, metric: str) -> np.ndarray:
-    errors = errors_of(cell, metric)
-    return np.where(np.isnan(errors), math.inf, errors)
-
-
-def fit_seconds(cell: StoredCell) -> float:
+def fit_seconds(result: Result) -> float:
     """Median processor time of a fit that succeeded (s); NaN where none did."""
-    times = [row.cpu_s for row in cell.rows if row.status is Status.OK and math.isfinite(row.cpu_s)]
-    return float(np.median(times)) if times else math.nan
+    times = result.cpu_s[result.ok & np.isfinite(result.cpu_s)]
+    return float(np.median(times)) if times.size else np.nan

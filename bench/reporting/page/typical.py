@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from bench.reporting.page.gather import Panel
+from bench.reporting.page.reading import Panel
 
 SNR_DB = 20.0
 """Of the first screen."""
@@ -18,12 +18,12 @@ def typical(panels: Sequence[Panel]) -> list[int]:
     """
 
     def rank(i: int) -> tuple[bool, float, bool, int, int]:
-        panel = panels[i]
-        return not panel.plain, _far(panel.snr_db), panel.told != "unknown", -len(panel.methods), i
+        panel, facts = panels[i], panels[i].facts
+        return not panel.plain, _far(facts.snr_db), facts.initial_state != "unknown", -len(panel.methods), i
 
     found: dict[str, int] = {}
     for i in sorted((i for i, panel in enumerate(panels) if panel.methods), key=rank):
-        found.setdefault(panels[i].system, i)
+        found.setdefault(panels[i].facts.system, i)
     return sorted(found.values())
 
 

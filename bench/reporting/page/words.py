@@ -5,14 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from bench.reporting.page.gather import ERROR
+from bench.reporting.frame import ERROR
 from bench.reporting.rounding import readable
-from bench.reporting.tables.tables import TITLES
-
-
-def title_of(label: str) -> str:
-    """The name of a method for people."""
-    return TITLES.get(label, label)
 
 
 def quantity(metric: str) -> str:

@@ -6,16 +6,16 @@ spread, and the share of the displacement inside the band.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from tabulate import tabulate
 
-from bench.reporting.tables.tables import TITLES, Entry, described_cells
+from bench.reporting.frame import Frame, Result
+from bench.reporting.labels import title as title_of
+from bench.reporting.tables.common import markdown_table
 from bench.scoring.calibration import calibration
-from bench.store.store import Store, StoredCell
 
 SYMBOLS = {"k_over_m": "k/m", "c_over_m": "c/m"}
 FEWEST = 20
@@ -28,25 +28,20 @@ points in each replicate, where the true displacement lies in the method's own 9
 uncertainty. A verdict is wrong in one case of twenty by chance alone."""
 
 
-def lines(found: Sequence[Any]) -> pd.DataFrame:
+def lines(results: Iterable[Result]) -> pd.DataFrame:
     """One line a method, noise, start and quantity."""
     rows: list[dict[str, Any]] = []
-    for entry in found:
-        if entry.stored is None:
-            continue
-        scenario = entry.cell.scenario
-        for name in SYMBOLS:
-            head = {
-                "method": entry.cell.label, "initial_state": scenario.told, "snr_db": scenario.snr_db, "quantity": name
-            }  # fmt: skip
-            rows.append({**head, **_judged(entry.stored, name)})
+    for result in results:
+        for name in SYMBOLS if result.stored else ():
+            head = {"method": result.label, "initial_state": result.initial_state, "snr_db": result.snr_db}
+            rows.append({**head, "quantity": name, **_judged(result, name)})
     return pd.DataFrame(rows)
 
 
-def _judged(stored: StoredCell, name: str) -> dict[str, Any]:
-    levels = np.array([row.scores[f"{name}_pit"] for row in stored.rows if f"{name}_pit" in row.scores])
-    inside = [row.scores["band_inside_95"] for row in stored.rows if "band_inside_95" in row.scores]
-    band = {"band_95": float(np.mean(inside)) if inside else np.nan}
+def _judged(result: Result, name: str) -> dict[str, Any]:
+    levels, inside = (result.scores(score) for score in (f"{name}_pit", "band_inside_95"))
+    levels, inside = levels[~np.isnan(levels)], inside[~np.isnan(inside)]
+    band = {"band_95": float(np.mean(inside)) if inside.size else np.nan}
     if levels.size < FEWEST:
         return {"n": levels.size, "verdict": "-", **band}
     found = calibration(levels)
@@ -65,8 +60,7 @@ def markdown(data: pd.DataFrame, title: str) -> str:
         rows = [_row(own) for _, own in panel.groupby(["method", "snr_db"], sort=False)]
         headers = ["method", "SNR (dB)", "n"]
         headers += [f"{symbol} {what}" for symbol in SYMBOLS.values() for what in ("95 %", "sd of z", "verdict")]
-        table = tabulate(rows, headers=[*headers, "band 95 %"], tablefmt="github", disable_numparse=True)
-        parts += [f"## Initial state {told}", table]
+        parts += [f"## Initial state {told}", markdown_table(rows, [*headers, "band 95 %"])]
     return "\n\n".join(parts) + "\n"
 
 
@@ -74,7 +68,7 @@ def _row(own: pd.DataFrame) -> list[str]:
     """One method at one noise level, its quantities side by side."""
     by_name = own.set_index("quantity")
     method, snr = str(own.method.iloc[0]), float(own.snr_db.iloc[0])
-    cells = [TITLES.get(method, method), f"{snr:g}", str(by_name.n.iloc[0])]
+    cells = [title_of(method), f"{snr:g}", str(by_name.n.iloc[0])]
     for name in SYMBOLS:
         line = by_name.loc[name]
         if line.verdict == "-":
@@ -86,13 +80,11 @@ def _row(own: pd.DataFrame) -> list[str]:
     return [*cells, f"{100 * band:.1f}" if np.isfinite(band) else "-"]
 
 
-def calibration_table(experiment: str, store: Store) -> dict[str, str]:
+def calibration_table(frame: Frame) -> Mapping[str, str]:
     """The files of the table by name; none where the store holds no cell of it."""
-    title, cells = described_cells(experiment)
-    found = [Entry("", cell, store.load(cell.identity)) for cell in cells]
-    if all(entry.stored is None for entry in found):
+    if not frame.any_stored:
         return {}
-    data = lines(found)
-    command = f"python -m bench -m experiment={experiment} && python -m bench.tables"
-    text = f"{markdown(data, title)}\nRegenerate: `{command}`\n"
-    return {f"{experiment}.md": text, f"{experiment}.csv": data.to_csv(index=False, float_format="%.5g")}
+    data = lines(frame)
+    text = f"{markdown(data, frame.title)}\nRegenerate: `{frame.command}`\n"
+    name = frame.experiment
+    return {f"{name}.md": text, f"{name}.csv": data.to_csv(index=False, float_format="%.5g")}

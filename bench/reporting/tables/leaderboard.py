@@ -8,18 +8,16 @@ least error.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import pandas as pd
-from tabulate import tabulate
 
-from bench.entrants.reference import REFERENCES
+from bench.reporting.frame import Frame, Result, group
+from bench.reporting.labels import title
 from bench.reporting.rounding import number
-from bench.reporting.tables.tables import PRIMARY, TITLES, Entry, entries, errors_of
+from bench.reporting.tables.common import PRIMARY, bold, csv, markdown_table
 from bench.scoring.comparison import Errors, compare, profile
-from bench.store.store import Store
 
 EXPERIMENTS = ("table4", "table5")
 FACTORS = (1.1, 1.5, 2.0, 5.0)
@@ -32,21 +30,18 @@ adjustment, 5 %), or less than 2 % from it. Within: share of the data sets on wh
 times the least of all methods (performance profile); near-ties make small factors a lottery."""
 
 
-def collected(found: Sequence[Entry], metric: str) -> Errors | None:
+def collected(results: Iterable[Result], metric: str) -> Errors | None:
     """The errors of every method on the replicates that all of them were given; None where a cell is missing."""
-    own = [entry for entry in found if entry.cell.method not in REFERENCES]
-    if not own or any(entry.stored is None for entry in own):
+    # by identity: the reference system at 20 dB stands in two tables
+    own = {result.identity: result for result in results if not result.is_reference}
+    if not own or not all(result.stored for result in own.values()):
         return None
-    fewest = min(len(entry.stored.rows) for entry in own if entry.stored)
-    cells = {entry.cell.identity: entry for entry in own}  # the reference system at 20 dB stands in two tables
-    methods = list(dict.fromkeys(entry.cell.label for entry in cells.values()))
-    values = {
-        method: [errors_of(e.stored, metric)[:fewest] for e in cells.values() if e.cell.label == method and e.stored]
-        for method in methods
-    }
-    n = len(next(iter(values.values())))
-    joined = {method: np.concatenate(parts) for method, parts in values.items()}
-    return Errors(joined, np.repeat(np.arange(n), fewest))
+    fewest = min(result.n for result in own.values())
+    by_method = group(own.values(), lambda result: result.label)
+    joined = {
+        method: np.concatenate([one.errors(metric)[:fewest] for one in its]) for method, its in by_method.items()
+    }  # fmt: skip
+    return Errors(joined, np.repeat(np.arange(len(next(iter(by_method.values())))), fewest))
 
 
 def lines(errors: Errors) -> list[dict[str, Any]]:
@@ -71,34 +66,31 @@ def lines(errors: Errors) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: row["ratio"])
 
 
-def leaderboard(store: Store) -> dict[str, str]:
-    """The files by name; none where a cell of the two tables is missing."""
-    found = [entry for experiment in EXPERIMENTS for entry in entries(experiment, store)[2]]
+def leaderboard(frames: Sequence[Frame]) -> Mapping[str, str]:
+    """The files by name, from the frames of :data:`EXPERIMENTS`; none where a cell of theirs is missing."""
+    results = [result for frame in frames for result in frame]
     parts, rows = ["# Leaderboard", ""], []
-    for told in ("unknown", "known"):
-        panel = [entry for entry in found if entry.cell.scenario.told == told]
+    for start in ("unknown", "known"):
+        panel = [result for result in results if result.initial_state == start]
         for metric in PRIMARY:
             errors = collected(panel, metric)
             if errors is None:
                 return {}
             own = lines(errors)
-            n = int(np.sum(errors.scenario == 0))
-            parts[1] = LEGEND.format(n=n)
-            rows += [{"initial_state": told, "metric": metric, **line} for line in own]
-            parts += [f"## Error of {NAMES[metric]}, initial state {told}", _table(own)]
+            parts[1] = LEGEND.format(n=int(np.sum(errors.scenario == 0)))
+            rows += [{"initial_state": start, "metric": metric, **line} for line in own]
+            parts += [f"## Error of {NAMES[metric]}, initial state {start}", _table(own)]
     parts.append("Regenerate: `python -m bench -m experiment=table4,table5 && python -m bench.tables`")
-    csv = pd.DataFrame(rows).to_csv(index=False, float_format="%.5g")
-    return {"leaderboard.md": "\n\n".join(parts) + "\n", "leaderboard.csv": csv}
+    return {"leaderboard.md": "\n\n".join(parts) + "\n", "leaderboard.csv": csv(rows, 5)}
 
 
 def _table(own: Sequence[dict[str, Any]]) -> str:
     rows = []
     for line in own:
-        title = TITLES.get(line["method"], line["method"])
         interval = "" if math.isnan(line["low"]) else f" ({number(line['low'])} to {number(line['high'])})"
         ratio = f"×{line['ratio']:.3g}{interval}"
         p = "" if math.isnan(line["p_holm"]) else f"{line['p_holm']:.2g}"
         shares = [f"{100 * line[f'within_{factor:g}']:.0f} %" for factor in FACTORS]
-        rows.append([f"**{title}**" if line["tie"] else title, ratio, p, *shares])
+        rows.append([bold(title(line["method"]), line["tie"]), ratio, p, *shares])
     headers = ["method", "error over the best's", "p (Holm)", *(f"within ×{factor:g}" for factor in FACTORS)]
-    return tabulate(rows, headers=headers, tablefmt="github", disable_numparse=True)
+    return markdown_table(rows, headers)

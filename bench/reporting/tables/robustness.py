@@ -8,19 +8,19 @@ better known than either of them: its interval resamples pairs.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from tabulate import tabulate
 
+from bench.reporting.frame import ERROR, Frame, Result
+from bench.reporting.labels import title as title_of
 from bench.reporting.rounding import excess_text, number
-from bench.reporting.tables.tables import TITLES, described_cells, errors_of
+from bench.reporting.tables.common import markdown_table
 from bench.scoring.summary import RESAMPLES
-from bench.store.cell import Cell
-from bench.store.store import Store, StoredCell
+from bench.store.store import Store
 
 COLUMNS = (
     "disturbance", "size", "system", "initial_state", "snr_db", "method", "metric", "excess", "excess_undisturbed",
@@ -46,24 +46,25 @@ TOLD_APART = 0.01
 
 @dataclass(frozen=True)
 class Pair:
-    """A cell and its undisturbed counterpart (itself, where it is undisturbed), with what the store holds of both."""
+    """A result and its undisturbed counterpart (its own cell, where it is undisturbed)."""
 
-    cell: Cell
-    stored: StoredCell | None
-    undisturbed: StoredCell | None
+    disturbed: Result
+    plain: Result
 
     @property
     def kind(self) -> str:
-        disturbance = self.cell.scenario.disturbance
-        return disturbance.kind if disturbance else "none"
+        """What disturbs it, ``none`` where nothing does."""
+        return self.disturbed.disturbance or "none"
 
 
-def pairs(cells: Sequence[Cell], store: Store) -> list[Pair]:
-    """Every cell with its counterpart, in order."""
+def pairs(results: Iterable[Result], store: Store) -> list[Pair]:
+    """Every result of an experiment with its counterpart, in order."""
     found = []
-    for cell in cells:
-        plain = replace(cell, scenario=cell.scenario.undisturbed)
-        found.append(Pair(cell, store.load(cell.identity), store.load(plain.identity)))
+    for result in results:
+        assert result.cell is not None
+        plain = replace(result.cell, scenario=result.scenario.undisturbed)
+        own = result if plain.identity == result.cell.identity else Result.of_cell(plain, store.load(plain.identity))
+        found.append(Pair(result, own))
     return found
 
 
@@ -83,41 +84,28 @@ def ratio(disturbed: np.ndarray, undisturbed: np.ndarray) -> tuple[float, float,
     return float(np.sqrt(middle[0] / middle[1])), float(low), float(high)
 
 
-def tidy(found: Sequence[Pair]) -> pd.DataFrame:
+def tidy(found: Iterable[Pair]) -> pd.DataFrame:
     """One line a cell and metric; a cell that was not run has n = 0."""
     return pd.DataFrame([line for pair in found for line in _lines(pair)], columns=list(COLUMNS))
 
 
 def _lines(pair: Pair) -> Iterable[dict[str, Any]]:
-    scenario = pair.cell.scenario
+    own, plain = pair.disturbed, pair.plain
     head = {
-        "disturbance": pair.kind, "size": scenario.disturbance.size if scenario.disturbance else math.nan,
-        "system": scenario.label, "initial_state": scenario.told, "snr_db": scenario.snr_db, "method": pair.cell.label,
+        "disturbance": pair.kind, "size": own.scenario.disturbance.size if own.scenario.disturbance else math.nan,
+        "system": own.system, "initial_state": own.initial_state, "snr_db": own.snr_db, "method": own.label,
     }  # fmt: skip
-    stored, plain = pair.stored, pair.undisturbed
     for metric, _ in PANELS:
         middle, low, high = (math.nan,) * 3
-        if stored and plain:
-            middle, low, high = ratio(errors_of(stored, metric), errors_of(plain, metric))
+        if own.stored and plain.stored:
+            middle, low, high = ratio(own.errors(metric), plain.errors(metric))
+        quantity = metric.removesuffix(ERROR)
         yield {
-            **head, "metric": metric, "excess": _value(stored, metric, "excess"),
-            "excess_undisturbed": _value(plain, metric, "excess"),
+            **head, "metric": metric, "excess": own.excess(metric), "excess_undisturbed": plain.excess(metric),
             "ratio": middle, "ratio_low": low, "ratio_high": high,
-            "coverage_95": _covered(stored, metric), "coverage_95_undisturbed": _covered(plain, metric),
-            "n_ok": stored.n_ok if stored else 0, "n_ok_undisturbed": plain.n_ok if plain else 0,
-            "n": len(stored.rows) if stored else 0,
+            "coverage_95": own.covered(quantity), "coverage_95_undisturbed": plain.covered(quantity),
+            "n_ok": own.n_ok, "n_ok_undisturbed": plain.n_ok, "n": own.n,
         }  # fmt: skip
-
-
-def _value(stored: StoredCell | None, metric: str, key: str) -> float:
-    return stored.summary.get(metric, {}).get(key, math.nan) if stored else math.nan
-
-
-def _covered(stored: StoredCell | None, metric: str) -> float:
-    """Fraction of 95 % intervals that hold the truth; the displacement has no such interval."""
-    if not metric.endswith("_error_pct"):
-        return math.nan
-    return _value(stored, metric.replace("_error_pct", "_coverage_95"), "mean")
 
 
 def markdown(experiment: str, title: str, data: pd.DataFrame) -> str:
@@ -136,11 +124,11 @@ def _panel(data: pd.DataFrame, entry: Any) -> str:
     columns = list(dict.fromkeys(zip(data.initial_state, data.disturbance, strict=True)))
     lines = {(line.method, line.initial_state, line.disturbance): line for line in data.itertuples()}
     rows = [
-        [TITLES.get(method, method), *(entry(lines[method, *c]) if (method, *c) in lines else "-" for c in columns)]
+        [title_of(method), *(entry(lines[method, *c]) if (method, *c) in lines else "-" for c in columns)]
         for method in dict.fromkeys(data.method)
     ]
     headers = ["method", *(_name(kind) + (" (start known)" if told == "known" else "") for told, kind in columns)]
-    return tabulate(rows, headers=headers, tablefmt="github", disable_numparse=True)
+    return markdown_table(rows, headers)
 
 
 def _name(kind: str) -> str:
@@ -161,14 +149,13 @@ def _coverage(line: Any) -> str:
     return "-" if math.isnan(line.coverage_95) else f"{100 * line.coverage_95:.0f}"
 
 
-def robustness_table(experiment: str, store: Store) -> dict[str, str]:
+def robustness_table(frame: Frame, store: Store) -> Mapping[str, str]:
     """The files of an experiment's table by name; none where the store holds no disturbed cell of it."""
-    title, cells = described_cells(experiment)
-    found = pairs(cells, store)
-    if not any(pair.stored for pair in found if pair.kind != "none"):
+    found = pairs(frame, store)
+    if not any(pair.disturbed.stored for pair in found if pair.kind != "none"):
         return {}
     data = tidy(found)
     return {
-        f"{experiment}.md": markdown(experiment, title, data),
-        f"{experiment}.csv": data.to_csv(index=False, float_format="%.6g"),
+        f"{frame.experiment}.md": markdown(frame.experiment, frame.title, data),
+        f"{frame.experiment}.csv": data.to_csv(index=False, float_format="%.6g"),
     }

@@ -9,41 +9,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-import pandas as pd
-from tabulate import tabulate
 
-from bench.contract.estimate import Status
-from bench.dynamics.modal import agreement, modes
-from bench.entrants.reference import REFERENCES
+from bench.dynamics.modal import modes
+from bench.reporting.frame import ERROR, Frame, Result, group
+from bench.reporting.labels import cards, in_order, title, told
 from bench.reporting.rounding import excess_text, number, readable
-from bench.reporting.tables.tables import (
-    TITLES,
-    Entry,
-    described_cells,
-    errors_of,
-    failure_notes,
-    latex_table,
-    leads,
-    told_classes,
+from bench.reporting.tables.common import Rows, bold, csv, failure_notes, latex_tables, markdown_table
+from bench.reporting.tables.pooling import (
+    MODAL,
+    lower_median,
+    modal_scores,
+    pooled_bound,
+    pooled_coverage,
+    pooled_errors,
+    pooled_excess,
+    pooled_quantities,
 )
 from bench.reporting.terms import terms_found
 from bench.scenario.scenario import Scenario
-from bench.scoring.comparison import Comparison, against_best
-from bench.scoring.row import Row
-from bench.scoring.summary import wilson_interval
-from bench.store.cell import Cell
-from bench.store.store import Store, StoredCell
+from bench.scoring.comparison import Standing, standing
 
 COLUMNS = (
     "table", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high", "bound",
     "prior_share", "excess", "coverage_95", "n_ok", "n",
 )  # fmt: skip
-MODAL = {"frequencies_error_pct": "frequency_pct", "damping_ratios_error_pct": "damping_pct", "least_mac": "least_mac"}
-"""Metrics that are computed here from the identified parameters, and where they stand in an Agreement."""
 MANY = 8
 """Parameters beyond which a panel of single parameters would not be read."""
 UNTOLD = 1.0
@@ -63,204 +56,271 @@ median fit. A dash for an error: the experiment does not ask for it. What a meth
 its panel."""
 
 
-@dataclass(frozen=True)
 class Panel:
-    """The cells of one system with one reading of the start, by noise level and method."""
+    """The results of one system with one reading of the start, by noise level and method."""
 
-    scenario: Scenario
-    entries: tuple[Entry, ...]
-
-    @property
-    def levels(self) -> list[float]:
+    def __init__(self, results: Sequence[Result]) -> None:
+        self.results, self.scenario = results, results[0].scenario
+        self.model, self.heading = self.scenario.make_system(), heading(results[0])
+        self.levels = list(dict.fromkeys(result.snr_db for result in results))
         """Noise levels (dB), as the experiment orders them."""
-        return list(dict.fromkeys(e.cell.scenario.snr_db for e in self.entries))
+        self.methods = in_order(result.label for result in results)
+        self._at = {(result.label, result.snr_db): result for result in reversed(results)}
 
-    @property
-    def methods(self) -> list[str]:
-        """Labels, in the order of :data:`bench.reporting.tables.tables.TITLES`, others last."""
-        order = {label: i for i, label in enumerate(TITLES)}
-        labels = dict.fromkeys(e.cell.label for e in self.entries)
-        return sorted(labels, key=lambda label: order.get(label, len(order)))
+    def at(self, method: str, level: float) -> Result | None:
+        """The result of a method at a noise level."""
+        return self._at.get((method, level))
 
-    def at(self, method: str, level: float) -> Entry | None:
-        """The entry of a method at a noise level."""
-        own = (e for e in self.entries if e.cell.label == method and e.cell.scenario.snr_db == level)
-        return next(own, None)
+    def succeeded(self, method: str, level: float) -> Result | None:
+        """The same, where any replicate succeeded."""
+        result = self.at(method, level)
+        return result if result and result.n_ok else None
 
-    def any_stored(self, level: float | None = None) -> StoredCell | None:
-        """Some stored cell, for what all share: bounds and identifiability."""
-        own = (e.stored for e in self.entries if e.stored and level in (None, e.cell.scenario.snr_db))
-        return next(own, None)
+    def any_stored(self, level: float) -> Result | None:
+        """Some stored result of a noise level, for what all share: bounds and identifiability."""
+        return next((result for result in self.results if result.stored and result.snr_db == level), None)
+
+    def told_quantities(self, result: Result) -> list[str]:
+        """The quantities that the data tell, by what a result says of them."""
+        return pooled_quantities(self.scenario, result.identifiable)
+
+    @cached_property
+    def middle(self) -> float:
+        """20 dB where the experiment has it, else its middle level."""
+        return 20.0 if 20.0 in self.levels else self.levels[len(self.levels) // 2]
+
+    @cached_property
+    def excesses(self) -> dict[tuple[str, float], tuple[float, float]]:
+        """By method and noise level, the excess of the pooled quantities and that of the displacement."""
+        found = {}
+        for level, own in group(self.results, lambda result: result.snr_db).items():
+            good = [result for result in own if result.n_ok]
+            for result in good:
+                pooled = pooled_excess(result, self.told_quantities(good[0]))
+                found[result.label, level] = pooled, result.summary["rmse"]["excess"]
+        return found
+
+    @cached_property
+    def standings(self) -> dict[tuple[float, int], Standing | None]:
+        """By noise level, where methods stand by the pooled errors (0) and the displacement's (1).
+
+        Reference rows, and methods without any successful replicate, are left out.
+        """
+        found: dict[tuple[float, int], Standing | None] = {}
+        for level, own in group(self.results, lambda result: result.snr_db).items():
+            good = [result for result in own if result.n_ok]
+            ranked = [result for result in good if not result.is_reference]
+            if not ranked:
+                continue
+            names = self.told_quantities(good[0])
+            errors = {result.label: (pooled_errors(result, names), result.errors("rmse")) for result in ranked}
+            for i in (0, 1):
+                values = {label: both[i] for label, both in errors.items()}
+                found[level, i] = standing(values, {label: self.excesses[label, level][i] for label in errors})
+        return found
+
+    # ---- the main table of a panel
+
+    @cached_property
+    def table(self) -> Rows:
+        """Rows and headers, which Markdown and LaTeX share."""
+        rows = [self._bound_row(), *(self._row(method) for method in self.methods)]
+        headers = [f"{level:g} dB {what}" for level in self.levels for what in ("error", "RMSE (m)", "95 %")]
+        return rows, ["method", *headers, "time (s)", "uses", "ok"]
+
+    def _bound_row(self) -> list[str]:
+        cells = []
+        for level in self.levels:
+            result = self.any_stored(level)
+            if result is None:
+                cells += ["-", "-", ""]
+                continue
+            pooled = pooled_bound(result, self.told_quantities(result))
+            cells += [f"{number(pooled)} %", number(result.bound("rmse")), ""]
+        return ["bound", *cells, "", "", ""]
+
+    def _row(self, method: str) -> list[str]:
+        cells, oks, times, reference, of = [], [], [], False, ""
+        for level in self.levels:
+            result = self.at(method, level)
+            if result is None or result.stored is None or not result.n_ok:
+                why = "-" if result is None else result.stored.status.value if result.stored else "not run"
+                cells += [why, "", ""]
+                oks.append(f"0/{result.n}" if result and result.stored else "-")
+                continue
+            cells += self._entry(result)
+            oks.append(f"{result.n_ok}/{result.n}")
+            times.append(lower_median(result.cpu_s[result.ok]))
+            reference, of = result.is_reference, result.method
+        time = f"{np.median(times):.2g}" if times and not reference else ""
+        uses = _uses(told(of), self.scenario) if times else ""
+        return [title(method), *cells, time, uses, oks[0] if len(set(oks)) == 1 else ", ".join(oks)]
+
+    def _entry(self, result: Result) -> list[str]:
+        pooled, rmse = self.excesses[result.label, result.snr_db]
+        covered, _, _ = pooled_coverage(result, self.model.names)
+        texts = (
+            f"×{excess_text(pooled)}" if math.isfinite(pooled) else "-",
+            f"{number(result.summary['rmse']['median'])} ×{excess_text(rmse)}",
+        )
+        ranked = [self.standings.get((result.snr_db, i)) for i in (0, 1)]
+        cells = [
+            bold(text, one is not None and result.label in one.level) for text, one in zip(texts, ranked, strict=True)
+        ]  # fmt: skip
+        return [*cells, "-" if math.isnan(covered) else f"{100 * covered:.0f}"]
+
+    # ---- what stands below it
+
+    def notes(self) -> list[str]:
+        """Single parameters, modes, terms, what cannot be told, and failures; what there is of them."""
+        parts = (self._parameters(), self._modes(), self._terms(), self._untold(), failure_notes(self.results))
+        return [part for part in parts if part]
+
+    def _parameters(self) -> str:
+        """The single parameters and groups at one noise level: median error in percent and excess."""
+        stored = self.any_stored(self.middle)
+        if stored is None or len(self.model.names) > MANY:
+            return ""
+        names = list(dict.fromkeys([*self.model.names, *self.told_quantities(stored)]))
+        rows = [["bound", *(number(stored.bound(name + ERROR)) for name in names)]]
+        for method in self.methods:
+            result = self.succeeded(method, self.middle)
+            if result is not None:
+                rows.append([title(method), *(_median_and_excess(result, name + ERROR) for name in names)])
+        table = markdown_table(rows, ["method", *map(readable, names)])
+        return f"Errors at {self.middle:g} dB, in percent (median ×excess):\n\n{table}"
+
+    def _modes(self) -> str:
+        """Natural frequencies, damping ratios and mode shapes: medians over the replicates, at every noise level."""
+        rows = []
+        for method in self.methods:
+            cells = []
+            for level in self.levels:
+                result = self.succeeded(method, level)
+                scores = modal_scores(result) if result else {}
+                cells += [number(lower_median(scores[metric])) if scores else "-" for metric in MODAL]
+            if any(cell != "-" for cell in cells):
+                rows.append([title(method), *cells])
+        if not rows:
+            return ""
+        headers = [
+            f"{level:g} dB {what}" for level in self.levels for what in ("frequencies %", "damping ratios %", "MAC")
+        ]
+        what = (
+            "As modes (median over the replicates of the root mean square error over the modes, and of the lowest "
+            "modal assurance criterion):"
+        )
+        return f"{what}\n\n{markdown_table(rows, ['method', *headers])}"
+
+    def _terms(self) -> str:
+        """What sparse models are made of: how often a method found exactly the terms of the equation of motion."""
+        parts = []
+        for method in self.methods:
+            found = [self.succeeded(method, level) for level in self.levels] if _states_terms(method) else []
+            sentences = [
+                f"{one.snr_db:g} dB: {terms_found(one.stored, self.scenario)}" for one in found if one and one.stored
+            ]
+            if sentences:
+                parts.append(f"{title(method)} by the terms it finds. " + "; ".join(sentences) + ".")
+        return "\n\n".join(parts)
+
+    def _untold(self) -> str:
+        """What cannot be identified, at each noise level where it is so."""
+        sentences = []
+        for level in self.levels:
+            result = self.any_stored(level)
+            if result is None:
+                continue
+            own = [quantity.name for quantity in self.model.quantities]
+            never = [name for name in own if not result.identifiable.get(name, True)]
+            bounds = {name: result.summary.get(name + ERROR, {}).get("bound", 0.0) for name in own if name not in never}
+            weak = [f"{n} (bound {number(b)} %)" for n, b in bounds.items() if 100 * UNTOLD < b < math.inf]
+            if level == self.levels[0] and never:
+                what = "decided by the prior" if self.scenario.prior else "not identifiable"
+                sentences.append(f"Not told by the data at any noise, {what}: {', '.join(map(readable, never))}.")
+            if weak:
+                sentences.append(f"At {level:g} dB practically not identifiable: {', '.join(map(readable, weak))}.")
+        return " ".join(sentences)
 
 
-def panels(found: Sequence[Entry]) -> list[Panel]:
-    """One a system, disturbance and reading of the start, in order."""
-    places = list(dict.fromkeys(_place(e.cell) for e in found))
-    own = {place: tuple(e for e in found if _place(e.cell) == place) for place in places}
-    return [Panel(entries[0].cell.scenario, entries) for entries in own.values()]
-
-
-def _place(cell: Cell) -> tuple[str, str, str]:
-    return heading(cell.scenario), cell.scenario.told, cell.scenario.system
-
-
-def heading(scenario: Scenario) -> str:
+def heading(result: Result) -> str:
     """The scenario's name, with what disturbs it."""
-    return scenario.label + (f", {scenario.disturbance.kind}" if scenario.disturbance else "")
+    return result.system + (f", {result.disturbance}" if result.disturbance else "")
 
 
-# ------------------------------------------------------------------------------------------------ what is pooled
+def panels(results: Iterable[Result]) -> list[Panel]:
+    """One a system, disturbance and reading of the start, in order."""
+    places = group(results, lambda result: (heading(result), result.initial_state, result.kind))
+    return [Panel(own) for own in places.values()]
 
 
-def pooled_quantities(scenario: Scenario, identifiable: Mapping[str, bool]) -> list[str]:
-    """The quantities that the data tell: all parameters, else the groups; where neither is told, all parameters."""
-    system = scenario.make_system()
-    groups = [group.name for group in system.groups]
-    for names in (list(system.names), groups):
-        if all(identifiable.get(name, False) for name in names):
-            return names
-    return [name for name in groups if identifiable.get(name)] or list(system.names)
+def _uses(classes: str, scenario: Scenario) -> str:
+    """What a method was told beyond the data, of what there was to tell here."""
+    there = {"start": scenario.initial_state == "known", "prior": scenario.prior is not None}
+    return ", ".join(word for word in classes.split(", ") if there.get(word.split()[0] if word else "", True))
 
 
-def pooled_errors(stored: StoredCell, names: Sequence[str]) -> np.ndarray:
-    """By replicate, the root mean square over the quantities of error over bound; infinite where it failed."""
-    bounds = np.array([stored.summary.get(f"{name}_error_pct", {}).get("bound", math.nan) for name in names])
-    errors = np.stack([errors_of(stored, f"{name}_error_pct") for name in names], axis=1)
-    usable = np.isfinite(bounds) & (bounds > 0)
-    if not usable.any():
-        return np.full(len(stored.rows), np.inf)
-    with np.errstate(over="ignore"):
-        ratios = errors[:, usable] / bounds[usable]
-        return np.asarray(np.sqrt(np.mean(ratios**2, axis=1)))
+def _median_and_excess(result: Result, metric: str) -> str:
+    if metric not in result.summary:
+        return "-"
+    excess = result.excess(metric)
+    return number(result.statistic(metric, "median")) + (f" ×{excess_text(excess)}" if math.isfinite(excess) else "")
 
 
-def pooled_excess(stored: StoredCell, names: Sequence[str]) -> float:
-    """Root mean square of the pooled errors over the successful replicates; NaN without any."""
-    errors = pooled_errors(stored, names)
-    good = errors[np.isfinite(errors) & np.array([row.status is Status.OK for row in stored.rows])]
-    return float(np.sqrt(np.mean(good**2))) if good.size else math.nan
-
-
-def pooled_coverage(stored: StoredCell, names: Sequence[str], level: int = 95) -> tuple[float, float, float]:
-    """Share of the intervals of these quantities that held the truth, with Wilson's interval over the replicates.
-
-    Intervals of one replicate are not independent of each other: the interval counts replicates, not intervals.
-    """
-    hits = [
-        [row.scores[f"{name}_coverage_{level}"] for name in names if f"{name}_coverage_{level}" in row.scores]
-        for row in stored.rows
-        if row.status is Status.OK
-    ]
-    shares = [float(np.mean(own)) for own in hits if own]
-    if not shares:
-        return math.nan, math.nan, math.nan
-    low, high = wilson_interval(round(sum(shares)), len(shares))
-    return float(np.mean(shares)), low, high
-
-
-def identified(row: Row, scenario: Scenario) -> dict[str, float] | None:
-    """The parameters of a replicate; over the gauge mass where its method gives groups only. None where it failed."""
-    system = scenario.make_system()
-    if row.status is not Status.OK:
-        return None
-    ratios = {name: row.scores.get(f"{name}_ratio", math.nan) for name in system.names}
-    if all(map(math.isfinite, ratios.values())):
-        return {name: scenario.parameters[name] * ratio for name, ratio in ratios.items()}
-    found = {system.gauge: 1.0}
-    for group in system.groups:
-        name = next(n for n, power in group.exponents.items() if power > 0)
-        found[name] = row.scores.get(f"{group.name}_ratio", math.nan) * float(group.value(scenario.parameters))
-    return found if all(name in found for name in system.names) else None
-
-
-def modal_scores(stored: StoredCell, scenario: Scenario) -> dict[str, np.ndarray]:
-    """By metric and replicate, how the identified modes agree with the true ones; nothing for other systems."""
-    system = scenario.make_system()
-    if not system.linear or system.n_dof < 2:
-        return {}
-    true = modes(system, scenario.parameters)
-    failed = {"frequency_pct": math.inf, "damping_pct": math.inf, "least_mac": 0.0}
-    found = []
-    for row in stored.rows:
-        p = identified(row, scenario)
-        found.append(failed if p is None else vars(agreement(modes(system, p), true)))
-    return {metric: np.array([one[key] for one in found]) for metric, key in MODAL.items()}
+def _states_terms(label: str) -> bool:
+    card = cards().get(label)
+    return card is not None and card.states_terms
 
 
 # ------------------------------------------------------------------------------------------------ the tidy table
 
 
-def tidy(table: str, found: Sequence[Entry]) -> pd.DataFrame:
+def tidy(table: str, shown: Sequence[Panel]) -> list[dict[str, Any]]:
     """One line a cell and metric: every score, the pooled ones, those of the modes, and the bound."""
-    lines: list[dict[str, Any]] = []
-    for panel in panels(found):
-        for entry in panel.entries:
-            lines += _lines(table, entry)
-    return pd.DataFrame(lines, columns=list(COLUMNS))
+    return [line for panel in shown for result in panel.results for line in _lines(table, panel, result)]
 
 
-def _lines(table: str, entry: Entry) -> Iterable[dict[str, Any]]:
-    scenario, stored = entry.cell.scenario, entry.stored
+def _lines(table: str, panel: Panel, result: Result) -> Iterable[dict[str, Any]]:
     head = {
-        "table": table, "system": heading(scenario), "initial_state": scenario.told, "snr_db": scenario.snr_db,
-        "method": entry.cell.label,
+        "table": table, "system": panel.heading, "initial_state": result.initial_state, "snr_db": result.snr_db,
+        "method": result.label,
     }  # fmt: skip
-    if stored is None:
+    if result.stored is None:
         yield {**head, "metric": "not run", "n_ok": 0, "n": 0}
         return
-    count = {"n_ok": stored.n_ok, "n": len(stored.rows)}
-    for name, quantities in _pools(scenario, stored).items():
-        covered = pooled_coverage(stored, quantities)[0]
-        yield {**head, "metric": name, "excess": pooled_excess(stored, quantities), "coverage_95": covered, **count}
-    for metric, summary in stored.summary.items():
-        if not metric.endswith("_error_pct") and not metric.startswith("rmse"):
+    count = {"n_ok": result.n_ok, "n": result.n}
+    for name, quantities in _pools(panel, result).items():
+        covered = pooled_coverage(result, quantities)[0]
+        yield {**head, "metric": name, "excess": pooled_excess(result, quantities), "coverage_95": covered, **count}
+    for metric, summary in result.summary.items():
+        if not metric.endswith(ERROR) and not metric.startswith("rmse"):
             continue
-        name = metric.removesuffix("_error_pct")
+        name = metric.removesuffix(ERROR)
+        statistics = ("mean", "median", "ci_low", "ci_high", "bound", "excess")
         yield {
-            **head, "metric": metric, **{k: summary[k] for k in ("mean", "median", "ci_low", "ci_high", "bound")},
-            "excess": summary["excess"], "prior_share": stored.prior_share.get(name, math.nan),
-            "coverage_95": stored.summary.get(f"{name}_coverage_95", {}).get("mean", math.nan), **count,
+            **head, "metric": metric, **{key: summary[key] for key in statistics},
+            "prior_share": result.prior_share.get(name, math.nan), "coverage_95": result.covered(name), **count,
         }  # fmt: skip
-    for metric, values in modal_scores(stored, scenario).items():
-        yield {**head, "metric": metric, "median": _median(values), **count}
+    for metric, values in modal_scores(result).items():
+        yield {**head, "metric": metric, "median": lower_median(values), **count}
 
 
-def _pools(scenario: Scenario, stored: StoredCell) -> dict[str, list[str]]:
-    system = scenario.make_system()
+def _pools(panel: Panel, result: Result) -> Mapping[str, list[str]]:
     return {
-        "told_pooled": pooled_quantities(scenario, stored.identifiable),
-        "parameters_pooled": list(system.names),
-        "groups_pooled": [group.name for group in system.groups],
+        "told_pooled": panel.told_quantities(result),
+        "parameters_pooled": list(panel.model.names),
+        "groups_pooled": [group.name for group in panel.model.groups],
     }
-
-
-def _median(values: np.ndarray) -> float:
-    """The median where values may be infinite: the lower of the middle two."""
-    return float(np.sort(values)[(values.size - 1) // 2])
 
 
 # ------------------------------------------------------------------------------------------------ for reading
 
 
-Table = tuple[list[list[str]], list[str]]
-"""Rows and headers."""
-
-
-def tables_of(found: Sequence[Entry]) -> list[tuple[Panel, Table]]:
-    """Every panel with its table, which Markdown and LaTeX share."""
-    classes = told_classes(found)
-    return [(panel, _panel(panel, classes)) for panel in panels(found)]
-
-
-def markdown(title: str, shown: Sequence[tuple[Panel, Table]], command: str) -> str:
+def markdown(heading_: str, shown: Sequence[Panel], command: str) -> str:
     """The table for reading."""
-    parts = [f"# {title}", LEGEND]
-    for panel, table in shown:
-        parts += [f"## {heading(panel.scenario)}", describe(panel.scenario)]
-        parts.append(tabulate(*table, tablefmt="github", disable_numparse=True))
-        parts += [part for part in (_parameters(panel), _modes(panel), _terms(panel), _untold(panel)) if part]
-        notes = failure_notes(panel.entries)
-        parts += [notes] if notes else []
+    parts = [f"# {heading_}", LEGEND]
+    for panel in shown:
+        parts += [f"## {panel.heading}", describe(panel.scenario), markdown_table(*panel.table), *panel.notes()]
     parts.append(f"Every single quantity and all 95 % intervals of medians are in the CSV. Regenerate: `{command}`")
     return "\n\n".join(parts) + "\n"
 
@@ -290,212 +350,19 @@ def describe(scenario: Scenario) -> str:
     if scenario.added_mass:
         words.append(f"a second record with {', '.join(f'{m:g}' for m in scenario.added_mass)} kg added")
     prior = "no prior" if scenario.prior is None else f"{scenario.prior.name} prior"
-    return f"{'; '.join(words)}. Initial state {scenario.told}, {prior}."
+    return f"{'; '.join(words)}. Initial state {scenario.initial_state}, {prior}."
 
 
-@dataclass(frozen=True)
-class Contest:
-    """One column at one noise level: excesses by label, and the best of the methods compared with the others."""
-
-    excess: Mapping[str, float]
-    ranking: tuple[str, list[Comparison]] | None
-
-
-def _contests(panel: Panel) -> dict[tuple[float, str], Contest]:
-    """By noise level and column; reference rows have an excess, and stand outside the ranking."""
-    found = {}
-    for level in panel.levels:
-        own = [e for e in panel.entries if e.cell.scenario.snr_db == level]
-        stored = {e.cell.label: e.stored for e in own if e.stored and e.stored.n_ok}
-        if not stored:
-            continue
-        names = pooled_quantities(panel.scenario, next(iter(stored.values())).identifiable)
-        ranked = [e.cell.label for e in own if e.cell.label in stored and e.cell.method not in REFERENCES]
-        columns = {
-            "told": {label: (pooled_errors(s, names), pooled_excess(s, names)) for label, s in stored.items()},
-            "rmse": {label: (errors_of(s, "rmse"), s.summary["rmse"]["excess"]) for label, s in stored.items()},
-        }
-        for column, both in columns.items():
-            ranking = against_best({label: both[label][0] for label in ranked}) if len(ranked) > 1 else None
-            found[level, column] = Contest({label: excess for label, (_, excess) in both.items()}, ranking)
-    return found
-
-
-def _panel(panel: Panel, classes: Mapping[str, str]) -> Table:
-    """The panel's rows and headers."""
-    contests, rows = _contests(panel), [_bound_row(panel)]
-    for method in panel.methods:
-        cells, oks, times = [], [], []
-        for level in panel.levels:
-            entry = panel.at(method, level)
-            stored = entry.stored if entry else None
-            if stored is None or not stored.n_ok:
-                cells += [stored.status.value if stored else "not run" if entry else "-", "", ""]
-                oks.append(f"0/{len(stored.rows)}" if stored else "-")
-                continue
-            cells += _entry(panel, stored, method, level, contests)
-            oks.append(f"{stored.n_ok}/{len(stored.rows)}")
-            times.append(_median(np.array([row.cpu_s for row in stored.rows if row.status is Status.OK])))
-        time = f"{np.median(times):.2g}" if times and method not in REFERENCES else ""
-        uses = _uses(classes.get(method, ""), panel.scenario) if times else ""
-        rows.append([TITLES.get(method, method), *cells, time, uses, _joined(oks)])
-    headers = [f"{level:g} dB {what}" for level in panel.levels for what in ("error", "RMSE (m)", "95 %")]
-    return rows, ["method", *headers, "time (s)", "uses", "ok"]
-
-
-def _uses(classes: str, scenario: Scenario) -> str:
-    """What a method was told beyond the data, of what there was to tell here."""
-    there = {"start": scenario.told == "known", "prior": scenario.prior is not None}
-    return ", ".join(word for word in classes.split(", ") if there.get(word.split()[0] if word else "", True))
-
-
-def _joined(oks: Sequence[str]) -> str:
-    return oks[0] if len(set(oks)) == 1 else ", ".join(oks)
-
-
-def _bound_row(panel: Panel) -> list[str]:
-    cells = []
-    for level in panel.levels:
-        stored = panel.any_stored(level)
-        if stored is None:
-            cells += ["-", "-", ""]
-            continue
-        names = pooled_quantities(panel.scenario, stored.identifiable)
-        bounds = [stored.summary.get(f"{name}_error_pct", {}).get("bound", math.nan) for name in names]
-        pooled = math.sqrt(float(np.mean(np.square(bounds)))) if bounds else math.nan
-        cells += [f"{number(pooled)} %", number(stored.summary["rmse"]["bound"]), ""]
-    return ["bound", *cells, "", "", ""]
-
-
-def _entry(panel: Panel, stored: StoredCell, method: str, level: float, contests: Mapping[Any, Contest]) -> list[str]:
-    told, rmse = (contests[level, column].excess[method] for column in ("told", "rmse"))
-    covered, _, _ = pooled_coverage(stored, panel.scenario.make_system().names)
-    texts = {
-        "told": f"×{excess_text(told)}" if math.isfinite(told) else "-",
-        "rmse": f"{number(stored.summary['rmse']['median'])} ×{excess_text(rmse)}",
-    }
-    cells = []
-    for column, text in texts.items():
-        contest = contests[level, column]
-        cells.append(f"**{text}**" if leads(contest.ranking, method, contest.excess) else text)
-    return [*cells, "-" if math.isnan(covered) else f"{100 * covered:.0f}"]
-
-
-def _middle(panel: Panel) -> float:
-    """20 dB where the experiment has it, else its middle level."""
-    levels = panel.levels
-    return 20.0 if 20.0 in levels else levels[len(levels) // 2]
-
-
-def _parameters(panel: Panel) -> str:
-    """The single parameters and groups at one noise level: median error in percent and excess."""
-    level = _middle(panel)
-    stored = panel.any_stored(level)
-    system = panel.scenario.make_system()
-    if stored is None or len(system.names) > MANY:
-        return ""
-    names = [
-        *system.names,
-        *(n for n in pooled_quantities(panel.scenario, stored.identifiable) if n not in system.names),
-    ]
-    bounds = [stored.summary.get(f"{name}_error_pct", {}).get("bound", math.nan) for name in names]
-    rows = [["bound", *map(number, bounds)]]
-    for method in panel.methods:
-        entry = panel.at(method, level)
-        if entry is None or entry.stored is None or not entry.stored.n_ok:
-            continue
-        summaries = [entry.stored.summary.get(f"{name}_error_pct") for name in names]
-        texts = [
-            f"{number(s['median'])} ×{excess_text(s['excess'])}" if s and math.isfinite(s["excess"]) else
-            number(s["median"]) if s else "-"
-            for s in summaries
-        ]  # fmt: skip
-        rows.append([TITLES.get(method, method), *texts])
-    table = tabulate(rows, ["method", *map(readable, names)], "github", disable_numparse=True)
-    return f"Errors at {level:g} dB, in percent (median ×excess):\n\n{table}"
-
-
-def _modes(panel: Panel) -> str:
-    """Natural frequencies, damping ratios and mode shapes: medians over the replicates, at every noise level."""
-    rows = []
-    for method in panel.methods:
-        cells = []
-        for level in panel.levels:
-            entry = panel.at(method, level)
-            scores = modal_scores(entry.stored, panel.scenario) if entry and entry.stored and entry.stored.n_ok else {}
-            cells += [number(_median(scores[metric])) if scores else "-" for metric in MODAL]
-        if any(cell != "-" for cell in cells):
-            rows.append([TITLES.get(method, method), *cells])
-    if not rows:
-        return ""
-    headers = [
-        f"{level:g} dB {what}" for level in panel.levels for what in ("frequencies %", "damping ratios %", "MAC")
-    ]
-    table = tabulate(rows, ["method", *headers], tablefmt="github", disable_numparse=True)
-    what = (
-        "As modes (median over the replicates of the root mean square error over the modes, and of the lowest modal "
-        "assurance criterion):"
-    )
-    return f"{what}\n\n{table}"
-
-
-def _terms(panel: Panel) -> str:
-    """What SINDy's sparse model is made of: how often it found exactly the terms of the equation of motion."""
-    sentences = []
-    for level in panel.levels:
-        entry = panel.at("sindy", level)
-        if entry and entry.stored and entry.stored.n_ok:
-            sentences.append(f"{level:g} dB: {terms_found(entry.stored, panel.scenario)}")
-    return "SINDy by the terms it finds. " + "; ".join(sentences) + "." if sentences else ""
-
-
-def _untold(panel: Panel) -> str:
-    """What cannot be identified, at each noise level where it is so."""
-    sentences = []
-    for level in panel.levels:
-        stored = panel.any_stored(level)
-        if stored is None:
-            continue
-        own = [q.name for q in panel.scenario.make_system().quantities]
-        never = [n for n in own if not stored.identifiable.get(n, True)]
-        weak = [
-            f"{n} (bound {number(b)} %)"
-            for n in own
-            if n not in never
-            and (b := stored.summary.get(f"{n}_error_pct", {}).get("bound", 0.0)) > 100 * UNTOLD
-            and math.isfinite(b)
-        ]
-        if level == panel.levels[0] and never:
-            what = "decided by the prior" if panel.scenario.prior else "not identifiable"
-            sentences.append(f"Not told by the data at any noise, {what}: {', '.join(readable(n) for n in never)}.")
-        if weak:
-            sentences.append(f"At {level:g} dB practically not identifiable: {', '.join(map(readable, weak))}.")
-    return " ".join(sentences)
-
-
-def latex(title: str, shown: Sequence[tuple[Panel, Table]]) -> str:
-    """The panels as LaTeX (booktabs), for an article."""
-    parts = [
-        latex_table(f"{title}: {heading(panel.scenario)}. {describe(panel.scenario)}", *table) for panel, table in shown
-    ]
-    return f"% needs the package booktabs\n% regenerate: python -m bench.tables\n{''.join(parts)}"
-
-
-def system_table(experiment: str, store: Store) -> dict[str, str]:
+def system_table(frame: Frame) -> Mapping[str, str]:
     """The files of the table by name; none where the store holds no cell of it."""
-    from bench.config.config import _experiment
-
-    title, cells = described_cells(experiment)
-    found = [Entry("", cell, store.load(cell.identity)) for cell in cells]
-    if all(entry.stored is None for entry in found):
+    if not frame.any_stored:
         return {}
-    number_ = _experiment(experiment)["table"].get("number")
-    name = f"table{number_}" if number_ else experiment
-    heading_ = f"Table {number_}. {title}" if number_ else title
-    command = f"python -m bench -m experiment={experiment} && python -m bench.tables"
-    shown = tables_of(found)
+    name = f"table{frame.number}" if frame.number else frame.experiment
+    title_ = f"Table {frame.number}. {frame.title}" if frame.number else frame.title
+    shown = panels(frame)
+    captions = [f"{frame.title}: {panel.heading}. {describe(panel.scenario)}" for panel in shown]
     return {
-        f"{name}.md": markdown(heading_, shown, command),
-        f"{name}.csv": tidy(str(number_ or experiment), found).to_csv(index=False, float_format="%.6g"),
-        f"{name}.tex": latex(title, shown),
+        f"{name}.md": markdown(title_, shown, frame.command),
+        f"{name}.csv": csv(tidy(str(frame.number or frame.experiment), shown), columns=COLUMNS),
+        f"{name}.tex": latex_tables(zip(captions, (panel.table for panel in shown), strict=True)),
     }

@@ -19,7 +19,7 @@ import pytest
 from bench.commands import identifiability, status
 from bench.commands.guard import command, guarded
 from bench.commands.main import main
-from bench.config.config import expand
+from bench.config.experiment import expand
 from bench.contract.estimate import Status
 from bench.reporting.plan_table import listing
 from bench.reporting.rounding import decimals, excess_text, rounded

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from bench.commands import recheck
-from bench.config.config import expand
+from bench.config.experiment import expand
 from bench.store.store import Store
 from bench.sweep.launch import complete
 from bench.sweep.workers import Limits

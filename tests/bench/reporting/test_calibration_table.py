@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from bench.contract.estimate import Status
+from bench.reporting.frame import Frame, Result
 from bench.reporting.tables.calibration import calibration_table, lines, markdown
-from bench.reporting.tables.tables import Entry
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
-from bench.store.store import Row, Store, StoredCell
+from bench.store.store import Row, StoredCell
 
 
 def stored(levels: np.ndarray, band: float | None) -> StoredCell:
@@ -23,7 +21,7 @@ def stored(levels: np.ndarray, band: float | None) -> StoredCell:
 
 
 @pytest.fixture
-def found(reference: Scenario) -> list[Entry]:
+def found(reference: Scenario) -> list[Result]:
     even = (np.arange(200) + 0.5) / 200
     # half the standard deviation: the normal score of every level is doubled
     from scipy import stats
@@ -31,10 +29,10 @@ def found(reference: Scenario) -> list[Entry]:
     doubled = stats.norm.cdf(2.0 * stats.norm.ppf(even))
     cells = [Cell(reference, name, {}, 200, 0, name) for name in ("shooting", "pinn")]
     pairs = zip(cells, (stored(even, 0.9), stored(doubled, None)), strict=True)
-    return [Entry("20", cell, own) for cell, own in pairs]
+    return [Result.of_cell(cell, own) for cell, own in pairs]
 
 
-def test_honest_and_halved_uncertainties_are_told_apart(found: list[Entry]) -> None:
+def test_honest_and_halved_uncertainties_are_told_apart(found: list[Result]) -> None:
     data = lines(found).set_index(["method", "quantity"])
     honest, halved = data.loc[("shooting", "k_over_m")], data.loc[("pinn", "k_over_m")]
     assert honest.verdict == "calibrated"
@@ -49,5 +47,6 @@ def test_honest_and_halved_uncertainties_are_told_apart(found: list[Entry]) -> N
     assert "too sure" in text
 
 
-def test_a_store_without_its_cells_gives_no_table(tmp_path: Path) -> None:
-    assert calibration_table("calibration", Store(tmp_path)) == {}
+def test_a_store_without_its_cells_gives_no_table(reference: Scenario) -> None:
+    missing = Result.of_cell(Cell(reference, "pinn", {}, 200, 0, "pinn"), None)
+    assert calibration_table(Frame("calibration", "T", {}, (missing,))) == {}

@@ -9,7 +9,8 @@ import pytest
 from conftest import Python
 from stored import described, fill, recorded, save, scored
 
-from bench.commands.figures import PICTURES, main
+from bench.commands.figures import main
+from bench.reporting.figures.pictures import PICTURES
 from bench.store.store import Store
 
 pytest.importorskip("matplotlib")
@@ -104,5 +105,5 @@ def test_a_folder_that_cannot_be_written_is_one_line(
 
 def assert_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     err = capsys.readouterr().err
-    assert err.startswith("bench.reporting.figures: ")
+    assert err.startswith("bench.figures: ")
     assert len(err.splitlines()) == 1

@@ -70,7 +70,7 @@ def test_a_method_without_a_reconstruction_is_shown_by_its_parameters(store: Sto
         arrays = gallery.arrays(cell)
         curve = simulated(cell, arrays)
         assert curve is not None
-        if cell.told == "known":
+        if cell.initial_state == "known":
             assert np.allclose(curve[0], displacement(arrays["dense_times"], k, c), atol=1e-4)
         else:
             basis = free_basis(k, c, arrays["sample_times"])
@@ -168,7 +168,7 @@ def test_the_misfit_is_that_of_the_stored_samples(store: Store) -> None:
             for j, k in enumerate((8.0, 3.0)):
                 basis = free_basis(k, c, arrays["sample_times"])
                 start = np.array([1.0, 0.0])
-                if cell.told == "unknown":
+                if cell.initial_state == "unknown":
                     start = np.linalg.lstsq(basis, arrays["sample_values"], rcond=None)[0]
                 left = arrays["sample_values"] - basis @ start
                 assert surface[i, j] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-5)
@@ -342,7 +342,7 @@ def test_of_cells_that_differ_in_settings_the_usual_one_is_shown(store: Store) -
     for settings, snr in (({"steps": 1}, 20.0), ({"steps": 2}, 20.0), ({"steps": 2}, 10.0)):
         save(store, {**described("pinn", snr, n=5), "settings": settings}, scored("pinn", 5))
     shown = [(cell.snr_db, cell.settings) for cell in Gallery(store).cells]
-    assert shown == [(20.0, '{"steps": 2}'), (10.0, '{"steps": 2}')]
+    assert shown == [(20.0, {"steps": 2}), (10.0, {"steps": 2})]
 
 
 def test_a_noise_level_of_few_methods_is_not_in_a_sweep(store: Store) -> None:

@@ -12,26 +12,26 @@ import pytest
 from stored import described, fill, recorded, save, scored
 
 from bench.contract.estimate import Status
-from bench.reporting.tables.tables import TITLES
+from bench.reporting.labels import REFERENCE_CARDS, cards
 from bench.scoring.row import Row
 from bench.store.store import Store
 
 pytest.importorskip("matplotlib")
 
-from bench.commands.figures import PICTURES
 from bench.reporting.figures.gallery import Gallery
+from bench.reporting.figures.pictures import PICTURES
 from bench.reporting.figures.style import (
     FULL,
     HALF,
     MORE_COLOURS,
     MORE_MARKERS,
-    STYLES,
     drawable,
     looks,
     width_of,
     wrapped,
 )
 
+STYLES = {label: (card.colour, card.marker) for label, card in cards().items()}
 DEUTERANOPIA = np.array(
     [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
 )
@@ -54,7 +54,8 @@ def lab(colour: str, seen: np.ndarray) -> np.ndarray:
 
 
 def test_every_method_with_a_title_has_a_colour_and_a_marker_of_its_own() -> None:
-    assert set(TITLES) - {"bound"} == set(STYLES)
+    assert set(REFERENCE_CARDS) < set(STYLES)
+    assert all(card.title and card.colour and card.marker for card in cards().values())
     assert len({colour for colour, _ in STYLES.values()}) == len(STYLES)
     assert len({marker for _, marker in STYLES.values()}) == len(STYLES)
     assert not {colour for colour, _ in STYLES.values()} & set(MORE_COLOURS)

@@ -3,40 +3,39 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bench.contract.estimate import Status
+from bench.reporting.frame import Frame, Result
 from bench.reporting.tables.leaderboard import collected, leaderboard, lines
-from bench.reporting.tables.tables import Entry
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
-from bench.store.store import Row, Store, StoredCell
+from bench.store.store import Row, StoredCell
 
 
-def entry(scenario: Scenario, method: str, errors: np.ndarray) -> Entry:
+def result(scenario: Scenario, method: str, errors: np.ndarray) -> Result:
     rows = tuple(Row(i, Status.OK, scores={"rmse": float(v)}) for i, v in enumerate(errors))
     cell = Cell(scenario, method, {}, errors.size, 0, method)
-    return Entry("1", cell, StoredCell(cell.identity, {}, rows, {}, {}, {}, 0.0, {}))
+    return Result.of_cell(cell, StoredCell(cell.identity, {}, rows, {}, {}, {}, 0.0, {}))
 
 
 @pytest.fixture
-def found(reference: Scenario) -> list[Entry]:
+def found(reference: Scenario) -> list[Result]:
     """Three scenarios; ls is three times worse than shooting on every data set, ddnn was given ten of forty."""
     rng = np.random.default_rng(0)
     entries = []
     for snr in (40.0, 20.0, 10.0):
         scenario = replace(reference, snr_db=snr)
         base = 10.0 ** (-snr / 20.0) * np.exp(rng.standard_normal(40))
-        entries += [entry(scenario, "shooting", base), entry(scenario, "ls", 3.0 * base)]
-        entries += [entry(scenario, "ddnn", base[:10] * np.exp(0.3 * rng.standard_normal(10)))]
-        entries += [entry(scenario, "oracle", 0.1 * base)]
+        entries += [result(scenario, "shooting", base), result(scenario, "ls", 3.0 * base)]
+        entries += [result(scenario, "ddnn", base[:10] * np.exp(0.3 * rng.standard_normal(10)))]
+        entries += [result(scenario, "oracle", 0.1 * base)]
     return entries
 
 
-def test_ratios_ties_and_shares(found: list[Entry]) -> None:
+def test_ratios_ties_and_shares(found: list[Result]) -> None:
     errors = collected(found, "rmse")
     assert errors is not None
     assert set(errors.values) == {"shooting", "ls", "ddnn"}  # the oracle sees the truth and is no competitor
@@ -51,6 +50,7 @@ def test_ratios_ties_and_shares(found: list[Entry]) -> None:
     assert own["ls"]["within_5"] > 0.8
 
 
-def test_a_missing_cell_gives_no_leaderboard(found: list[Entry], tmp_path: Path) -> None:
-    assert collected([*found, Entry("1", found[0].cell, None)], "rmse") is None
-    assert leaderboard(Store(tmp_path)) == {}
+def test_a_missing_cell_gives_no_leaderboard(found: list[Result], reference: Scenario) -> None:
+    missing = Result.of_cell(Cell(reference, "rls", {}, 40, 0, "rls"), None)
+    assert collected([*found, missing], "rmse") is None
+    assert leaderboard([Frame("table4", "T", {}, (*found, missing))]) == {}

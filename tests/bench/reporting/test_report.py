@@ -18,12 +18,14 @@ import pytest
 from conftest import REPOSITORY
 from scipy.stats import chi2
 
+from bench.commands.report import main
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
-from bench.reporting.page import beside, board, draw, headline, kept, origin, page
-from bench.reporting.page.draw import chance_band
-from bench.reporting.page.gather import Experiment, Panel, gather
-from bench.reporting.page.page import main
+from bench.reporting.frame import Result
+from bench.reporting.page import drawing, headline, leaderboard, neighbours, origin, page
+from bench.reporting.page.drawing import chance_band
+from bench.reporting.page.first_replicate import first_replicate, stated_interval
+from bench.reporting.page.reading import Panel, Table, read
 from bench.reporting.page.standing import rank
 from bench.reporting.page.typical import typical
 from bench.scoring.row import Row
@@ -82,12 +84,22 @@ def stored(
     return StoredCell(identity, what, rows, summary, BOUND.prior_share, BOUND.identifiable, 1.0, origin)
 
 
+def results(*found: StoredCell) -> list[Result]:
+    """Stored cells as the page reads them."""
+    return list(map(Result.of_stored, found))
+
+
+def panel_of(*found: StoredCell) -> Panel:
+    """A panel that no experiment describes."""
+    return Panel(tuple(results(*found)), ())
+
+
 @pytest.fixture(autouse=True)
 def without_experiments(monkeypatch: pytest.MonkeyPatch) -> None:
     """No configuration is composed: these stores hold what no experiment describes."""
-    from bench.reporting.page import gather
+    from bench.reporting.page import reading
 
-    monkeypatch.setattr(gather, "table_experiments", list)
+    monkeypatch.setattr(reading, "table_experiments", list)
 
 
 @pytest.fixture
@@ -205,7 +217,7 @@ def test_equal_methods_are_level_and_a_worse_one_is_behind(cells: Cells) -> None
 def test_fewer_data_leave_a_method_undecided(cells: Cells) -> None:
     """Equal errors on a quarter of the data sets: neither in the tie, nor behind, nor in what would have shown."""
     store = cells(stored("ls", n=40), stored("mcmc", n=10))
-    panel = Panel(tuple(store), ())
+    panel = panel_of(*store)
     ranking = rank(panel, "k_over_m_error_pct")
     assert ranking is not None
     assert ranking.weak == {"mcmc"}
@@ -224,7 +236,7 @@ def test_more_data_may_separate_what_ties(cells: Cells) -> None:
     lines += [f"unknown,{m},mcmc,1.2,1.1,1.3,0.001,{m != 'rmse'}" for m in ("k_over_m_error_pct", "rmse")]
     lines += ["unknown,rmse,ls,1,,,,True", "known,rmse,rls,1.2,1.1,1.3,0.001,False"]
     (store.folder.parent / "leaderboard.csv").write_text("\n".join(lines), encoding="utf-8")
-    assert beside.separated(store.folder.parent, "unknown") == {"mcmc"}
+    assert neighbours.separated(store.folder.parent, "unknown") == {"mcmc"}
     text = words(made(store))
     assert "over all scenarios of Tables 4 and 5 together, Bayesian MCMC is behind the best" in text
 
@@ -233,8 +245,8 @@ def test_the_board_shows_the_errors_whose_ratio_to_the_bound_it_shows(cells: Cel
     """Successful fits only; a bound that does not exist and the prior's own share are dashes."""
     cell = stored("mcmc", 1.5, failed=4)
     summary = {name: {**line, "bound": math.inf, "excess": math.nan} for name, line in cell.summary.items()}
-    panel = Panel((cell, StoredCell(**{**vars(stored("prior")), "summary": summary})), ())
-    lines = {(line.method, line.quantity): line for line in board.panel_lines(panel, {})}
+    panel = panel_of(cell, StoredCell(**{**vars(stored("prior")), "summary": summary}))
+    lines = {(line.method, line.quantity): line for line in leaderboard.panel_lines(panel, {})}
     errors = [row.scores["k_over_m_error_pct"] for row in cell.rows[4:]]
     one, prior = lines["Bayesian MCMC", "k/m (%)"], lines["prior (no data)", "k/m (%)"]
     assert float(one.rms) == pytest.approx(math.sqrt(sum(e**2 for e in errors) / 36), rel=5e-3)
@@ -251,12 +263,12 @@ def test_data_that_a_method_cannot_take_are_no_failure() -> None:
         for name, line in cell.summary.items()
     }
     unable = StoredCell(**{**vars(cell), "rows": rows, "summary": lost})
-    assert origin.failures([unable]) == []
-    assert origin.unsupported([unable, stored("ls", failed=3)]) == [
+    assert origin.failures(results(unable)) == []
+    assert origin.unsupported(results(unable, stored("ls", failed=3))) == [
         (40, "Eigensystem realisation", "it takes one record")
     ]
-    assert [line[0] for line in origin.failures([unable, stored("ls", failed=3)])] == [3]
-    line = board.panel_lines(Panel((unable,), ()), {})[0]
+    assert [line[0] for line in origin.failures(results(unable, stored("ls", failed=3)))] == [3]
+    line = leaderboard.panel_lines(panel_of(unable), {})[0]
     assert (line.place, line.median, line.interval, line.rms) == ("unsupported", "–", "–", "–")
 
 
@@ -287,7 +299,7 @@ def test_robustness_says_how_many_data_sets_and_what_a_size_is(tmp_path: Path) -
             f"{kind},{size},{told},{method},rmse,1.2,0.9,1.1,{n},{n}" for method, n in (("ls", 100), ("mcmc", 20))
         ]
     (tmp_path / "robustness.csv").write_text("\n".join(lines), encoding="utf-8")
-    table = beside.robustness(tmp_path)
+    table = neighbours.robustness(tmp_path)
     assert table is not None
     assert table.headers == ("Method", "Data sets", "undisturbed", "late trigger, 0.02 s", "other kind, 3")
     assert table.groups == (("", 2), ("start unknown", 1), ("start known", 2))
@@ -304,14 +316,14 @@ def test_where_there_is_no_room_every_system_of_a_table_has_a_place(
         stored("ls", snr=10.0, system="b"),
         stored("ls", system="c"),
     ]
-    found = gather(cells(*given))
-    table = (Experiment("t", 1, frozenset()),)
-    panels = tuple(replace(p, experiments=() if p.system == "c" else table) for p in found.panels)
-    panels = tuple(sorted(panels, key=lambda p: (p.system != "sdof", p.system, -p.snr_db)))
-    assert [panels[i].snr_db for i in typical(panels)] == [20.0, 10.0, 20.0]
+    found = read(cells(*given))
+    table = (Table("t", 1, frozenset()),)
+    panels = tuple(replace(p, experiments=() if p.facts.system == "c" else table) for p in found.panels)
+    panels = tuple(sorted(panels, key=lambda p: (p.facts.system != "sdof", p.facts.system, -p.facts.snr_db)))
+    assert [panels[i].facts.snr_db for i in typical(panels)] == [20.0, 10.0, 20.0]
     each = len(panels[0].metrics)
-    monkeypatch.setattr(board, "MOST_LINES", 2 * each)
-    made_of = board.board(replace(found, panels=panels), {})
+    monkeypatch.setattr(leaderboard, "MOST_LINES", 2 * each)
+    made_of = leaderboard.leaderboard(replace(found, panels=panels), {})
     assert [(line.system, line.snr) for line in made_of.lines] == [("sdof", "20")] * each + [("b", "10")] * each
     assert made_of.left_out == 2
 
@@ -319,7 +331,7 @@ def test_where_there_is_no_room_every_system_of_a_table_has_a_place(
 def test_the_leaderboard_says_how_many_scenarios_it_has(cells: Cells, monkeypatch: pytest.MonkeyPatch) -> None:
     store = cells(stored("ls"), stored("ls", system="other"))
     assert "in every scenario" in words(made(store))
-    monkeypatch.setattr(board, "MOST_LINES", 1)
+    monkeypatch.setattr(leaderboard, "MOST_LINES", 1)
     assert "in 1 of 2 scenarios; the store holds the others" in words(made(store))
 
 
@@ -332,8 +344,8 @@ def test_a_scenario_without_a_picture_is_left_out_unless_it_is_on_the_first_scre
 
 
 def test_grossly_wrong_fits_are_not_drawn_over_the_record() -> None:
-    found = {f"m{worse:g}": (stored("ls", worse), None) for worse in (1.0, 1.5, 2.9, 3.1, 40.0)}
-    assert draw._chosen(found) == ["m1", "m1.5", "m2.9"]
+    found = {f"m{worse:g}": (Result.of_stored(stored("ls", worse)), None) for worse in (1.0, 1.5, 2.9, 3.1, 40.0)}
+    assert drawing._chosen(found) == ["m1", "m1.5", "m2.9"]
 
 
 @pytest.mark.parametrize(
@@ -349,17 +361,17 @@ def test_grossly_wrong_fits_are_not_drawn_over_the_record() -> None:
 def test_what_goes_beyond_an_edge_is_marked_there(
     spread: tuple[float, float], heads: list[float], says: list[tuple[str, str]]
 ) -> None:
-    axis = draw.pyplot().figure().add_subplot()
-    draw._mark_beyond(axis, 0.0, spread, 10.0, "black")
-    draw._say_beyond(axis, 0.0, np.array(spread), 10.0)
+    axis = drawing.pyplot().figure().add_subplot()
+    drawing._mark_beyond(axis, 0.0, spread, 10.0, "black")
+    drawing._say_beyond(axis, 0.0, np.array(spread), 10.0)
     assert [float(line.get_xdata()[0]) for line in axis.lines] == heads
     assert [(text.get_text(), text.get_horizontalalignment()) for text in axis.texts] == says
 
 
 def test_of_each_kind_of_quantity_one_is_drawn() -> None:
     names = [f"{name}_error_pct" for name in ("m1", "m2", "c1", "c2", "k1", "k2", "k3")]
-    assert draw._one_of_each([*names, "rmse"]) == ["m1_error_pct", "c1_error_pct", "k1_error_pct"]
-    assert draw._one_of_each(["k_over_m_error_pct", "c_over_m_error_pct", "rmse"]) == [
+    assert drawing._one_of_each([*names, "rmse"]) == ["m1_error_pct", "c1_error_pct", "k1_error_pct"]
+    assert drawing._one_of_each(["k_over_m_error_pct", "c_over_m_error_pct", "rmse"]) == [
         "k_over_m_error_pct", "c_over_m_error_pct",
     ]  # fmt: skip
 
@@ -433,13 +445,14 @@ def test_a_fit_is_made_again_only_if_its_stored_error_agrees(agrees: bool, cells
     }  # fmt: skip
     store = cells()
     saved = store.save(StoredCell(**{**vars(cell), "rows": rows}), arrays)
-    one = kept.kept(store, saved)
+    result = Result.of_stored(saved)
+    one = first_replicate(store, result)
     assert one is not None
     if not agrees:
         assert one.fit is None
         return
     assert one.fit == pytest.approx(fit, abs=1e-4)
-    interval = kept.stated_interval(store, saved, "k_over_m")
+    interval = stated_interval(store, result, "k_over_m")
     # log(k/m) is a difference: variances add
     half = 2 * math.sqrt(0.02**2 + 0.03**2)
     centre = 8.3 / 1.01 / 8
@@ -462,7 +475,7 @@ def luminance(colour: str) -> float:
 
 @pytest.mark.parametrize("scheme", [0, 1], ids=["light", "dark"])
 def test_text_stands_out(scheme: int) -> None:
-    style = (REPOSITORY / "bench" / "pages" / "report.css").read_text(encoding="utf-8")
+    style = (REPOSITORY / "bench" / "reporting" / "page" / "report.css").read_text(encoding="utf-8")
     colours = dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", re.findall(r":root \{(.*?)\}", style, re.S)[scheme]))
     for ground in ("surface", "raised", "level", "warn"):
         for ink in ("ink", "muted", "accent"):

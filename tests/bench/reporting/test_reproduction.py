@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bench.commands.reproduction import (
+from bench.contract.estimate import Status
+from bench.reporting.frame import Result
+from bench.reporting.paper import printed
+from bench.reporting.reproduction import (
     ASSUMPTIONS,
     Place,
     all_cells,
     consistency,
     implied_rmse,
     page,
-    printed,
     simple,
     verdicts,
 )
-from bench.contract.estimate import Status
 from bench.scenario.scenario import Scenario
-from bench.store.store import Row, Store, StoredCell
+from bench.store.store import Row, StoredCell
 
 
 def test_there_are_59_numbers() -> None:
@@ -55,16 +55,16 @@ def stored(cell: dict[str, float], n: int = 100) -> StoredCell:
     return StoredCell("x", {}, rows, {k: {"excess": 1.0} for k in cell}, {"m": 1.0}, {}, 0.0, {})
 
 
-def test_verdicts_and_firmness_follow_from_the_replicates(tmp_path: Path) -> None:
+def test_verdicts_and_firmness_follow_from_the_replicates() -> None:
     """Ours equal to the paper's everywhere, but ten times smaller where records are 20 s long."""
-    cells = all_cells(Store(tmp_path))
+    cells = all_cells()
     numbers = {(p.table, p.row, p.method, p.metric): p.value for p in printed()}
 
-    def made(place: Place, scale: float) -> StoredCell:
+    def made(place: Place, scale: float) -> Result:
         table, row, method = place
         name = "pinn" if method in ("oracle", "pinn_adam") else method
         own = {m: scale * v for (t, r, n, m), v in numbers.items() if (t, r, n) == (table, row, name)}
-        return stored(own or {"rmse": 1.0})
+        return Result.of_stored(stored(own or {"rmse": 1.0}))
 
     found = {
         reading: {place: made(place, 0.1 if reading == "records of 20 s" else 1.0) for place in own}

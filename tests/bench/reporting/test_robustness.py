@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 
 from bench import Status
+from bench.commands.tables import main
 from bench.config.experiment import Experiment
 from bench.information.fisher import Bound
-from bench.reporting.tables.robustness import COLUMNS, PANELS, markdown, pairs, ratio, tidy
-from bench.reporting.tables.tables import described_cells, main, table_experiments
+from bench.reporting.frame import Result, described, table_experiments
+from bench.reporting.tables.robustness import COLUMNS, PANELS, Pair, markdown, ratio, tidy
+from bench.reporting.tables.robustness import pairs as pairs_of
 from bench.scenario.disturbance import make_disturbance
 from bench.scenario.scenario import Scenario
 from bench.scoring.summary import summarise
@@ -44,6 +46,11 @@ def store(tmp_path: Path) -> Store:
     found = Store(tmp_path / "rows")
     found.prepare()
     return found
+
+
+def pairs(cells: list[Cell], store: Store) -> list[Pair]:
+    """The pairs of some cells, as the store has them."""
+    return pairs_of([Result.of_cell(one, store.load(one.identity)) for one in cells], store)
 
 
 def cell(reference: Scenario, method: str, kind: str | None, n: int = 10) -> Cell:
@@ -126,7 +133,7 @@ def _short_experiments(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("_short_experiments")
 def test_the_command_finds_the_table_by_its_experiment(store: Store, tmp_path: Path) -> None:
     assert {"table2", "table3", "table4", "table5", "robustness"} <= set(table_experiments())
-    _, cells = described_cells("robustness")
+    _, cells = described("robustness")
     out = tmp_path / "out"
     arguments = [f"store={store.folder}", f"out={out}"]
     for c in cells:

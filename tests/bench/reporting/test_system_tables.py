@@ -5,21 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from bench.config.config import expand
+from bench.config.experiment import expand
 from bench.contract.estimate import Status
-from bench.reporting.tables.systems import (
-    describe,
+from bench.reporting.frame import Result
+from bench.reporting.tables.pooling import (
     identified,
-    markdown,
     modal_scores,
     pooled_coverage,
     pooled_errors,
     pooled_excess,
     pooled_quantities,
-    tables_of,
-    tidy,
 )
-from bench.reporting.tables.tables import Entry
+from bench.reporting.tables.systems import describe, markdown, panels, tidy
 from bench.scoring.row import Row
 from bench.store.store import StoredCell
 
@@ -28,8 +25,8 @@ def _cell(*overrides, method="shooting"):
     return expand([f"method={method}", *overrides], multirun=False)[0].cell()
 
 
-def _stored(errors, bounds, failed=0, coverage=None):
-    """A cell whose replicate i has the errors ``errors[name][i]`` (%), under the given bounds."""
+def _result(errors, bounds, failed=0, coverage=None, cell=None):
+    """A result whose replicate i has the errors ``errors[name][i]`` (%), under the given bounds."""
     n = len(next(iter(errors.values())))
     rows = []
     for i in range(n):
@@ -46,29 +43,30 @@ def _stored(errors, bounds, failed=0, coverage=None):
         for name, bound in bounds.items()
     }  # fmt: skip
     summary["rmse"] = {"mean": 0.01, "median": 0.01, "ci_low": 0.01, "ci_high": 0.01, "bound": 0.01, "excess": 1.0}
-    return StoredCell("", {}, tuple(rows), summary, {}, dict.fromkeys(bounds, True), 0.0)
+    stored = StoredCell("", {}, tuple(rows), summary, {}, dict.fromkeys(bounds, True), 0.0)
+    return Result.of_cell(cell or _cell("system=sdof_forced"), stored)
 
 
 def test_pooling_by_hand():
     """Errors (3, 4) % over bounds (1, 1) %: sqrt((9 + 16)/2) of a replicate; over two replicates the mean square."""
-    stored = _stored({"m": [3.0, 0.0], "k": [4.0, 2.0]}, {"m": 1.0, "k": 1.0}, failed=1)
-    errors = pooled_errors(stored, ["m", "k"])
+    result = _result({"m": [3.0, 0.0], "k": [4.0, 2.0]}, {"m": 1.0, "k": 1.0}, failed=1)
+    errors = pooled_errors(result, ["m", "k"])
     assert errors[:2] == pytest.approx([math.sqrt(12.5), math.sqrt(2.0)])
     assert errors[2] == math.inf
-    assert pooled_excess(stored, ["m", "k"]) == pytest.approx(math.sqrt((12.5 + 2.0) / 2))
+    assert pooled_excess(result, ["m", "k"]) == pytest.approx(math.sqrt((12.5 + 2.0) / 2))
 
 
 def test_a_quantity_without_a_bound_is_not_pooled():
-    stored = _stored({"m": [3.0], "k": [4.0]}, {"m": math.inf, "k": 2.0})
-    assert pooled_errors(stored, ["m", "k"]) == pytest.approx([2.0])
+    result = _result({"m": [3.0], "k": [4.0]}, {"m": math.inf, "k": 2.0})
+    assert pooled_errors(result, ["m", "k"]) == pytest.approx([2.0])
 
 
 def test_coverage_is_pooled_over_quantities_and_replicates():
-    stored = _stored({"m": [1.0, 1.0]}, {"m": 1.0}, coverage={"m": [1.0, 0.0], "k": [1.0, 1.0]})
-    share, low, high = pooled_coverage(stored, ["m", "k"])
+    result = _result({"m": [1.0, 1.0]}, {"m": 1.0}, coverage={"m": [1.0, 0.0], "k": [1.0, 1.0]})
+    share, low, high = pooled_coverage(result, ["m", "k"])
     assert share == 0.75
     assert low < 0.75 < high
-    assert math.isnan(pooled_coverage(stored, ["c"])[0])
+    assert math.isnan(pooled_coverage(result, ["c"])[0])
 
 
 def test_what_the_data_tell_is_pooled():
@@ -93,14 +91,17 @@ def test_parameters_from_ratios_and_from_groups():
 
 def test_modes_of_the_true_parameters_agree_with_themselves():
     """Every parameter 21 % high: same modes. Springs alone 21 % high: frequencies 10 % high, the undamped law."""
-    scenario = _cell("system=chain2").scenario
-    names = scenario.make_system().names
-    scaled = _stored({name: [21.0] for name in names}, dict.fromkeys(names, 1.0))
-    stiffer = _stored({n: [21.0 if n.startswith("k") else 0.0] for n in names}, dict.fromkeys(names, 1.0))
-    assert modal_scores(scaled, scenario)["frequencies_error_pct"] == pytest.approx([0.0], abs=1e-9)
-    assert modal_scores(scaled, scenario)["least_mac"] == pytest.approx([1.0])
-    assert modal_scores(stiffer, scenario)["frequencies_error_pct"] == pytest.approx([10.0], rel=0.01)
-    assert not modal_scores(scaled, _cell("system=duffing").scenario)
+    chain = _cell("system=chain2")
+    names = chain.scenario.make_system().names
+    bounds, springs = dict.fromkeys(names, 1.0), {n: [21.0 if n.startswith("k") else 0.0] for n in names}
+    scaled, stiffer = (
+        _result({name: [21.0] for name in names}, bounds, cell=chain),
+        _result(springs, bounds, cell=chain),
+    )
+    assert modal_scores(scaled)["frequencies_error_pct"] == pytest.approx([0.0], abs=1e-9)
+    assert modal_scores(scaled)["least_mac"] == pytest.approx([1.0])
+    assert modal_scores(stiffer)["frequencies_error_pct"] == pytest.approx([10.0], rel=0.01)
+    assert not modal_scores(_result({"m": [21.0]}, bounds, cell=_cell("system=duffing")))
 
 
 def test_the_record_is_described_in_numbers():
@@ -114,17 +115,19 @@ def test_the_record_is_described_in_numbers():
 
 def test_a_table_of_missing_failed_and_good_cells():
     names = ["m", "c", "k", "k_over_m", "c_over_m"]
-    good = _stored(
+    good = _result(
         {n: [1.0, 2.0, 1.5] for n in names}, dict.fromkeys(names, 1.0), coverage={n: [1.0, 1.0, 0.0] for n in names}
     )
-    bad = _stored({n: [9.0, 9.0, 9.0] for n in names}, dict.fromkeys(names, 1.0), failed=2)
+    nines = {n: [9.0, 9.0, 9.0] for n in names}
+    pinn = _cell("system=sdof_forced", method="pinn")
+    bad = _result(nines, dict.fromkeys(names, 1.0), failed=2, cell=pinn)
     found = [
-        Entry("", _cell("system=sdof_forced"), good),
-        Entry("", _cell("system=sdof_forced", method="pinn"), bad),
-        Entry("", _cell("system=sdof_forced", method="ls"), None),
-        Entry("", _cell("system=sdof_forced", "snr=10", method="rls"), None),
+        good,
+        bad,
+        Result.of_cell(_cell("system=sdof_forced", method="ls"), None),
+        Result.of_cell(_cell("system=sdof_forced", "snr=10", method="rls"), None),
     ]
-    text = markdown("T", tables_of(found), "command")
+    text = markdown("T", panels(found), "command")
     assert "3/5" in text
     assert "2 × PINN: diverged, lost" in text
     assert "2 cells were not run" in text
@@ -133,5 +136,5 @@ def test_a_table_of_missing_failed_and_good_cells():
     assert "**×1.55**" in lines["Multiple shooting"]  # sqrt((1 + 4 + 2.25) / 3)
     assert [cell.strip() for cell in lines["LS, finite differences"].split("|")[2:6]] == ["not run", "", "", "-"]
     assert [cell.strip() for cell in lines["RLS"].split("|")[2:6]] == ["-", "", "", "not run"]
-    data = tidy("6", found)
-    assert data[(data.method == "pinn") & (data.metric == "told_pooled")].excess.iloc[0] == pytest.approx(9.0)
+    lines = {(line["method"], line["metric"]): line for line in tidy("6", panels(found))}
+    assert lines["pinn", "told_pooled"]["excess"] == pytest.approx(9.0)

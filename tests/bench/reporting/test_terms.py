@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from bench.config.config import expand
+from bench.config.experiment import expand
 from bench.contract.estimate import Status
 from bench.reporting.terms import kept_terms, terms_found, true_terms
 from bench.scoring.row import Row

@@ -14,7 +14,7 @@ from conftest import REPOSITORY
 from scipy import stats
 
 from bench import InputError
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import expand
 from bench.information.fisher import bound_identity, compute_bound
 from bench.scenario.disturbance import KINDS, Disturbance, make_disturbance
 from bench.scenario.scenario import METHOD, ForceSpec, PriorSpec, Scenario
@@ -262,7 +262,7 @@ def test_a_disturbance_is_part_of_the_identity_and_its_absence_is_not() -> None:
 
 def test_stored_cells_of_before_there_were_disturbances_are_found() -> None:
     store = Store(REPOSITORY / "results" / "rows")
-    (cell,) = jobs_to_cells(expand(["method=oracle", "replicates=100"], multirun=False))
+    (cell,) = [job.cell() for job in expand(["method=oracle", "replicates=100"], multirun=False)]
     found = store.load(cell.identity)
     assert found is not None
     assert found.cell["data"] == cell.scenario.data_identity()

@@ -44,7 +44,7 @@ import pytest
 from scipy.optimize import root
 
 from bench import Channel, InitialState, Record, fitted_start, measurements
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import expand
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
 from bench.entrants.reference import oracle_estimate
@@ -83,7 +83,7 @@ def lost(logs: np.ndarray, told: Told) -> np.ndarray:
 
 def scenario(told: Told) -> Scenario:
     arguments = ["method=prior", "system=chain2_first", f"initial_state={told}", "snr=40"]
-    return jobs_to_cells(expand(arguments, multirun=False))[0].scenario
+    return expand(arguments, multirun=False)[0].scenario
 
 
 def fit(name: str, problem: Problem, truth: Truth, rng: np.random.Generator) -> Estimate:

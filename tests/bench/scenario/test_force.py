@@ -14,7 +14,7 @@ from scipy.integrate import quad
 from scipy.interpolate import make_interp_spline
 
 from bench import Estimate, Force, InitialState, InputError, Normal, simulate
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import expand
 from bench.dynamics.simulate import SimulatedResponse
 from bench.information.fisher import compute_bound
 from bench.scenario.force import ForceSpec
@@ -235,7 +235,7 @@ def test_sensors_on_masses_that_are_not_there_are_refused(measured: tuple[int, .
 @pytest.mark.parametrize("system", ["sdof_impulse", "sdof_step", "sdof_sweep", "sdof_noise", "duffing_forced"])
 def test_the_configured_forces_tell_every_parameter(system: str) -> None:
     """To a quarter of its value at 20 dB, with the start unknown and no prior."""
-    (cell,) = jobs_to_cells(expand(["method=oracle", f"system={system}", "initial_state=unknown"], False))
+    (cell,) = [job.cell() for job in expand(["method=oracle", f"system={system}", "initial_state=unknown"], False)]
     scenario = replace(cell.scenario, dense=40, forecast=0.5)
     bound = compute_bound(scenario)
     assert scenario.prior is None

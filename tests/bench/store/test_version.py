@@ -119,7 +119,7 @@ def test_a_method_hangs_on_its_own_code_and_the_systems_not_on_other_methods_or_
         "bench.sweep.runner",
         "bench.store.store",
         "bench.sweep.scoring_process",
-        "bench.reporting.tables.tables",
+        "bench.reporting.frame",
         "bench.systems.nonlinear",
     ):
         assert module not in shooting.modules

@@ -14,7 +14,7 @@ import pytest
 
 from bench import InputError
 from bench.commands.main import main
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import expand
 from bench.information.fisher import load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
@@ -28,7 +28,7 @@ SWEEP = ("method=ls,log_decrement", "seed=0,1", "replicates=3")
 
 @pytest.fixture(scope="module")
 def cells() -> list[Cell]:
-    return list(jobs_to_cells(expand(list(SWEEP), True)))
+    return list([job.cell() for job in expand(list(SWEEP), True)])
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from bench import (
     regression_columns,
     simulate,
 )
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import expand
 from bench.dynamics.mechanics import linear_matrices
 from bench.information.fisher import compute_bound
 from bench.information.structural import structure
@@ -207,8 +207,8 @@ CONF = ["quadratic_damping", "coulomb", "van_der_pol", "pendulum", "bouc_wen", "
 @pytest.mark.parametrize("name", CONF)
 def test_free_vibration_tells_the_declared_groups_at_the_configured_scenario(name: str) -> None:
     """The null space of the Fisher information is what is orthogonal to the groups; at 20 dB each is told to 25 %."""
-    (cell,) = jobs_to_cells(expand(["method=oracle", f"system={name}", "prior=none", "initial_state=unknown"], False))
-    scenario = replace(cell.scenario, dense=cell.scenario.samples, forecast=0.5)
+    (job,) = expand(["method=oracle", f"system={name}", "prior=none", "initial_state=unknown"], False)
+    scenario = replace(job.scenario, dense=job.scenario.samples, forecast=0.5)
     system, bound = scenario.make_system(), compute_bound(scenario)
     null = np.array(bound.null_space)
     groups = np.array([group.vector(system.names) for group in system.groups])
@@ -224,7 +224,7 @@ def test_free_vibration_tells_the_declared_groups_at_the_configured_scenario(nam
 @pytest.mark.parametrize("name", ["chain5", "rayleigh_chain", "matrices", "coulomb", "bouc_wen"])
 def test_a_record_has_four_samples_in_the_shortest_period(name: str) -> None:
     """Of a linear system from its matrices, of the others from the stiffness of small motion."""
-    (cell,) = jobs_to_cells(expand(["method=oracle", f"system={name}"], False))
+    (cell,) = [job.cell() for job in expand(["method=oracle", f"system={name}"], False)]
     scenario: Scenario = cell.scenario
     system, p = scenario.make_system(), scenario.parameters
     if system.linear:

@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 
 from bench import systems
 from bench.commands.main import main
-from bench.config.config import expand, jobs_to_cells
+from bench.config.experiment import expand
 from bench.information.fisher import information
 from bench.scenario.scenario import Scenario
 from bench.store.version import cell_version
@@ -68,7 +68,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def scenario() -> Scenario:
-    return jobs_to_cells(expand(["method=prior", "system=gap.yaml"], multirun=False))[0].scenario
+    return expand(["method=prior", "system=gap.yaml"], multirun=False)[0].scenario
 
 
 def test_it_is_at_most_thirty_lines(folder: Path) -> None:
@@ -155,7 +155,7 @@ def test_two_files_can_be_swept_over(tmp_path: Path) -> None:
     for n in (30, 50):
         (tmp_path / f"s{n}.yaml").write_text(f"defaults: [sdof]\nlabel: s{n}\nsamples: {n}\n", encoding="utf-8")
     files = ",".join(str(tmp_path / f"s{n}.yaml") for n in (30, 50))
-    cells = jobs_to_cells(expand(["method=ls", f"system={files}", "system.duration=5"], multirun=True))
+    cells = [job.cell() for job in expand(["method=ls", f"system={files}", "system.duration=5"], multirun=True)]
     assert [(c.scenario.label, c.scenario.samples, c.scenario.duration) for c in cells] == [
         ("s30", 30, 5),
         ("s50", 50, 5),

@@ -12,8 +12,9 @@ from urllib.parse import quote
 
 import pandas as pd
 
-from bench.reporting.page.gather import disturbed
-from bench.reporting.page.words import number, percent, quantity, title_of
+from bench.reporting.labels import title
+from bench.reporting.page.reading import disturbed
+from bench.reporting.page.words import number, percent, quantity
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def reproduction(folder: Path) -> Table | None:
     ]
     rows = tuple(
         (
-            str(line["table"]), str(line["row"]), title_of(str(line["method"])), quantity(str(line["metric"])),
+            str(line["table"]), str(line["row"]), title(str(line["method"])), quantity(str(line["metric"])),
             number(line["paper"]), number(line[f"{first}: median"]), str(line[first]),
             "yes" if str(line["firm"]) == "True" else "no",
         )
@@ -81,7 +82,7 @@ def calibration(path: Path) -> Table | None:
     good = int((data["verdict"] == "calibrated").sum())
     rows = tuple(
         (
-            title_of(str(line["method"])), str(line["initial_state"]), f"{line['snr_db']:g}",
+            title(str(line["method"])), str(line["initial_state"]), f"{line['snr_db']:g}",
             quantity(str(line["quantity"])), percent(line["coverage_95"]),
             f"{percent(line['low_95'])} to {percent(line['high_95'])}", f"{line['n']:.0f}", str(line["verdict"]),
         )
@@ -118,7 +119,7 @@ def robustness(folder: Path) -> Table | None:
             line = own[(own["disturbance"] == disturbance) & (own["initial_state"] == told)]
             cells.append(_disturbed(line.iloc[0]) if len(line) else "–")
         low, high = int(own["n"].min()), int(own["n"].max())
-        rows.append((title_of(str(method)), str(low) if low == high else f"{low} to {high}", *cells))
+        rows.append((title(str(method)), str(low) if low == high else f"{low} to {high}", *cells))
     names = ["undisturbed" if kind == "none" else name for (kind, _), name in columns.items()]
     groups = tuple((f"start {told}", len(list(own))) for told, own in itertools.groupby(told for _, told in columns))
     notes = (
@@ -155,7 +156,7 @@ def overall(folder: Path) -> Table | None:
         return None
     rows = tuple(
         (
-            str(line["initial_state"]), quantity(str(line["metric"])), title_of(str(line["method"])),
+            str(line["initial_state"]), quantity(str(line["metric"])), title(str(line["method"])),
             f"×{number(line['ratio'])}{_between(line)}",
             "level" if str(line["tie"]) == "True" else "behind",
         )
@@ -198,6 +199,6 @@ def _data_uri(text: str) -> str:
     return Markup("data:image/svg+xml," + quote(text, safe=" '=:;,/()+-.!*@$?_~"))
 
 
-def fits_beside(out: Path, names: Sequence[str]) -> list[str]:
+def files_beside(out: Path, names: Sequence[str]) -> list[str]:
     """Those of the files that lie beside the page, for links."""
     return [name for name in names if (out.parent / name).is_file()]

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.contract.estimate import Status
-from bench.entrants.reference import REFERENCES
-from bench.reporting.page.gather import ERROR, Gathered, Panel, decibels, label_of
+from bench.reporting.frame import ERROR, Result
+from bench.reporting.page.reading import Panel, Reading, decibels
 from bench.reporting.page.standing import Ranking, fit_seconds, rank
 from bench.reporting.page.typical import typical
-from bench.reporting.page.words import heading, number, percent, seconds, title_of
-from bench.reporting.tables.tables import errors_of, excess_text
-from bench.store.store import StoredCell
+from bench.reporting.page.words import heading, number, percent, seconds
+from bench.reporting.rounding import excess_text
 
 MOST_LINES = 6000
 """More would not fit into the page; whole scenarios are left out, and it says so."""
@@ -50,7 +49,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Board:
+class Leaderboard:
     """The lines, and how many scenarios had no room."""
 
     lines: tuple[Line, ...]
@@ -61,30 +60,30 @@ Rankings = dict[tuple[int, str], Ranking | None]
 """By the panel's place in the page and by metric."""
 
 
-def rankings(gathered: Gathered) -> Rankings:
+def rankings(reading: Reading) -> Rankings:
     """Every scenario's methods by every metric that its data decide."""
-    return {(i, metric): rank(panel, metric) for i, panel in enumerate(gathered.panels) for metric in panel.ranked}
+    return {(i, metric): rank(panel, metric) for i, panel in enumerate(reading.panels) for metric in panel.ranked}
 
 
-def board(gathered: Gathered, ranked: Rankings) -> Board:
+def leaderboard(reading: Reading, ranked: Rankings) -> Leaderboard:
     """The leaderboard of the store, tables first, as far as there is room: first for one scenario of every system."""
-    panels, room = gathered.panels, MOST_LINES
+    panels, room = reading.panels, MOST_LINES
     first = [i for i in typical(panels) if panels[i].experiments]
     lines: dict[int, list[Line]] = {}
     for i in [*first, *(i for i in range(len(panels)) if i not in first)]:
         own = panel_lines(panels[i], {metric: ranked.get((i, metric)) for metric in panels[i].metrics})
         if not lines or len(own) <= room:
             lines[i], room = own, room - len(own)
-    return Board(tuple(line for i in sorted(lines) for line in lines[i]), len(panels) - len(lines))
+    return Leaderboard(tuple(line for i in sorted(lines) for line in lines[i]), len(panels) - len(lines))
 
 
 def panel_lines(panel: Panel, ranked: dict[str, Ranking | None]) -> list[Line]:
     """The lines of one scenario: best first in each quantity, failures last."""
     lines = []
     for metric in panel.metrics:
-        own = [cell for cell in panel.cells if metric in cell.summary]
-        order = sorted(own, key=lambda cell: (_infinite(cell.summary[metric]["median"]), title_of(label_of(cell))))
-        lines += [_line(panel, cell, metric, ranked.get(metric)) for cell in order]
+        own = [result for result in panel.results if metric in result.summary]
+        order = sorted(own, key=lambda result: (_infinite(result.statistic(metric, "median")), result.title))
+        lines += [_line(panel, result, metric, ranked.get(metric)) for result in order]
     return lines
 
 
@@ -99,45 +98,47 @@ def _infinite(value: float) -> float:
     return math.inf if math.isnan(value) else value
 
 
-def _line(panel: Panel, cell: StoredCell, metric: str, ranking: Ranking | None) -> Line:
-    summary, label = cell.summary[metric], label_of(cell)
-    low, high, excess = summary["ci_low"], summary["ci_high"], summary["excess"]
+def _line(panel: Panel, result: Result, metric: str, ranking: Ranking | None) -> Line:
+    low, high, bound, excess = (result.statistic(metric, name) for name in ("ci_low", "ci_high", "bound", "excess"))
     known = math.isfinite(low) and not math.isnan(high)
-    unsupported = cell.n_ok == 0 and cell.status is Status.UNSUPPORTED
+    untold = metric == "rmse" or result.label == "prior"
+    share = math.nan if untold else panel.prior_share.get(metric.removesuffix(ERROR), math.nan)
     return Line(
         tables=", ".join(one.short for one in panel.experiments) or "–",
-        system=panel.system,
-        snr=decibels(panel.snr_db),
-        start=panel.told,
+        system=result.system,
+        snr=decibels(result.snr_db),
+        start=result.initial_state,
         data=panel.kind,
-        method=title_of(label),
+        method=result.title,
         quantity=heading(metric),
-        rms=number(root_mean_square(errors_of(cell, metric))),
-        median="–" if unsupported else number(summary["median"]),
+        rms=number(root_mean_square(result.errors(metric))),
+        median="–" if _unsupported(result) else number(result.statistic(metric, "median")),
         interval=f"{number(low)} to {number(high)}" if known else "–",
-        bound=number(summary["bound"]) if math.isfinite(summary["bound"]) else "–",
+        bound=number(bound) if math.isfinite(bound) else "–",
         excess=excess_text(excess) if math.isfinite(excess) else "–",
-        place=_place(cell, ranking, label),
-        prior="–"
-        if metric == "rmse" or label == "prior"
-        else percent(panel.prior_share.get(metric.removesuffix(ERROR), math.nan)),
-        ok=f"{cell.n_ok}/{len(cell.rows)}",
-        time=seconds(fit_seconds(cell)),
+        place=_place(result, ranking),
+        prior=percent(share),
+        ok=f"{result.n_ok}/{result.n}",
+        time=seconds(fit_seconds(result)),
     )
 
 
-def _place(cell: StoredCell, ranking: Ranking | None, label: str) -> str:
-    if cell.cell.get("method") in REFERENCES:
+def _unsupported(result: Result) -> bool:
+    return result.status is Status.UNSUPPORTED
+
+
+def _place(result: Result, ranking: Ranking | None) -> str:
+    if result.is_reference:
         return "reference"
-    if cell.status is Status.UNSUPPORTED and cell.n_ok == 0:
+    if _unsupported(result):
         return "unsupported"
-    if cell.n_ok == 0:
-        return f"failed: {cell.status.value.replace('_', ' ')}"
+    if result.n_ok == 0:
+        return f"failed: {result.status.value.replace('_', ' ')}"
     if ranking is None:
         return "not ranked"
-    if label in ranking.weak:
+    if result.label in ranking.weak:
         return "undecided (fewer data)"
-    return PLACES.get(ranking.places.get(label, ""), "–")
+    return PLACES.get(ranking.places.get(result.label, ""), "–")
 
 
 def options(lines: Sequence[Line], name: str) -> list[str]:

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from bench.entrants.reference import REFERENCES
-from bench.reporting.page.gather import ERROR, Panel, label_of
+from bench.reporting.frame import ERROR, Result
+from bench.reporting.labels import title as title_of
+from bench.reporting.page.first_replicate import FirstReplicate, first_replicate, stated_interval
 from bench.reporting.page.headline import Answer
-from bench.reporting.page.kept import Kept, kept, stated_interval
-from bench.reporting.page.words import quantity, title_of
-from bench.store.store import Store, StoredCell
+from bench.reporting.page.reading import Panel
+from bench.reporting.page.words import quantity
+from bench.store.store import Store
 
 INK, MUTED, LINE, SURFACE = "#010203", "#040506", "#070809", "#0a0b0c"
 SERIES = ("#0d0e01", "#0d0e02", "#0d0e03", "#0d0e04")
@@ -88,55 +89,55 @@ def draw_answers(answers: Sequence[Answer]) -> list[str]:
     """How many times the smallest possible error each method makes: a picture a reading of the start, of one scale."""
     plt = pyplot()
     metrics = list(dict.fromkeys(m for one in answers for m in one.panel.ranked))[: len(SERIES)]
-    shown = [_excess(cell, m) for one in answers for cell in one.panel.methods for m in metrics]
+    shown = [cell.excess(m) for one in answers for cell in one.panel.methods for m in metrics]
     finite = [value for value in shown if math.isfinite(value) and value > 0] or [1.0]
     limits = (0.85 * min(0.9, *finite), 1.2 * max(2.0, *finite))
     pictures = []
     for i, one in enumerate(answers):
-        cells = sorted(one.panel.methods, key=lambda cell: (-_typical(cell, metrics), label_of(cell)))
-        most = max((len(cell.rows) for cell in cells), default=1)
+        start = f"start {one.panel.facts.initial_state}"
+        cells = sorted(one.panel.methods, key=lambda cell: (-_typical(cell, metrics), cell.label))
+        most = max((cell.n for cell in cells), default=1)
         with plt.rc_context(RC):
             figure, axis = plt.subplots(figsize=(5.0, 1.3 + 0.26 * len(cells)), layout="constrained")
             axis.axvspan(*np.clip(chance_band(most), limits[0], None), color=LINE, alpha=0.45, lw=0)
             axis.axvline(1.0, color=INK, lw=1)
             for j, metric in enumerate(metrics):
                 axis.plot(
-                    [_excess(cell, metric) for cell in cells], range(len(cells)), MARKERS[j], color=SERIES[j], ms=6,
+                    [cell.excess(metric) for cell in cells], range(len(cells)), MARKERS[j], color=SERIES[j], ms=6,
                     mfc="none", mew=1.6, label=quantity(metric),
                 )  # fmt: skip
             axis.set(
-                xscale="log", title=f"start {one.panel.told}", xlabel="error over the smallest possible", xlim=limits
+                xscale="log",
+                title=start,
+                xlabel="error over the smallest possible",
+                xlim=limits,
             )
             ticks = [t for t in (0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500) if limits[0] <= t <= limits[1]]
             axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
             axis.minorticks_off()
             axis.set_ylim(-0.6, len(cells) - 0.4)
-            few = ["" if len(cell.rows) == most else f" (n = {len(cell.rows)})" for cell in cells]
-            names = [title_of(label_of(cell)) + n for cell, n in zip(cells, few, strict=True)]
+            few = ["" if cell.n == most else f" (n = {cell.n})" for cell in cells]
+            names = [cell.title + n for cell, n in zip(cells, few, strict=True)]
             axis.set_yticks(range(len(cells)), names)
             axis.grid(axis="both", lw=0.6)
             axis.set_axisbelow(True)
             axis.tick_params(length=0)
             if metrics:
                 figure.legend(loc="outside upper left", ncols=len(metrics), fontsize=9, handletextpad=0.2)
-            title = f"Error of every method over the smallest possible, start {one.panel.told}"
+            title = f"Error of every method over the smallest possible, {start}"
             pictures.append(svg(figure, title, f"answers{i}"))
     return pictures
 
 
-def _excess(cell: StoredCell, metric: str) -> float:
-    return float(cell.summary.get(metric, {}).get("excess", math.nan))
-
-
-def _typical(cell: StoredCell, metrics: Sequence[str]) -> float:
+def _typical(cell: Result, metrics: Sequence[str]) -> float:
     """The mean logarithm of a method's errors over the bound: what the picture is sorted by."""
-    finite = [x for x in (_excess(cell, metric) for metric in metrics) if math.isfinite(x)]
+    finite = [x for x in (cell.excess(metric) for metric in metrics) if math.isfinite(x)]
     return sum(math.log(max(x, 1e-3)) for x in finite) / len(finite) if finite else math.inf
 
 
 def draw_panel(store: Store, panel: Panel, name: str) -> tuple[str, tuple[str, ...]]:
     """One scenario: samples, truth and fits, their errors, and intervals; and the methods without a fit to draw."""
-    found = {label_of(cell): (cell, kept(store, cell)) for cell in panel.methods}
+    found = {cell.label: (cell, first_replicate(store, cell)) for cell in panel.methods}
     fits = {label: (cell, k) for label, (cell, k) in found.items() if k is not None and k.fit is not None}
     any_kept = next((k for _, k in found.values() if k is not None), None)
     if any_kept is None:
@@ -165,7 +166,7 @@ def _one_of_each(ranked: Sequence[str]) -> list[str]:
     return [name for name in ranked if name in first.values()][:3]
 
 
-def _chosen(fits: Mapping[str, tuple[StoredCell, Kept | None]]) -> list[str]:
+def _chosen(fits: Mapping[str, tuple[Result, FirstReplicate | None]]) -> list[str]:
     """A few that differ: the least error of the displacement, one not far above it, and evenly between."""
     order = sorted(fits, key=lambda label: (_median(fits[label][0]), label))
     order = [label for label in order if _median(fits[label][0]) <= MOST_ABOVE * _median(fits[order[0]][0])]
@@ -175,8 +176,8 @@ def _chosen(fits: Mapping[str, tuple[StoredCell, Kept | None]]) -> list[str]:
     return [order[i] for i in picks]
 
 
-def _median(cell: StoredCell) -> float:
-    value = cell.summary.get("rmse", {}).get("median", math.inf)
+def _median(cell: Result) -> float:
+    value = cell.statistic("rmse", "median")
     return math.inf if math.isnan(value) else value
 
 
@@ -184,7 +185,7 @@ def _thin(values: np.ndarray) -> np.ndarray:
     return values[np.unique(np.linspace(0, len(values) - 1, POINTS).round().astype(int))]
 
 
-def _draw_record(axis: Any, one: Kept, fits: Sequence[tuple[str, Kept | None]]) -> None:
+def _draw_record(axis: Any, one: FirstReplicate, fits: Sequence[tuple[str, FirstReplicate | None]]) -> None:
     axis.plot(_thin(one.dense), _thin(one.truth), color=LINE, lw=5, solid_capstyle="round", label="truth")
     for j, (label, k) in enumerate(fits):
         if k is not None and k.fit is not None:
@@ -198,8 +199,8 @@ def _draw_record(axis: Any, one: Kept, fits: Sequence[tuple[str, Kept | None]]) 
     axis.grid(lw=0.5)
 
 
-def _draw_errors(axis: Any, panel: Panel, fits: Sequence[tuple[str, Kept | None]]) -> None:
-    sigma = (panel.what.get("sigma") or [math.nan])[0]
+def _draw_errors(axis: Any, panel: Panel, fits: Sequence[tuple[str, FirstReplicate | None]]) -> None:
+    sigma = (panel.facts.sigma or (math.nan,))[0]
     if math.isfinite(sigma):
         axis.axhspan(-sigma, sigma, color=LINE, alpha=0.45, lw=0, label="noise of a sample, ± 1 sd")
     for j, (label, k) in enumerate(fits):
@@ -226,24 +227,23 @@ def _draw_errors(axis: Any, panel: Panel, fits: Sequence[tuple[str, Kept | None]
     axis.set_ylim(low, high + 0.4 * (high - low))
 
 
-def _ratios(cell: StoredCell, metric: str) -> np.ndarray:
+def _ratios(cell: Result, metric: str) -> np.ndarray:
     """The finite values of a quantity over its true one, of the fits that have it."""
-    name = f"{metric.removesuffix(ERROR)}_ratio"
-    values = np.array([row.scores[name] for row in cell.rows if name in row.scores], float)
-    return values[np.isfinite(values)]
+    values = cell.scores(f"{metric.removesuffix(ERROR)}_ratio")
+    return np.asarray(values[np.isfinite(values)])
 
 
-def _with_ratios(panel: Panel, metric: str) -> list[StoredCell]:
+def _with_ratios(panel: Panel, metric: str) -> list[Result]:
     """The cells that have any value of a quantity, worst first, references at the bottom; not the prior's."""
-    found = [c for c in panel.cells if c.cell.get("method") != "prior" and _ratios(c, metric).size]
-    return sorted(found, key=lambda c: (c.cell.get("method") not in REFERENCES, -_error(c, metric), label_of(c)))
+    found = [c for c in panel.results if c.method != "prior" and _ratios(c, metric).size]
+    return sorted(found, key=lambda c: (not c.is_reference, -_error(c, metric), c.label))
 
 
 def _draw_intervals(axis: Any, store: Store, panel: Panel, metric: str) -> None:
     """Deviation from the truth by method: the middle 95 % of all data sets, the first one's value and interval."""
     name = metric.removesuffix(ERROR)
     cells = _with_ratios(panel, metric)
-    bound = next((c.summary[metric]["bound"] for c in cells if metric in c.summary), math.nan)
+    bound = next((c.bound(metric) for c in cells if metric in c.summary), math.nan)
     if math.isfinite(bound):
         axis.axvspan(-1.96 * bound, 1.96 * bound, color=LINE, alpha=0.45, lw=0)
     axis.axvline(0, color=INK, lw=0.8)
@@ -256,13 +256,13 @@ def _draw_intervals(axis: Any, store: Store, panel: Panel, metric: str) -> None:
         axis.plot(spread, [y + 0.14] * 2, color=SERIES[0], lw=3.2, solid_capstyle="butt")
         _mark_beyond(axis, y + 0.14, spread, reach, SERIES[0])
         _say_beyond(axis, y, spread, reach)
-        first = 100 * (cell.rows[0].scores.get(f"{name}_ratio", math.nan) - 1)
+        first = 100 * (cell.first(f"{name}_ratio") - 1)
         if ends is not None:
             axis.plot(ends, [y - 0.2] * 2, color=SERIES[1], lw=1.2)
         _mark_beyond(axis, y - 0.2, [first] if ends is None else ends, reach, SERIES[1])
         axis.plot(first, y - 0.2, "o", color=SERIES[1], ms=3.5)
     axis.set_xlim(-reach, reach)
-    axis.set_yticks(range(len(cells)), [title_of(label_of(c)) for c in cells], fontsize=8.5)
+    axis.set_yticks(range(len(cells)), [c.title for c in cells], fontsize=8.5)
     axis.set_ylim(-0.7, len(cells) - 0.2)
     axis.set(title=f"{quantity(metric)}: off the truth (%)")
     axis.tick_params(axis="y", length=0, pad=6)
@@ -303,6 +303,6 @@ def _nil(value: float) -> float:
     return value if math.isfinite(value) and value > 0 else 0.5
 
 
-def _error(cell: StoredCell, metric: str) -> float:
-    value = cell.summary.get(metric, {}).get("excess", math.nan)
+def _error(cell: Result, metric: str) -> float:
+    value = cell.excess(metric)
     return value if math.isfinite(value) else 1e9

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.contract.estimate import Status
-from bench.contract.problem import Channel, InitialState, Record
+from bench.contract.problem import Channel, Record
 from bench.dynamics.simulate import fitted_start, simulate
 from bench.errors import InputError
-from bench.store.store import Store, StoredCell
-from bench.systems import System, make_system
+from bench.reporting.frame import Result
+from bench.store.store import Store
+from bench.systems import System
 
 AGREES = 0.02
 """Largest relative difference from a stored score."""
@@ -25,7 +25,7 @@ TWO_SIDED = (2.5, 97.5)
 
 
 @dataclass(frozen=True)
-class Kept:
+class FirstReplicate:
     """Of the first replicate: ``times``, ``values`` (n,) of the samples of one DOF, ``truth`` and ``fit`` on ``dense``.
 
     ``band`` is the stated standard deviation of the fit; ``fit`` and ``band`` are None where they are not known.
@@ -41,9 +41,9 @@ class Kept:
     band: np.ndarray | None
 
 
-def kept(store: Store, cell: StoredCell) -> Kept | None:
+def first_replicate(store: Store, result: Result) -> FirstReplicate | None:
     """What is kept, of the first DOF with a sensor; None where the cell has no arrays or they are not readable."""
-    arrays = read_arrays(store, cell)
+    arrays = result.arrays(store)
     if not {"sample_times", "sample_values", "sample_dof", "dense_times", "true_displacement"} <= set(arrays):
         return None
     dof = int(arrays["sample_dof"][0])
@@ -51,88 +51,63 @@ def kept(store: Store, cell: StoredCell) -> Kept | None:
     truth = np.atleast_2d(arrays["true_displacement"])
     fit = arrays.get("displacement")
     if fit is None:
-        fit = simulated(cell, arrays)
+        fit = simulated(result, arrays)
     fit = None if fit is None or np.shape(fit) != truth.shape or not np.isfinite(fit).all() else fit[dof]
     band = arrays.get("displacement_sd")
-    return Kept(
+    return FirstReplicate(
         dof, len(truth), arrays["sample_times"][own], arrays["sample_values"][own], arrays["dense_times"], truth[dof],
         fit, None if band is None or fit is None else np.atleast_2d(band)[dof],
     )  # fmt: skip
 
 
-def read_arrays(store: Store, cell: StoredCell) -> Mapping[str, np.ndarray]:
-    """The arrays of a cell; none where its file is gone or damaged, since a page can do without a picture."""
-    try:
-        return store.arrays(cell)
-    except (OSError, ValueError, KeyError):
-        return {}
-
-
-def system_of(cell: StoredCell) -> System | None:
-    """The system of a cell; None where it is not registered here."""
-    data = cell.cell.get("data", {})
-    try:
-        return make_system(str(data["system"]), data.get("options", {}))
-    except (InputError, KeyError):
-        return None
-
-
-def log_parameters(cell: StoredCell, arrays: Mapping[str, np.ndarray], system: System) -> np.ndarray | None:
+def log_parameters(result: Result, arrays: Mapping[str, np.ndarray], system: System) -> np.ndarray | None:
     """The mean of the belief as log-parameters in the system's order, if the stored ratios say that it is."""
-    mean, truth = arrays.get("mean"), cell.cell.get("data", {}).get("parameters", {})
-    if mean is None or mean.shape != (len(system.names),) or not cell.rows or not set(system.names) <= set(truth):
+    mean, truth = arrays.get("mean"), result.parameters
+    if mean is None or mean.shape != (len(system.names),) or not result.n or not set(system.names) <= set(truth):
         return None
-    scores = cell.rows[0].scores
-    with np.errstate(over="ignore"):
+    with np.errstate(all="ignore"):
         for name, value in zip(system.names, np.exp(mean), strict=True):
-            with np.errstate(all="ignore"):
-                gap = abs(value / truth[name] / scores.get(f"{name}_ratio", math.nan) - 1.0)
-            if not gap < 1e-3:
+            if not abs(value / truth[name] / result.first(f"{name}_ratio") - 1.0) < 1e-3:
                 return None
     return mean
 
 
-def simulated(cell: StoredCell, arrays: Mapping[str, np.ndarray]) -> np.ndarray | None:
+def simulated(result: Result, arrays: Mapping[str, np.ndarray]) -> np.ndarray | None:
     """The response from the identified parameters (n_dof, n_dense) in free vibration, if its stored error agrees."""
-    system, data = system_of(cell), cell.cell.get("data", {})
-    if system is None or data.get("force") is not None or data.get("added_mass") or "truth" in data:
+    system = result.known_model
+    if system is None or result.forced or result.added_mass or result.truth_drawn:
         return None
-    mean = log_parameters(cell, arrays, system)
-    if mean is None or cell.rows[0].status is not Status.OK:
+    mean = log_parameters(result, arrays, system)
+    if mean is None or not result.ok[0]:
         return None
     p = dict(zip(system.names, map(float, np.exp(mean)), strict=True))
-    known = cell.cell.get("told", {}).get("initial_state") == "known"
-    start = InitialState(*(np.array(part, float) for part in data["initial"])) if known else None
     dofs, times, values = (arrays[f"sample_{name}"] for name in ("dof", "times", "values"))
-    channels = tuple(
-        Channel(times[dofs == i].astype(float), values[dofs == i].astype(float), dof=int(i)) for i in np.unique(dofs)
-    )
+    measured = [int(i) for i in np.unique(dofs)]
+    channels = tuple(Channel(times[dofs == i], values[dofs == i], dof=i) for i in measured)
     try:
-        began = fitted_start(system, p, Record(channels, (), start))
-        response = simulate(system, p, began, arrays["dense_times"].astype(float)).displacement
+        began = fitted_start(system, p, Record(channels, (), result.start_told))
+        response = simulate(system, p, began, arrays["dense_times"]).displacement
     except (InputError, np.linalg.LinAlgError):
         return None
-    measured = [int(i) for i in np.unique(dofs)]
     error = np.sqrt(np.mean((response - np.atleast_2d(arrays["true_displacement"]))[measured] ** 2))
-    stored = cell.rows[0].scores.get("rmse_simulated", math.nan)
-    return response if abs(error / stored - 1.0) < AGREES else None
+    return response if abs(error / result.first("rmse_simulated") - 1.0) < AGREES else None
 
 
-def stated_interval(store: Store, cell: StoredCell, quantity: str) -> tuple[float, float] | None:
+def stated_interval(store: Store, result: Result, quantity: str) -> tuple[float, float] | None:
     """The first replicate's stated interval of a quantity over its true value: two standard deviations of its logarithm
     to either side, or the middle 95 % of the draws."""
-    system, truth = system_of(cell), cell.cell.get("data", {}).get("parameters", {})
-    if system is None or "truth" in cell.cell.get("data", {}) or quantity not in {q.name for q in system.quantities}:
+    system = result.known_model
+    if system is None or result.truth_drawn or quantity not in {q.name for q in system.quantities}:
         return None
-    arrays = read_arrays(store, cell)
+    arrays = result.arrays(store)
     what = system.quantity(quantity)
-    true = float(what.value(truth))
+    true = float(what.value(result.parameters))
     draws = arrays.get("draws")
     if draws is not None and draws.shape[1:] == (len(system.names),):
-        values = what.value({name: draws[:, i].astype(float) for i, name in enumerate(system.names)})
+        values = what.value({name: draws[:, i] for i, name in enumerate(system.names)})
         low, high = np.percentile(values, TWO_SIDED) / true
         return float(low), float(high)
-    mean = log_parameters(cell, arrays, system)
+    mean = log_parameters(result, arrays, system)
     covariance = arrays.get("covariance")
     if mean is None or covariance is None:
         return None

@@ -1,0 +1,365 @@
+"""The read model: stored cells, and cells that an experiment describes, as all tables, figures and pages read them.
+
+A :class:`Result` is one cell, run or not, with the facts of its scenario and what came out; it alone knows the keys of
+a stored description. A :class:`Frame` is the results of one experiment; those
+of a store are a plain list (:func:`stored_results`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import zipfile
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+
+from bench.config.choices import choices
+from bench.config.experiment import Experiment
+from bench.contract.estimate import Status
+from bench.contract.problem import InitialState
+from bench.entrants.reference import REFERENCES
+from bench.errors import InputError
+from bench.reporting.labels import title
+from bench.scenario.scenario import Scenario
+from bench.scoring.row import Row
+from bench.store.cell import Cell
+from bench.store.store import Store, StoredCell
+from bench.systems import System, make_system
+
+ERROR = "_error_pct"
+Key = TypeVar("Key", bound=Hashable)
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One cell: its facts, and what the store holds of it (None where it was not run).
+
+    ``system`` is what tables call the system, ``kind`` which equations it has. ``data`` describes what decides the data
+    of a replicate, ``prior`` the widths of the prior by kind of parameter. ``cell`` is there where an experiment
+    describes the cell. Arrays by replicate have the shape (n,).
+    """
+
+    label: str
+    method: str
+    system: str
+    snr_db: float
+    initial_state: str
+    seed: int
+    prior: Mapping[str, Any] | None
+    settings: Mapping[str, Any]
+    sigma: tuple[float, ...]
+    data: Mapping[str, Any]
+    stored: StoredCell | None
+    cell: Cell | None = None
+    _columns: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of_description(
+        cls, what: Mapping[str, Any], stored: StoredCell | None, cell: Cell | None = None
+    ) -> Result:  # fmt: skip
+        """The facts of a description as cells are stored with it; what a foreign one lacks is left open."""
+        data, told = what.get("data", {}), what.get("told", {})
+        method = str(what.get("method", "?"))
+        snr = what.get("snr_db", data.get("snr_db"))
+        return cls(
+            label=str(what.get("label") or method),
+            method=method,
+            system=str(what.get("system") or data.get("system", "?")),
+            snr_db=math.nan if snr is None else float(snr),
+            initial_state=str(what.get("initial_state") or told.get("initial_state", "?")),
+            seed=int(what.get("seed") or 0),
+            prior=told.get("prior"),
+            settings=what.get("settings", {}),
+            sigma=tuple(map(float, what.get("sigma") or ())),
+            data=data,
+            stored=stored,
+            cell=cell,
+        )
+
+    @classmethod
+    def of_cell(cls, cell: Cell, stored: StoredCell | None) -> Result:
+        """A cell of an experiment, with what the store holds of it."""
+        scenario = cell.scenario
+        what = {"label": cell.label, "system": scenario.label, "snr_db": scenario.snr_db}
+        return cls.of_description({**cell.description(), **what}, stored, cell)
+
+    @classmethod
+    def of_stored(cls, stored: StoredCell) -> Result:
+        """A stored cell."""
+        return cls.of_description(stored.cell, stored)
+
+    # ---- facts of the scenario
+
+    @property
+    def kind(self) -> str:
+        """The registered system whose equations it has."""
+        return str(self.data.get("system", "?"))
+
+    @property
+    def disturbance(self) -> str:
+        """The kind of what disturbs the data; empty where nothing does."""
+        return str((self.data.get("disturbance") or {}).get("kind", "")).removeprefix("none")
+
+    @property
+    def disturbance_size(self) -> float:
+        return float((self.data.get("disturbance") or {}).get("size", math.nan))
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The true values (SI units)."""
+        found: Mapping[str, float] = self.data.get("parameters", {})
+        return found
+
+    @property
+    def forced(self) -> bool:
+        return bool(self.data.get("force"))
+
+    @property
+    def force(self) -> str:
+        """The known force in words: its shape, and its amplitude where that is stored; empty in free vibration."""
+        force = self.data.get("force") or {}
+        # a stored description names every shape but the default
+        shape = str(force.get("kind", "multisine")).replace("_", " ") if force else ""
+        return shape + (f", amplitude {float(force['amplitude']):g} N" if "amplitude" in force else "")
+
+    @property
+    def duration(self) -> float:
+        """Of the record (s)."""
+        return float(self.data.get("duration", math.nan))
+
+    @property
+    def samples(self) -> int:
+        """Samples of a sensor; 0 where the description does not say."""
+        return int(self.data.get("samples", 0))
+
+    @property
+    def n_dof(self) -> int:
+        """Masses that move; 0 where the description does not say."""
+        return len(self.data.get("initial", [[]])[0])
+
+    @property
+    def added_mass(self) -> tuple[float, ...]:
+        """Known masses (kg, one a DOF) of a second record; none where there is one record."""
+        return tuple(map(float, self.data.get("added_mass") or ()))
+
+    @property
+    def truth_drawn(self) -> bool:
+        """Whether each replicate has a truth of its own."""
+        return "truth" in self.data
+
+    @property
+    def start_told(self) -> InitialState | None:
+        """The initial state, where the methods were told it."""
+        if self.initial_state != "known":
+            return None
+        displacement, velocity = self.data["initial"]
+        return InitialState(np.array(displacement, float), np.array(velocity, float))
+
+    @cached_property
+    def question(self) -> str:
+        """What is the same for all methods that were asked the same: data, what is told, and seed."""
+        told = {"initial_state": self.initial_state, "prior": self.prior}
+        return json.dumps([self.data, told, self.seed, self.system], sort_keys=True, default=str)
+
+    @cached_property
+    def series(self) -> str:
+        """What is the same for all cells that differ in method, noise level and start alone."""
+        data = {key: value for key, value in self.data.items() if key != "snr_db"}
+        return json.dumps({"data": data, "prior": self.prior, "seed": self.seed}, sort_keys=True)
+
+    @cached_property
+    def model(self) -> System:
+        """The system whose equations the methods were given; raises InputError where it is not registered here."""
+        return make_system(self.kind, self.data.get("options", {}))
+
+    @property
+    def known_model(self) -> System | None:
+        """The same; None where it is not registered here."""
+        with contextlib.suppress(InputError):
+            return self.model
+        return None
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario of an experiment's cell."""
+        assert self.cell is not None, "a stored description alone makes no scenario"
+        return self.cell.scenario
+
+    @property
+    def identity(self) -> str:
+        """What names the cell in a store."""
+        return self.stored.identity if self.stored else self.cell.identity if self.cell else ""
+
+    @property
+    def is_reference(self) -> bool:
+        """Whether it is a reference row, which sees the truth or no data, and competes with nobody."""
+        return self.method in REFERENCES
+
+    @property
+    def title(self) -> str:
+        """The method's name for people."""
+        return title(self.label)
+
+    # ---- what came out
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """The replicates, as they are stored."""
+        return self.stored.rows if self.stored else ()
+
+    @property
+    def n(self) -> int:
+        """Replicates that are stored."""
+        return len(self.rows)
+
+    @cached_property
+    def statuses(self) -> tuple[Status, ...]:
+        return tuple(row.status for row in self.rows)
+
+    @cached_property
+    def n_ok(self) -> int:
+        return self.statuses.count(Status.OK)
+
+    @property
+    def status(self) -> Status:
+        """``ok`` where any replicate succeeded, else the most frequent failure."""
+        assert self.stored is not None
+        return self.stored.status
+
+    @cached_property
+    def ok(self) -> np.ndarray:
+        """Which replicates succeeded, booleans (n,)."""
+        return np.array([status is Status.OK for status in self.statuses], bool)
+
+    @property
+    def summary(self) -> Mapping[str, Mapping[str, float]]:
+        """By metric, the stored statistics over the replicates."""
+        return self.stored.summary if self.stored else {}
+
+    def statistic(self, metric: str, name: str) -> float:
+        """``mean``, ``median``, ``ci_low``, ``ci_high``, ``bound`` or ``excess`` of a metric; NaN without it."""
+        return float(self.summary.get(metric, {}).get(name, math.nan))
+
+    def bound(self, metric: str) -> float:
+        """The Cramér-Rao bound on the root mean square of a metric."""
+        return self.statistic(metric, "bound")
+
+    def excess(self, metric: str) -> float:
+        """Root mean square of the successful replicates over the bound."""
+        return self.statistic(metric, "excess")
+
+    def covered(self, quantity: str, level: int = 95) -> float:
+        """The share of the intervals of a quantity that held the truth."""
+        return self.statistic(f"{quantity}_coverage_{level}", "mean")
+
+    @property
+    def identifiable(self) -> Mapping[str, bool]:
+        """By quantity, whether the data alone tell it."""
+        return self.stored.identifiable if self.stored else {}
+
+    @property
+    def prior_share(self) -> Mapping[str, float]:
+        """By quantity, the prior's share of the variance at the bound."""
+        return self.stored.prior_share if self.stored else {}
+
+    def has(self, score: str) -> bool:
+        """Whether any replicate has a score."""
+        return any(score in row.scores for row in self.rows)
+
+    def scores(self, name: str) -> np.ndarray:
+        """A score by replicate (n,), NaN where a replicate has none."""
+        if name not in self._columns:
+            self._columns[name] = np.array([row.scores.get(name, math.nan) for row in self.rows], float)
+        return self._columns[name]
+
+    def errors(self, metric: str) -> np.ndarray:
+        """A metric's errors by replicate (n,), infinite where a replicate failed."""
+        values = self.scores(metric)
+        return np.where(np.isnan(values), math.inf, values)
+
+    def successful(self, name: str) -> np.ndarray:
+        """The finite scores of the replicates that succeeded, shape (at most n,)."""
+        values = self.scores(name)
+        return np.asarray(values[self.ok & np.isfinite(values)])
+
+    def first(self, name: str) -> float:
+        """The score of replicate 0, the one whose arrays are kept."""
+        return float(self.scores(name)[0]) if self.n else math.nan
+
+    @cached_property
+    def cpu_s(self) -> np.ndarray:
+        """Processor time of each fit (s)."""
+        return np.array([row.cpu_s for row in self.rows], float)
+
+    def arrays(self, store: Store) -> dict[str, np.ndarray]:
+        """The arrays kept of replicate 0, as double precision; none where they are missing or damaged."""
+        if self.stored:
+            with contextlib.suppress(OSError, ValueError, KeyError, zipfile.BadZipFile):
+                found = store.arrays(self.stored)
+                return {name: a.astype(float) if a.dtype.kind == "f" else a for name, a in found.items()}
+        return {}
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The results of an experiment that describes a table, in its order."""
+
+    experiment: str
+    title: str
+    table: Mapping[str, Any]
+    results: tuple[Result, ...]
+
+    def __iter__(self) -> Iterator[Result]:
+        return iter(self.results)
+
+    @property
+    def number(self) -> int | None:
+        """The number of its table, if it has one."""
+        found = self.table.get("number")
+        return None if found is None else int(found)
+
+    @property
+    def any_stored(self) -> bool:
+        return any(result.stored for result in self.results)
+
+    @property
+    def command(self) -> str:
+        """What makes the table again."""
+        return f"python -m bench -m experiment={self.experiment} && python -m bench.tables"
+
+
+def group(results: Iterable[Result], key: Callable[[Result], Key]) -> dict[Key, list[Result]]:
+    """Results by what they have in common, in the order in which each comes first."""
+    found: dict[Key, list[Result]] = {}
+    for result in results:
+        found.setdefault(key(result), []).append(result)
+    return found
+
+
+def table_experiments() -> list[str]:
+    """The experiments that describe a table."""
+    return [name for name in choices("experiment") if Experiment(name).table]
+
+
+def experiment_frame(experiment: str, store: Store) -> Frame:
+    """The cells of an experiment, with what the store holds of each."""
+    found = Experiment(experiment)
+    results = tuple(Result.of_cell(cell, store.load(cell.identity)) for cell in found.cells())
+    return Frame(experiment, str(found.table["title"]), found.table, results)
+
+
+def stored_results(store: Store) -> list[Result]:
+    """All cells of a store; raises InputError where there is none, or for a file that is no cell."""
+    if not store.folder.is_dir():
+        raise InputError("store", store.folder, "there is no such folder; run some cells first")
+    found = [Result.of_stored(stored) for stored in store]
+    if not found:
+        raise InputError(
+            "store", store.folder, "no cell is stored there; run python -m bench -m experiment=table3 first"
+        )
+    return found

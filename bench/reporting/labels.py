@@ -1,0 +1,70 @@
+"""What methods, their variants and the reference rows are called and look like, from their cards alone.
+
+A label is what a cell calls its method: a registered name, a file of ``conf/method``, a reference row, or any of these
+with settings behind it. What no card speaks of is called by its label, and stands behind the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cache
+
+from bench.contract.method import Card
+from bench.entrants.reference import REFERENCES
+from bench.entrants.registry import load_method, registered
+from bench.errors import InputError
+
+
+def _reference(title: str, order: int, colour: str, marker: str | tuple[int, int, float]) -> Card:
+    return Card("", "not used", "native", "simulated", "", "", title=title, order=order, colour=colour, marker=marker)
+
+
+REFERENCE_CARDS = {
+    "prior": _reference("prior (no data)", 0, "#b0b0b0", (5, 2, 0.0)),
+    "oracle": _reference("oracle", 1, "#7f7f7f", "D"),
+}
+TOLD = {"oracle": "truth as start", "prior": "prior only"}
+"""What the reference rows are told beyond the data."""
+
+
+@cache
+def cards() -> dict[str, Card]:
+    """By label, the cards of the reference rows, of the methods that load, and of their variants."""
+    found = dict(REFERENCE_CARDS)
+    for name in registered():
+        try:
+            card = load_method(name).card
+        except InputError:
+            continue  # said when, and only if, that method is chosen
+        found[name] = card
+        found |= {variant: card.variant(variant) for variant in card.variants}
+    return found
+
+
+def title(label: str) -> str:
+    """The name of a method for people."""
+    card = cards().get(label)
+    return card.title or label if card else label
+
+
+def in_order(labels: Iterable[str]) -> list[str]:
+    """Each label once, in the order that their cards give, all others behind by name."""
+    known = {label: card.order for label, card in cards().items()}
+    return sorted(set(labels), key=lambda label: (known.get(label, 1000), label))
+
+
+def told(method: str) -> str:
+    """What a method is told beyond the data: the start where it is known, and the prior.
+
+    ``prior after``: it returns the identifiable groups only, and the shared step combines them with the prior.
+    """
+    if method in REFERENCES:
+        return TOLD[method]
+    card = load_method(method).card
+    start = "start, " if card.start == "used when known" else ""
+    return start + ("prior" if card.scale == "native" else "prior after")
+
+
+def beside_paper(name: str) -> list[str]:
+    """The labels that stand beside a method of the paper, in order: first the method itself, then its variants."""
+    return in_order(label for label, card in cards().items() if card.paper == name)

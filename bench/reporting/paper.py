@@ -1,0 +1,63 @@
+"""The numbers that the paper prints in its Tables 2 to 5, from ``bench/data/paper_tables.csv``."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+from bench.reporting.labels import cards
+
+ROWS = {2: "identified", 3: "comparison"}
+"""Names of the single rows of Tables 2 and 3; those of Tables 4 and 5 are named in the file."""
+COLUMNS = {"rmse": "displacement_rmse", **{name: name for name in ("m_error_pct", "c_error_pct", "k_error_pct")}}
+"""Of each metric its column in the file."""
+
+
+@dataclass(frozen=True)
+class Printed:
+    """One number of the paper: where it stands, and what it is. ``method`` is as the paper's file calls it."""
+
+    table: int
+    row: str
+    method: str
+    metric: str
+    value: float
+    snr_db: float
+
+
+@cache
+def printed() -> tuple[Printed, ...]:
+    """All numbers of the paper, in its order."""
+    text = files("bench").joinpath("data", "paper_tables.csv").read_text(encoding="utf-8")
+    lines = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    return tuple(
+        Printed(table, ROWS.get(table, line["row"]), line["method"], metric, float(line[column]), float(line["snr_db"]))
+        for line in lines
+        for table in [int(line["table"])]
+        for metric, column in COLUMNS.items()
+        if line[column]
+    )
+
+
+@cache
+def _values() -> dict[tuple[int, str, str, str], float]:
+    return {(p.table, p.row, p.method, p.metric): p.value for p in printed()}
+
+
+def paper_value(table: int, row: str, label: str, metric: str) -> float:
+    """The paper's number that a method of ours stands beside; NaN where there is none."""
+    card = cards().get(label)
+    return _values().get((table, row, card.paper, metric), math.nan) if card and card.paper else math.nan
+
+
+def row_name(table: int, system: str, snr_db: float) -> str:
+    """The name of the row of a table in which a scenario stands."""
+    return system.rpartition("_")[2] if table == 4 else ROWS.get(table, f"{snr_db:g}")
+
+
+def own_method() -> str:
+    """The method that the paper proposes, whose estimate its Table 2 gives."""
+    return next(p.method for p in printed() if p.table == 2)

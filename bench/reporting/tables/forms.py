@@ -1,0 +1,26 @@
+"""The tables of experiments: each in the form that its ``table`` in ``conf/experiment`` names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from bench.reporting.frame import Frame
+from bench.reporting.tables.calibration import calibration_table
+from bench.reporting.tables.paper_tables import paper_table
+from bench.reporting.tables.robustness import robustness_table
+from bench.reporting.tables.systems import system_table
+from bench.store.store import Store
+
+
+def table_files(frame: Frame, store: Store) -> Mapping[str, str]:
+    """The files of an experiment's table by name; none where the store holds no cell of it.
+
+    ``store`` is for what stands beside a table's own cells: the undisturbed ones of a disturbed cell.
+    """
+    forms: dict[str, Callable[[Frame], Mapping[str, str]]] = {
+        "paper": paper_table,
+        "robustness": lambda own: robustness_table(own, store),
+        "calibration": calibration_table,
+        "systems": system_table,
+    }
+    return forms[str(frame.table.get("form", "paper"))](frame)
