@@ -29,7 +29,7 @@ fields (defaults in brackets):
   timeout_s      [600] limit of one replicate
   memory_mb      [4096] limit of one fit
   workers        [one a core] processes that fit
-  store          [results/rows] where finished cells are kept and found again
+  store          [outputs/rows] where finished cells are kept and found again
   format         [table] table, json
   retry          [none] failed, or statuses: try stored replicates again that failed
   dry_run        [false] list the cells, why each would run, and how long it may take
@@ -118,18 +118,18 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
     from bench.plan import plan, read_retry
     from bench.score_tables import Closing, cell_table
     from bench.slots import Limits
-    from bench.store import Store
+    from bench.store_archive.opening import open_store
 
     config = jobs[0].config
     retry = read_retry(config.retry)
     cells = jobs_to_cells(jobs)
-    store = Store(config.store)
+    store = open_store(config.store, config.archive)
     if config.dry_run:
         print(listing(plan(cells, store, retry), store, config.workers or os.cpu_count() or 1))
         return 0
     store.prepare()
     how = Launch(tuple(launcher), config.cells_per_job)
-    if how.local and not all(store.path(cell.identity).exists() for cell in cells):
+    if how.local and not all(store.holds(cell.identity) for cell in cells):
         warm_up({cell.method for cell in cells})
     limits = Limits(config.workers or os.cpu_count() or 1, config.timeout_s, config.memory_mb)
     planned = plan(cells, store, retry)
@@ -155,8 +155,10 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
 def _whereabouts(store: Any, cells: Sequence[Any]) -> str:
     """Where the full results lie. A path is never broken, however long."""
     if len(cells) == 1:
-        return f"full result: {store.path(cells[0].identity)}"
-    return f"full results: {store.folder} (format=json prints them)"
+        return str(store.whereabouts(cells[0].identity))
+    published = sum(not store.own(cell.identity) and store.holds(cell.identity) for cell in cells)
+    also = f"; {published} of the cells: {store.archive.folder}" if published else ""
+    return f"full results: {store.folder}{also} (format=json prints them)"
 
 
 def _finite(value: float) -> float | None:

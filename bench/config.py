@@ -111,6 +111,7 @@ class Config(_Strict):
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     initial_state: Literal["known", "unknown"]
     store: Path
+    archive: str | None
     format: Literal["table", "json"]
     workers: Annotated[int, Field(ge=1, le=1024)] | None
     timeout_s: Positive

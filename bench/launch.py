@@ -29,6 +29,7 @@ from bench.processes import start_server
 from bench.runner import needed, run_cells
 from bench.slots import Limits
 from bench.store import Store
+from bench.store_archive.archive import Archive
 
 WATCH_S = 1.0
 """How often arrivals are counted, at most; where counting takes long, a twentieth of the time goes into it."""
@@ -85,7 +86,7 @@ def launch(planned: Sequence[Planned], store: Store, limits: Limits, how: Launch
     wanted = tuple(one for one in planned if one.run)
     if not wanted:
         return
-    store = Store(store.folder.resolve())
+    store = Store(store.folder.resolve(), store.archive and Archive(store.archive.folder.resolve()))
     folder = store.folder / "launches" / uuid.uuid4().hex[:12]
     again = [one.cell.identity for one in wanted if one.state is not State.MISSING]
     sweep = Job(wanted, {identity: store.stamp(identity) for identity in again}, store, limits)

@@ -26,9 +26,10 @@ from bench.plan import FAILURES
 from bench.reproduce import compare, stored_as_cell
 from bench.slots import Limits
 from bench.store import Store, StoredCell
+from bench.store_archive.opening import DEFAULT_STORE, open_store
 from bench.terminal import command
 
-USAGE = "usage: python -m bench.recheck [replicates=2] [store=results/rows]\n\n"
+USAGE = f"usage: python -m bench.recheck [replicates=2] [store={DEFAULT_STORE}] [archive=<folder>|none]\n\n"
 
 
 def stale_cells(store: Store) -> list[tuple[StoredCell, Cell]]:
@@ -52,6 +53,8 @@ def first_replicates(pairs: Sequence[tuple[StoredCell, Cell]], n: int, store: St
     fresh.prepare()
     if store.bounds.is_dir():
         shutil.copytree(store.bounds, fresh.bounds, dirs_exist_ok=True)
+    if store.archive is not None:
+        Store(fresh.folder, store.archive).fetch_bounds(store.archive.bounds().keys())
     complete([shortened(cell, n) for _, cell in pairs], fresh, Limits(os.cpu_count() or 1, 600.0))
     return fresh
 
@@ -79,9 +82,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str]) -> int:
-    fields = read_fields(arguments, {"replicates": "2", "store": "results/rows"})
-    n, store = whole("replicates", fields["replicates"]), Store(Path(fields["store"]))
-    if not store.folder.is_dir():
+    fields = read_fields(arguments, {"replicates": "2", "store": DEFAULT_STORE, "archive": ""})
+    n, store = whole("replicates", fields["replicates"]), open_store(fields["store"], fields["archive"])
+    if not store.there():
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
     pairs = stale_cells(store)
     if not pairs:

@@ -22,7 +22,7 @@ from tabulate import tabulate
 
 from bench import tables
 from bench.cell import Cell
-from bench.cli import read_folders
+from bench.cli import read_fields
 from bench.compare import LEVEL, holm
 from bench.config import expand, jobs_to_cells
 from bench.launch import complete
@@ -30,6 +30,7 @@ from bench.rounding import number
 from bench.scenario import PriorSpec, Scenario
 from bench.slots import Limits
 from bench.store import Store, StoredCell
+from bench.store_archive.opening import DEFAULT_STORE, open_store
 from bench.tables import HEADINGS, METRICS, TITLES, entries, errors_of, paper_numbers, paper_value
 from bench.terminal import command
 from bench.truth import closed_form
@@ -275,15 +276,15 @@ def load(cells: Mapping[str, Mapping[Place, Cell]], store: Store) -> dict[str, d
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """``python -m bench.reproduction [store=results/rows] [out=results]``; exit status 2 for bad input."""
-    usage = "usage: python -m bench.reproduction [store=results/rows] [out=results]"
+    """``python -m bench.reproduction [store=...] [archive=...] [out=results]``; exit status 2 for bad input."""
+    usage = f"usage: python -m bench.reproduction [store={DEFAULT_STORE}] [archive=<folder>|none] [out=results]"
     kept = "interrupted; finished cells are kept"
     return command("bench.reproduction", f"{usage}\n\n{__doc__}", argv, _main, kept)
 
 
 def _main(arguments: Sequence[str]) -> int:
-    folders = read_folders(arguments, {"store": "results/rows", "out": "results"})
-    store, out = Store(folders["store"]), folders["out"]
+    fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": "", "out": "results"})
+    store, out = open_store(fields["store"], fields["archive"]), Path(fields["out"])
     store.prepare()
     Store(out).prepare()
     cells = all_cells(store)

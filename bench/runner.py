@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Sequence
 from importlib.util import find_spec
 
 from bench.board import Board, work_of
-from bench.bound import load_bounds
+from bench.bound import bound_identity, load_bounds
 from bench.cell import Cell
 from bench.plan import Planned
 from bench.processes import Children
@@ -58,6 +58,7 @@ def run_cells(planned: Sequence[Planned], store: Store, limits: Limits, on_progr
 def _make_bounds(wanted: Sequence[Planned], store: Store) -> None:
     """The bounds of all cells, in the store; an interrupt does not wait for the process that computes them."""
     try:
+        store.fetch_bounds({bound_identity(one.cell.scenario, one.cell.seed) for one in wanted})
         load_bounds([(one.cell.scenario, one.cell.seed) for one in wanted], store.bounds)
     except KeyboardInterrupt:
         for child in multiprocessing.active_children():

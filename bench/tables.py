@@ -21,7 +21,7 @@ import pandas as pd
 from tabulate import tabulate
 
 from bench.cell import Cell
-from bench.cli import read_folders
+from bench.cli import read_fields
 from bench.compare import Comparison, against_best
 from bench.config import choices, expand, jobs_to_cells
 from bench.errors import InputError
@@ -31,10 +31,11 @@ from bench.registry import load_method
 from bench.rounding import excess_text, number
 from bench.statistics import RESAMPLES
 from bench.store import Store, StoredCell
+from bench.store_archive.opening import DEFAULT_STORE, open_store
 from bench.terminal import command
 from bench.verdict import Verdict, judge
 
-USAGE = "usage: python -m bench.tables [store=results/rows] [out=results]"
+USAGE = f"usage: python -m bench.tables [store={DEFAULT_STORE}] [archive=<folder>|none] [out=results]"
 COLUMNS = (
     "table", "row", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high",
     "bound", "prior_share", "excess", "n_ok", "n", "paper", "verdict",
@@ -422,16 +423,16 @@ def _say_stale(experiment: str, store: Store) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """``python -m bench.tables [store=results/rows] [out=results]``; exit status 2 for bad input."""
+    """``python -m bench.tables [store=...] [archive=...] [out=results]``; exit status 2 for bad input."""
     return command("bench.tables", f"{USAGE}\n\n{__doc__}", argv, _main)
 
 
 def _main(arguments: Sequence[str]) -> int:
     from bench.leaderboard import leaderboard  # here, since it builds on this module
 
-    folders = read_folders(arguments, {"store": "results/rows", "out": "results"})
-    store, out = Store(folders["store"]), folders["out"]
-    if not store.folder.is_dir():
+    fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": "", "out": "results"})
+    store, out = open_store(fields["store"], fields["archive"]), Path(fields["out"])
+    if not store.there():
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
     Store(out).prepare()
     for path in write_tables(store, out, table_experiments()):

@@ -34,6 +34,7 @@ from bench.rounding import excess_text, number
 from bench.scenario import Scenario
 from bench.slots import Limits
 from bench.store import Store, StoredCell
+from bench.store_archive.opening import DEFAULT_STORE, open_store
 from bench.system_tables import pooled_excess
 from bench.systems import Chain
 from bench.tables import TITLES
@@ -50,7 +51,7 @@ DENSE = 1000
 ASTRAY = 3.0
 """An excess of the displacement error from which on a method is said to have missed the solution."""
 USAGE = """usage: python -m benchmarks.chains [sizes=1,2,3,5,10,20] [methods=<a,b>] [timeout_s=120] [workers=1]
-                                          [store=results/rows] [out=results]"""
+                                          [store=outputs/rows] [out=results]"""
 
 
 def true_parameters(n: int) -> dict[str, float]:
@@ -290,7 +291,7 @@ def read_options(arguments: Sequence[str]) -> Options:
     """The arguments, checked; raises InputError."""
     texts = {
         "sizes": ",".join(map(str, SIZES)), "methods": "", "timeout_s": "120", "workers": "1",
-        "store": "results/rows", "out": "results",
+        "store": DEFAULT_STORE, "out": "results",
     }  # fmt: skip
     texts = read_fields(arguments, texts)
     methods = tuple(name for name in texts["methods"].split(",") if name) or (*REFERENCES, *_others())
@@ -323,7 +324,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: Sequence[str]) -> int:
     chosen = read_options(arguments)
-    store = Store(chosen.store)
+    store = open_store(chosen.store)
     for folder in (chosen.store, chosen.out, chosen.out / "figures"):
         Store(folder).prepare()
     compute(chosen.sizes, chosen.methods, store, Limits(chosen.workers, chosen.timeout_s))

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from bench.cli import read_folders
+from bench.cli import read_fields
 from bench.errors import InputError
 from bench.figures.band import draw_band
 from bench.figures.basin import draw_basin
@@ -26,6 +26,7 @@ from bench.figures.time import draw_time
 from bench.figures.training import draw_training
 from bench.figures.two_masses import draw_two_masses
 from bench.store import Store
+from bench.store_archive.opening import DEFAULT_STORE, open_store
 from bench.terminal import command
 
 PICTURES: dict[str, Callable[[Gallery], Picture]] = {
@@ -47,19 +48,19 @@ PICTURES: dict[str, Callable[[Gallery], Picture]] = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """``python -m bench.figures [store=results/rows] [out=results/figures]``; exit status 2 for bad input."""
-    usage = "usage: python -m bench.figures [store=results/rows] [out=results/figures]"
+    """``python -m bench.figures [store=...] [archive=...] [out=results/figures]``; exit status 2 for bad input."""
+    usage = f"usage: python -m bench.figures [store={DEFAULT_STORE}] [archive=<folder>|none] [out=results/figures]"
     return command("bench.figures", f"{usage}\n\n{__doc__}", argv, _main)
 
 
 def _main(arguments: Sequence[str]) -> int:
     try:
-        folders = read_folders(arguments, {"store": "results/rows", "out": "results/figures"})
-        gallery = read(folders["store"])
-        Store(folders["out"]).prepare()
-        drawn = sum(write(gallery, name, folders["out"]) for name in PICTURES)
+        fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": "", "out": "results/figures"})
+        gallery, out = read(open_store(fields["store"], fields["archive"])), Path(fields["out"])
+        Store(out).prepare()
+        drawn = sum(write(gallery, name, out) for name in PICTURES)
         if not drawn:
-            raise InputError("store", folders["store"], "no cell there has what a picture needs; run experiment=table5")
+            raise InputError("store", fields["store"], "no cell there has what a picture needs; run experiment=table5")
     except ImportError as error:
         if "matplotlib" not in str(error):
             raise
@@ -68,11 +69,10 @@ def _main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def read(folder: Path) -> Gallery:
+def read(store: Store) -> Gallery:
     """The cells of a store; raises InputError where there is none."""
-    store = Store(folder)
-    if not folder.is_dir() or not store.identities():
-        raise InputError("store", folder, "no cell there; run python -m bench -m experiment=table5 first")
+    if not store.there() or not store.identities():
+        raise InputError("store", store.folder, "no cell there; run python -m bench -m experiment=table5 first")
     return Gallery(store)
 
 

@@ -160,7 +160,7 @@ class Gathered:
 
 def gather(store: Store) -> Gathered:
     """Read a store; raises InputError where there is none, where it is empty, or for a file that is no cell."""
-    if not store.folder.is_dir():
+    if not store.there():
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
     cells = tuple(store)
     if not cells:

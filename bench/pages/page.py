@@ -1,6 +1,6 @@
-"""``python -m bench.report [store=results/rows] [out=results/report.html]``: the results as one page, without network.
+"""``python -m bench.report [store=...] [archive=...] [out=results/report.html]``: the results as one page, without network.
 
-From stored cells, their arrays and the files beside the store (tables, figures) alone; nothing is computed anew but
+From stored cells, their arrays and the files beside the page (tables, figures) alone; nothing is computed anew but
 ranks. The same store gives the same bytes.
 """
 
@@ -19,7 +19,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from bench.cli import read_folders
+from bench.cli import read_fields
 from bench.errors import InputError
 from bench.pages import beside, board, cards, headline, origin
 from bench.pages.gather import Gathered, Panel, decibels, gather, label_of
@@ -27,6 +27,7 @@ from bench.pages.kept import system_of
 from bench.pages.typical import typical
 from bench.pages.words import number, percent, quantity, title_of
 from bench.store import Store
+from bench.store_archive.opening import DEFAULT_STORE, open_store
 from bench.terminal import command
 
 LIMIT = 2_500_000
@@ -127,7 +128,7 @@ def contents(store: Store, out: Path) -> dict[str, Any]:
     gathered = gather(store)
     ranked = board.rankings(gathered)
     places = headline.headline_places(gathered)
-    results = store.folder.parent
+    results = out.parent
     panels = {i: gathered.panels[i] for i in places}
     answers = [headline.answer(i, panel, ranked, beside.separated(results, panel.told)) for i, panel in panels.items()]
     lines = board.board(gathered, ranked)
@@ -230,7 +231,7 @@ def page(store: Store, out: Path) -> str:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from")  # the browser has fonts for other scripts
         context = contents(store, out)
-    folder = store.folder.parent / "figures"
+    folder = out.parent / "figures"
     while True:
         linked = len(render(context, beside.figures(folder, out, 0)).encode())
         if linked <= LIMIT - ROOM or not any(one.picture for one in context["drawn"]):
@@ -256,15 +257,16 @@ def write(path: Path, text: str) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write the page; exit status 2 for bad input."""
-    usage = "usage: python -m bench.report [store=results/rows] [out=results/report.html]"
+    usage = f"usage: python -m bench.report [store={DEFAULT_STORE}] [archive=<folder>|none] [out=results/report.html]"
     return command("bench.report", f"{usage}\n\n{__doc__}", argv, _main)
 
 
 def _main(arguments: Sequence[str]) -> int:
     try:
-        paths = read_folders(arguments, {"store": "results/rows", "out": "results/report.html"})
-        write(paths["out"], page(Store(paths["store"]), paths["out"]))
-        print(paths["out"])
+        fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": "", "out": "results/report.html"})
+        out = Path(fields["out"])
+        write(out, page(open_store(fields["store"], fields["archive"]), out))
+        print(out)
     except ImportError as error:
         print(f"bench.report: {error.name} is missing: pip install 'vibration-bench[report]'", file=sys.stderr)
         return 2
