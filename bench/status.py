@@ -10,7 +10,6 @@ import math
 import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -98,7 +97,10 @@ def _places(found: pd.DataFrame, store: Store) -> list[str]:
     if store.archive is None:
         return [f"store: {store.folder}"]
     own = sum(map(store.own, found.index))
-    return [f"store: {store.folder} ({own} cells)", f"published archive: {store.archive.folder} ({len(found) - own} cells)"]
+    return [
+        f"store: {store.folder} ({own} cells)",
+        f"published archive: {store.archive.folder} ({len(found) - own} cells)",
+    ]
 
 
 def _reasons(found: pd.DataFrame) -> list[str]:
@@ -126,7 +128,10 @@ def _main(arguments: Sequence[str]) -> int:
     given = {key: value for key, _, value in (argument.partition("=") for argument in arguments) if key in OWN_FIELDS}
     if given.get("store") == "":
         raise InputError("store", "", "name a folder")
-    store, seconds = open_store(given.get("store", DEFAULT_STORE), given.get("archive")), read_watch(given.get("watch", "false"))
+    store, seconds = (
+        open_store(given.get("store", DEFAULT_STORE), given.get("archive")),
+        read_watch(given.get("watch", "false")),
+    )
     if seconds and not fields:
         raise InputError("watch", given["watch"], "say what to follow: experiment=<name>, or the fields of the sweep")
     sweep = _sweep(fields) if fields else None  # first, so that a misspelt field is said whatever the store is

@@ -1,4 +1,4 @@
-"""``python -m bench.report [store=...] [archive=...] [out=results/report.html]``: the results as one page, without network.
+"""``python -m bench.report [store=...] [out=results/report.html]``: the results as one page, without network.
 
 From stored cells, their arrays and the files beside the page (tables, figures) alone; nothing is computed anew but
 ranks. The same store gives the same bytes.

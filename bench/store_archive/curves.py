@@ -24,7 +24,12 @@ def taken(values: np.ndarray) -> tuple[int, int, int, np.ndarray, np.ndarray]:
     """
     flat = np.ascontiguousarray(values, "f4").ravel()
     plain = (PLAIN, 0, 0, flat.view(np.int32), np.empty(0, np.int32))
-    if flat.size < 2 * ORDERS or not np.all(np.isfinite(flat)) or not np.any(flat) or np.any(np.signbit(flat) & (flat == 0)):
+    if (
+        flat.size < 2 * ORDERS
+        or not np.all(np.isfinite(flat))
+        or not np.any(flat)
+        or np.any(np.signbit(flat) & (flat == 0))
+    ):
         return plain
     exponent = int(np.frexp(np.max(np.abs(flat)))[1]) - BITS
     grid = np.ldexp(flat.astype(float), -exponent)

@@ -1,4 +1,4 @@
-"""One file of the archive: the cells of one part of it in Parquet, one line a cell, numbers as :mod:`scores` packs them.
+"""One file of the archive in Parquet: one line a cell, with numbers as :mod:`bench.store_archive.scores` packs them.
 
 A cell that does not fit (a number of more digits, a name with a blank in it) is kept whole, as its file in a store is.
 """
@@ -11,7 +11,7 @@ import json
 import os
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from bench.estimate import Status
 from bench.row import Row
 from bench.store import StoredCell, arrays_file, cell_file, cell_from_json, to_json
 from bench.store_archive import curves, scores
-from bench.store_archive.decimals import MISSING, from_codes, listed
+from bench.store_archive.decimals import MISSING, from_codes, listed, to_codes
 
 FORMAT = 1
 FORMAT_KEY, CONTENT_KEY = "vibration-bench archive", "content"
@@ -66,9 +66,14 @@ class Entry:
     tracebacks: str = ""
 
     @cached_property
+    def file(self) -> bytes:
+        """The cell as its file in a store is."""
+        return cell_file(self.cell)
+
+    @cached_property
     def digest(self) -> str:
         """Of all that is kept of the cell."""
-        pieces = [cell_file(self.cell), self.tracebacks.encode()]
+        pieces = [self.file, self.tracebacks.encode()]
         for name, values in sorted(self.arrays.items()):
             pieces += [f"{name} {values.dtype.str} {values.shape}".encode(), values.tobytes()]
         return hashlib.sha256(b"".join(hashlib.sha256(piece).digest() for piece in pieces)).hexdigest()
@@ -134,11 +139,17 @@ def _line(entry: Entry, places: dict[str, list[Any]]) -> dict[str, Any]:
     line |= _kept(entry.arrays, places)
     try:
         columns = {**_summary_columns(cell), **_row_columns(cell), **_score_columns(cell)}
-        if cell_file(_cell(line | columns, lambda: _unpacked(columns))) == cell_file(cell):
+        if cell_file(_cell(line | columns, lambda: _unpacked(columns))) == entry.file:
             return line | columns
     except (ValueError, TypeError, KeyError, OverflowError):
         pass
-    return line | {"whole": cell_file(cell).decode()}
+    shown = {f"all_{key}": [_shown(one.get(key)) for one in cell.summary.values()] for key in STATISTICS}
+    return line | shown | {"whole": entry.file.decode()}
+
+
+def _shown(value: float | None) -> int:
+    """The code of a statistic for the view alone, which has it to six digits."""
+    return MISSING if value is None else int(to_codes(np.array(value)))
 
 
 def _summary_columns(cell: StoredCell) -> dict[str, Any]:
@@ -171,7 +182,9 @@ def _row_columns(cell: StoredCell) -> dict[str, Any]:
 def _score_columns(cell: StoredCell) -> dict[str, Any]:
     names = list(dict.fromkeys(name for row in cell.rows for name in row.scores))
     rows = [row.scores for row in cell.rows if row.scores]
-    codes = np.array([listed([row.get(name) for row in rows]) for name in names], np.int64).reshape(len(names), len(rows))
+    codes = np.array([listed([row.get(name) for row in rows]) for name in names], np.int64).reshape(
+        len(names), len(rows)
+    )
     packed = scores.pack(names, codes)
     families = {f"score_{name}": packed.pop(name) for name in scores.FAMILIES}
     return {"scores": " ".join(names), **families, **packed}
@@ -341,8 +354,8 @@ def _rows(line: Mapping[str, Any], unpacked: Any) -> tuple[Row, ...]:
     scored = np.asarray(line["row_scored"], bool)
     places = (np.cumsum(scored) - 1).tolist()
     return tuple(
-        Row(int(replicate), Status(status), message, packed.of(place) if there else {}, *took, int(evaluations), data)
-        for replicate, status, message, there, place, *took, evaluations, data in zip(
+        Row(int(index), Status(status), said, packed.of(i) if there else {}, wall_s, cpu_s, memory, int(evaluations), data)
+        for index, status, said, there, i, wall_s, cpu_s, memory, evaluations, data in zip(
             line["row_replicate"], line["row_status"], line["row_message"], scored.tolist(), places, *numbers,
             line["row_evaluations"], line["row_data"], strict=True,
         )
@@ -395,6 +408,3 @@ class RowScores(Mapping[str, float]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return dict, (self._scores.rows[self._place],)
-
-
-__all__ = ["Entry", "Part", "content_digest", "replace", "write_part"]

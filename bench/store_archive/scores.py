@@ -143,7 +143,9 @@ class _Cell:
             product = np.ones(self.n)
             for source, power in self.sources[quantity]:  # by operations that are the same on every machine
                 ratio = self.ratio(source)
-                product = product * (ratio if power == 1.0 else np.sqrt(ratio) if power == 0.5 else 1.0 / np.sqrt(ratio))
+                product = product * (
+                    ratio if power == 1.0 else np.sqrt(ratio) if power == 0.5 else 1.0 / np.sqrt(ratio)
+                )
             return 100.0 * np.abs(product - 1.0)
 
     def ratio(self, quantity: str) -> np.ndarray:
@@ -220,7 +222,7 @@ def _sources(quantity: str, gauges: Sequence[str], row: Mapping[str, int]) -> li
 
 
 def _score(ending: str, ratios: np.ndarray, levels: np.ndarray, dof: int) -> np.ndarray:
-    """Interval score (95 %) or CRPS, in % of the truth, of beliefs with this median (over the truth) and level at it."""
+    """Interval score (95 %) or CRPS, in % of the truth, of beliefs with this median over the truth and level at it."""
 
     def standard(level: Any) -> Any:
         return ndtri(level) if dof == NORMAL else stdtrit(dof, level)
