@@ -354,8 +354,8 @@ def _rows(line: Mapping[str, Any], unpacked: Any) -> tuple[Row, ...]:
     scored = np.asarray(line["row_scored"], bool)
     places = (np.cumsum(scored) - 1).tolist()
     return tuple(
-        Row(int(index), Status(status), said, packed.of(i) if there else {}, wall_s, cpu_s, memory, int(evaluations), data)
-        for index, status, said, there, i, wall_s, cpu_s, memory, evaluations, data in zip(
+        Row(int(index), Status(status), text, packed.of(i) if there else {}, wall, cpu, memory, int(evaluations), data)
+        for index, status, text, there, i, wall, cpu, memory, evaluations, data in zip(
             line["row_replicate"], line["row_status"], line["row_message"], scored.tolist(), places, *numbers,
             line["row_evaluations"], line["row_data"], strict=True,
         )
