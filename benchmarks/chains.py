@@ -33,6 +33,7 @@ from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.pooling import pooled_excess
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
+from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.store import Store, StoredCell
 from bench.sweep.launch import complete
 from bench.sweep.workers import Limits
@@ -49,7 +50,7 @@ DENSE = 1000
 ASTRAY = 3.0
 """An excess of the displacement error from which on a method is said to have missed the solution."""
 USAGE = """usage: python -m benchmarks.chains [sizes=1,2,3,5,10,20] [methods=<a,b>] [timeout_s=120] [workers=1]
-                                          [store=results/rows] [out=results]"""
+                                          [store=outputs/rows] [out=results]"""
 
 
 def true_parameters(n: int) -> dict[str, float]:
@@ -77,7 +78,7 @@ def scenario(n: int) -> Scenario:
 
     The times at which the displacement is scored, and forecast, are the samples' and equal parts of their steps.
     """
-    common = [job.cell() for job in expand(["method=prior", "system=chain2", "snr=30"], multirun=False)][0].scenario
+    common = expand(["method=prior", "system=chain2", "snr=30"], multirun=False)[0].scenario
     frequencies = natural_frequencies(n)
     duration = float(math.ceil(PERIODS * 2.0 * math.pi / frequencies[0]))
     steps = math.ceil(PER_PERIOD * duration * frequencies[-1] / (2.0 * math.pi))
@@ -288,7 +289,7 @@ def read_options(arguments: Sequence[str]) -> Options:
     """The arguments, checked; raises InputError."""
     texts = {
         "sizes": ",".join(map(str, SIZES)), "methods": "", "timeout_s": "120", "workers": "1",
-        "store": "results/rows", "out": "results",
+        "store": DEFAULT_STORE, "out": "results",
     }  # fmt: skip
     texts = read_fields(arguments, texts)
     methods = tuple(name for name in texts["methods"].split(",") if name) or (*REFERENCES, *_others())
@@ -319,7 +320,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: Sequence[str]) -> int:
     chosen = read_options(arguments)
-    store = Store(chosen.store)
+    store = open_store(chosen.store)
     for folder in (chosen.store, chosen.out, chosen.out / "figures"):
         Store(folder).prepare()
     compute(chosen.sizes, chosen.methods, store, Limits(chosen.workers, chosen.timeout_s))

@@ -243,7 +243,7 @@ def _main(arguments: Sequence[str]) -> int:
         for label, count in counts.items():
             for snr in SNRS:
                 jobs = expand(["method=prior", f"system={label}", f"snr={snr}"], multirun=False)
-                outcomes = measure([job.cell() for job in jobs][0].scenario, count, limit, bar.update)
+                outcomes = measure(jobs[0].scenario, count, limit, bar.update)
                 rows += [row(label, snr, name, own) for name, own in outcomes.items()]
     (out / "handwritten.md").write_text(page(rows, limit), encoding="utf-8")
     print(out / "handwritten.md")

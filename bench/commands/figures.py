@@ -9,24 +9,25 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench.commands.guard import command, read_folders
+from bench.commands.guard import command, read_fields
 from bench.errors import InputError
+from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.store import Store
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """``python -m bench.figures [store=results/rows] [out=results/figures]``; exit status 2 for bad input."""
-    usage = "usage: python -m bench.figures [store=results/rows] [out=results/figures]"
+    """``python -m bench.figures [store=...] [archive=...] [out=results/figures]``; exit status 2 for bad input."""
+    usage = f"usage: python -m bench.figures [store={DEFAULT_STORE}] [archive=<folder>|none] [out=results/figures]"
     return command("bench.figures", f"{usage}\n\n{__doc__}", argv, _main)
 
 
 def _main(arguments: Sequence[str]) -> int:
-    folders = read_folders(arguments, {"store": "results/rows", "out": "results/figures"})
-    store = Store(folders["store"])
-    if not store.folder.is_dir() or not store.identities():
+    fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": "", "out": "results/figures"})
+    store = open_store(fields["store"], fields["archive"])
+    if not store.there() or not store.identities():
         raise InputError("store", store.folder, "no cell there; run python -m bench -m experiment=table5 first")
     try:
-        if not _draw(store, folders["out"]):
+        if not _draw(store, Path(fields["out"])):
             raise InputError("store", store.folder, "no cell there has what a picture needs; run experiment=table5")
     except ImportError as error:
         if "matplotlib" not in str(error):

@@ -27,7 +27,9 @@ fields (defaults in brackets):
   timeout_s      [600] limit of one replicate
   memory_mb      [4096] limit of one fit
   workers        [one a core] processes that fit
-  store          [results/rows] where finished cells are kept and found again
+  store          [outputs/rows] where finished cells are kept and found again
+  archive        [that of the checkout] published cells, which are not computed
+                 again: a folder, or none
   format         [table] table, json
   retry          [none] failed, or statuses: try stored replicates again that failed
   dry_run        [false] list the cells, why each would run, and how long it may take
@@ -111,12 +113,12 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
     from bench.face.results import compute
     from bench.reporting.plan_table import counted, listing
     from bench.reporting.terminal_tables import Closing, cell_table
-    from bench.store.store import Store
+    from bench.store.opening import open_store
     from bench.sweep.launch import Launch
     from bench.sweep.plan import plan, read_retry
 
     if config.dry_run:
-        store = Store(config.store)
+        store = open_store(config.store, config.archive)
         planned = plan(cells, store, read_retry(config.retry))
         print(listing(planned, store, config.workers or os.cpu_count() or 1))
         return 0
@@ -144,8 +146,10 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
 def _whereabouts(store: Any, cells: Sequence[Any]) -> str:
     """Where the full results lie. A path is never broken, however long."""
     if len(cells) == 1:
-        return f"full result: {store.path(cells[0].identity)}"
-    return f"full results: {store.folder} (format=json prints them)"
+        return str(store.whereabouts(cells[0].identity))
+    published = sum(not store.own(cell.identity) and store.holds(cell.identity) for cell in cells)
+    also = f"; {published} of the cells: {store.archive.folder}" if published else ""
+    return f"full results: {store.folder}{also} (format=json prints them)"
 
 
 def _identify(job: Any) -> int:

@@ -20,7 +20,6 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,6 +31,7 @@ from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.scoring.row import Row
 from bench.store.cell import Cell
+from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.provenance import provenance
 from bench.store.store import Store, StoredCell
 from bench.sweep.launch import fits_bar, preloaded
@@ -39,7 +39,7 @@ from bench.sweep.plan import FAILURES, Planned, State
 from bench.sweep.runner import run_replicates
 from bench.sweep.workers import Limits
 
-USAGE = """usage: python -m bench.recheck [experiment=<name>] [method=<name>,<name>] [store=results/rows]
+USAGE = f"""usage: python -m bench.recheck [experiment=<name>] [method=<name>,<name>] [store={DEFAULT_STORE}]
 
 experiment, method: only the stale cells of these\n\n"""
 ONE_IN, LEAST = 10, 5
@@ -147,9 +147,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str]) -> int:
-    fields = read_fields(arguments, {"experiment": "", "method": "", "store": "results/rows"})
-    store = Store(Path(fields["store"]))
-    if not store.folder.is_dir():
+    fields = read_fields(arguments, {"experiment": "", "method": "", "store": DEFAULT_STORE, "archive": ""})
+    store = open_store(fields["store"], fields["archive"])
+    if not store.there():
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
     found = checks(store, _filter(fields))
     if not found:

@@ -1,4 +1,4 @@
-"""``python -m bench.report [store=results/rows] [out=results/report.html]``: the results as one page, without network.
+"""``python -m bench.report``: the results as one page, without network.
 
 From stored cells, their arrays and the files beside the store (tables, figures) alone; nothing is computed anew but
 ranks. The same store gives the same bytes.
@@ -8,23 +8,25 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
-from bench.commands.guard import command, read_folders
+from bench.commands.guard import command, read_fields
 from bench.reporting.page.page import page, write
-from bench.store.store import Store
+from bench.store.opening import DEFAULT_STORE, open_store
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write the page; exit status 2 for bad input."""
-    usage = "usage: python -m bench.report [store=results/rows] [out=results/report.html]"
+    usage = f"usage: python -m bench.report [store={DEFAULT_STORE}] [archive=<folder>|none] [out=results/report.html]"
     return command("bench.report", f"{usage}\n\n{__doc__}", argv, _main)
 
 
 def _main(arguments: Sequence[str]) -> int:
     try:
-        paths = read_folders(arguments, {"store": "results/rows", "out": "results/report.html"})
-        write(paths["out"], page(Store(paths["store"]), paths["out"]))
-        print(paths["out"])
+        fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": "", "out": "results/report.html"})
+        out = Path(fields["out"])
+        write(out, page(open_store(fields["store"], fields["archive"]), out))
+        print(out)
     except ImportError as error:
         print(f"bench.report: {error.name} is missing: pip install 'vibration-bench[report]'", file=sys.stderr)
         return 2

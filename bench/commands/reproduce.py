@@ -15,17 +15,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bench.commands.guard import command
+from bench.commands.guard import command, read_fields
 from bench.errors import InputError
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell
+from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.store import DIGITS, Store, StoredCell
 from bench.store.version import Version
 from bench.sweep.launch import complete
 from bench.sweep.workers import Limits
 
-USAGE = "usage: python -m bench.reproduce <cell> [store=results/rows]\n\n"
+USAGE = f"usage: python -m bench.reproduce <cell> [store={DEFAULT_STORE}] [archive=<folder>|none]\n\n"
 TOLERANCE = 1e-3
 """Relative difference of a score that no table shows; the stored digits are finer."""
 MOST_NAMED = 5
@@ -98,7 +99,7 @@ def _circumstances(old: StoredCell, new: StoredCell) -> list[str]:
 
 def find(store: Store, text: str) -> StoredCell:
     """The stored cell whose identity starts so; raises InputError for none or several."""
-    found = [identity for identity in store.identities() if identity.startswith(text)] if store.folder.is_dir() else []
+    found = [identity for identity in store.identities() if identity.startswith(text)] if store.there() else []
     if len(found) != 1:
         reason = "no such cell" if not found else f"{len(found)} cells start so"
         raise InputError("cell", text, f"{reason} in {store.folder}; their files are named by them")
@@ -143,14 +144,15 @@ def _main(arguments: Sequence[str]) -> int:
     if not arguments:
         print(USAGE + str(__doc__))
         return 2
-    given = [a.partition("=")[2] for a in arguments if a.startswith("store=")]
-    names = [a for a in arguments if not a.startswith("store=")]
+    names = [a for a in arguments if "=" not in a]
+    given = read_fields([a for a in arguments if "=" in a], {"store": DEFAULT_STORE, "archive": ""})
     if len(names) != 1 or not all(c in "0123456789abcdef" for c in names[0]):
         raise InputError("cell", " ".join(names), "give one identity, or the start of one")
-    store = Store(Path(given[-1] if given else "results/rows"))
+    store = open_store(given["store"], given["archive"])
     stored = find(store, names[0])
     verdict = compare(stored, run_again(stored))
     print(page(stored, verdict))
+    print(store.whereabouts(stored.identity))
     return 1 if verdict.name == "drifted" else 0
 
 

@@ -9,26 +9,28 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
-from bench.commands.guard import command, read_folders
+from bench.commands.guard import command, read_fields
 from bench.reporting.frame import Result
 from bench.reporting.reproduction import Place, all_cells, files, verdicts
 from bench.store.cell import Cell
+from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.store import Store
 from bench.sweep.launch import complete
 from bench.sweep.workers import Limits
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """``python -m bench.reproduction [store=results/rows] [out=results]``; exit status 2 for bad input."""
-    usage = "usage: python -m bench.reproduction [store=results/rows] [out=results]"
+    """``python -m bench.reproduction [store=...] [archive=...] [out=results]``; exit status 2 for bad input."""
+    usage = f"usage: python -m bench.reproduction [store={DEFAULT_STORE}] [archive=<folder>|none] [out=results]"
     kept = "interrupted; finished cells are kept"
     return command("bench.reproduction", f"{usage}\n\n{__doc__}", argv, _main, kept)
 
 
 def _main(arguments: Sequence[str]) -> int:
-    folders = read_folders(arguments, {"store": "results/rows", "out": "results"})
-    store, out = Store(folders["store"]), folders["out"]
+    fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": "", "out": "results"})
+    store, out = open_store(fields["store"], fields["archive"]), Path(fields["out"])
     store.prepare()
     Store(out).prepare()
     cells = all_cells()

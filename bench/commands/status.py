@@ -10,7 +10,6 @@ import math
 import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -24,23 +23,25 @@ from bench.reporting.plan_table import listing
 from bench.reporting.terminal import table, wrapped
 from bench.store import index as view
 from bench.store.cell import Cell
+from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.store import Store
 from bench.store.version import cell_version
 from bench.sweep.plan import Reasons, State, plan, read_retry
 
-USAGE = """usage: python -m bench.status [store=<folder>]                         a store
+USAGE = f"""usage: python -m bench.status [store=<folder>]                         a store
        python -m bench.status experiment=table3 [watch=true]          a sweep
        python -m bench.status method=ls,pinn snr=40,20 [watch=10]     a sweep
 
 fields (defaults in brackets):
-  store          [results/rows] where cells are kept
+  store          [{DEFAULT_STORE}] where cells are kept
+  archive        [that of the checkout] published cells; a folder, or none
   watch          [false] true: follow the sweep while a run computes it, with a
                  look every 2 s; a number: with a look every so many seconds.
                  In place on a terminal, else a line a look. It ends when every
                  cell is stored, or with Ctrl-C (status 130; the run goes on)
   experiment, method, ...    the sweep, as for python -m bench -m
 """
-OWN_FIELDS = ("store", "watch")
+OWN_FIELDS = ("store", "archive", "watch")
 MOST_REASONS = 3
 WATCH_S, SHORTEST_S, LONGEST_S = 2.0, 0.1, 3600.0
 
@@ -90,8 +91,19 @@ def store_page(store: Store) -> str:
     total = found["state"].value_counts()
     headers = ["method", *order, "fits", "fit s"]
     said = f"{len(found)} cells: " + ", ".join(f"{total[s]} {s}" for s in order)
-    lines = [table(rows, headers), "", wrapped(said), f"store: {store.folder}"]
+    lines = [table(rows, headers), "", wrapped(said), *_places(found, store)]
     return "\n".join([*lines, *_reasons(found)])
+
+
+def _places(found: pd.DataFrame, store: Store) -> list[str]:
+    """Which folders the cells lie in."""
+    if store.archive is None:
+        return [f"store: {store.folder}"]
+    own = sum(map(store.own, found.index))
+    return [
+        f"store: {store.folder} ({own} cells)",
+        f"published archive: {store.archive.folder} ({len(found) - own} cells)",
+    ]
 
 
 def _reasons(found: pd.DataFrame) -> list[str]:
@@ -119,11 +131,14 @@ def _main(arguments: Sequence[str]) -> int:
     given = {key: value for key, _, value in (argument.partition("=") for argument in arguments) if key in OWN_FIELDS}
     if given.get("store") == "":
         raise InputError("store", "", "name a folder")
-    store, seconds = Store(Path(given.get("store", "results/rows"))), read_watch(given.get("watch", "false"))
+    store, seconds = (
+        open_store(given.get("store", DEFAULT_STORE), given.get("archive")),
+        read_watch(given.get("watch", "false")),
+    )
     if seconds and not fields:
         raise InputError("watch", given["watch"], "say what to follow: experiment=<name>, or the fields of the sweep")
     sweep = _sweep(fields) if fields else None  # first, so that a misspelt field is said whatever the store is
-    if not store.folder.is_dir():
+    if not store.there():
         raise InputError("store", store.folder, "there is no such folder; run a sweep first, or name another")
     if sweep is None:
         print(store_page(store))

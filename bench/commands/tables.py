@@ -9,17 +9,18 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from bench.commands.guard import command, read_folders
+from bench.commands.guard import command, read_fields
 from bench.errors import InputError
 from bench.store.cell import Cell
+from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.store import Store
 from bench.sweep.plan import State, plan
 
-USAGE = "usage: python -m bench.tables [store=results/rows] [out=results]"
+USAGE = f"usage: python -m bench.tables [store={DEFAULT_STORE}] [archive=<folder>|none] [out=results]"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """``python -m bench.tables [store=results/rows] [out=results]``; exit status 2 for bad input."""
+    """``python -m bench.tables [store=...] [archive=...] [out=results]``; exit status 2 for bad input."""
     return command("bench.tables", f"{USAGE}\n\n{__doc__}", argv, _main)
 
 
@@ -28,9 +29,9 @@ def _main(arguments: Sequence[str]) -> int:
     from bench.reporting.tables.forms import table_files
     from bench.reporting.tables.leaderboard import EXPERIMENTS, leaderboard
 
-    folders = read_folders(arguments, {"store": "results/rows", "out": "results"})
-    store, out = Store(folders["store"]), folders["out"]
-    if not store.folder.is_dir():
+    fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": "", "out": "results"})
+    store, out = open_store(fields["store"], fields["archive"]), Path(fields["out"])
+    if not store.there():
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
     Store(out).prepare()
     pooled = []

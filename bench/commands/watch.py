@@ -88,12 +88,13 @@ class Progress:
         self.left = {one.cell.identity: store.stamp(one.cell.identity) for one in planned if one.run}
         self.failed = {one.cell.identity for one in planned if one.state is State.FAILED and not one.run}
         kept = self.cells.keys() - self.left.keys()
-        self.arrivals = {identity: store.stamp(identity) / 1e9 for identity in kept}
+        self.arrivals = {identity: store.stamp(identity) / 1e9 for identity in kept if store.own(identity)}
         self.spent = {identity: float(wall[identity]) for identity in kept}
 
     def look(self) -> Look:
         """The sweep as it stands now. Raises InputError where a cell's file is damaged."""
-        there = {entry.name for entry in os.scandir(self.store.folder)}
+        folder = self.store.folder  # which is not there where all is in the archive
+        there = {entry.name for entry in os.scandir(folder)} if folder.is_dir() else set()
         for identity, before in list(self.left.items()):
             if f"{identity}.json" in there and self.store.stamp(identity) != before:
                 del self.left[identity]

@@ -39,6 +39,7 @@ class Config(BaseModel):
     replicates: Annotated[int, Field(ge=1, le=1_000_000)]
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     store: Path
+    archive: str | None
     format: Literal["table", "json"]
     workers: Annotated[int, Field(ge=1, le=1024)] | None
     timeout_s: Positive

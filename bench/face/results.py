@@ -14,6 +14,7 @@ from bench.config.overrides import overrides_of
 from bench.config.schema import Config
 from bench.errors import InputError
 from bench.store.cell import Cell
+from bench.store.opening import open_store
 from bench.store.store import Store, StoredCell
 from bench.sweep.launch import Launch, launch, warm_up
 from bench.sweep.plan import Planned, plan, read_retry
@@ -215,9 +216,9 @@ def compute(
     The configuration says where and within what limits; ``say`` is called with the plan before anything runs.
     """
     retry = read_retry(config.retry)
-    store = Store(config.store)
+    store = open_store(config.store, config.archive)
     store.prepare()
-    if how.local and not all(store.path(cell.identity).exists() for cell in cells):
+    if how.local and not all(store.holds(cell.identity) for cell in cells):
         warm_up({cell.method for cell in cells})
     limits = Limits(config.workers or os.cpu_count() or 1, config.timeout_s, config.memory_mb)
     planned = plan(cells, store, retry)

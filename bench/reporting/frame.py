@@ -355,7 +355,7 @@ def experiment_frame(experiment: str, store: Store) -> Frame:
 
 def stored_results(store: Store) -> list[Result]:
     """All cells of a store; raises InputError where there is none, or for a file that is no cell."""
-    if not store.folder.is_dir():
+    if not store.there():
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
     found = [Result.of_stored(stored) for stored in store]
     if not found:

@@ -1,7 +1,7 @@
 """The collected view of a store: one line a cell in Parquet, for reading many cells at once.
 
 Derived from the cells' files, and brought up to date whenever it is read: only files that are new or changed are
-opened. It may be deleted at any time. ``pandas.read_parquet("results/rows/view")`` reads it, too.
+opened. It may be deleted at any time. ``pandas.read_parquet("outputs/rows/view")`` reads it, too.
 """
 
 from __future__ import annotations
@@ -45,8 +45,6 @@ def cells(store: Store, columns: Iterable[str] = tuple(PLAIN)) -> pd.DataFrame:
     ``problem`` is empty, or says in one line why a file is not a cell; ``statuses`` is a JSON object of counts. The
     lists ``median`` etc. run in parallel with the names in ``metrics``, which blanks separate.
     """
-    if not store.folder.is_dir():
-        return pd.DataFrame(columns=list(columns)).rename_axis("identity")
     wanted = list(dict.fromkeys(["identity", "mtime_ns", "size", *columns]))
     there, found = _files(store), _load(store, wanted)
     fresh = _current(found, there)
@@ -61,8 +59,28 @@ def cells(store: Store, columns: Iterable[str] = tuple(PLAIN)) -> pd.DataFrame:
     if changed:
         found = pa.concat_tables([_load(store, wanted), *unsaved])
         fresh = _current(found, there)
-    lines = found.take(pa.array([fresh[name] for name in sorted(fresh)], pa.int64())).to_pandas()
-    return lines.set_index("identity")[[name for name in columns if name != "identity"]]
+    found = found.take(pa.array([fresh[name] for name in fresh], pa.int64()))
+    lines = pa.concat_tables([found, *_archived(store, there, wanted)]).to_pandas().set_index("identity")
+    return lines.sort_index()[[name for name in columns if name != "identity"]]
+
+
+def _archived(store: Store, there: Mapping[str, Any], wanted: Sequence[str]) -> list[pa.Table]:
+    """Some columns of the cells that the archive has and the store's folder has not."""
+    if store.archive is None:
+        return []
+    statistics = [name for name in wanted if name in LISTS]
+    return [_without(table, there).select(wanted) for table in store.archive.tables(statistics)]
+
+
+def _without(table: pa.Table, there: Mapping[str, Any]) -> pa.Table:
+    """The lines of a file of the archive that nothing in the store's folder stands in the place of, as of the view."""
+    keep = [i for i, name in enumerate(table["identity"].to_pylist()) if name not in there]
+    table = table.take(pa.array(keep, pa.int64()))
+    plain = {"mtime_ns": 0, "size": 0, "problem": ""}
+    for name, value in plain.items():
+        table = table.append_column(name, pa.array([value] * table.num_rows, SCHEMA.field(name).type))
+    names = [name for name in SCHEMA.names if name in table.column_names]
+    return table.select(names).cast(pa.schema([SCHEMA.field(name) for name in names]))
 
 
 def summaries(store: Store, metrics: Sequence[str]) -> pd.DataFrame:
@@ -75,6 +93,7 @@ def summaries(store: Store, metrics: Sequence[str]) -> pd.DataFrame:
         seen.update(lines)
         own = batch.take(pa.array(list(lines.values()), pa.int64()))
         pieces.append(_flat(own, metrics))
+    pieces += [_flat(table, metrics) for table in _archived(store, there, SCHEMA.names)]
     if not pieces:
         return pd.DataFrame(columns=[*(name for name in PLAIN if name != "metrics"), "metric", *STATISTICS])
     return pd.concat(pieces).sort_values("identity", kind="stable", ignore_index=True)
@@ -182,10 +201,11 @@ def _line(store: Store, identity: str, stamp: tuple[int, int]) -> dict[str, Any]
         cell = store.load(identity)
     except InputError as error:
         return line | {"problem": str(error)}
-    return line if cell is None else line | _described(cell)
+    return line if cell is None else line | described(cell)
 
 
-def _described(cell: StoredCell) -> dict[str, Any]:
+def described(cell: StoredCell) -> dict[str, Any]:
+    """What the view says of a cell."""
     what, come = cell.cell, cell.provenance
     disturbance = what.get("data", {}).get("disturbance") or {}
     cpu = [row.cpu_s for row in cell.rows if np.isfinite(row.cpu_s)]

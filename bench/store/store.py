@@ -15,16 +15,19 @@ import os
 import time
 import uuid
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.scoring.row import Row
+
+if TYPE_CHECKING:
+    from bench.store.archive.archive import Archive
 
 FORMAT = 2
 DIGITS = 6
@@ -62,14 +65,14 @@ class StoredCell:
         return Status.OK if Status.OK in statuses else max(set(statuses), key=statuses.count)
 
 
-def _to_json(value: Any, digits: int = DIGITS) -> Any:
+def to_json(value: Any, digits: int = DIGITS) -> Any:
     """JSON has no infinity: numbers that are not finite become strings, the others keep so many digits."""
     if isinstance(value, float):
         return float(f"{value:.{digits}g}") if math.isfinite(value) else str(value)
     if isinstance(value, Mapping):
-        return {key: _to_json(item, digits) for key, item in value.items()}
+        return {key: to_json(item, digits) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_to_json(item, digits) for item in value]
+        return [to_json(item, digits) for item in value]
     return value
 
 
@@ -105,7 +108,8 @@ def _rows(columns: Mapping[str, Any]) -> tuple[Row, ...]:
     )
 
 
-def _cell_file(cell: StoredCell) -> bytes:
+def cell_file(cell: StoredCell) -> bytes:
+    """The bytes of a cell's file."""
     content = {
         "format": FORMAT,
         "identity": cell.identity,
@@ -122,12 +126,12 @@ def _cell_file(cell: StoredCell) -> bytes:
         "provenance": cell.provenance,
         "rows": _columns(cell.rows),
     }
-    exact = _to_json(cell.cell, 17)  # what was computed, as opposed to what came out, is kept to the last digit
-    text = json.dumps({**_to_json(content), "cell": exact}, ensure_ascii=False, separators=(",", ":"))
+    exact = to_json(cell.cell, 17)  # what was computed, as opposed to what came out, is kept to the last digit
+    text = json.dumps({**to_json(content), "cell": exact}, ensure_ascii=False, separators=(",", ":"))
     return f"{text}\n".encode()
 
 
-def _arrays_file(arrays: Mapping[str, np.ndarray]) -> bytes:
+def arrays_file(arrays: Mapping[str, np.ndarray]) -> bytes:
     """A compressed npz whose bytes depend on the arrays alone (the usual writer puts the time into it)."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -139,11 +143,30 @@ def _arrays_file(arrays: Mapping[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-class Store:
-    """A folder with one ``<identity>.json`` a cell; bounds lie in a folder beside them, under another ending."""
+def cell_from_json(content: Mapping[str, Any]) -> StoredCell:
+    """The cell of a file's content; raises KeyError, TypeError or the like where it is none."""
+    return StoredCell(
+        identity=content["identity"],
+        cell=content["cell"],
+        rows=_rows(content["rows"]),
+        summary={m: {k: _number(v) for k, v in s.items()} for m, s in content["summary"].items()},
+        prior_share={k: _number(v) for k, v in content["prior_share"].items()},
+        identifiable=content["identifiable"],
+        wall_s=_number(content["wall_s"]),
+        provenance=content["provenance"],
+        version=content["version"],
+        arrays=content["arrays"],
+    )
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+
+class Store:
+    """A folder with one ``<identity>.json`` a cell; bounds lie in a folder beside them, under another ending.
+
+    What the folder lacks is looked up in the published ``archive``, if there is one, which is never written.
+    """
+
+    def __init__(self, folder: Path, archive: Archive | None = None) -> None:
+        self.folder, self.archive = folder, archive
 
     @property
     def bounds(self) -> Path:
@@ -184,10 +207,29 @@ class Store:
         except OSError:
             return 0
 
+    def there(self) -> bool:
+        """Whether there is anything to read from, be it empty."""
+        return self.folder.is_dir() or (self.archive is not None and self.archive.folder.is_dir())
+
+    def own(self, identity: str) -> bool:
+        """Whether the folder itself holds a cell."""
+        return self.path(identity).exists()
+
+    def holds(self, identity: str) -> bool:
+        """Whether the folder or the archive holds a cell."""
+        return self.own(identity) or (self.archive is not None and identity in self.archive)
+
+    def whereabouts(self, identity: str) -> str:
+        """Where a cell lies, in words."""
+        if self.own(identity) or self.archive is None or identity not in self.archive:
+            return f"full result: {self.path(identity)}"
+        return f"published archive: {self.archive.path(identity)}"
+
     def load(self, identity: str) -> StoredCell | None:
         """The stored cell, or None; a damaged or foreign file raises InputError and is left alone."""
-        path = self.path(identity)
-        return self._read(path) if path.exists() else None
+        if self.own(identity):
+            return self._read(self.path(identity))
+        return self.archive.load(identity) if self.archive is not None else None
 
     def save(
         self, cell: StoredCell, arrays: Mapping[str, np.ndarray] | None = None, tracebacks: str = ""
@@ -196,7 +238,7 @@ class Store:
 
         Returns the cell with the name of its arrays. Raises OSError where there is no room; what was there then stays.
         """
-        content = _arrays_file(arrays) if arrays else b""
+        content = arrays_file(arrays) if arrays else b""
         name = f"{cell.identity}.{hashlib.sha256(content).hexdigest()[:8]}.npz" if content else ""
         stored = replace(cell, arrays=name)
         if content and not (self.folder / name).exists():
@@ -205,7 +247,7 @@ class Store:
         errors = self.errors(cell.identity)
         if tracebacks:
             self._write(errors, tracebacks.encode())
-        self._write(self.path(cell.identity), _cell_file(stored))
+        self._write(self.path(cell.identity), cell_file(stored))
         if not tracebacks:
             errors.unlink(missing_ok=True)
         if before and before != name:
@@ -213,25 +255,52 @@ class Store:
         return stored
 
     def restate(self, cell: StoredCell) -> None:
-        """Write what is said of a stored cell anew, and leave its arrays and tracebacks as they are."""
-        self._write(self.path(cell.identity), _cell_file(cell))
+        """Write what is said of a stored cell anew, and leave its arrays and tracebacks as they are.
+
+        One of the archive is written into the folder with its arrays and tracebacks.
+        """
+        if self.own(cell.identity):
+            self._write(self.path(cell.identity), cell_file(cell))
+        else:
+            self.prepare()
+            self.save(cell, self.arrays(cell), self.tracebacks(cell.identity))
 
     def _arrays_before(self, identity: str) -> str:
         with contextlib.suppress(InputError):
-            before = self.load(identity)
-            return before.arrays if before else ""
+            return self._read(self.path(identity)).arrays if self.own(identity) else ""
         return ""
 
     def errors(self, identity: str) -> Path:
         """Where the tracebacks of a cell's failed replicates are."""
         return self.folder / f"{identity}.errors.txt"
 
+    def tracebacks(self, identity: str) -> str:
+        """The tracebacks of a cell's failed replicates, or nothing."""
+        path = self.errors(identity)
+        if path.exists():
+            return path.read_text(encoding="utf-8")
+        return self.archive.tracebacks(identity) if self.archive is not None and not self.own(identity) else ""
+
     def arrays(self, cell: StoredCell) -> dict[str, np.ndarray]:
         """The arrays kept of one replicate; none where the cell has none."""
         if not cell.arrays:
             return {}
+        if self.archive is not None and not self.own(cell.identity):
+            return self.archive.arrays(cell.identity)
         with np.load(self.folder / cell.arrays, allow_pickle=False) as found:
             return {name: found[name] for name in found.files}
+
+    def fetch_bounds(self, identities: Set[str]) -> None:
+        """Write the bounds that the archive has and the folder lacks beside the cells; raises InputError."""
+        known = self.archive.bounds() if self.archive is not None else {}
+        try:
+            for identity in identities & known.keys():
+                path = self.bounds / f"{identity}.bound"
+                if not path.exists():
+                    self.bounds.mkdir(parents=True, exist_ok=True)
+                    self._write(path, known[identity].encode())
+        except OSError as error:
+            raise InputError("store", self.bounds, f"cannot be written ({error.strerror}); make room") from None
 
     def _write(self, path: Path, content: bytes) -> None:
         """To a temporary file, flushed to disk, then renamed."""
@@ -249,11 +318,16 @@ class Store:
 
     def identities(self) -> list[str]:
         """The names of all stored cells, in order."""
-        return sorted(entry.name[: -len(".json")] for entry in os.scandir(self.folder) if entry.name.endswith(".json"))
+        found = set(self.archive.identities()) if self.archive is not None else set()
+        if self.folder.is_dir() or self.archive is None:
+            found |= {e.name[: -len(".json")] for e in os.scandir(self.folder) if e.name.endswith(".json")}
+        return sorted(found)
 
     def __iter__(self) -> Iterator[StoredCell]:
         for identity in self.identities():
-            yield self._read(self.path(identity))
+            cell = self.load(identity)
+            if cell is not None:
+                yield cell
 
     def _read(self, path: Path) -> StoredCell:
         try:
@@ -263,18 +337,7 @@ class Store:
                 raise InputError("store", path, remedy)
             if content["identity"] != path.stem:
                 raise InputError("store", path, f"it holds the cell {content['identity']}; move it away")
-            return StoredCell(
-                identity=content["identity"],
-                cell=content["cell"],
-                rows=_rows(content["rows"]),
-                summary={m: {k: _number(v) for k, v in s.items()} for m, s in content["summary"].items()},
-                prior_share={k: _number(v) for k, v in content["prior_share"].items()},
-                identifiable=content["identifiable"],
-                wall_s=_number(content["wall_s"]),
-                provenance=content["provenance"],
-                version=content["version"],
-                arrays=content["arrays"],
-            )
+            return cell_from_json(content)
         except InputError:
             raise
         except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError):

@@ -24,6 +24,7 @@ from typing import Any
 from bench.errors import InputError
 from bench.isolation.failure import one_line
 from bench.isolation.processes import start_server
+from bench.store.archive.archive import Archive
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.plan import Planned, State, plan
@@ -90,7 +91,7 @@ def launch(planned: Sequence[Planned], store: Store, limits: Limits, how: Launch
     if how.local:
         _run_here(wanted, store, limits, how)
         return
-    store = Store(store.folder.resolve())
+    store = Store(store.folder.resolve(), store.archive and Archive(store.archive.folder.resolve()))
     folder = store.folder / "launches" / uuid.uuid4().hex[:12]
     again = [one.cell.identity for one in wanted if one.state is not State.MISSING]
     sweep = Job(wanted, {identity: store.stamp(identity) for identity in again}, store, limits)

@@ -56,7 +56,7 @@ def run(part: str, chosen: dict[str, str]) -> Part:
     """One part, with a progress bar where it is long."""
     from benchmarks.pinn import rivals, robustness, scaling
 
-    adam = dict([job.cell() for job in expand(["method=pinn_adam"], multirun=False)][0].settings)
+    adam = dict(expand(["method=pinn_adam"], multirun=False)[0].cell().settings)
     replicates = int(chosen["replicates"])
     few = max(1, min(5, replicates))
     peers = Path(chosen["peers"]) if chosen["peers"] else None

@@ -40,7 +40,7 @@ class Part:
 def scenario(**fields: Any) -> Scenario:
     """A scenario by fields of the configuration, e.g. ``system="sdof", snr=20``."""
     arguments = [f"{name}={value}" for name, value in {"method": "prior", **fields}.items()]
-    return [job.cell() for job in expand(arguments, multirun=False)][0].scenario
+    return expand(arguments, multirun=False)[0].scenario
 
 
 def root_mean_squares(scores: Sequence[dict[str, float]], names: Sequence[str]) -> np.ndarray:

@@ -93,7 +93,7 @@ def fitted(name: str, problem: Problem, timeout_s: float) -> Outcome:
     """One method on one problem, in a process of its own."""
     base, settings = name, {}
     if name in VARIANTS:
-        cell = [job.cell() for job in expand([f"method={name}"], multirun=False)][0]
+        cell = expand([f"method={name}"], multirun=False)[0].cell()
         base, settings = cell.method, dict(cell.settings)
     lacking = missing_package(base)
     if lacking:

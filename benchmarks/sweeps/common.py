@@ -25,7 +25,7 @@ def environment(folder: Path) -> dict[str, str]:
     lines = "".join(f"{name} = {value}\n" for name, value in METHODS.items())
     (info / "entry_points.txt").write_text(f"[bench.methods]\n{lines}")
     path = os.pathsep.join([str(ROOT), str(info.parent), os.environ.get("PYTHONPATH", "")])
-    return {**os.environ, "PYTHONPATH": path.rstrip(os.pathsep)}
+    return {**os.environ, "PYTHONPATH": path.rstrip(os.pathsep), "VIBRATION_BENCH_ARCHIVE": "none"}
 
 
 def bench(folder: Path, *arguments: str, log: str = "bench.log") -> subprocess.Popen[str]:

@@ -39,14 +39,14 @@ def main() -> int:
         started = time.monotonic()
         status, table = finish(bench(plain, *SWEEP))
         whole = time.monotonic() - started
-        shutil.copytree(plain / "results/rows/bounds", killed / "results/rows/bounds")
+        shutil.copytree(plain / "outputs/rows/bounds", killed / "outputs/rows/bounds")
         stored = []
         for i in range(KILLS):
             process = bench(killed, *SWEEP)
             time.sleep(2.0 + draw.random() * 0.15 * whole)
             process.send_signal(signal.SIGKILL)
             process.wait()
-            stored.append(len(cell_files(killed / "results/rows")))
+            stored.append(len(cell_files(killed / "outputs/rows")))
             print(f"  kill {i + 1}: {stored[-1]} cells stored")
         time.sleep(1.0)
         left = survivors() - before
@@ -54,15 +54,15 @@ def main() -> int:
         rows = [
             ("exit status of the uninterrupted run", status, 0),
             ("exit status of the last rerun", again, 0),
-            ("cells of the uninterrupted run", len(cell_files(plain / "results/rows")), 200),
-            ("cells of the killed runs", len(cell_files(killed / "results/rows")), 200),
-            ("same cells", cell_files(plain / "results/rows") == cell_files(killed / "results/rows"), True),
+            ("cells of the uninterrupted run", len(cell_files(plain / "outputs/rows")), 200),
+            ("cells of the killed runs", len(cell_files(killed / "outputs/rows")), 200),
+            ("same cells", cell_files(plain / "outputs/rows") == cell_files(killed / "outputs/rows"), True),
             ("none lost between kills", stored == sorted(stored), True),
             ("kills that hit a run under way", sum(n < 200 for n in stored) >= 5, True),
-            ("temporary files left", len(list((killed / "results/rows").glob("*.tmp"))) <= 2 * KILLS, True),
+            ("temporary files left", len(list((killed / "outputs/rows").glob("*.tmp"))) <= 2 * KILLS, True),
             ("processes left behind", left, 0),
             ("printed tables identical", table == table_again, True),
-            ("tables of every metric identical", csv(plain / "results/rows") == csv(killed / "results/rows"), True),
+            ("tables of every metric identical", csv(plain / "outputs/rows") == csv(killed / "outputs/rows"), True),
         ]
         return report(f"200 cells, driver killed {KILLS} times", rows)
 

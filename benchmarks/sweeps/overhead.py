@@ -63,7 +63,7 @@ def main() -> int:
         timed(folder, *WARM)  # the bound, and the file caches
         start = timed(folder, "method=empty", "seed=100001", "replicates=1", "workers=2")
         empty = timed(folder, *EMPTY_SWEEP)
-        assert len(cell_files(folder / "results/rows")) == CELLS + 2
+        assert len(cell_files(folder / "outputs/rows")) == CELLS + 2
         few, many = naive(folder, 2), naive(folder, NAIVE + 2)
         basic = 1000 * (many - few) / NAIVE
         ours, with_start = 1000 * (empty - start) / CELLS, 1000 * empty / CELLS

@@ -60,7 +60,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         finish(bench(folder, "method=ls", "replicates=5", "workers=1"))
-        store = folder / "results/rows"
+        store = folder / "outputs/rows"
         shutil.rmtree(store / "view", ignore_errors=True)
         size = fill(store, cells)
         print(f"{cells} cells of {size / 1024:.0f} KiB")

@@ -56,7 +56,7 @@ def killed(folder: Path) -> list[tuple[str, object, object]]:
     reader.start()
     done = kill_workers(process, KILLS, random.Random(1))
     reader.join()
-    store = folder / "results/rows"
+    store = folder / "outputs/rows"
     first = len(cell_files(store))
     again, _ = finish(bench(folder, *SWEEP, "retry=failed"))
     good = sum(cell.n_ok == 3 for cell in Store(store))
@@ -109,7 +109,7 @@ def shared(folder: Path, reference: Path) -> list[tuple[str, object, object]]:
     folder.mkdir()
     drivers = [bench(folder, *SWEEP, log=f"{i}.log") for i in range(2)]
     results = [finish(driver) for driver in drivers]
-    store = folder / "results/rows"
+    store = folder / "outputs/rows"
     return [
         ("exit status of both", [status for status, _ in results], [0, 0]),
         ("both print the same table", results[0][1] == results[1][1], True),
@@ -125,7 +125,7 @@ def main() -> int:
         folder = Path(name)
         (folder / "plain").mkdir()
         finish(bench(folder / "plain", *SWEEP))
-        reference = folder / "plain/results/rows"
+        reference = folder / "plain/outputs/rows"
         parts = {
             f"{KILLS} workers killed (-9)": killed(folder / "killed"),
             "a full disk": full(folder / "full", reference),

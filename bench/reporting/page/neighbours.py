@@ -1,4 +1,4 @@
-"""What lies beside the store already: the tables of other commands as CSV, and the figures as SVG."""
+"""What lies beside the page already: the tables of other commands as CSV, and the figures as SVG."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""``python -m bench.report [store=results/rows] [out=results/report.html]``: the results as one page, without network.
+"""``python -m bench.report [store=...] [out=results/report.html]``: the results as one page, without network.
 
-From stored cells, their arrays and the files beside the store (tables, figures) alone; nothing is computed anew but
+From stored cells, their arrays and the files beside the page (tables, figures) alone; nothing is computed anew but
 ranks. The same store gives the same bytes.
 """
 
@@ -118,7 +118,7 @@ def contents(store: Store, out: Path) -> dict[str, Any]:
     reading = read(store)
     ranked = leaderboard.rankings(reading)
     places = headline.headline_places(reading)
-    results = store.folder.parent
+    results = out.parent
     panels = {i: reading.panels[i] for i in places}
     answers = [
         headline.answer(i, panel, ranked, neighbours.separated(results, panel.facts.initial_state))
@@ -230,7 +230,7 @@ def page(store: Store, out: Path) -> str:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from")  # the browser has fonts for other scripts
         context = contents(store, out)
-    folder = store.folder.parent / "figures"
+    folder = out.parent / "figures"
     while True:
         linked = len(render(context, neighbours.figures(folder, out, 0)).encode())
         if linked <= LIMIT - ROOM or not any(one.picture for one in context["drawn"]):

@@ -19,7 +19,7 @@ from bench.information.fisher import bound_identity, compute_bound
 from bench.scenario.disturbance import KINDS, Disturbance, make_disturbance
 from bench.scenario.scenario import METHOD, ForceSpec, PriorSpec, Scenario
 from bench.store.cell import Cell
-from bench.store.store import Store
+from bench.store.opening import open_store
 
 TRUE = {"m": 1.2, "c": 0.5, "k": 9.0}
 X0, V0 = 0.9, 0.3
@@ -261,7 +261,7 @@ def test_a_disturbance_is_part_of_the_identity_and_its_absence_is_not() -> None:
 
 
 def test_stored_cells_of_before_there_were_disturbances_are_found() -> None:
-    store = Store(REPOSITORY / "results" / "rows")
+    store = open_store("nowhere", REPOSITORY / "results" / "archive")
     (cell,) = [job.cell() for job in expand(["method=oracle", "replicates=100"], multirun=False)]
     found = store.load(cell.identity)
     assert found is not None

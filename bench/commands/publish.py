@@ -1,0 +1,118 @@
+"""``python -m bench.publish``: write the published archive anew from a store and what the archive holds already.
+
+A cell of the store takes the place of the archive's. A file of the archive holds the cells of one experiment (those of
+several stand with the first: tables by number, then the others by name; those of none, in ``other``), and is written
+only where one of its cells has changed. An interrupt leaves every file whole; run the command again.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import uuid
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from bench.commands.guard import command, read_folders
+from bench.config.choices import choices
+from bench.config.experiment import Experiment
+from bench.errors import InputError
+from bench.store.archive.archive import BOUNDS, Archive
+from bench.store.opening import DEFAULT_STORE, NONE, default_archive
+from bench.store.store import Store
+
+USAGE = f"usage: python -m bench.publish [store={DEFAULT_STORE}] [archive=results/archive]\n\n"
+OTHER = "other"
+
+
+def experiments_by_identity() -> dict[str, str]:
+    """The file of every cell that an experiment describes."""
+    numbers = {name: Experiment(name).table.get("number") for name in choices("experiment")}
+    found: dict[str, str] = {}
+    for name in sorted(numbers, key=lambda own: (numbers[own] is None, numbers[own] or 0, own)):
+        for cell in Experiment(name).cells():
+            found.setdefault(cell.identity, name)
+    return found
+
+
+def publish(store: Store, archive: Archive, places: Mapping[str, str]) -> list[Path]:
+    """Write what has changed of an archive; returns the files that were written or removed.
+
+    ``places``: the file of a cell by identity, ``other`` for the rest. Raises InputError for a damaged cell, ValueError
+    where a cell would not come back as it is, OSError where there is no room.
+    """
+    from bench.store.archive.part import ENDING, Entry, content_digest, write_part
+
+    both = Store(store.folder, archive)
+    files: dict[str, list[str]] = {}
+    for identity in both.identities():
+        files.setdefault(places.get(identity, OTHER), []).append(identity)
+    changed = []
+    before = dict(archive.parts)
+    for name, identities in sorted(files.items()):
+        part = before.get(name)
+        if part and sorted(part.identities) == identities and not any(map(both.own, identities)):
+            continue
+        entries = []
+        for identity in identities:
+            cell = both.load(identity)
+            assert cell is not None
+            entries.append(Entry(cell, both.arrays(cell), both.tracebacks(identity)))
+        if part is None or part.content != content_digest(entries):
+            path = archive.folder / f"{name}{ENDING}"
+            write_part(path, entries)
+            changed.append(path)
+    for name in before.keys() - files.keys():  # last, when their cells stand elsewhere
+        path = archive.folder / f"{name}{ENDING}"
+        path.unlink()
+        changed.append(path)
+    return changed + _publish_bounds(both, archive)
+
+
+def _publish_bounds(both: Store, archive: Archive) -> list[Path]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from bench.store.archive.part import ENDING
+
+    known = archive.bounds()
+    texts = known | {path.stem: path.read_text(encoding="utf-8") for path in both.bounds.glob("*.bound")}
+    if texts == known:
+        return []
+    path = archive.folder / f"{BOUNDS}{ENDING}"
+    temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex}.tmp")
+    table = pa.table({"identity": sorted(texts), "text": [texts[name] for name in sorted(texts)]})
+    try:
+        pq.write_table(table, temporary, compression="zstd", compression_level=19, store_schema=False)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return [path]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the files written, and how large the archive is; exit status 2 for bad input."""
+    return command("bench.publish", USAGE + str(__doc__), argv, _main, "interrupted; run it again")
+
+
+def _main(arguments: Sequence[str]) -> int:
+    known = default_archive()
+    usual = "results/archive" if known == NONE else known
+    folders = read_folders(arguments, {"store": DEFAULT_STORE, "archive": usual})
+    store, archive = Store(folders["store"]), Archive(folders["archive"])
+    if not store.folder.is_dir():
+        raise InputError("store", store.folder, "there is no such folder; run some cells first")
+    Store(archive.folder).prepare()
+    try:
+        changed = publish(store, archive, experiments_by_identity())
+    except (OSError, ValueError) as error:
+        raise InputError("archive", archive.folder, f"not written whole ({error})") from None
+    for path in changed:
+        print(f"{path}: {f'{path.stat().st_size / 1e6:.2f} MB' if path.exists() else 'removed'}")
+    sizes = [path.stat().st_size for path in archive.folder.glob("*.parquet")]
+    print(f"{len(changed)} of {len(sizes)} files written; the archive takes {sum(sizes) / 1e6:.2f} MB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
