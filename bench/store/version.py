@@ -18,7 +18,7 @@ from typing import Any
 from bench.entrants import registry
 from bench.entrants.reference import REFERENCES
 from bench.scenario.disturbance import KINDS as DISTURBANCES
-from bench.store.store.source import Definition, uses
+from bench.store.source import Definition, uses
 from bench.systems import registered_systems
 
 HARNESS = "bench"
