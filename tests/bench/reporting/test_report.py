@@ -18,12 +18,12 @@ import pytest
 from conftest import REPOSITORY
 from scipy.stats import chi2
 
+from bench.commands.report import main
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
 from bench.reporting.page import beside, board, draw, headline, kept, origin, page
 from bench.reporting.page.draw import chance_band
 from bench.reporting.page.gather import Experiment, Panel, gather
-from bench.reporting.page.page import main
 from bench.reporting.page.standing import rank
 from bench.reporting.page.typical import typical
 from bench.scoring.row import Row

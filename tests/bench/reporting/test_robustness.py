@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from bench import Status
+from bench.commands.tables import main
 from bench.config import config
 from bench.information.fisher import Bound
 from bench.reporting.tables.robustness import COLUMNS, PANELS, markdown, pairs, ratio, tidy
-from bench.reporting.tables.tables import described_cells, main, table_experiments
+from bench.reporting.tables.tables import described_cells, table_experiments
 from bench.scenario.disturbance import make_disturbance
 from bench.scenario.scenario import Scenario
 from bench.scoring.summary import summarise

@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 from bench import Status
+from bench.commands.tables import main
 from bench.config import config
 from bench.information.fisher import Bound
 from bench.reporting.tables import tables
-from bench.reporting.tables.tables import COLUMNS, METRICS, Entry, main, paper_numbers, paper_value, tidy
+from bench.reporting.tables.tables import COLUMNS, METRICS, Entry, paper_numbers, paper_value, tidy
 from bench.scenario.scenario import Scenario
 from bench.scoring.summary import summarise
 from bench.scoring.verdict import judge
