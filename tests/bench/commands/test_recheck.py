@@ -1,6 +1,7 @@
 """A change that alters nothing keeps the cells; one that alters anything does not."""
 
 import json
+import shutil
 
 import pytest
 
@@ -12,13 +13,19 @@ from bench.sweep.launch import complete
 from bench.sweep.workers import Limits
 
 
-@pytest.fixture
-def store(tmp_path):
-    store = Store(tmp_path / "rows")
+@pytest.fixture(scope="module")
+def computed(tmp_path_factory):
+    """Two cells, computed once; never written to."""
+    store = Store(tmp_path_factory.mktemp("computed") / "rows")
     store.prepare()
     jobs = expand(["method=ls,matrix_pencil", "replicates=4", "system=sdof"], multirun=True)
     complete([job.cell() for job in jobs], store, Limits(1, 60.0))
     return store
+
+
+@pytest.fixture
+def store(computed, tmp_path):
+    return Store(shutil.copytree(computed.folder, tmp_path / "rows"))
 
 
 def _edit(store: Store, method: str, **changes):
