@@ -32,6 +32,14 @@ from bench.sweep import runner  # noqa: E402
 REPOSITORY = Path(__file__).parents[1]
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep what jax compiles beside pytest's own cache: for all processes of this run, and for the next one."""
+    cache = getattr(config, "cache", None)
+    if cache is not None:
+        os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache.mkdir("jax")))
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+
+
 @pytest.fixture(scope="session")
 def reference() -> Scenario:
     """What ``python -m bench method=<name>`` computes by default: the reference system at 20 dB, start known."""

@@ -41,7 +41,7 @@ class Prior:
     @property
     def log_mean(self) -> np.ndarray:
         """Mean of the log-parameters, shape (n_parameters,)."""
-        return np.log(np.array(list(self.nominal.values())))
+        return np.asarray(np.log(list(self.nominal.values())))
 
     @property
     def log_sds(self) -> np.ndarray:
@@ -50,7 +50,7 @@ class Prior:
 
     def residuals(self, log_parameters: np.ndarray) -> np.ndarray:
         """Standardised distance from the prior, shape (..., n_parameters); half its square is the penalty."""
-        return (log_parameters - self.log_mean) / self.log_sds
+        return np.asarray((log_parameters - self.log_mean) / self.log_sds)
 
     def expressed_in(self, scale: Mapping[str, float]) -> Prior:
         """The same prior with each parameter divided by its scale."""

@@ -253,7 +253,14 @@ def test_a_record_fits_and_its_values_have_the_digits_of_their_intervals(termina
     assert line.split() == ["k/m", "7.926", "7.847", "8.004", "1/s²"]
 
 
-@pytest.mark.parametrize("arguments", [["system=sdof"], ["system=chain5", "measured=[0]"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["system=sdof"],
+        ["system=chain2", "measured=[0]"],
+        pytest.param(["system=chain5", "measured=[0]"], marks=pytest.mark.slow),
+    ],
+)
 def test_identifiability_fits(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert identifiability.main(arguments) == 0
     out = capsys.readouterr().out

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
-from conftest import StoreFactory
 
 from bench.commands import reproduce, status
 from bench.commands.reproduce import stored_as_cell
@@ -18,12 +18,20 @@ from bench.sweep.runner import run_cells
 from bench.sweep.workers import Limits
 
 
-@pytest.fixture
-def store(reference: Scenario, new_store: StoreFactory) -> Store:
-    store = new_store()
+@pytest.fixture(scope="module")
+def computed(reference: Scenario, bounds_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Two cells, computed once; never written to."""
+    store = Store(tmp_path_factory.mktemp("computed") / "rows")
+    store.prepare()
+    shutil.copytree(bounds_folder, store.bounds)
     cells = [Cell(reference, name, {}, 2, 0, name) for name in ("prior", "oracle")]
     run_cells(plan(cells, store), store, Limits(1))
     return store
+
+
+@pytest.fixture
+def store(computed: Store, tmp_path: Path) -> Store:
+    return Store(shutil.copytree(computed.folder, tmp_path / "rows"))
 
 
 def edit(store: Store, label: str, **changes: object) -> Path:

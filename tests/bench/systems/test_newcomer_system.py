@@ -38,8 +38,17 @@ def block(name: str) -> str:
     return found.group(1)
 
 
+RUN = ("system=gap.yaml", "replicates=1", "workers=1", "format=json", "store=rows")
+
+
+@pytest.fixture(scope="module")
+def bounds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the bound of the newcomer's scenario is kept by the first test that needs it."""
+    return tmp_path_factory.mktemp("bounds")
+
+
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def folder(tmp_path: Path, bounds: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The newcomer's folder as the current one, its system registered as ``pip install`` of its pyproject.toml would.
 
     The folder stands on the path and holds what an installer writes of a package: its name and its entry points. So
@@ -47,6 +56,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """
     for name in FILES:
         (tmp_path / name).write_text(block(name), encoding="utf-8")
+    (tmp_path / "rows").mkdir()
+    (tmp_path / "rows" / "bounds").symlink_to(bounds)
     project = tomllib.loads(block("pyproject.toml"))["project"]
     ((group, points),) = project["entry-points"].items()
     info = tmp_path / "gap_spring-0.1.dist-info"
@@ -114,7 +125,7 @@ def test_methods_run_on_it(method: str, folder: Path, capfd: pytest.CaptureFixtu
     """The README's command; the fit is within five times the Cramér-Rao bound of the displacement."""
     for package in {"shooting": ["casadi"], "collocation": ["torch"]}.get(method, []):
         pytest.importorskip(package)
-    assert main([f"method={method}", "system=gap.yaml", "replicates=1", "workers=1", "format=json"]) == 0
+    assert main([f"method={method}", *RUN]) == 0
     said = json.loads(capfd.readouterr().out.strip().splitlines()[-1])
     assert (said["system"], said["status"]) == ("gap", "ok"), said
     assert said["metrics"]["rmse"]["excess"] < 5.0
@@ -122,7 +133,7 @@ def test_methods_run_on_it(method: str, folder: Path, capfd: pytest.CaptureFixtu
 
 @pytest.mark.parametrize("method", ["ls", "era"])
 def test_methods_that_cannot_take_it_say_why(method: str, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert main([f"method={method}", "system=gap.yaml", "replicates=1", "workers=1", "format=json"]) == 0
+    assert main([f"method={method}", *RUN]) == 0
     said = json.loads(capfd.readouterr().out.strip().splitlines()[-1])
     assert said["status"] == "unsupported"
     assert {"ls": "affine", "era": "linear"}[method] in said["message"]

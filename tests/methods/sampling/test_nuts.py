@@ -80,9 +80,13 @@ def test_the_density_is_that_of_mcmc(case: str) -> None:
 
 @pytest.mark.parametrize("snr", [20.0, 10.0])
 def test_mean_and_spread_agree_with_quadrature(snr: float) -> None:
-    """Posterior of (m, c, k) by a sum over a grid of log-parameters, the noise on a grid of its own."""
+    """Posterior of (m, c, k) by a sum over a grid of log-parameters, the noise on a grid of its own.
+
+    Of 1500 effective draws a mean is known to 0.026 sd and an sd to 0.018 sd where the posterior is normal: the
+    tolerances are at least five of those.
+    """
     problem, _ = scenario(snr).replicates(1, 1)[0]
-    estimate = sample(problem, draws=1000, kept=4000)
+    estimate = sample(problem, effective=1500.0, blocks=12, kept=20000)
     assert isinstance(estimate.parameters, Draws), estimate.message
     draws = estimate.parameters.samples
     logs = np.log(draws)
@@ -108,6 +112,7 @@ def test_mean_and_spread_agree_with_quadrature(snr: float) -> None:
     assert draws.std(axis=0) == pytest.approx(sd, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_nonlinear_system_holds_the_truth() -> None:
     made = scenario(25.0, system="duffing", parameters=HARD, initial=((0.9,), (0.0,)), samples=25, duration=6.0)
     problem, _ = made.replicates(0, 1)[0]
@@ -120,15 +125,16 @@ def test_a_nonlinear_system_holds_the_truth() -> None:
 
 
 def test_replicates_share_the_compiled_code() -> None:
-    compiled.cache_clear()
+    """Compiled at most once: not at all where another test has had the same layout."""
+    before = compiled.cache_info().misses
     for problem, _ in scenario(20.0).replicates(0, 3):
         assert sample(problem).status is Status.OK
-    assert compiled.cache_info().misses == 1
+    assert compiled.cache_info().misses <= before + 1
 
 
 def test_a_chain_that_is_too_short_is_a_failure_with_a_sentence() -> None:
     problem, _ = scenario(20.0).replicates(0, 1)[0]
-    estimate = sample(problem, warmup=20, draws=8, blocks=1)
+    estimate = sample(problem, blocks=1, effective=1e5)  # of 1200 draws; as long as elsewhere: compiled already
     assert estimate.status is Status.DIVERGED
     assert "not converged" in estimate.message
     assert "R-hat" in estimate.message
