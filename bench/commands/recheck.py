@@ -115,7 +115,8 @@ def _vouched_on_few(stored: StoredCell) -> bool:
 def same(check: Check, rows: Sequence[Row]) -> bool:
     """Whether replicates that were computed anew are the stored ones."""
     chosen = set(check.replicates)
-    return compare_rows([row for row in check.stored.rows if row.replicate in chosen], rows).name == "identical"
+    before = [row for row in check.stored.rows if row.replicate in chosen]
+    return compare_rows(before, rows, check.stored.rows).name == "identical"
 
 
 def vouched(check: Check, commit: str | None) -> StoredCell:

@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median
 
 from bench.commands.guard import command, read_fields
 from bench.errors import InputError
@@ -57,8 +58,13 @@ def compare(old: StoredCell, new: StoredCell) -> Verdict:
     return replace(verdict, changed=(*verdict.changed, *_circumstances(old, new)))
 
 
-def compare_rows(old: Sequence[Row], new: Sequence[Row]) -> Verdict:
-    """How rows compare with others of the same replicates: statuses, scores, data."""
+def compare_rows(old: Sequence[Row], new: Sequence[Row], cell: Sequence[Row] = ()) -> Verdict:
+    """Compare rows with others of the same replicates: statuses, scores, data.
+
+    Differences are relative to a score, or to the median size of that score over the rows of the ``cell`` (by default
+    ``old``) where that is larger: an error that is next to nothing by luck has no digits of its own.
+    """
+    sizes = _sizes(cell or old)
     differences: dict[str, float] = {}
     changed = []
     for before, after in zip(old, new, strict=True):
@@ -66,7 +72,8 @@ def compare_rows(old: Sequence[Row], new: Sequence[Row]) -> Verdict:
         if before.status is not after.status:
             changed.append(f"replicate {before.replicate} was {before.status}, now {after.status}")
         for name in {*before.scores, *after.scores}:
-            gap = _relative(before.scores.get(name, math.nan), after.scores.get(name, math.nan))
+            values = before.scores.get(name, math.nan), after.scores.get(name, math.nan)
+            gap = _relative(*values, sizes.get(name, 0.0))
             differences[name] = max(differences.get(name, 0.0), gap)
     other_data = sum(before.data != after.data for before, after in zip(old, new, strict=True))
     worst = max(differences.values(), default=0.0)
@@ -80,12 +87,22 @@ def compare_rows(old: Sequence[Row], new: Sequence[Row]) -> Verdict:
     return Verdict(name, {k: v for k, v in differences.items() if v > 0}, tuple(changed))
 
 
-def _relative(before: float, after: float) -> float:
+def _sizes(rows: Sequence[Row]) -> dict[str, float]:
+    """The median size of each score, of those that are finite."""
+    values: dict[str, list[float]] = {}
+    for row in rows:
+        for name, value in row.scores.items():
+            if math.isfinite(value):
+                values.setdefault(name, []).append(abs(value))
+    return {name: median(found) for name, found in values.items()}
+
+
+def _relative(before: float, after: float, size: float) -> float:
     if before == after or (math.isnan(before) and math.isnan(after)):
         return 0.0
     if not (math.isfinite(before) and math.isfinite(after)):
         return math.inf
-    return abs(before - after) / max(abs(before), abs(after))
+    return abs(before - after) / max(abs(before), abs(after), size)
 
 
 def _circumstances(old: StoredCell, new: StoredCell) -> list[str]:
