@@ -211,18 +211,18 @@ class LateTrigger(Disturbance):
         return reference_response(system, p, start, times + self.size, forces)
 
 
-KINDS: dict[str, type[Disturbance]] = {
-    cls.kind: cls
-    for cls in (Integrator, Jitter, Irregular, Coloured, HeavyTails, Outliers, Bias, Drift, LateTrigger)
-}  # fmt: skip
+def kinds() -> dict[str, type[Disturbance]]:
+    """Every kind by its name; found, not named, so that a cell hangs on the one that it uses."""
+    return {found.kind: found for found in Disturbance.__subclasses__()}
 
 
 def kind_of(kind: str, settings: Mapping[str, Any]) -> type[Disturbance]:
-    """The class of a kind; raises InputError for an unknown one, and where these are not its settings."""
-    if kind not in KINDS:
-        raise InputError("disturbance.kind", kind, f"known: none, {', '.join(KINDS)}")
-    names = [field.name for field in fields(KINDS[kind])]
-    needed = [field.name for field in fields(KINDS[kind]) if field.default is MISSING]
+    """Return the class of a kind; raises InputError for an unknown one, and where these are not its settings."""
+    known = kinds()
+    if kind not in known:
+        raise InputError("disturbance.kind", kind, f"known: none, {', '.join(known)}")
+    names = [field.name for field in fields(known[kind])]
+    needed = [field.name for field in fields(known[kind]) if field.default is MISSING]
     if not set(needed) <= set(settings) <= set(names):
         raise InputError("disturbance", kind, f"its settings are {' and '.join(names)}, and each is needed")
-    return KINDS[kind]
+    return known[kind]

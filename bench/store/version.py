@@ -17,7 +17,7 @@ from typing import Any
 
 from bench.entrants import registry
 from bench.entrants.reference import REFERENCES
-from bench.scenario.disturbance import KINDS as DISTURBANCES
+from bench.scenario.disturbance import kinds
 from bench.store.source import Definition, uses
 from bench.systems import registered_systems
 
@@ -71,8 +71,9 @@ def cell_version(method: str, system: str, disturbance: str = "none") -> Version
         roots.append((REFERENCES[method].__module__, REFERENCES[method].__name__))
     points = registry.registered().get(method), registered_systems().get(system)
     roots += [(point.module, point.attr) for point in points if point]
-    if disturbance in DISTURBANCES:
-        roots.append((DISTURBANCES[disturbance].__module__, DISTURBANCES[disturbance].__name__))
+    disturbing = kinds().get(disturbance)
+    if disturbing is not None:
+        roots.append((disturbing.__module__, disturbing.__name__))
     return version_of(roots)
 
 

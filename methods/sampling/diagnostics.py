@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.stats import norm, rankdata
 
 MANY = 10
 """Unknowns beyond which slow mixing is put down to their number."""
@@ -68,6 +67,8 @@ def rank_r_hat(paths: np.ndarray) -> float:
     ensemble move by each other and are not independent. Bulk and folded version, the larger (Vehtari et al., 2021,
     equations 1-4, 14 and section 4.2). Infinite where an unknown never moves.
     """
+    from scipy.stats import norm, rankdata  # half a second to import, which every command line would pay
+
     steps = paths.shape[1] // 2
     halves = [half.reshape(-1, paths.shape[-1]) for path in paths for half in (path[:steps], path[-steps:])]
     x = np.stack(halves)

@@ -19,7 +19,7 @@ from bench.information.fisher import Bound
 from bench.reporting.frame import Result, described, table_experiments
 from bench.reporting.tables.robustness import COLUMNS, PANELS, Pair, markdown, ratio, tidy
 from bench.reporting.tables.robustness import pairs as pairs_of
-from bench.scenario.disturbance import make_disturbance
+from bench.scenario.disturbance import Disturbance
 from bench.scenario.scenario import Scenario
 from bench.scoring.summary import summarise
 from bench.store.cell import Cell
@@ -54,7 +54,7 @@ def pairs(cells: list[Cell], store: Store) -> list[Pair]:
 
 
 def cell(reference: Scenario, method: str, kind: str | None, n: int = 10) -> Cell:
-    disturbance = make_disturbance(kind, {"size": 0.05}) if kind else None
+    disturbance = Disturbance.from_dict({"kind": kind, "size": 0.05}) if kind else None
     return Cell(replace(reference, disturbance=disturbance), method, {}, n, 0, method)
 
 

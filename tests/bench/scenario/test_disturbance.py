@@ -16,7 +16,7 @@ from scipy import stats
 from bench import InputError
 from bench.config.experiment import expand
 from bench.information.fisher import bound_identity, compute_bound
-from bench.scenario.disturbance import KINDS, Disturbance, make_disturbance
+from bench.scenario.disturbance import Disturbance, kinds
 from bench.scenario.scenario import METHOD, ForceSpec, PriorSpec, Scenario
 from bench.store.cell import Cell
 from bench.store.opening import open_store
@@ -41,7 +41,7 @@ DUFFING = replace(BASE, system="duffing", parameters={**TRUE, "k3": 5.0})
 
 
 def disturbed(kind: str, scenario: Scenario = BASE, **settings: float) -> Scenario:
-    return replace(scenario, disturbance=make_disturbance(kind, {**DEFAULTS[kind], **settings}))
+    return replace(scenario, disturbance=Disturbance.from_dict({"kind": kind, **DEFAULTS[kind], **settings}))
 
 
 def motion(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -198,7 +198,7 @@ def test_a_late_trigger_of_a_nonlinear_system_goes_on_from_its_true_start() -> N
     np.testing.assert_allclose(again.replicates(0, 1)[0][1].dense_displacement, truth.dense_displacement, atol=1e-8)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", kinds())
 def test_base_noise_level_and_nominal_values_are_those_of_the_undisturbed_scenario(kind: str) -> None:
     other = disturbed(kind)
     for (plain, truth), (problem, moved) in zip(BASE.replicates(1, 3), other.replicates(1, 3), strict=True):
@@ -240,7 +240,7 @@ def test_the_realised_snr_counts_all_that_the_samples_are_off_by() -> None:
     assert truth.realised_snr_db < 3.0
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", kinds())
 def test_a_problem_says_nothing_of_its_disturbance(kind: str) -> None:
     size = 0.0198765 if DEFAULTS[kind]["size"] < 1 and kind != "integrator" else DEFAULTS[kind]["size"]
     scenario = disturbed(kind, replace(BASE, initial_state="unknown"), size=size)
@@ -253,7 +253,7 @@ def test_a_problem_says_nothing_of_its_disturbance(kind: str) -> None:
 
 def test_a_disturbance_is_part_of_the_identity_and_its_absence_is_not() -> None:
     assert "disturbance" not in BASE.data_identity()
-    scenarios = [BASE, *map(disturbed, KINDS), disturbed("bias", size=0.1), disturbed("outliers", share=0.1)]
+    scenarios = [BASE, *map(disturbed, kinds()), disturbed("bias", size=0.1), disturbed("outliers", share=0.1)]
     assert len({Cell(s, "ls", {}, 20, 0, "ls").identity for s in scenarios}) == len(scenarios)
     assert len({s.disturbance for s in scenarios}) == len(scenarios)
     same = Cell(disturbed("irregular", size=1), "ls", {}, 20, 0, "ls").identity
@@ -270,7 +270,7 @@ def test_stored_cells_of_before_there_were_disturbances_are_found() -> None:
 
 def test_the_bound_is_that_of_the_undisturbed_scenario() -> None:
     small = replace(BASE, dense=25, forecast=0.5)
-    assert {bound_identity(disturbed(kind, small), 0) for kind in KINDS} == {bound_identity(small, 0)}
+    assert {bound_identity(disturbed(kind, small), 0) for kind in kinds()} == {bound_identity(small, 0)}
     assert compute_bound(disturbed("late_trigger", small, size=1.0)) == compute_bound(small)
 
 
@@ -294,11 +294,11 @@ def test_the_bound_is_that_of_the_undisturbed_scenario() -> None:
 )
 def test_settings_that_make_no_sense_are_refused(kind: str, settings: dict[str, Any]) -> None:
     with pytest.raises(InputError) as caught:
-        make_disturbance(kind, settings)
+        Disturbance.from_dict({"kind": kind, **settings})
     assert caught.value.field.startswith("disturbance")
 
 
-def test_no_disturbance_is_none() -> None:
-    assert make_disturbance("none", {}) is None
-    assert all(isinstance(make_disturbance(kind, given), Disturbance) for kind, given in DEFAULTS.items())
-    assert set(DEFAULTS) == set(KINDS)
+def test_every_kind_is_tested_and_comes_back_from_what_it_is_stored_as() -> None:
+    for kind in DEFAULTS:
+        assert Disturbance.from_dict(disturbed(kind).disturbance.to_dict()) == disturbed(kind).disturbance
+    assert set(DEFAULTS) == set(kinds())
