@@ -63,7 +63,7 @@ def _keep_compilations() -> None:
     except RuntimeError:  # a user without a home
         return
     jax.config.update("jax_compilation_cache_dir", str(cache / "vibration-bench" / "jax"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def _steps(

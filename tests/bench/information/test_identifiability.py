@@ -331,7 +331,8 @@ def test_the_picture_is_written_the_same_each_time(tmp_path: Path, capsys: pytes
     pytest.importorskip("matplotlib")
     arguments = ["system=sdof_forced", "profile=true", f"out={tmp_path / 'out'}"]
     assert main(arguments) == 0
-    assert "open" not in capsys.readouterr().out.split("profile of replicate 0")[1]
+    said = capsys.readouterr().out.replace(str(tmp_path), "")
+    assert "open" not in said.split("profile of replicate 0")[1]
     first = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
     assert set(first) == {f"profile_sdof_forced.{ending}" for ending in ("svg", "png", "txt")}
     assert main(arguments) == 0
@@ -358,7 +359,7 @@ def test_bad_input_is_one_line(arguments: Sequence[str], said: str, capsys: pyte
     assert main(arguments) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith("bench.commands.identifiability: ")
+    assert err.startswith("bench.identifiability: ")
     assert said in err
     assert len(err.splitlines()) == 1
 
@@ -367,7 +368,7 @@ def test_without_sympy_there_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys
     monkeypatch.setitem(sys.modules, "sympy", None)
     assert main([]) == 2
     assert capsys.readouterr().err.splitlines() == [
-        "bench.commands.identifiability: sympy=missing: pip install 'vibration-bench[identifiability]'"
+        "bench.identifiability: sympy=missing: pip install 'vibration-bench[identifiability]'"
     ]
     with pytest.raises(InputError):
         structure(SDOF())

@@ -16,7 +16,7 @@ from bench import Status
 from bench.commands.tables import main
 from bench.config.experiment import Experiment
 from bench.information.fisher import Bound
-from bench.reporting.frame import Result, described, table_experiments
+from bench.reporting.frame import Result, table_experiments
 from bench.reporting.tables.robustness import COLUMNS, PANELS, Pair, markdown, ratio, tidy
 from bench.reporting.tables.robustness import pairs as pairs_of
 from bench.scenario.disturbance import Disturbance
@@ -133,7 +133,7 @@ def _short_experiments(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("_short_experiments")
 def test_the_command_finds_the_table_by_its_experiment(store: Store, tmp_path: Path) -> None:
     assert {"table2", "table3", "table4", "table5", "robustness"} <= set(table_experiments())
-    _, cells = described("robustness")
+    cells = Experiment("robustness").cells()
     out = tmp_path / "out"
     arguments = [f"store={store.folder}", f"out={out}"]
     for c in cells:
