@@ -263,8 +263,9 @@ print(repr(x.tolist()), repr(slopes.tolist()))
 
 
 def test_what_jax_compiles_is_kept_for_the_next_process_where_it_can_be(
-    tmp_path: Path, python: Callable[..., Any]
+    tmp_path: Path, python: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)  # the tests' own
     (tmp_path / "file").touch()
     found = [
         python("-W", "error", "-c", COMPILE, env={"XDG_CACHE_HOME": str(tmp_path / name)})
