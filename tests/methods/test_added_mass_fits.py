@@ -75,7 +75,7 @@ def test_clean_records_give_mass_damping_and_stiffness(name: str, told: bool, un
 def test_regressions_tell_the_mass_of_dense_records(
     name: str, settings: dict[str, object], samples: int, tolerance: float
 ) -> None:
-    """Of 400 samples, ``h² w² / 12`` = 2e-4 is what a second difference loses of the acceleration; the network has none.
+    """Of 400 samples, ``h² w² / 12`` = 2e-4 is what a second difference loses of the acceleration; a network, none.
 
     It is given fewer: its cost grows faster than their square.
     """
