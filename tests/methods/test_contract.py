@@ -22,7 +22,7 @@ from bench.systems import SDOF
 VARIANTS: dict[str, dict[str, Any]] = {
     "ddnn": {"name": "ddnn", "iterations": 30, "draws": 30},  # as far as needed: what is asked is not accuracy
     "ls_spline": {"name": "ls", "derivative": "spline"},
-    "pinn_adam": {"name": "pinn", "optimizer": "adam_lbfgs", "slack": 0.5, "adam_steps": 50, "lbfgs_steps": 90},
+    "pinn_adam": {"name": "pinn", "optimizer": "adam_lbfgs", "slack": 0.5, "adam_steps": 200, "lbfgs_steps": 300},
 }
 NAMES = sorted({*registered(), *VARIANTS})
 P = {"m": 1.4, "c": 0.7, "k": 11.0}  # a plant that is in no table

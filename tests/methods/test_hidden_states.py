@@ -70,7 +70,10 @@ def test_a_broken_exponent_has_slopes_at_rest(name: str) -> None:
     assert make_method(name, {}).identify(problem, np.random.default_rng(0)).status is Status.OK
 
 
-@pytest.mark.parametrize(("name", "settings"), [("shooting", {}), ("collocation", {}), ("pinn", {"iterations": 400})])
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [("shooting", {}), ("collocation", {}), pytest.param("pinn", {"iterations": 400}, marks=pytest.mark.slow)],
+)
 def test_a_hidden_rate_needs_no_parameter(name: str, settings: dict[str, object]) -> None:
     """Against SciPy's LSODA; the mass is the prior's, so k/m and c/m are judged. By default the PINN ends too early."""
     lacking = missing_package(name)

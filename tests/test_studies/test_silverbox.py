@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bench import InputError
-from benchmarks.silverbox.__main__ import free_run, main, millivolts
-from benchmarks.silverbox.record import (
+from tests.studies.silverbox.__main__ import free_run, main, millivolts
+from tests.studies.silverbox.record import (
     ARROW,
     FILES,
     MULTISINE,

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.pinn``: what the PINN engine costs and how far it can be trusted, as a page.
+"""``python -m tests.studies.pinn``: what the PINN engine costs and how far it can be trusted, as a page.
 
 Each part is stored when it is done (``<out>/pinn/<part>.json``), and the page ``<out>/pinn.md`` and its pictures are
 made from what is stored; ``part=`` runs some of them only. Rival scripts are timed where ``peers=`` names their folder.
@@ -21,10 +21,10 @@ from bench.config.experiment import expand
 from bench.errors import InputError
 from bench.isolation.processes import single_threaded
 from bench.store.store import Store
-from benchmarks.pinn.common import Part
+from tests.studies.pinn.common import Part
 
 PARTS = ("rivals", "memory", "accuracy", "systems", "initialisations", "starting_values", "loss", "scaling")
-USAGE = """usage: python -m benchmarks.pinn [part=<a,b>] [replicates=100] [out=results]
+USAGE = """usage: python -m tests.studies.pinn [part=<a,b>] [replicates=100] [out=results]
                                         [peers=<folder of rival scripts> [peer_python=<python with DeepXDE>] [seeds=3]]
 parts: """ + ", ".join(PARTS)
 
@@ -54,7 +54,7 @@ def options(arguments: Sequence[str]) -> dict[str, str]:
 
 def run(part: str, chosen: dict[str, str]) -> Part:
     """One part, with a progress bar where it is long."""
-    from benchmarks.pinn import rivals, robustness, scaling
+    from tests.studies.pinn import rivals, robustness, scaling
 
     adam = dict(expand(["method=pinn_adam"], multirun=False)[0].cell().settings)
     replicates = int(chosen["replicates"])
@@ -80,7 +80,7 @@ def run(part: str, chosen: dict[str, str]) -> Part:
 
 def page(folder: Path) -> str:
     """All stored parts as one page."""
-    sections = ["# The PINN engine", "Regenerate: `python -m benchmarks.pinn`, " + MACHINE]
+    sections = ["# The PINN engine", "Regenerate: `python -m tests.studies.pinn`, " + MACHINE]
     for name in PARTS:
         path = folder / f"{name}.json"
         if path.is_file():
@@ -99,7 +99,7 @@ MACHINE = (
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the parts and write the page; exit status 2 for bad input."""
-    return command("benchmarks.pinn", f"{USAGE}\n\n{__doc__}", argv, _main)
+    return command("tests.studies.pinn", f"{USAGE}\n\n{__doc__}", argv, _main)
 
 
 def _main(arguments: Sequence[str]) -> int:
@@ -115,7 +115,7 @@ def _main(arguments: Sequence[str]) -> int:
         content = {**asdict(part), "python": platform.python_version()}
         (folder / f"{name}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         if part.data:
-            from benchmarks.pinn import pictures
+            from tests.studies.pinn import pictures
 
             for path in getattr(pictures, f"{name}_picture")(part.data, out / "figures"):
                 print(path)

@@ -9,9 +9,9 @@ import numpy as np
 
 from bench import Identifier
 from bench.scenario.scenario import Scenario
-from benchmarks.pinn.common import Part, compare, scenario
 from methods.pinn.collocation import Collocation
 from methods.pinn.method import PINN
+from tests.studies.pinn.common import Part, compare, scenario
 
 Advance = Callable[[int], object]
 COLLOCATIONS = (100, 200, 400, 1000, 2000)

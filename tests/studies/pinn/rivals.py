@@ -23,13 +23,13 @@ from bench import Channel, Problem, Record
 from bench.entrants.registry import make_method
 from bench.scenario.truth import closed_form
 from bench.systems import SDOF
-from benchmarks.pinn.common import Part, scenario
 from methods.pinn import levenberg
 from methods.pinn.block import Spread
 from methods.pinn.engine import torch_threads
 from methods.pinn.levenberg import Walk
 from methods.pinn.method import PINN
 from methods.pinn.residuals import Residuals
+from tests.studies.pinn.common import Part, scenario
 
 DURATION, SAMPLES, COLLOCATION, WEIGHT = 10.0, 25, 200, 0.1
 FIRST = {"k": 4.0, "c": 1.0}

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.sweeps.writes``: workers killed while they write, a full disk, two drivers on one store.
+"""``python -m tests.studies.sweeps.writes``: workers killed while they write, a full disk, two drivers on one store.
 
 Nothing that was reported done may be lost, nothing torn, nothing there twice. About 2 minutes; the full disk is a small
 tmpfs, for which the script needs to be allowed to mount one (it says so where it is not).
@@ -20,7 +20,7 @@ from pathlib import Path
 import psutil
 
 from bench.store.store import Store
-from benchmarks.sweeps.common import bench, cell_files, csv, finish, report
+from tests.studies.sweeps.common import bench, cell_files, csv, finish, report
 
 KILLS = 20
 SWEEP = ("-m", "method=empty", "snr=40,30,20,10", "seed=range(0,60)", "replicates=3", "workers=2")

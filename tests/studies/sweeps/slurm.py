@@ -1,6 +1,6 @@
 """A sweep through Slurm, interrupted and taken up again, or left without its driver: what is stored, and how often.
 
-    python -m benchmarks.sweeps.slurm
+    python -m tests.studies.sweeps.slurm
 
 Slurm's and munge's daemons run on this machine, in namespaces with no network but loopback, from a configuration that
 is written into a temporary folder; they end with this command.
@@ -22,8 +22,8 @@ from typing import Any
 from tabulate import tabulate
 
 from bench.store.store import Store
-from benchmarks.sweeps.apart import run_apart, wait_for, why_not
-from benchmarks.sweeps.journal import Journal
+from tests.studies.sweeps.apart import run_apart, wait_for, why_not
+from tests.studies.sweeps.journal import Journal
 
 SEEDS = 10
 SWEEP = ("method=ls,shooting", f"seed=range({SEEDS})", "replicates=2", "cells_per_job=2")
@@ -69,7 +69,7 @@ def main() -> int:
         reason = "hydra-submitit-launcher is not installed (pip install 'vibration-bench[slurm]')"
     if not reason and os.geteuid() != 0:
         reason = "Slurm's daemons are started as root here"
-    return run_apart("benchmarks.sweeps.slurm", reason, _inside)
+    return run_apart("tests.studies.sweeps.slurm", reason, _inside)
 
 
 def _inside(folder: Path) -> int:

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.chains``: how far each method reaches as the number of masses grows, and what it costs.
+"""``python -m tests.studies.chains``: how far each method reaches as the number of masses grows, and what it costs.
 
 Chains of 1 to 20 masses, every displacement measured, 30 dB, the first mass released from 1 m, start told, nominal
 prior. The cells are computed by the harness's own runner and kept in its store, so a second run makes the table and the
@@ -49,7 +49,7 @@ DENSE = 1000
 """Fewest times at which the displacement is scored."""
 ASTRAY = 3.0
 """An excess of the displacement error from which on a method is said to have missed the solution."""
-USAGE = """usage: python -m benchmarks.chains [sizes=1,2,3,5,10,20] [methods=<a,b>] [timeout_s=120] [workers=1]
+USAGE = """usage: python -m tests.studies.chains [sizes=1,2,3,5,10,20] [methods=<a,b>] [timeout_s=120] [workers=1]
                                           [store=outputs/rows] [out=results]"""
 
 
@@ -194,7 +194,7 @@ def entry(at: Mapping[str, Any]) -> list[str]:
     return [number(at["cpu_s"]), *texts, f"{at['n_ok']:.0f}/{at['n_fits']:.0f}"]
 
 
-TEXT = """Regenerate: `python -m benchmarks.chains` (what is stored already is not computed again).
+TEXT = """Regenerate: `python -m tests.studies.chains` (what is stored already is not computed again).
 
 Chains of n masses, every displacement measured, 30 dB, the first mass released from 1 m, start told, nominal prior,
 {n_fits}; true values along the chain from the ground on, over and over: masses {m} kg, dampers {c} N·s/m, springs {k}
@@ -315,7 +315,7 @@ def _others() -> list[str]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Compute what is lacking, then write table, CSV and picture; exit status 2 for bad input, 130 interrupted."""
     kept = "interrupted; the same command goes on from here"
-    return command("benchmarks.chains", f"{USAGE}\n\n{__doc__}", argv, _main, kept)
+    return command("tests.studies.chains", f"{USAGE}\n\n{__doc__}", argv, _main, kept)
 
 
 def _main(arguments: Sequence[str]) -> int:

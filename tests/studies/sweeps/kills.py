@@ -1,4 +1,4 @@
-"""``python -m benchmarks.sweeps.kills``: 200 cells, the driver killed (-9) at ten random moments, rerun each time.
+"""``python -m tests.studies.sweeps.kills``: 200 cells, the driver killed (-9) at ten random moments, rerun each time.
 
 Every cell must be there once, and the tables must be those of an uninterrupted run, byte for byte. About 2 minutes.
 """
@@ -14,7 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.sweeps.common import bench, cell_files, csv, finish, report
+from tests.studies.sweeps.common import bench, cell_files, csv, finish, report
 
 KILLS = 10
 SWEEP = (

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.silverbox data=FOLDER``: the methods on a measured Duffing oscillator, as a page.
+"""``python -m tests.studies.silverbox data=FOLDER``: the methods on a measured Duffing oscillator, as a page.
 
 Shooting fits a stretch of the training part, then is simulated freely over the official test parts. The other methods
 get a short window, and are simulated over the first samples of the test multisine.
@@ -37,7 +37,7 @@ from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import point_parameters
 from bench.store.store import Store
 from bench.sweep.workers import Limits
-from benchmarks.silverbox.record import (
+from tests.studies.silverbox.record import (
     ARROW,
     RATE,
     TEST_MULTISINE,
@@ -65,8 +65,8 @@ REFERENCES = (
     ("FIR-MLP", 18.9, 20.2, 15.3),
 )
 """Root mean square errors (mV) elsewhere: test multisine, whole arrow, arrow without extrapolation."""
-USAGE = """usage: python -m benchmarks.silverbox data=<folder> [samples=4096] [window=300] [timeout=40] [method=<a,b>]
-                                     [out=results]"""
+USAGE = """usage: python -m tests.studies.silverbox data=<folder> [samples=4096] [window=300] [timeout=40]
+                                         [method=<a,b>] [out=results]"""
 
 
 def options(arguments: Sequence[str]) -> dict[str, str]:
@@ -207,7 +207,7 @@ def page(rows: list[list[str]], values: list[list[str]], windows: list[list[str]
 
     elsewhere = [[name, *(f"{error:.3g}" for error in errors), ""] for name, *errors in REFERENCES]
     samples, window, timeout = chosen["samples"], chosen["window"], chosen["timeout"]
-    command = f"python -m benchmarks.silverbox data=<folder> samples={samples} window={window} timeout={timeout}"
+    command = f"python -m tests.studies.silverbox data=<folder> samples={samples} window={window} timeout={timeout}"
     sections = [
         "# Silverbox",
         f"Regenerate: `{command}`. The folder holds `SNLS80mV.csv`, which is not part of this repository (T. Wigren, "
@@ -237,7 +237,7 @@ def page(rows: list[list[str]], values: list[list[str]], windows: list[list[str]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Fit, simulate and write the page; exit status 2 for bad input."""
-    return command("benchmarks.silverbox", f"{USAGE}\n\n{__doc__}", argv, _main)
+    return command("tests.studies.silverbox", f"{USAGE}\n\n{__doc__}", argv, _main)
 
 
 def _main(arguments: Sequence[str]) -> int:

@@ -13,8 +13,8 @@ from bench.contract.estimate import Status
 from bench.scoring.row import Row
 from bench.store.store import Store, StoredCell
 from bench.systems import Chain
-from benchmarks import chains
-from benchmarks.chains import PER_PERIOD, PERIODS, main, natural_frequencies, page, picture, reach, scenario
+from tests.studies import chains
+from tests.studies.chains import PER_PERIOD, PERIODS, main, natural_frequencies, page, picture, reach, scenario
 
 
 def test_natural_frequencies_are_those_of_equal_chains(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.sweeps.overhead``: what the harness adds to a method's own time, and what two cores give.
+"""``python -m tests.studies.sweeps.overhead``: what the harness adds to a method's own time, and what two cores give.
 
 1,000 cells that take no time, on two workers, against the same cells as jobs of Hydra's own multirun with its basic
 launcher (which neither isolates, limits, resumes nor survives anything); and 200 cells of 0.5 s of processor time
@@ -14,14 +14,14 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from benchmarks.sweeps.common import bench, cell_files, environment, finish
+from tests.studies.sweeps.common import bench, cell_files, environment, finish
 
 CELLS, NAIVE = 1000, 40
 BUSY, SECONDS = 200, 0.5
 EMPTY_SWEEP = ("-m", "method=empty", "snr=40,30,20,10", "seed=range(0,250)", "replicates=1", "workers=2")
 BUSY_SWEEP = ("-m", "method=busy", f"method.seconds={SECONDS}", "seed=range(0,200)", "replicates=1", "workers=2")
 WARM = ("method=empty", "seed=100000", "replicates=1", "workers=2")
-BURN = "from benchmarks.sweeps.doubles import burn\nfor _ in range({n}): burn({seconds})"
+BURN = "from tests.studies.sweeps.doubles import burn\nfor _ in range({n}): burn({seconds})"
 
 
 def timed(folder: Path, *arguments: str) -> float:
@@ -35,7 +35,7 @@ def timed(folder: Path, *arguments: str) -> float:
 def naive(folder: Path, jobs: int) -> float:
     """Seconds of Hydra's multirun over the same cells."""
     command = [
-        sys.executable, "-m", "benchmarks.sweeps.naive", "-m", f"seed=range(0,{jobs})", f"store={folder}/naive",
+        sys.executable, "-m", "tests.studies.sweeps.naive", "-m", f"seed=range(0,{jobs})", f"store={folder}/naive",
         f"hydra.sweep.dir={folder}/multirun",
     ]  # fmt: skip
     started = time.perf_counter()

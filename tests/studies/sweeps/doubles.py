@@ -10,7 +10,7 @@ import numpy as np
 
 from bench import Card, Estimate, Identifier, Normal, Problem, Serves
 
-CARD = Card("a stand-in", "not used", "groups", "simulated", "none", "benchmarks")
+CARD = Card("a stand-in", "not used", "groups", "simulated", "none", "studies")
 
 
 def answer(problem: Problem) -> Estimate:

@@ -13,8 +13,8 @@ import pandas as pd
 from bench.store import index as view
 from bench.store.store import Store
 
-ROOT = Path(__file__).parents[2]
-METHODS = {"empty": "benchmarks.sweeps.doubles:Empty", "busy": "benchmarks.sweeps.doubles:Busy"}
+ROOT = Path(__file__).parents[3]
+METHODS = {"empty": "tests.studies.sweeps.doubles:Empty", "busy": "tests.studies.sweeps.doubles:Busy"}
 
 
 def environment(folder: Path) -> dict[str, str]:

@@ -1,6 +1,6 @@
 """A sweep on two Ray nodes, of which one loses a worker and the other dies: what is stored, and how often.
 
-    python -m benchmarks.sweeps.ray_nodes
+    python -m tests.studies.sweeps.ray_nodes
 
 Both nodes are on this machine, in namespaces with no network but loopback. Everything else is in a temporary folder.
 """
@@ -21,8 +21,8 @@ import psutil
 from tabulate import tabulate
 
 from bench.store.store import Store
-from benchmarks.sweeps.apart import run_apart, wait_for, why_not
-from benchmarks.sweeps.journal import Journal, held_claims
+from tests.studies.sweeps.apart import run_apart, wait_for, why_not
+from tests.studies.sweeps.journal import Journal, held_claims
 
 SEEDS = 100
 SWEEP = ("method=ls,shooting", f"seed=range({SEEDS})", "replicates=2", "cells_per_job=5")
@@ -36,7 +36,7 @@ def main() -> int:
     """Run, or say in one line why not."""
     missing = next((name for name in ("ray", "hydra_plugins.hydra_ray_launcher") if find_spec(name) is None), "")
     reason = f"{missing} is not installed (pip install 'vibration-bench[ray]')" if missing else why_not()
-    return run_apart("benchmarks.sweeps.ray_nodes", reason, _inside)
+    return run_apart("tests.studies.sweeps.ray_nodes", reason, _inside)
 
 
 def _inside(folder: Path) -> int:

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.handwritten``: shooting and output error beside what an engineer would otherwise write.
+"""``python -m tests.studies.handwritten``: shooting and output error beside what an engineer would otherwise write.
 
 That is ``scipy.optimize.least_squares`` around ``scipy.integrate.solve_ivp``, some twenty lines, started once from the
 nominal values. All methods fit the same data sets in one process, in turn, so that their times can be compared.
@@ -45,7 +45,7 @@ SEED = 4242
 SNRS = (40, 20)
 WITHIN = 3.0
 """A fit succeeds if it says so itself and its displacement error is below so many times the bound."""
-USAGE = """usage: python -m benchmarks.handwritten [duffing=20] [chain5=5] [timeout_s=120] [out=results]
+USAGE = """usage: python -m tests.studies.handwritten [duffing=20] [chain5=5] [timeout_s=120] [out=results]
 duffing, chain5: data sets of each; timeout_s: processor seconds a fit"""
 
 # ------------------------------------------------------------------------------------------------ by hand
@@ -183,7 +183,7 @@ TITLES = {
     "shooting": "method=shooting",
     "output_error": "method=output_error",
 }
-TEXT = """Regenerate: `python -m benchmarks.handwritten`.
+TEXT = """Regenerate: `python -m tests.studies.handwritten`.
 
 What an engineer would otherwise write, `scipy.optimize.least_squares` around `scipy.integrate.solve_ivp` (RK45 at a
 relative tolerance of 1e-6, forward differences, both scipy's defaults), beside two methods of this benchmark. Start
@@ -228,7 +228,7 @@ def read_options(arguments: Sequence[str]) -> dict[str, str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure and write the page; exit status 2 for bad input."""
-    return command("benchmarks.handwritten", f"{USAGE}\n\n{__doc__}", argv, _main)
+    return command("tests.studies.handwritten", f"{USAGE}\n\n{__doc__}", argv, _main)
 
 
 def _main(arguments: Sequence[str]) -> int:

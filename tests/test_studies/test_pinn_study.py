@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from bench.scenario.scenario import Scenario
-from benchmarks.pinn.__main__ import main, options, page
-from benchmarks.pinn.scaling import chain, horizon
+from tests.studies.pinn.__main__ import main, options, page
+from tests.studies.pinn.scaling import chain, horizon
 
 torch = pytest.importorskip("torch")
 
-from benchmarks.pinn import rivals  # noqa: E402
+from tests.studies.pinn import rivals  # noqa: E402
 
 
 @pytest.mark.parametrize(

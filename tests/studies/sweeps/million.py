@@ -1,6 +1,6 @@
 """What a sweep of a million cells takes, from costs measured here on a few.
 
-    python -m benchmarks.sweeps.million
+    python -m tests.studies.sweeps.million
 
 Measures the cost of a cell beside its fits, the size of a stored cell, how fast cells are stored, and what planning,
 listing, collecting and loading cost for each cell; then multiplies. Under two minutes, in a temporary folder.

@@ -9,11 +9,11 @@ from collections.abc import Callable
 import numpy as np
 
 from bench.entrants.registry import make_method
-from benchmarks.pinn.common import SEED, Part, compare, scenario
 from methods.pinn.method import PINN
 from methods.pinn.physics import PhysicsInformed
 from methods.pinn.task import Task
 from methods.starts.waves import Guess
+from tests.studies.pinn.common import SEED, Part, compare, scenario
 
 Advance = Callable[[int], object]
 """Told how many more fits are done."""

@@ -11,7 +11,7 @@ import pytest
 from bench import Estimate, Problem, Status
 from bench.config.experiment import expand
 from bench.scenario.scenario import Scenario
-from benchmarks.handwritten import Outcome, attempt, by_hand, chain_rates, duffing_rates, main, page, row
+from tests.studies.handwritten import Outcome, attempt, by_hand, chain_rates, duffing_rates, main, page, row
 
 
 def scenario(system: str, snr: float) -> Scenario:

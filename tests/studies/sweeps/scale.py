@@ -1,4 +1,4 @@
-"""``python -m benchmarks.sweeps.scale``: a store of 100,000 cells: its collected view, its status, and tables over it.
+"""``python -m tests.studies.sweeps.scale``: a store of 100,000 cells: its collected view, status, and tables over it.
 
 The cells are copies of one real cell under other identities, so that files have their real size. About 5 minutes, most
 of them for writing the files; ``cells=20000`` shortens it.
@@ -15,7 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.sweeps.common import bench, environment, finish
+from tests.studies.sweeps.common import bench, environment, finish
 
 TABLES = """
 import resource, sys, time

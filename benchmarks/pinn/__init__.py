@@ -1,1 +1,0 @@
-"""What the PINN engine costs and how far it can be trusted: ``python -m benchmarks.pinn``."""

@@ -1,0 +1,1 @@
+"""The Silverbox, a measured electronic Duffing oscillator: ``python -m tests.studies.silverbox``."""
