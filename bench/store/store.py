@@ -17,6 +17,7 @@ import uuid
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ import numpy as np
 from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.scoring.row import Row
+from bench.store.columns import Columns, MadeRows
 
 if TYPE_CHECKING:
     from bench.store.archive.archive import Archive
@@ -45,7 +47,7 @@ class StoredCell:
 
     identity: str
     cell: dict[str, Any]
-    rows: tuple[Row, ...]
+    rows: Sequence[Row]
     summary: dict[str, dict[str, float]]
     prior_share: dict[str, float]
     identifiable: dict[str, bool]
@@ -54,14 +56,19 @@ class StoredCell:
     version: dict[str, Any] = field(default_factory=dict)
     arrays: str = ""
 
+    @cached_property
+    def columns(self) -> Columns:
+        """The rows by column."""
+        return self.rows if isinstance(self.rows, Columns) else MadeRows(self.rows)
+
     @property
     def n_ok(self) -> int:
-        return sum(row.status is Status.OK for row in self.rows)
+        return self.columns.statuses.count(Status.OK)
 
     @property
     def status(self) -> Status:
         """``ok`` where any replicate succeeded, else the most frequent failure."""
-        statuses = [row.status for row in self.rows]
+        statuses = self.columns.statuses
         return Status.OK if Status.OK in statuses else max(set(statuses), key=statuses.count)
 
 

@@ -10,9 +10,9 @@ import io
 import json
 import os
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +20,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from bench.contract.estimate import Status
 from bench.errors import InputError
-from bench.scoring.row import Row
 from bench.store import index as view
 from bench.store.archive import curves, scores
 from bench.store.archive.decimals import MISSING, from_codes, listed, to_codes
+from bench.store.archive.rows import NUMBERS, Line, PackedRows
 from bench.store.store import StoredCell, arrays_file, cell_file, cell_from_json, to_json
 
 FORMAT = 1
@@ -36,7 +35,6 @@ DESCRIBED = {
     name: kind for name, kind in view.PLAIN.items() if name not in ("mtime_ns", "size", "problem")
 }  # fmt: skip
 TEXTS = ("cell", "prior_share", "identifiable", "provenance", "computed_by", "arrays", "scores", "whole")
-NUMBERS = ("row_wall_s", "row_cpu_s", "row_peak_memory_mb")
 LISTS = {
     **{f"all_{name}": pa.int32() for name in STATISTICS},
     "row_status": pa.string(), "row_replicate": pa.int32(), "row_message": pa.string(), "row_data": pa.string(),
@@ -51,8 +49,6 @@ SCHEMA = pa.schema(
     }
 )  # fmt: skip
 SUMMARY = ("metrics", *TEXTS, *(f"all_{name}" for name in STATISTICS))
-ROWS = tuple(name for name in LISTS if name.startswith("row_"))
-SCORES = ("dof", "above", "unsure", *(f"score_{name}" for name in scores.FAMILIES))
 ARRAYS = ("kept", "npz", *(name for name in LISTS if name.startswith("array_")))
 REMEDY = "not a whole file of the archive; fetch it again"
 
@@ -139,8 +135,9 @@ def _line(entry: Entry, places: dict[str, list[Any]]) -> dict[str, Any]:
     line |= _kept(entry.arrays, places)
     try:
         columns = {**_summary_columns(cell), **_row_columns(cell), **_score_columns(cell)}
-        if cell_file(_cell(line | columns, lambda: _unpacked(columns))) == entry.file:
-            return line | columns
+        found = line | columns
+        if cell_file(_cell(lambda names: {name: found[name] for name in names})) == entry.file:
+            return found
     except (ValueError, TypeError, KeyError, OverflowError):
         pass
     shown = {f"all_{key}": [_shown(one.get(key)) for one in cell.summary.values()] for key in STATISTICS}
@@ -254,9 +251,8 @@ class Part:
         return {name: _item(self._columns[name], number) for name in columns}
 
     def cell(self, number: int) -> StoredCell:
-        """The cell of a line; its scores are unpacked when one is asked for."""
-        line = self.line(number, ("identity", "wall_s", *SUMMARY, *ROWS))
-        return _cell(line, lambda: _unpacked(line | self.line(number, SCORES)))
+        """The cell of a line; its rows and scores are unpacked when they are asked for."""
+        return _cell(partial(self.line, number))
 
     def tracebacks(self, number: int) -> str:
         return str(self.line(number, ("tracebacks",))["tracebacks"])
@@ -319,92 +315,29 @@ def _item(column: Any, number: int) -> Any:
     return items[begins[number] : begins[number + 1]]
 
 
-def _cell(line: Mapping[str, Any], unpacked: Any) -> StoredCell:
-    if line["whole"]:
-        return cell_from_json(json.loads(line["whole"]))
-    metrics = line["metrics"].split(" ") if line["metrics"] else []
-    summary: dict[str, dict[str, float]] = {metric: {} for metric in metrics}
-    for key in STATISTICS:
-        codes = np.asarray(line[f"all_{key}"])
-        there = (codes != MISSING).tolist()
-        for metric, value, known in zip(metrics, from_codes(codes).tolist(), there, strict=True):
-            if known:
-                summary[metric][key] = value
+def _cell(line: Line) -> StoredCell:
+    plain = line(("identity", "wall_s", *SUMMARY))
+    if plain["whole"]:
+        return cell_from_json(json.loads(plain["whole"]))
+    metrics = plain["metrics"].split(" ") if plain["metrics"] else []
+    codes = np.array([plain[f"all_{key}"] for key in STATISTICS]).reshape(len(STATISTICS), len(metrics))
+    columns = zip(metrics, from_codes(codes).T.tolist(), (codes != MISSING).T.tolist(), strict=True)
     return StoredCell(
-        identity=line["identity"],
-        cell=json.loads(line["cell"]),
-        rows=_rows(line, unpacked),
-        summary=summary,
-        prior_share=to_numbers(json.loads(line["prior_share"])),
-        identifiable=json.loads(line["identifiable"]),
-        wall_s=line["wall_s"],
-        provenance=json.loads(line["provenance"]),
-        version=json.loads(line["computed_by"]),
-        arrays=line["arrays"],
+        identity=plain["identity"],
+        cell=json.loads(plain["cell"]),
+        rows=PackedRows(line),
+        summary={
+            metric: {key: value for key, value, known in zip(STATISTICS, values, there, strict=True) if known}
+            for metric, values, there in columns
+        },
+        prior_share=to_numbers(json.loads(plain["prior_share"])),
+        identifiable=json.loads(plain["identifiable"]),
+        wall_s=plain["wall_s"],
+        provenance=json.loads(plain["provenance"]),
+        version=json.loads(plain["computed_by"]),
+        arrays=plain["arrays"],
     )
 
 
 def to_numbers(values: Mapping[str, Any]) -> dict[str, float]:
     return {name: float(value) for name, value in values.items()}
-
-
-def _rows(line: Mapping[str, Any], unpacked: Any) -> tuple[Row, ...]:
-    packed = Scores(unpacked)
-    numbers = [from_codes(np.asarray(line[name])).tolist() for name in NUMBERS]
-    scored = np.asarray(line["row_scored"], bool)
-    places = (np.cumsum(scored) - 1).tolist()
-    return tuple(
-        Row(int(index), Status(status), text, packed.of(i) if there else {}, wall, cpu, memory, int(evaluations), data)
-        for index, status, text, there, i, wall, cpu, memory, evaluations, data in zip(
-            line["row_replicate"], line["row_status"], line["row_message"], scored.tolist(), places, *numbers,
-            line["row_evaluations"], line["row_data"], strict=True,
-        )
-    )  # fmt: skip
-
-
-def _unpacked(line: Mapping[str, Any]) -> list[dict[str, float]]:
-    """The scores of every row that has any."""
-    names = line["scores"].split(" ") if line["scores"] else []
-    n = int(np.sum(line["row_scored"]))
-    packed = {name: line[f"score_{name}"] for name in scores.FAMILIES}
-    codes = scores.unpack(names, n, packed | {name: line[name] for name in ("above", "unsure", "dof")})
-    values = zip(from_codes(codes).T.tolist(), (codes != MISSING).T.tolist(), strict=True)
-    if np.all(codes != MISSING):
-        return [dict(zip(names, row, strict=True)) for row, _ in values]
-    return [{name: v for name, v, there in zip(names, row, known, strict=True) if there} for row, known in values]
-
-
-class Scores:
-    """The scores of a cell's rows, unpacked together when the first is asked for."""
-
-    def __init__(self, unpacked: Any) -> None:
-        self._unpacked = unpacked
-
-    @cached_property
-    def rows(self) -> list[dict[str, float]]:
-        return list(self._unpacked())
-
-    def of(self, place: int) -> Mapping[str, float]:
-        return RowScores(self, place)
-
-
-class RowScores(Mapping[str, float]):
-    """The scores of one row; a copy that is pickled is a plain dictionary."""
-
-    def __init__(self, scores_: Scores, place: int) -> None:
-        self._scores, self._place = scores_, place
-
-    def __getitem__(self, name: str) -> float:
-        return self._scores.rows[self._place][name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._scores.rows[self._place])
-
-    def __len__(self) -> int:
-        return len(self._scores.rows[self._place])
-
-    def __repr__(self) -> str:
-        return repr(self._scores.rows[self._place])
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return dict, (self._scores.rows[self._place],)
