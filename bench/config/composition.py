@@ -14,7 +14,7 @@ from dataclasses import fields
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bench.config.choices import choices, own_file
 from bench.entrants.reference import REFERENCES
@@ -22,9 +22,6 @@ from bench.entrants.registry import default_settings, registered
 from bench.errors import InputError
 from bench.isolation.failure import one_line
 from bench.scenario import scenario as declared
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
 
 COMPOSED = ("method", "system", "prior", "disturbance")
 """Groups whose files Hydra composes."""
@@ -40,11 +37,11 @@ def composed(chosen: Mapping[str, Any]) -> dict[str, Any]:
     if own_file("system", chosen.get("system")):
         literals["system"] = _register_file(chosen["system"])
     rest = tuple((key, text) for key, text in literals.items() if key.split(".")[0] not in COMPOSED)
-    content: dict[str, Any] = json.loads(_composed(rest))
+    content: dict[str, Any] = json.loads(_composed("", rest))
     for group in COMPOSED:
         own = tuple((key, text) for key, text in literals.items() if key.split(".")[0] == group)
         if own:
-            content[group] = json.loads(_composed(own))[group]
+            content[group] = json.loads(_composed(group, own))
     return content
 
 
@@ -57,7 +54,6 @@ def read_yaml(group: str, name: str) -> dict[str, Any]:
     return {str(key): value for key, value in content.items()}
 
 
-@cache
 def _text(group: str, name: str) -> str:
     return files("conf").joinpath(group, f"{name}.yaml").read_text(encoding="utf-8")
 
@@ -86,45 +82,47 @@ def _register_file(path: str) -> str:
 
 
 @cache
-def _composed(overrides: tuple[tuple[str, str], ...]) -> str:
-    """The composed configuration as JSON; once for each choice of groups and nested fields."""
-    config = _merged(dict(overrides)) if all(key in COMPOSED for key, _ in overrides) else None
-    return json.dumps(_by_hydra(overrides) if config is None else config)
+def _composed(group: str, overrides: tuple[tuple[str, str], ...]) -> str:
+    """The composed configuration of a group, or of all of them, as JSON; once for each choice and nested fields."""
+    found = None
+    if not overrides:
+        found = _unchosen()
+    elif len(overrides) == 1:
+        found = _whole_file(*overrides[0])
+    if found is None:
+        found = _by_hydra(overrides)
+        found = found[group] if group else found
+    return json.dumps(found)
 
 
-def _merged(chosen: Mapping[str, str]) -> dict[str, Any] | None:
-    """The configuration of whole files; None where one of them says what Hydra alone understands."""
+def _unchosen() -> dict[str, Any]:
+    """The configuration where nothing is chosen."""
+    content = read_yaml("", "config")
+    defaults = {group: name for one in content.pop("defaults") if isinstance(one, dict) for group, name in one.items()}
+    chosen = {group: name for group, name in defaults.items() if group in COMPOSED}
+    return content | {group: json.loads(_composed(group, ((group, name),))) for group, name in chosen.items()}
+
+
+def _whole_file(group: str, name: str) -> dict[str, Any] | None:
+    """A file, or the defaults of a method, merged over those it starts from; None where that takes Hydra."""
     from omegaconf import OmegaConf
 
-    own = read_yaml("", "config")
-    for default in own.pop("defaults"):
-        for group, name in default.items() if isinstance(default, dict) else ():
-            if group in COMPOSED:
-                file = _whole_file(group, chosen.get(group, name))
-                if file is None:
-                    return None
-                own[group] = OmegaConf.to_container(file)
-    return own
-
-
-def _whole_file(group: str, name: str) -> DictConfig | None:
-    """A file, or the defaults of a method, merged over those it starts from; None where that takes Hydra."""
-    from omegaconf import DictConfig, OmegaConf
-
     if group == "method" and name in (*registered(), *REFERENCES):
-        return OmegaConf.create({"name": name, **default_settings(name)})
-    if name not in choices(group):
-        return None  # a file of one's own
-    text = _text(group, name)
-    if "${" in text or "@package" in text:
+        return {"name": name, **default_settings(name)}
+    if group not in COMPOSED or name not in choices(group):
+        return None  # a file of one's own, or a field
+    if "${" in _text(group, name) or "@package" in _text(group, name):
         return None
-    own = OmegaConf.create(text)
-    bases = own.pop("defaults", []) if isinstance(own, DictConfig) else [""]
+    own = read_yaml(group, name)
+    bases = own.pop("defaults", [])
     if not all(isinstance(base, str) and base.isidentifier() and base != "_self_" for base in bases):
         return None
     below = [_whole_file(group, base) for base in bases]
-    merged = None if None in below else OmegaConf.merge(*below, own)
-    return merged if isinstance(merged, DictConfig) else None
+    if None in below:
+        return None
+    merged = OmegaConf.to_container(OmegaConf.merge(*below, own))
+    assert isinstance(merged, dict)
+    return {str(key): value for key, value in merged.items()}
 
 
 def _by_hydra(overrides: Sequence[tuple[str, str]]) -> Any:

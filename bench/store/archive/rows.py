@@ -11,13 +11,13 @@ import numpy as np
 
 from bench.contract.estimate import Status
 from bench.scoring.row import Row
-from bench.store.archive import scores
 from bench.store.archive.decimals import MISSING, from_codes
+from bench.store.archive.scores import FAMILIES, Unpacked
 from bench.store.columns import Columns
 
 NUMBERS = ("row_wall_s", "row_cpu_s", "row_peak_memory_mb")
 TEXTS = ("row_replicate", "row_message", "row_data", "row_evaluations")
-SCORES = ("scores", "dof", "above", "unsure", *(f"score_{name}" for name in scores.FAMILIES))
+SCORES = ("scores", "dof", "above", "unsure", *(f"score_{name}" for name in FAMILIES))
 Line = Callable[[Sequence[str]], Mapping[str, Any]]
 """Some columns of the line that holds a cell."""
 
@@ -51,12 +51,12 @@ class PackedRows(Columns):
         return np.asarray(self._line(("row_scored",))["row_scored"], bool)
 
     @cached_property
-    def _unpacked(self) -> scores.Unpacked:
+    def _unpacked(self) -> Unpacked:
         line = self._line(SCORES)
-        packed = {name: line[f"score_{name}"] for name in scores.FAMILIES}
+        packed = {name: line[f"score_{name}"] for name in FAMILIES}
         names = line["scores"].split(" ") if line["scores"] else []
         others = {name: line[name] for name in ("above", "unsure", "dof")}
-        return scores.Unpacked(names, int(np.sum(self._scored)), packed | others)
+        return Unpacked(names, int(np.sum(self._scored)), packed | others)
 
     @cached_property
     def by_row(self) -> list[dict[str, float]]:
@@ -74,8 +74,10 @@ class PackedRows(Columns):
         numbers = [from_codes(np.asarray(line[name])).tolist() for name in NUMBERS]
         places = (np.cumsum(self._scored) - 1).tolist()
         return tuple(
-            Row(int(index), status, text, RowScores(self, i) if there else {}, *taken, int(evaluations), data)
-            for index, text, data, evaluations, status, there, i, *taken in zip(
+            Row(
+                int(index), status, text, RowScores(self, i) if there else {}, wall, cpu, memory, int(evaluations), data
+            )
+            for index, text, data, evaluations, status, there, i, wall, cpu, memory in zip(
                 *(line[name] for name in TEXTS), self.statuses, self._scored.tolist(), places, *numbers, strict=True
             )
         )

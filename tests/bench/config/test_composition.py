@@ -15,7 +15,13 @@ VARIANTS = [("method", name) for name in ("ls", "oracle", "ls_spline", "collocat
 def test_whole_files_are_merged_as_hydra_merges_them(group: str, name: str) -> None:
     """In the same order, too: a scenario's parameters stand in it as they are written."""
     composition.register_method(name if group == "method" else "ls")
-    assert json.dumps(composition._merged({group: name})) == json.dumps(composition._by_hydra(((group, name),)))
+    by_hydra = composition._by_hydra(((group, name),))[group]
+    assert json.dumps(composition._whole_file(group, name)) == json.dumps(by_hydra)
+
+
+def test_nothing_chosen_is_what_hydra_makes_of_nothing() -> None:
+    composition.register_method("ls")
+    assert json.dumps(composition._unchosen()) == json.dumps(composition._by_hydra(()))
 
 
 def test_a_file_that_speaks_hydras_language_is_left_to_hydra(monkeypatch: pytest.MonkeyPatch) -> None:
