@@ -27,6 +27,11 @@ class Columns(Sequence[Row]):
 
     @property
     @abstractmethod
+    def all_scores(self) -> dict[str, list[float | None]]:
+        """Every score by row, None where a row has none."""
+
+    @property
+    @abstractmethod
     def cpu_s(self) -> np.ndarray:
         """Processor time of each fit (s), (n,)."""
 
@@ -49,6 +54,11 @@ class MadeRows(Columns):
 
     def scores(self, name: str) -> np.ndarray:
         return np.array([row.scores.get(name, math.nan) for row in self._rows], float)
+
+    @property
+    def all_scores(self) -> dict[str, list[float | None]]:
+        names = dict.fromkeys(name for row in self._rows for name in row.scores)
+        return {name: [row.scores.get(name) for row in self._rows] for name in names}
 
     @property
     def cpu_s(self) -> np.ndarray:

@@ -13,6 +13,7 @@ import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -70,8 +71,8 @@ class Entry:
     def digest(self) -> str:
         """Of all that is kept of the cell."""
         pieces = [self.file, self.tracebacks.encode()]
-        for name, values in sorted(self.arrays.items()):
-            pieces += [f"{name} {values.dtype.str} {values.shape}".encode(), values.tobytes()]
+        for name, kind, shape, content in _bits(self.arrays):
+            pieces += [f"{name} {kind} {shape}".encode(), content]
         return hashlib.sha256(b"".join(hashlib.sha256(piece).digest() for piece in pieces)).hexdigest()
 
 
@@ -107,16 +108,31 @@ def write_part(path: Path, entries: Sequence[Entry]) -> None:
         ) as writer:  # fmt: skip
             writer.write_table(table, row_group_size=max(1, len(ordered)))
             writer.add_key_value_metadata({FORMAT_KEY: str(FORMAT), CONTENT_KEY: content_digest(entries)})
-        written = Part(temporary)
-        for line, entry in enumerate(ordered):
-            back = Entry(written.cell(line), written.arrays(line), written.tracebacks(line))
-            if back.digest != entry.digest:
-                raise ValueError(f"cell {entry.cell.identity} does not come back as it is")
+        _check(Part(temporary), table, ordered)
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _check(written: Part, table: pa.Table, entries: Sequence[Entry]) -> None:
+    """Raise ValueError where a file does not give back its lines, which :func:`_line` has checked, and the arrays."""
+    back = written.table(SCHEMA.names).cast(SCHEMA)
+    for name in SCHEMA.names:
+        if not _same_column(back[name], table[name]):
+            raise ValueError(f"the column {name} does not come back as it is")
+    for line, entry in enumerate(entries):
+        if _bits(written.arrays(line)) != _bits(entry.arrays):
+            raise ValueError(f"the arrays of cell {entry.cell.identity} do not come back as they are")
+
+
+def _same_column(a: pa.ChunkedArray, b: pa.ChunkedArray) -> bool:
+    return repr(a.to_pylist()) == repr(b.to_pylist()) if pa.types.is_floating(a.type) else bool(a.equals(b))  # NaNs
+
+
+def _bits(arrays: Mapping[str, np.ndarray]) -> list[tuple[Any, ...]]:
+    return [(name, one.dtype.str, one.shape, one.tobytes()) for name, one in sorted(arrays.items())]
 
 
 def _place(entry: Entry) -> tuple[Any, ...]:
@@ -177,14 +193,12 @@ def _row_columns(cell: StoredCell) -> dict[str, Any]:
 
 
 def _score_columns(cell: StoredCell) -> dict[str, Any]:
-    names = list(dict.fromkeys(name for row in cell.rows for name in row.scores))
-    rows = [row.scores for row in cell.rows if row.scores]
-    codes = np.array([listed([row.get(name) for row in rows]) for name in names], np.int64).reshape(
-        len(names), len(rows)
-    )
-    packed = scores.pack(names, codes)
+    scored = [bool(row.scores) for row in cell.rows]
+    found = {name: list(compress(values, scored)) for name, values in cell.columns.all_scores.items()}
+    codes = listed([value for values in found.values() for value in values]).reshape(len(found), sum(scored))
+    packed = scores.pack(list(found), codes)
     families = {f"score_{name}": packed.pop(name) for name in scores.FAMILIES}
-    return {"scores": " ".join(names), **families, **packed}
+    return {"scores": " ".join(found), **families, **packed}
 
 
 def _kept(arrays: Mapping[str, np.ndarray], places: dict[str, list[Any]]) -> dict[str, Any]:

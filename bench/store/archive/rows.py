@@ -43,6 +43,12 @@ class PackedRows(Columns):
         return found
 
     @property
+    def all_scores(self) -> dict[str, list[float | None]]:
+        codes, found = self._unpacked.codes, np.full((len(self._unpacked.names), len(self)), None, object)
+        found[:, self._scored] = np.where(codes == MISSING, None, from_codes(codes).astype(object))
+        return dict(zip(self._unpacked.names, found.tolist(), strict=True))
+
+    @property
     def cpu_s(self) -> np.ndarray:
         return from_codes(np.asarray(self._line(("row_cpu_s",))["row_cpu_s"]))
 
