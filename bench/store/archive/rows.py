@@ -45,7 +45,9 @@ class PackedRows(Columns):
     @property
     def all_scores(self) -> dict[str, list[float | None]]:
         codes, found = self._unpacked.codes, np.full((len(self._unpacked.names), len(self)), None, object)
-        found[:, self._scored] = np.where(codes == MISSING, None, from_codes(codes).astype(object))
+        values = from_codes(codes).astype(object)
+        values[codes == MISSING] = None
+        found[:, self._scored] = values
         return dict(zip(self._unpacked.names, found.tolist(), strict=True))
 
     @property
