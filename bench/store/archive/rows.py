@@ -39,7 +39,7 @@ class PackedRows(Columns):
     def scores(self, name: str) -> np.ndarray:
         found = np.full(len(self), math.nan)
         if name in self._unpacked.row:
-            found[self._scored] = from_codes(self._unpacked.codes_of(name))
+            found[self._scored] = self._unpacked.numbers_of(name)
         return found
 
     @property

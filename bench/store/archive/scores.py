@@ -44,7 +44,7 @@ def family(name: str) -> str:
 def pack(names: Sequence[str], codes: np.ndarray) -> dict[str, Any]:
     """Small numbers for codes of shape (n_names, n): by family, with ``above``, ``unsure`` and ``dof``."""
     packer = _Cell(names, codes.shape[1])
-    packer.codes[:] = codes
+    packer.codes[:], packer.numbers[:] = codes, from_codes(codes)
     packer.dof = packer.best_dof()
     packer.above = packer.signs()
     for rows, guess, exact in packer.guesses():
@@ -68,19 +68,19 @@ class Unpacked:
         self.names, self.row = packer.names, packer.row
         self._known, self._guesses = np.zeros(len(self.names), bool), packer.guesses()
 
-    def codes_of(self, name: str) -> np.ndarray:
-        """Of one score, (n,); what comes behind it stays packed."""
+    def numbers_of(self, name: str) -> np.ndarray:
+        """One score, (n,), NaN where it is missing; what comes behind it stays packed."""
         while not self._known[self.row[name]]:
             rows, guess, _ = next(self._guesses)
             self._packer.restore(rows, guess)
             self._known[rows] = True
-        return np.asarray(self._packer.codes[self.row[name]])
+        return self._packer.values(name)
 
     @property
     def codes(self) -> np.ndarray:
         """Of all scores, (n_names, n)."""
         for name in self.names:
-            self.codes_of(name)
+            self.numbers_of(name)
         return self._packer.codes
 
 
@@ -97,7 +97,7 @@ class _Cell:
         self.above = np.zeros((len(self.quantities), n), bool)
         self.doubtful = np.zeros((len(self.names), n), bool)
         self.dof = RAW
-        self._known: dict[str, np.ndarray] = {}
+        self.numbers = np.zeros((len(self.names), n))
         gauges = sorted({name[: -len("_error_pct")].partition("_over_")[2] for name in self.row if "_over_" in name})
         sources = {quantity: _sources(quantity, gauges, self.row) for quantity in self.quantities}
         self.sources = {quantity: found for quantity, found in sources.items() if found}
@@ -107,9 +107,7 @@ class _Cell:
 
     def values(self, name: str) -> np.ndarray:
         """The numbers of a score, once its codes are known."""
-        if name not in self._known:
-            self._known[name] = from_codes(self.codes[self.row[name]])
-        return self._known[name]
+        return np.asarray(self.numbers[self.row[name]])
 
     def keep(self, rows: Sequence[int], guess: np.ndarray | None, exact: bool) -> None:
         """Differences of some rows from a guess, shape (len(rows), n); an exact one is the same on every machine.
@@ -126,6 +124,7 @@ class _Cell:
     def restore(self, rows: Sequence[int], guess: np.ndarray | None) -> None:
         expected: Any = 0 if guess is None else np.where(self.doubtful[rows], 0, _expected(guess))
         self.codes[rows] = _wrapped(_unfolded(self.parts[rows]) + expected)
+        self.numbers[rows] = from_codes(self.codes[rows])
 
     def guesses(self) -> Iterator[tuple[list[int], np.ndarray | None, bool]]:
         """What is expected of all rows, some at a time; each group needs only those before it."""
