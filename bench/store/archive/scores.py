@@ -18,7 +18,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
 
 from bench.scoring.score import LEVELS, QUANTILES
 from bench.store.archive.decimals import MISSING, NAN, from_codes, to_codes
@@ -237,6 +236,8 @@ def _sources(quantity: str, gauges: Sequence[str], row: Mapping[str, int]) -> li
 
 def _score(ending: str, ratios: np.ndarray, levels: np.ndarray, dof: int) -> np.ndarray:
     """Interval score (95 %) or CRPS, in % of the truth, of beliefs with this median over the truth and level at it."""
+
+    from scipy.special import ndtri, stdtrit  # by whom beliefs are asked for, which few readers do
 
     def standard(level: Any) -> Any:
         return ndtri(level) if dof == NORMAL else stdtrit(dof, level)
