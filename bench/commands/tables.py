@@ -8,13 +8,15 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bench.commands.guard import command, read_fields
 from bench.errors import InputError
-from bench.store.cell import Cell
 from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.store import Store
-from bench.sweep.plan import State, plan
+
+if TYPE_CHECKING:
+    from bench.reporting.frame import Frame
 
 USAGE = f"usage: python -m bench.tables [store={DEFAULT_STORE}] [archive=<folder>|none] [out=results]"
 
@@ -39,7 +41,7 @@ def _main(arguments: Sequence[str]) -> int:
         frame = experiment_frame(name, store)
         files = table_files(frame, store)
         if files:
-            _say_stale(name, [result.cell for result in frame if result.cell], store)
+            _say_stale(frame)
         else:
             print(f"{name}: no cells stored; run python -m bench -m experiment={name}", file=sys.stderr)
         _write(files, out)
@@ -55,13 +57,16 @@ def _write(files: Mapping[str, str], out: Path) -> None:
         print(out / name)
 
 
-def _say_stale(experiment: str, cells: Sequence[Cell], store: Store) -> None:
+def _say_stale(frame: Frame) -> None:
     """A line on the error stream where a table rests on cells that other code or packages computed."""
-    planned = plan(cells, store)
-    stale = [one for one in planned if one.state is State.STALE]
+    unique = {result.identity: result for result in frame}.values()
+    stale = [(one.cell.version, one.stored.version) for one in unique if one.cell and one.stored]
+    stale = [(now, then) for now, then in stale if then.get("digest") != now.digest]
     if stale:
-        said = f"{len(stale)} of {len(planned)} cells are stale ({stale[0].why[:100]})"
-        print(f"{experiment}: {said}; python -m bench -m experiment={experiment} computes them again", file=sys.stderr)
+        now, then = stale[0]
+        said = f"{len(stale)} of {len(unique)} cells are stale ({now.changed_since(then)[:100]})"
+        remedy = f"python -m bench -m experiment={frame.experiment} computes them again"
+        print(f"{frame.experiment}: {said}; {remedy}", file=sys.stderr)
 
 
 if __name__ == "__main__":

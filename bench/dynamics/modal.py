@@ -36,14 +36,22 @@ def modes(system: System, parameters: Mapping[str, Any]) -> Modes:
 
     Raises ValueError where the system is not linear.
     """
-    n = system.n_dof
+    return modes_of_all(system, {name: np.array([float(value)]) for name, value in parameters.items()})[0]
+
+
+def modes_of_all(system: System, parameters: Mapping[str, np.ndarray]) -> list[Modes]:
+    """The same for parameters of shape (n,): ``n`` modes."""
+    n, count = system.n_dof, len(next(iter(parameters.values())))
     with np.errstate(all="ignore"):  # of a fit that ran away
         try:
-            matrix, _ = state_matrix(system, parameters)
-            rates, vectors = np.linalg.eig(matrix)
-        except np.linalg.LinAlgError:
-            return Modes(np.full(n, np.nan), np.full(n, np.nan), np.full((n, n), np.nan))
-        return _paired(rates, vectors[:n])
+            matrices, _ = state_matrix(system, parameters)
+            rates, vectors = np.linalg.eig(matrices)
+        except np.linalg.LinAlgError:  # said of all where it is so of one
+            if count == 1:
+                return [Modes(np.full(n, np.nan), np.full(n, np.nan), np.full((n, n), np.nan))]
+            each = ({name: own[i : i + 1] for name, own in parameters.items()} for i in range(count))
+            return [found for one in each for found in modes_of_all(system, one)]
+        return [_paired(own, shapes[:n]) for own, shapes in zip(rates, vectors, strict=True)]
 
 
 def _paired(rates: np.ndarray, shapes: np.ndarray) -> Modes:

@@ -11,7 +11,7 @@ import contextlib
 import json
 import math
 import zipfile
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeVar
@@ -208,7 +208,7 @@ class Result:
     # ---- what came out
 
     @property
-    def rows(self) -> tuple[Row, ...]:
+    def rows(self) -> Sequence[Row]:
         """The replicates, as they are stored."""
         return self.stored.rows if self.stored else ()
 
@@ -219,7 +219,7 @@ class Result:
 
     @cached_property
     def statuses(self) -> tuple[Status, ...]:
-        return tuple(row.status for row in self.rows)
+        return self.stored.columns.statuses if self.stored else ()
 
     @cached_property
     def n_ok(self) -> int:
@@ -274,7 +274,7 @@ class Result:
     def scores(self, name: str) -> np.ndarray:
         """A score by replicate (n,), NaN where a replicate has none."""
         if name not in self._columns:
-            self._columns[name] = np.array([row.scores.get(name, math.nan) for row in self.rows], float)
+            self._columns[name] = self.stored.columns.scores(name) if self.stored else np.empty(0)
         return self._columns[name]
 
     def errors(self, metric: str) -> np.ndarray:
@@ -294,7 +294,7 @@ class Result:
     @cached_property
     def cpu_s(self) -> np.ndarray:
         """Processor time of each fit (s)."""
-        return np.array([row.cpu_s for row in self.rows], float)
+        return self.stored.columns.cpu_s if self.stored else np.empty(0)
 
     def arrays(self, store: Store) -> dict[str, np.ndarray]:
         """The arrays kept of replicate 0, as double precision; none where they are missing or damaged."""

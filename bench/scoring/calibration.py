@@ -13,6 +13,7 @@ import numpy as np
 from scipy import stats
 
 from bench.scoring.comparison import LEVEL, holm
+from bench.scoring.summary import wilson_interval
 
 LEVELS = (0.50, 0.80, 0.95)
 EXTREME = 1e-9
@@ -71,6 +72,5 @@ def _coverages(levels: np.ndarray) -> tuple[Coverage, ...]:
     found = []
     for level in LEVELS:
         inside = np.abs(levels - 0.5) <= level / 2
-        interval = stats.binomtest(int(inside.sum()), inside.size).proportion_ci(method="wilson")
-        found.append(Coverage(level, float(inside.mean()), float(interval.low), float(interval.high)))
+        found.append(Coverage(level, float(inside.mean()), *wilson_interval(int(inside.sum()), inside.size)))
     return tuple(found)

@@ -12,16 +12,18 @@ import os
 import uuid
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from bench.errors import InputError
 from bench.store.store import Store, StoredCell
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 PLAIN = {
     "identity": pa.string(), "mtime_ns": pa.int64(), "size": pa.int64(), "problem": pa.string(),
@@ -85,6 +87,8 @@ def _without(table: pa.Table, there: Mapping[str, Any]) -> pa.Table:
 
 def summaries(store: Store, metrics: Sequence[str]) -> pd.DataFrame:
     """One line a cell and metric: the cell's plain columns and the statistics of the metrics asked for."""
+    import pandas as pd
+
     cells(store, ())  # brings the view up to date
     there, pieces = _files(store), []
     seen: set[str] = set()

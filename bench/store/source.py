@@ -41,17 +41,25 @@ def uses(roots: Iterable[Definition], inside: Collection[str]) -> Uses:
         inside: Top-level packages whose source is followed; any other import counts as a package.
     """
     tops = frozenset(inside)
-    waiting = [found for module, name in roots for found in _resolved(module, name, tops)]
+    found = [_reached(root, tops) for root in roots]
+    digests = {definition: digest for one in found for definition, digest in one.definitions.items()}
+    return Uses(dict(sorted(digests.items())), frozenset(package for one in found for package in one.packages))
+
+
+@cache
+def _reached(root: Definition, inside: frozenset[str]) -> Uses:
+    """The same from one name: many begin with the same ones."""
+    waiting = _resolved(*root, inside)
     digests: dict[Definition, str] = {}
     packages: set[str] = set()
     while waiting:
         module, name = waiting.pop()
-        if module.partition(".")[0] not in tops:
+        if module.partition(".")[0] not in inside:
             packages.add(module.partition(".")[0])
         elif (module, name) not in digests:
-            digests[module, name], mentioned = _read(module, name, tops)
+            digests[module, name], mentioned = _read(module, name, inside)
             waiting += mentioned
-    return Uses(dict(sorted(digests.items())), frozenset(packages))
+    return Uses(digests, frozenset(packages))
 
 
 @dataclass

@@ -17,6 +17,7 @@ import uuid
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,8 @@ import numpy as np
 from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.scoring.row import Row
+from bench.store.archive.decimals import from_codes, to_codes
+from bench.store.columns import Columns, MadeRows
 
 if TYPE_CHECKING:
     from bench.store.archive.archive import Archive
@@ -45,7 +48,7 @@ class StoredCell:
 
     identity: str
     cell: dict[str, Any]
-    rows: tuple[Row, ...]
+    rows: Sequence[Row]
     summary: dict[str, dict[str, float]]
     prior_share: dict[str, float]
     identifiable: dict[str, bool]
@@ -54,14 +57,19 @@ class StoredCell:
     version: dict[str, Any] = field(default_factory=dict)
     arrays: str = ""
 
+    @cached_property
+    def columns(self) -> Columns:
+        """The rows by column."""
+        return self.rows if isinstance(self.rows, Columns) else MadeRows(self.rows)
+
     @property
     def n_ok(self) -> int:
-        return sum(row.status is Status.OK for row in self.rows)
+        return self.columns.statuses.count(Status.OK)
 
     @property
     def status(self) -> Status:
         """``ok`` where any replicate succeeded, else the most frequent failure."""
-        statuses = [row.status for row in self.rows]
+        statuses = self.columns.statuses
         return Status.OK if Status.OK in statuses else max(set(statuses), key=statuses.count)
 
 
@@ -80,13 +88,22 @@ def _number(value: Any) -> float:
     return math.nan if value is None else float(value)
 
 
-def _columns(rows: Sequence[Row]) -> dict[str, Any]:
-    """Rows as columns: smaller files, and one list a metric (null where a replicate lacks it)."""
-    names = list(dict.fromkeys(name for row in rows for name in row.scores))
+def _columns(cell: StoredCell) -> dict[str, Any]:
+    """Rows as columns, as JSON has them: smaller files, and one list a metric (null where a replicate lacks it)."""
     return {
-        "status": [row.status.value for row in rows],
-        **{key: [getattr(row, key) for row in rows] for key in PLAIN},
-        "scores": {name: [row.scores.get(name) for row in rows] for name in names},
+        "status": [status.value for status in cell.columns.statuses],
+        **{key: to_json([getattr(row, key) for row in cell.rows]) for key in PLAIN},
+        "scores": _shortened(cell.columns.all_scores),
+    }
+
+
+def _shortened(scores: Mapping[str, Sequence[float | None]]) -> dict[str, Any]:
+    """What :func:`to_json` makes of scores; that most have so few digits already is seen of all of them at once."""
+    every = np.array(list(scores.values()), float)  # NaN for none
+    short = np.isfinite(every) & (from_codes(to_codes(every)) == every)
+    return {
+        name: list(values) if all(own) else [v if fits else to_json(v) for v, fits in zip(values, own, strict=True)]
+        for (name, values), own in zip(scores.items(), short.tolist(), strict=True)
     }
 
 
@@ -124,10 +141,11 @@ def cell_file(cell: StoredCell) -> bytes:
         "prior_share": cell.prior_share,
         "identifiable": cell.identifiable,
         "provenance": cell.provenance,
-        "rows": _columns(cell.rows),
     }
     exact = to_json(cell.cell, 17)  # what was computed, as opposed to what came out, is kept to the last digit
-    text = json.dumps({**to_json(content), "cell": exact}, ensure_ascii=False, separators=(",", ":"))
+    text = json.dumps(
+        {**to_json(content), "cell": exact, "rows": _columns(cell)}, ensure_ascii=False, separators=(",", ":")
+    )
     return f"{text}\n".encode()
 
 

@@ -6,12 +6,11 @@ import json
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 from bench.contract.estimate import Status
 from bench.entrants.registry import missing_package
 from bench.errors import InputError
-from bench.store import index as view
+from bench.store.answers import Answer, answers
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.store.version import Version
@@ -54,14 +53,12 @@ def read_retry(text: str) -> frozenset[Status]:
 def plan(cells: Sequence[Cell], store: Store, retry: Collection[Status] = ()) -> list[Planned]:
     """Every cell once, in order. Raises InputError where the file of one of them is damaged or foreign."""
     unique = {cell.identity: cell for cell in cells}
-    lines = view.cells(store, ("problem", "version", "statuses"))
-    lines = lines[lines.index.isin(unique)]
-    stored = dict(zip(lines.index, lines.itertuples(index=False), strict=True))
+    stored = answers(store, unique)
     reasons = Reasons(store)
     return [_planned(cell, stored.get(identity), reasons, retry) for identity, cell in unique.items()]
 
 
-def _planned(cell: Cell, stored: Any, reasons: Reasons, retry: Collection[Status]) -> Planned:
+def _planned(cell: Cell, stored: Answer | None, reasons: Reasons, retry: Collection[Status]) -> Planned:
     if stored is None:
         return Planned(cell, State.MISSING, "not computed yet", True)
     if stored.problem:

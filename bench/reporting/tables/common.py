@@ -33,7 +33,7 @@ def failure_notes(results: Iterable[Result]) -> str:
     missing = 0
     for result in results:
         missing += result.stored is None
-        for row in result.stored.rows if result.stored else ():
+        for row in result.rows if result.n_ok < result.n else ():
             if row.status is not Status.OK:
                 text = f"{result.title}: {row.status.value}, {row.message}"
                 notes[text] = notes.get(text, 0) + 1

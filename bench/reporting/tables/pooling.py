@@ -8,11 +8,9 @@ from functools import cache
 
 import numpy as np
 
-from bench.contract.estimate import Status
-from bench.dynamics.modal import Agreement, agreement, modes
+from bench.dynamics.modal import Agreement, agreement, modes, modes_of_all
 from bench.reporting.frame import ERROR, Result
 from bench.scenario.scenario import Scenario
-from bench.scoring.row import Row
 from bench.scoring.summary import wilson_interval
 
 MODAL = {"frequencies_error_pct": "frequency_pct", "damping_ratios_error_pct": "damping_pct", "least_mac": "least_mac"}
@@ -69,19 +67,23 @@ def pooled_coverage(result: Result, names: Sequence[str], level: int = 95) -> tu
     return float(np.mean(shares)), low, high
 
 
-def identified(row: Row, scenario: Scenario) -> dict[str, float] | None:
-    """The parameters of a replicate; over the gauge mass where its method gives groups only. None where it failed."""
-    if row.status is not Status.OK:
-        return None
+def identified(result: Result) -> dict[str, np.ndarray]:
+    """The parameters by replicate (n,), over the gauge mass where a method gives groups only; NaN where it failed."""
+    scenario = result.scenario
     system = scenario.make_system()
-    ratios = {name: row.scores.get(f"{name}_ratio", math.nan) for name in system.names}
-    if all(map(math.isfinite, ratios.values())):
-        return {name: scenario.parameters[name] * ratio for name, ratio in ratios.items()}
-    found = {system.gauge: 1.0}
+    direct = {name: scenario.parameters[name] * _ratios(result, name) for name in system.names}
+    over_gauge = {system.gauge: np.ones(result.n)}
     for group in system.groups:
         name = next(n for n, power in group.exponents.items() if power > 0)
-        found[name] = row.scores.get(f"{group.name}_ratio", math.nan) * float(group.value(scenario.parameters))
-    return found if all(name in found for name in system.names) else None
+        over_gauge[name] = _ratios(result, group.name) * float(group.value(scenario.parameters))
+    whole = np.all(np.isfinite(list(direct.values())), axis=0)
+    missing = np.full(result.n, np.nan)
+    found = {name: np.where(whole, own, over_gauge.get(name, missing)) for name, own in direct.items()}
+    return {name: np.where(result.ok, own, np.nan) for name, own in found.items()}
+
+
+def _ratios(result: Result, name: str) -> np.ndarray:
+    return result.scores(f"{name}_ratio")
 
 
 @cache
@@ -91,11 +93,11 @@ def modal_scores(result: Result) -> dict[str, np.ndarray]:
     system = scenario.make_system()
     if not system.linear or system.n_dof < 2 or not result.stored:
         return {}
-    true = modes(system, scenario.parameters)
-    found = []
-    for row in result.stored.rows:
-        p = identified(row, scenario)
-        found.append(FAILED if p is None else agreement(modes(system, p), true))
+    true, parameters = modes(system, scenario.parameters), identified(result)
+    known = np.flatnonzero(np.all(np.isfinite(list(parameters.values())), axis=0))
+    found = [FAILED] * result.n
+    for i, own in zip(known, modes_of_all(system, {name: p[known] for name, p in parameters.items()}), strict=True):
+        found[i] = agreement(own, true)
     return {metric: np.array([getattr(one, key) for one in found]) for metric, key in MODAL.items()}
 
 

@@ -8,8 +8,9 @@ better known than either of them: its interval resamples pairs.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -57,14 +58,16 @@ class Pair:
         return self.disturbed.disturbance or "none"
 
 
-def pairs(results: Iterable[Result], store: Store) -> list[Pair]:
+def pairs(results: Sequence[Result], store: Store) -> list[Pair]:
     """Every result of an experiment with its counterpart, in order."""
     found = []
+    known = {result.identity: result for result in results}
     for result in results:
         assert result.cell is not None
         plain = replace(result.cell, scenario=result.scenario.undisturbed)
-        own = result if plain.identity == result.cell.identity else Result.of_cell(plain, store.load(plain.identity))
-        found.append(Pair(result, own))
+        if plain.identity not in known:
+            known[plain.identity] = Result.of_cell(plain, store.load(plain.identity))
+        found.append(Pair(result, known[plain.identity]))
     return found
 
 
@@ -77,11 +80,16 @@ def ratio(disturbed: np.ndarray, undisturbed: np.ndarray) -> tuple[float, float,
     squares = np.stack([disturbed[good], undisturbed[good]]) ** 2
     if good.sum() < 2 or not np.any(squares[1]):
         return math.nan, math.nan, math.nan
-    index = np.random.default_rng(0).integers(0, squares.shape[1], (RESAMPLES, squares.shape[1]))
-    above, below = squares[:, index].mean(axis=2)
+    above, below = squares[:, _resamples(squares.shape[1])].mean(axis=2)
     low, high = np.quantile(np.sqrt(above / np.maximum(below, np.finfo(float).tiny)), [0.025, 0.975])
     middle = squares.mean(axis=1)
     return float(np.sqrt(middle[0] / middle[1])), float(low), float(high)
+
+
+@cache
+def _resamples(n: int) -> np.ndarray:
+    """Indices of resampled pairs, (RESAMPLES, n)."""
+    return np.random.default_rng(0).integers(0, n, (RESAMPLES, n))
 
 
 def tidy(found: Iterable[Pair]) -> pd.DataFrame:
@@ -151,7 +159,7 @@ def _coverage(line: Any) -> str:
 
 def robustness_table(frame: Frame, store: Store) -> Mapping[str, str]:
     """The files of an experiment's table by name; none where the store holds no disturbed cell of it."""
-    found = pairs(frame, store)
+    found = pairs(frame.results, store)
     if not any(pair.disturbed.stored for pair in found if pair.kind != "none"):
         return {}
     data = tidy(found)

@@ -10,9 +10,10 @@ import io
 import json
 import os
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +21,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from bench.contract.estimate import Status
 from bench.errors import InputError
-from bench.scoring.row import Row
 from bench.store import index as view
 from bench.store.archive import curves, scores
 from bench.store.archive.decimals import MISSING, from_codes, listed, to_codes
+from bench.store.archive.rows import NUMBERS, Line, PackedRows
 from bench.store.store import StoredCell, arrays_file, cell_file, cell_from_json, to_json
 
 FORMAT = 1
@@ -36,7 +36,6 @@ DESCRIBED = {
     name: kind for name, kind in view.PLAIN.items() if name not in ("mtime_ns", "size", "problem")
 }  # fmt: skip
 TEXTS = ("cell", "prior_share", "identifiable", "provenance", "computed_by", "arrays", "scores", "whole")
-NUMBERS = ("row_wall_s", "row_cpu_s", "row_peak_memory_mb")
 LISTS = {
     **{f"all_{name}": pa.int32() for name in STATISTICS},
     "row_status": pa.string(), "row_replicate": pa.int32(), "row_message": pa.string(), "row_data": pa.string(),
@@ -51,8 +50,6 @@ SCHEMA = pa.schema(
     }
 )  # fmt: skip
 SUMMARY = ("metrics", *TEXTS, *(f"all_{name}" for name in STATISTICS))
-ROWS = tuple(name for name in LISTS if name.startswith("row_"))
-SCORES = ("dof", "above", "unsure", *(f"score_{name}" for name in scores.FAMILIES))
 ARRAYS = ("kept", "npz", *(name for name in LISTS if name.startswith("array_")))
 REMEDY = "not a whole file of the archive; fetch it again"
 
@@ -74,8 +71,8 @@ class Entry:
     def digest(self) -> str:
         """Of all that is kept of the cell."""
         pieces = [self.file, self.tracebacks.encode()]
-        for name, values in sorted(self.arrays.items()):
-            pieces += [f"{name} {values.dtype.str} {values.shape}".encode(), values.tobytes()]
+        for name, kind, shape, content in _bits(self.arrays):
+            pieces += [f"{name} {kind} {shape}".encode(), content]
         return hashlib.sha256(b"".join(hashlib.sha256(piece).digest() for piece in pieces)).hexdigest()
 
 
@@ -111,16 +108,31 @@ def write_part(path: Path, entries: Sequence[Entry]) -> None:
         ) as writer:  # fmt: skip
             writer.write_table(table, row_group_size=max(1, len(ordered)))
             writer.add_key_value_metadata({FORMAT_KEY: str(FORMAT), CONTENT_KEY: content_digest(entries)})
-        written = Part(temporary)
-        for line, entry in enumerate(ordered):
-            back = Entry(written.cell(line), written.arrays(line), written.tracebacks(line))
-            if back.digest != entry.digest:
-                raise ValueError(f"cell {entry.cell.identity} does not come back as it is")
+        _check(Part(temporary), table, ordered)
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _check(written: Part, table: pa.Table, entries: Sequence[Entry]) -> None:
+    """Raise ValueError where a file does not give back its lines, which :func:`_line` has checked, and the arrays."""
+    back = written.table(SCHEMA.names).cast(SCHEMA)
+    for name in SCHEMA.names:
+        if not _same_column(back[name], table[name]):
+            raise ValueError(f"the column {name} does not come back as it is")
+    for line, entry in enumerate(entries):
+        if _bits(written.arrays(line)) != _bits(entry.arrays):
+            raise ValueError(f"the arrays of cell {entry.cell.identity} do not come back as they are")
+
+
+def _same_column(a: pa.ChunkedArray, b: pa.ChunkedArray) -> bool:
+    return repr(a.to_pylist()) == repr(b.to_pylist()) if pa.types.is_floating(a.type) else bool(a.equals(b))  # NaNs
+
+
+def _bits(arrays: Mapping[str, np.ndarray]) -> list[tuple[Any, ...]]:
+    return [(name, one.dtype.str, one.shape, one.tobytes()) for name, one in sorted(arrays.items())]
 
 
 def _place(entry: Entry) -> tuple[Any, ...]:
@@ -139,8 +151,9 @@ def _line(entry: Entry, places: dict[str, list[Any]]) -> dict[str, Any]:
     line |= _kept(entry.arrays, places)
     try:
         columns = {**_summary_columns(cell), **_row_columns(cell), **_score_columns(cell)}
-        if cell_file(_cell(line | columns, lambda: _unpacked(columns))) == entry.file:
-            return line | columns
+        found = line | columns
+        if cell_file(_cell(lambda names: {name: found[name] for name in names})) == entry.file:
+            return found
     except (ValueError, TypeError, KeyError, OverflowError):
         pass
     shown = {f"all_{key}": [_shown(one.get(key)) for one in cell.summary.values()] for key in STATISTICS}
@@ -180,14 +193,12 @@ def _row_columns(cell: StoredCell) -> dict[str, Any]:
 
 
 def _score_columns(cell: StoredCell) -> dict[str, Any]:
-    names = list(dict.fromkeys(name for row in cell.rows for name in row.scores))
-    rows = [row.scores for row in cell.rows if row.scores]
-    codes = np.array([listed([row.get(name) for row in rows]) for name in names], np.int64).reshape(
-        len(names), len(rows)
-    )
-    packed = scores.pack(names, codes)
+    scored = [bool(row.scores) for row in cell.rows]
+    found = {name: list(compress(values, scored)) for name, values in cell.columns.all_scores.items()}
+    codes = listed([value for values in found.values() for value in values]).reshape(len(found), sum(scored))
+    packed = scores.pack(list(found), codes)
     families = {f"score_{name}": packed.pop(name) for name in scores.FAMILIES}
-    return {"scores": " ".join(names), **families, **packed}
+    return {"scores": " ".join(found), **families, **packed}
 
 
 def _kept(arrays: Mapping[str, np.ndarray], places: dict[str, list[Any]]) -> dict[str, Any]:
@@ -254,9 +265,8 @@ class Part:
         return {name: _item(self._columns[name], number) for name in columns}
 
     def cell(self, number: int) -> StoredCell:
-        """The cell of a line; its scores are unpacked when one is asked for."""
-        line = self.line(number, ("identity", "wall_s", *SUMMARY, *ROWS))
-        return _cell(line, lambda: _unpacked(line | self.line(number, SCORES)))
+        """The cell of a line; its rows and scores are unpacked when they are asked for."""
+        return _cell(partial(self.line, number))
 
     def tracebacks(self, number: int) -> str:
         return str(self.line(number, ("tracebacks",))["tracebacks"])
@@ -319,92 +329,29 @@ def _item(column: Any, number: int) -> Any:
     return items[begins[number] : begins[number + 1]]
 
 
-def _cell(line: Mapping[str, Any], unpacked: Any) -> StoredCell:
-    if line["whole"]:
-        return cell_from_json(json.loads(line["whole"]))
-    metrics = line["metrics"].split(" ") if line["metrics"] else []
-    summary: dict[str, dict[str, float]] = {metric: {} for metric in metrics}
-    for key in STATISTICS:
-        codes = np.asarray(line[f"all_{key}"])
-        there = (codes != MISSING).tolist()
-        for metric, value, known in zip(metrics, from_codes(codes).tolist(), there, strict=True):
-            if known:
-                summary[metric][key] = value
+def _cell(line: Line) -> StoredCell:
+    plain = line(("identity", "wall_s", *SUMMARY))
+    if plain["whole"]:
+        return cell_from_json(json.loads(plain["whole"]))
+    metrics = plain["metrics"].split(" ") if plain["metrics"] else []
+    codes = np.array([plain[f"all_{key}"] for key in STATISTICS]).reshape(len(STATISTICS), len(metrics))
+    columns = zip(metrics, from_codes(codes).T.tolist(), (codes != MISSING).T.tolist(), strict=True)
     return StoredCell(
-        identity=line["identity"],
-        cell=json.loads(line["cell"]),
-        rows=_rows(line, unpacked),
-        summary=summary,
-        prior_share=to_numbers(json.loads(line["prior_share"])),
-        identifiable=json.loads(line["identifiable"]),
-        wall_s=line["wall_s"],
-        provenance=json.loads(line["provenance"]),
-        version=json.loads(line["computed_by"]),
-        arrays=line["arrays"],
+        identity=plain["identity"],
+        cell=json.loads(plain["cell"]),
+        rows=PackedRows(line),
+        summary={
+            metric: {key: value for key, value, known in zip(STATISTICS, values, there, strict=True) if known}
+            for metric, values, there in columns
+        },
+        prior_share=to_numbers(json.loads(plain["prior_share"])),
+        identifiable=json.loads(plain["identifiable"]),
+        wall_s=plain["wall_s"],
+        provenance=json.loads(plain["provenance"]),
+        version=json.loads(plain["computed_by"]),
+        arrays=plain["arrays"],
     )
 
 
 def to_numbers(values: Mapping[str, Any]) -> dict[str, float]:
     return {name: float(value) for name, value in values.items()}
-
-
-def _rows(line: Mapping[str, Any], unpacked: Any) -> tuple[Row, ...]:
-    packed = Scores(unpacked)
-    numbers = [from_codes(np.asarray(line[name])).tolist() for name in NUMBERS]
-    scored = np.asarray(line["row_scored"], bool)
-    places = (np.cumsum(scored) - 1).tolist()
-    return tuple(
-        Row(int(index), Status(status), text, packed.of(i) if there else {}, wall, cpu, memory, int(evaluations), data)
-        for index, status, text, there, i, wall, cpu, memory, evaluations, data in zip(
-            line["row_replicate"], line["row_status"], line["row_message"], scored.tolist(), places, *numbers,
-            line["row_evaluations"], line["row_data"], strict=True,
-        )
-    )  # fmt: skip
-
-
-def _unpacked(line: Mapping[str, Any]) -> list[dict[str, float]]:
-    """The scores of every row that has any."""
-    names = line["scores"].split(" ") if line["scores"] else []
-    n = int(np.sum(line["row_scored"]))
-    packed = {name: line[f"score_{name}"] for name in scores.FAMILIES}
-    codes = scores.unpack(names, n, packed | {name: line[name] for name in ("above", "unsure", "dof")})
-    values = zip(from_codes(codes).T.tolist(), (codes != MISSING).T.tolist(), strict=True)
-    if np.all(codes != MISSING):
-        return [dict(zip(names, row, strict=True)) for row, _ in values]
-    return [{name: v for name, v, there in zip(names, row, known, strict=True) if there} for row, known in values]
-
-
-class Scores:
-    """The scores of a cell's rows, unpacked together when the first is asked for."""
-
-    def __init__(self, unpacked: Any) -> None:
-        self._unpacked = unpacked
-
-    @cached_property
-    def rows(self) -> list[dict[str, float]]:
-        return list(self._unpacked())
-
-    def of(self, place: int) -> Mapping[str, float]:
-        return RowScores(self, place)
-
-
-class RowScores(Mapping[str, float]):
-    """The scores of one row; a copy that is pickled is a plain dictionary."""
-
-    def __init__(self, scores_: Scores, place: int) -> None:
-        self._scores, self._place = scores_, place
-
-    def __getitem__(self, name: str) -> float:
-        return self._scores.rows[self._place][name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._scores.rows[self._place])
-
-    def __len__(self) -> int:
-        return len(self._scores.rows[self._place])
-
-    def __repr__(self) -> str:
-        return repr(self._scores.rows[self._place])
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return dict, (self._scores.rows[self._place],)

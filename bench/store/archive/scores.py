@@ -14,11 +14,10 @@ used (``unsure``).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
 
 from bench.scoring.score import LEVELS, QUANTILES
 from bench.store.archive.decimals import MISSING, NAN, from_codes, to_codes
@@ -44,25 +43,44 @@ def family(name: str) -> str:
 def pack(names: Sequence[str], codes: np.ndarray) -> dict[str, Any]:
     """Small numbers for codes of shape (n_names, n): by family, with ``above``, ``unsure`` and ``dof``."""
     packer = _Cell(names, codes.shape[1])
-    packer.codes[:] = codes
+    packer.codes[:], packer.numbers[:] = codes, from_codes(codes)
     packer.dof = packer.best_dof()
     packer.above = packer.signs()
     for rows, guess, exact in packer.guesses():
         packer.keep(rows, guess, exact)
     parts: dict[str, Any] = {name: packer.parts[packer.of(name)].ravel().astype(np.int32) for name in FAMILIES}
-    return parts | {"above": packer.above.ravel(), "unsure": np.array(packer.unsure, np.int32), "dof": packer.dof}
+    unsure = np.flatnonzero(packer.doubtful).astype(np.int32)
+    return parts | {"above": packer.above.ravel(), "unsure": unsure, "dof": packer.dof}
 
 
-def unpack(names: Sequence[str], n: int, packed: Mapping[str, Any]) -> np.ndarray:
-    """The codes, shape (n_names, n), of which :func:`pack` made these numbers."""
-    packer = _Cell(names, n)
-    for name in FAMILIES:
-        packer.parts[packer.of(name)] = np.asarray(packed[name], np.int32).reshape(-1, n)
-    packer.above[:] = np.asarray(packed["above"], bool).reshape(-1, n)
-    packer.dof, packer.unsure = int(packed["dof"]), list(packed["unsure"])
-    for rows, guess, _ in packer.guesses():
-        packer.restore(rows, guess)
-    return packer.codes
+class Unpacked:
+    """The codes of which :func:`pack` made some numbers, in the order of :meth:`_Cell.guesses`, as far as asked for."""
+
+    def __init__(self, names: Sequence[str], n: int, packed: Mapping[str, Any]) -> None:
+        packer = self._packer = _Cell(names, n)
+        for name in FAMILIES:
+            rows = packer.of(name)
+            packer.parts[rows] = np.asarray(packed[name], np.int32).reshape(rows.size, n)
+        packer.above[:] = np.asarray(packed["above"], bool).reshape(packer.above.shape)
+        packer.dof = int(packed["dof"])
+        packer.doubtful.flat[np.asarray(packed["unsure"], int)] = True
+        self.names, self.row = packer.names, packer.row
+        self._known, self._guesses = np.zeros(len(self.names), bool), packer.guesses()
+
+    def numbers_of(self, name: str) -> np.ndarray:
+        """One score, (n,), NaN where it is missing; what comes behind it stays packed."""
+        while not self._known[self.row[name]]:
+            rows, guess, _ = next(self._guesses)
+            self._packer.restore(rows, guess)
+            self._known[rows] = True
+        return self._packer.values(name)
+
+    @property
+    def codes(self) -> np.ndarray:
+        """Of all scores, (n_names, n)."""
+        for name in self.names:
+            self.numbers_of(name)
+        return self._packer.codes
 
 
 class _Cell:
@@ -76,9 +94,9 @@ class _Cell:
         self.parts = np.zeros((len(self.names), n), np.int64)
         self.quantities = [name[: -len("_error_pct")] for name in self.names if name.endswith("_error_pct")]
         self.above = np.zeros((len(self.quantities), n), bool)
-        self.unsure: list[int] = []
+        self.doubtful = np.zeros((len(self.names), n), bool)
         self.dof = RAW
-        self._known: dict[str, np.ndarray] = {}
+        self.numbers = np.zeros((len(self.names), n))
         gauges = sorted({name[: -len("_error_pct")].partition("_over_")[2] for name in self.row if "_over_" in name})
         sources = {quantity: _sources(quantity, gauges, self.row) for quantity in self.quantities}
         self.sources = {quantity: found for quantity, found in sources.items() if found}
@@ -88,40 +106,37 @@ class _Cell:
 
     def values(self, name: str) -> np.ndarray:
         """The numbers of a score, once its codes are known."""
-        if name not in self._known:
-            self._known[name] = from_codes(self.codes[self.row[name]])
-        return self._known[name]
+        return np.asarray(self.numbers[self.row[name]])
 
-    def keep(self, rows: Sequence[int], guess: np.ndarray, exact: bool) -> None:
-        """Differences of some rows from a guess, shape (len(rows), n); an exact one is the same on every machine."""
-        expected = _expected(guess)
-        if not exact:
+    def keep(self, rows: Sequence[int], guess: np.ndarray | None, exact: bool) -> None:
+        """Differences of some rows from a guess, shape (len(rows), n); an exact one is the same on every machine.
+
+        No guess is as one of zeros.
+        """
+        expected: Any = 0 if guess is None else _expected(guess)
+        if guess is not None and not exact:
             doubtful = to_codes(guess * (1 - MARGIN)) != to_codes(guess * (1 + MARGIN))
-            for k, row in enumerate(rows):
-                self.unsure += [row * self.n + int(i) for i in np.flatnonzero(doubtful[k])]
+            self.doubtful[rows] = doubtful
             expected = np.where(doubtful, 0, expected)
-        self.parts[list(rows)] = _folded(self.codes[list(rows)] - expected)
+        self.parts[rows] = _folded(self.codes[rows] - expected)
 
-    def restore(self, rows: Sequence[int], guess: np.ndarray) -> None:
-        expected = _expected(guess)
-        places = set(self.unsure)
-        for k, row in enumerate(rows if places else ()):
-            expected[k, [i for i in range(self.n) if row * self.n + i in places]] = 0
-        self.codes[list(rows)] = _unfolded(self.parts[list(rows)]) + expected
-        self.codes[list(rows)] = _wrapped(self.codes[list(rows)])
+    def restore(self, rows: Sequence[int], guess: np.ndarray | None) -> None:
+        expected: Any = 0 if guess is None else np.where(self.doubtful[rows], 0, _expected(guess))
+        self.codes[rows] = _wrapped(_unfolded(self.parts[rows]) + expected)
+        self.numbers[rows] = from_codes(self.codes[rows])
 
-    def guesses(self) -> Any:
+    def guesses(self) -> Iterator[tuple[list[int], np.ndarray | None, bool]]:
         """What is expected of all rows, some at a time; each group needs only those before it."""
         plain = [*self.of("pit"), *self.of("other")]
-        yield plain, np.zeros((len(plain), self.n)), True
-        for dependent in (False, True):
-            some = [q for q in self.quantities if (q in self.sources) == dependent]
-            yield [self.row[f"{q}_error_pct"] for q in some], self._stack([self._error(q) for q in some]), True
+        yield plain, None, True
+        yield [self.row[f"{q}_error_pct"] for q in self.quantities if q not in self.sources], None, True
+        some = list(self.sources)
+        yield [self.row[f"{q}_error_pct"] for q in some], self._stack([self._error(q) for q in some]), True
         some = [q for q in self.quantities if f"{q}_ratio" in self.row]
         yield [self.row[f"{q}_ratio"] for q in some], self._stack([self.ratio(q) for q in some]), True
         rest = [row for row in range(len(self.names)) if self.families[row] not in ("pit", "other", "error_pct")]
         lone = [row for row in rest if not self._guessed(row)]
-        yield lone, np.zeros((len(lone), self.n)), True
+        yield lone, None, True
         some = [q for q in self.quantities if f"{q}_pit" in self.row]
         for ending in (*HITS, "_interval_score_pct", "_crps_pct"):
             own = [q for q in some if f"{q}{ending}" in self.row]
@@ -137,8 +152,6 @@ class _Cell:
         return np.stack(rows) if rows else np.zeros((0, self.n))
 
     def _error(self, quantity: str) -> np.ndarray:
-        if quantity not in self.sources:
-            return np.zeros(self.n)
         with np.errstate(all="ignore"):
             product = np.ones(self.n)
             for source, power in self.sources[quantity]:  # by operations that are the same on every machine
@@ -224,6 +237,8 @@ def _sources(quantity: str, gauges: Sequence[str], row: Mapping[str, int]) -> li
 def _score(ending: str, ratios: np.ndarray, levels: np.ndarray, dof: int) -> np.ndarray:
     """Interval score (95 %) or CRPS, in % of the truth, of beliefs with this median over the truth and level at it."""
 
+    from scipy.special import ndtri, stdtrit  # by whom beliefs are asked for, which few readers do
+
     def standard(level: Any) -> Any:
         return ndtri(level) if dof == NORMAL else stdtrit(dof, level)
 
@@ -243,7 +258,7 @@ def _score(ending: str, ratios: np.ndarray, levels: np.ndarray, dof: int) -> np.
 
 def _expected(guess: np.ndarray) -> np.ndarray:
     codes = to_codes(guess)
-    return np.where(np.isin(codes, (NAN, MISSING)), 0, codes)
+    return np.where((codes == NAN) | (codes == MISSING), 0, codes)
 
 
 def _wrapped(numbers: np.ndarray) -> np.ndarray:

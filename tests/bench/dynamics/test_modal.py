@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import eigh
 
 from bench.dynamics.mechanics import linear_matrices
-from bench.dynamics.modal import Modes, agreement, mac, modes
+from bench.dynamics.modal import Modes, agreement, mac, modes, modes_of_all
 from bench.systems import SDOF, Chain, Duffing
 
 CHAIN = {"m1": 1.0, "m2": 0.9, "m3": 1.1, "k1": 20.0, "k2": 18.0, "k3": 22.0}
@@ -46,6 +46,14 @@ def test_an_overdamped_mode_is_one_mode():
     found = modes(SDOF(), {"m": 1.0, "c": 5.0, "k": 4.0})
     assert found.frequencies == pytest.approx([2.0 / (2 * np.pi)])
     assert found.damping_ratios == pytest.approx([1.25])
+
+
+def test_each_of_many_has_the_modes_that_it_has_alone():
+    """Among them an overdamped one, and one that is not finite."""
+    c, masses = np.array([0.8, 5.0, np.nan]), np.ones(3)
+    found = modes_of_all(SDOF(), {"m": masses, "c": c, "k": 4.0 * masses})
+    assert [one.frequencies[0] for one in found] == pytest.approx([1 / np.pi, 1 / np.pi, np.nan], nan_ok=True)
+    assert [one.damping_ratios[0] for one in found] == pytest.approx([0.2, 1.25, np.nan], nan_ok=True)
 
 
 def test_agreement_matches_modes_by_shape_not_by_order():

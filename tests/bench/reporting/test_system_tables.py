@@ -78,15 +78,16 @@ def test_what_the_data_tell_is_pooled():
 
 
 def test_parameters_from_ratios_and_from_groups():
-    scenario = _cell("system=chain2").scenario
-    names = scenario.make_system().names
-    row = Row(0, Status.OK, scores={f"{name}_ratio": 2.0 for name in names})
-    assert identified(row, scenario) == {name: 2.0 * scenario.parameters[name] for name in names}
-    groups = Row(0, Status.OK, scores={f"{g.name}_ratio": 1.0 for g in scenario.make_system().groups})
-    found = identified(groups, scenario)
-    assert found["m1"] == 1.0
-    assert found["k2"] == pytest.approx(scenario.parameters["k2"] / scenario.parameters["m1"])
-    assert identified(Row(0, Status.TIMEOUT), scenario) is None
+    cell = _cell("system=chain2")
+    system, true = cell.scenario.make_system(), cell.scenario.parameters
+    ratios = {f"{name}_ratio": 2.0 for name in system.names}
+    groups = {f"{g.name}_ratio": 1.0 for g in system.groups}
+    rows = (Row(0, Status.OK, scores=ratios), Row(1, Status.OK, scores=groups), Row(2, Status.TIMEOUT, scores=ratios))
+    found = identified(Result.of_cell(cell, StoredCell("", {}, rows, {}, {}, {}, 0.0)))
+    assert {name: own[0] for name, own in found.items()} == {name: 2.0 * true[name] for name in system.names}
+    assert found["m1"][1] == 1.0
+    assert found["k2"][1] == pytest.approx(true["k2"] / true["m1"])
+    assert all(math.isnan(own[2]) for own in found.values())
 
 
 def test_modes_of_the_true_parameters_agree_with_themselves():

@@ -38,7 +38,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def forget() -> None:
-    for cached in (source.source_file, source._top_level, source._read, cell_version):
+    for cached in (source.source_file, source._top_level, source._read, source._reached, cell_version):
         cached.cache_clear()
 
 

@@ -1,0 +1,45 @@
+"""What a store holds of some cells, as far as a plan asks."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Collection
+from typing import NamedTuple
+
+from bench.errors import InputError
+from bench.store.store import Store
+
+FEW = 50
+"""So many cells are sooner read themselves than the view of all is loaded, with the packages that read it."""
+
+
+class Answer(NamedTuple):
+    """Why a file is no cell, or nothing; the digest of what computed it; a JSON object of counts of statuses."""
+
+    problem: str
+    version: str
+    statuses: str
+
+
+def answers(store: Store, identities: Collection[str]) -> dict[str, Answer]:
+    """The stored ones among some cells, by identity."""
+    if len(identities) > FEW:
+        from bench.store import index
+
+        lines = index.cells(store, Answer._fields)
+        lines = lines[lines.index.isin(identities)]
+        return {name: Answer(*line) for name, line in zip(lines.index, lines.itertuples(index=False), strict=True)}
+    found = {identity: _answer(store, identity) for identity in identities}
+    return {identity: answer for identity, answer in found.items() if answer}
+
+
+def _answer(store: Store, identity: str) -> Answer | None:
+    try:
+        cell = store.load(identity)
+    except InputError as error:
+        return Answer(str(error), "", "")
+    if cell is None:
+        return None
+    statuses = Counter(status.value for status in cell.columns.statuses)
+    return Answer("", cell.version.get("digest", ""), json.dumps(statuses))
