@@ -13,7 +13,8 @@ from bench.contract.estimate import Status
 from bench.information.fisher import Bound
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
-from bench.store.store import Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 
 TRUTH = {"m": 1.0, "c": 0.4, "k": 8.0}
 NOISE = 0.05

@@ -33,7 +33,8 @@ from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.provenance import provenance
-from bench.store.store import Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 from bench.sweep.launch import fits_bar, preloaded
 from bench.sweep.plan import FAILURES, Planned, State
 from bench.sweep.runner import run_replicates

@@ -22,7 +22,8 @@ from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.opening import DEFAULT_STORE, open_store
-from bench.store.store import DIGITS, Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import DIGITS, StoredCell
 from bench.store.version import Version
 from bench.sweep.launch import complete
 from bench.sweep.workers import Limits

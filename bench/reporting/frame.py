@@ -28,7 +28,8 @@ from bench.reporting.labels import title
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell
-from bench.store.store import Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 from bench.systems import System, make_system
 
 ERROR = "_error_pct"

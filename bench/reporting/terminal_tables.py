@@ -18,7 +18,8 @@ from bench.reporting.rounding import excess_text, number, readable, rounded
 from bench.reporting.terminal import table, wrapped
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
-from bench.store.store import Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 
 MOST_LISTED = 100
 """Cells of a sweep that are listed one by one."""

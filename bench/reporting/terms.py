@@ -11,7 +11,7 @@ from bench.contract.estimate import Status
 from bench.dynamics.mechanics import acceleration
 from bench.dynamics.ops import ops_from
 from bench.scenario.scenario import Scenario
-from bench.store.store import StoredCell
+from bench.store.stored import StoredCell
 from bench.systems import System
 
 

@@ -8,173 +8,25 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import io
 import json
-import math
 import os
 import time
 import uuid
-import zipfile
-from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.contract.estimate import Status
 from bench.errors import InputError
-from bench.scoring.row import Row
-from bench.store.archive.decimals import from_codes, to_codes
-from bench.store.columns import Columns, MadeRows
+from bench.store.stored import FORMAT, StoredCell, arrays_file, cell_file, cell_from_json
 
 if TYPE_CHECKING:
     from bench.store.archive.archive import Archive
 
-FORMAT = 2
-DIGITS = 6
 ABANDONED_S = 3600.0
 """Age at which a temporary file has no writer any more."""
-PLAIN = ("replicate", "message", "wall_s", "cpu_s", "peak_memory_mb", "evaluations", "data")
-
-
-@dataclass(frozen=True)
-class StoredCell:
-    """What a cell's file holds: its full description, its rows, the summary of every metric, and whence they come.
-
-    ``wall_s`` is the time of all fits together, ``version`` what computed it, ``arrays`` the file beside it.
-    """
-
-    identity: str
-    cell: dict[str, Any]
-    rows: Sequence[Row]
-    summary: dict[str, dict[str, float]]
-    prior_share: dict[str, float]
-    identifiable: dict[str, bool]
-    wall_s: float
-    provenance: dict[str, Any] = field(default_factory=dict)
-    version: dict[str, Any] = field(default_factory=dict)
-    arrays: str = ""
-
-    @cached_property
-    def columns(self) -> Columns:
-        """The rows by column."""
-        return self.rows if isinstance(self.rows, Columns) else MadeRows(self.rows)
-
-    @property
-    def n_ok(self) -> int:
-        return self.columns.statuses.count(Status.OK)
-
-    @property
-    def status(self) -> Status:
-        """``ok`` where any replicate succeeded, else the most frequent failure."""
-        statuses = self.columns.statuses
-        return Status.OK if Status.OK in statuses else max(set(statuses), key=statuses.count)
-
-
-def to_json(value: Any, digits: int = DIGITS) -> Any:
-    """JSON has no infinity: numbers that are not finite become strings, the others keep so many digits."""
-    if isinstance(value, float):
-        return float(f"{value:.{digits}g}") if math.isfinite(value) else str(value)
-    if isinstance(value, Mapping):
-        return {key: to_json(item, digits) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [to_json(item, digits) for item in value]
-    return value
-
-
-def _number(value: Any) -> float:
-    return math.nan if value is None else float(value)
-
-
-def _columns(cell: StoredCell) -> dict[str, Any]:
-    """Rows as columns, as JSON has them: smaller files, and one list a metric (null where a replicate lacks it)."""
-    return {
-        "status": [status.value for status in cell.columns.statuses],
-        **{key: to_json([getattr(row, key) for row in cell.rows]) for key in PLAIN},
-        "scores": _shortened(cell.columns.all_scores),
-    }
-
-
-def _shortened(scores: Mapping[str, Sequence[float | None]]) -> dict[str, Any]:
-    """What :func:`to_json` makes of scores; that most have so few digits already is seen of all of them at once."""
-    every = np.array(list(scores.values()), float)  # NaN for none
-    short = np.isfinite(every) & (from_codes(to_codes(every)) == every)
-    return {
-        name: list(values) if all(own) else [v if fits else to_json(v) for v, fits in zip(values, own, strict=True)]
-        for (name, values), own in zip(scores.items(), short.tolist(), strict=True)
-    }
-
-
-def _rows(columns: Mapping[str, Any]) -> tuple[Row, ...]:
-    scores = columns["scores"]
-    return tuple(
-        Row(
-            replicate=columns["replicate"][i],
-            status=Status(status),
-            message=columns["message"][i],
-            scores={name: _number(values[i]) for name, values in scores.items() if values[i] is not None},
-            wall_s=_number(columns["wall_s"][i]),
-            cpu_s=_number(columns["cpu_s"][i]),
-            peak_memory_mb=_number(columns["peak_memory_mb"][i]),
-            evaluations=columns["evaluations"][i],
-            data=columns["data"][i],
-        )
-        for i, status in enumerate(columns["status"])
-    )
-
-
-def cell_file(cell: StoredCell) -> bytes:
-    """The bytes of a cell's file."""
-    content = {
-        "format": FORMAT,
-        "identity": cell.identity,
-        "cell": cell.cell,
-        "status": cell.status.value,
-        "n_ok": cell.n_ok,
-        "n": len(cell.rows),
-        "wall_s": cell.wall_s,
-        "version": cell.version,
-        "arrays": cell.arrays,
-        "summary": cell.summary,
-        "prior_share": cell.prior_share,
-        "identifiable": cell.identifiable,
-        "provenance": cell.provenance,
-    }
-    exact = to_json(cell.cell, 17)  # what was computed, as opposed to what came out, is kept to the last digit
-    text = json.dumps(
-        {**to_json(content), "cell": exact, "rows": _columns(cell)}, ensure_ascii=False, separators=(",", ":")
-    )
-    return f"{text}\n".encode()
-
-
-def arrays_file(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """A compressed npz whose bytes depend on the arrays alone (the usual writer puts the time into it)."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in sorted(arrays):
-            values = np.asarray(arrays[name])
-            item = io.BytesIO()
-            np.lib.format.write_array(item, values.astype("f4") if values.dtype == float else values)
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), item.getvalue(), zipfile.ZIP_DEFLATED, 1)
-    return buffer.getvalue()
-
-
-def cell_from_json(content: Mapping[str, Any]) -> StoredCell:
-    """The cell of a file's content; raises KeyError, TypeError or the like where it is none."""
-    return StoredCell(
-        identity=content["identity"],
-        cell=content["cell"],
-        rows=_rows(content["rows"]),
-        summary={m: {k: _number(v) for k, v in s.items()} for m, s in content["summary"].items()},
-        prior_share={k: _number(v) for k, v in content["prior_share"].items()},
-        identifiable=content["identifiable"],
-        wall_s=_number(content["wall_s"]),
-        provenance=content["provenance"],
-        version=content["version"],
-        arrays=content["arrays"],
-    )
 
 
 class Store:

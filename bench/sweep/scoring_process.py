@@ -28,7 +28,8 @@ from bench.scoring.row import Row
 from bench.scoring.score import score
 from bench.scoring.summary import summarise
 from bench.store.cell import Cell
-from bench.store.store import Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 from bench.sweep.method_process import Task
 from bench.sweep.wire import rebuilt, unpack
 

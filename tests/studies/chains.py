@@ -34,7 +34,8 @@ from bench.reporting.tables.pooling import pooled_excess
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.opening import DEFAULT_STORE, open_store
-from bench.store.store import Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 from bench.sweep.launch import complete
 from bench.sweep.workers import Limits
 from bench.systems import Chain

@@ -11,7 +11,8 @@ import pytest
 
 from bench.contract.estimate import Status
 from bench.scoring.row import Row
-from bench.store.store import Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 from bench.systems import Chain
 from tests.studies import chains
 from tests.studies.chains import PER_PERIOD, PERIODS, main, natural_frequencies, page, picture, reach, scenario

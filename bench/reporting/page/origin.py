@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from bench.contract.estimate import Status
 from bench.reporting.frame import Result
 from bench.reporting.page.reading import decibels
-from bench.store.store import StoredCell
+from bench.store.stored import StoredCell
 
 
 def origin(results: Sequence[Result]) -> list[tuple[str, str]]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.store.store import StoredCell
+from bench.store.stored import StoredCell
 
 if TYPE_CHECKING:  # pyarrow and what it brings is loaded when a file is read
     import pyarrow as pa

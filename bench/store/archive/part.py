@@ -22,18 +22,19 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from bench.errors import InputError
-from bench.store import index as view
 from bench.store.archive import curves, scores
 from bench.store.archive.decimals import MISSING, from_codes, listed, to_codes
 from bench.store.archive.rows import NUMBERS, Line, PackedRows
-from bench.store.store import StoredCell, arrays_file, cell_file, cell_from_json, to_json
+from bench.store.line import PLAIN, described
+from bench.store.line import STATISTICS as OF_ERRORS
+from bench.store.stored import StoredCell, arrays_file, cell_file, cell_from_json, to_json
 
 FORMAT = 1
 FORMAT_KEY, CONTENT_KEY = "vibration-bench archive", "content"
 ENDING = ".parquet"
-STATISTICS = (*view.STATISTICS, "n_ok")
+STATISTICS = (*OF_ERRORS, "n_ok")
 DESCRIBED = {
-    name: kind for name, kind in view.PLAIN.items() if name not in ("mtime_ns", "size", "problem")
+    name: kind for name, kind in PLAIN.items() if name not in ("mtime_ns", "size", "problem")
 }  # fmt: skip
 TEXTS = ("cell", "prior_share", "identifiable", "provenance", "computed_by", "arrays", "scores", "whole")
 LISTS = {
@@ -144,9 +145,9 @@ def _place(entry: Entry) -> tuple[Any, ...]:
 
 def _line(entry: Entry, places: dict[str, list[Any]]) -> dict[str, Any]:
     cell = entry.cell
-    line: dict[str, Any] = {"identity": cell.identity, **view.described(cell), **dict.fromkeys(TEXTS, "")}
+    line: dict[str, Any] = {"identity": cell.identity, **described(cell), **dict.fromkeys(TEXTS, "")}
     line |= {name: [] for name in LISTS} | {"dof": scores.RAW, "tracebacks": entry.tracebacks}
-    for name in view.STATISTICS:
+    for name in OF_ERRORS:
         line.pop(name)
     line |= _kept(entry.arrays, places)
     try:

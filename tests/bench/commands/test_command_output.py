@@ -27,7 +27,8 @@ from bench.reporting.terminal import clipped, columns, table, wrapped
 from bench.reporting.terminal_tables import Closing, cell_table, record_page
 from bench.scoring.row import Row
 from bench.store.cell import Cell
-from bench.store.store import Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 from bench.sweep.plan import plan
 
 

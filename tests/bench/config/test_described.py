@@ -4,7 +4,7 @@ import pytest
 
 from bench.commands.reproduce import stored_as_cell
 from bench.config.experiment import expand
-from bench.store.store import StoredCell
+from bench.store.stored import StoredCell
 
 
 @pytest.mark.parametrize("system", ["chain2_first", "sdof_added_mass", "sdof_noise", "bouc_wen", "duffing_forced"])

@@ -9,8 +9,9 @@ from bench.contract.estimate import Status
 from bench.reporting.frame import Frame, Result
 from bench.reporting.tables.calibration import calibration_table, lines, markdown
 from bench.scenario.scenario import Scenario
+from bench.scoring.row import Row
 from bench.store.cell import Cell
-from bench.store.store import Row, StoredCell
+from bench.store.stored import StoredCell
 
 
 def stored(levels: np.ndarray, band: float | None) -> StoredCell:

@@ -11,8 +11,9 @@ from bench.contract.estimate import Status
 from bench.reporting.frame import Frame, Result
 from bench.reporting.tables.leaderboard import collected, leaderboard, lines
 from bench.scenario.scenario import Scenario
+from bench.scoring.row import Row
 from bench.store.cell import Cell
-from bench.store.store import Row, StoredCell
+from bench.store.stored import StoredCell
 
 
 def result(scenario: Scenario, method: str, errors: np.ndarray) -> Result:

@@ -30,7 +30,8 @@ from bench.reporting.page.standing import rank
 from bench.reporting.page.typical import typical
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
-from bench.store.store import Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 from bench.store.version import version_of
 
 pytest.importorskip("jinja2")

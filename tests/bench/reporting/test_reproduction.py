@@ -21,7 +21,8 @@ from bench.reporting.reproduction import (
     verdicts,
 )
 from bench.scenario.scenario import Scenario
-from bench.store.store import Row, StoredCell
+from bench.scoring.row import Row
+from bench.store.stored import StoredCell
 
 
 def test_there_are_59_numbers() -> None:

@@ -21,9 +21,11 @@ from bench.reporting.tables.robustness import COLUMNS, PANELS, Pair, markdown, r
 from bench.reporting.tables.robustness import pairs as pairs_of
 from bench.scenario.disturbance import Disturbance
 from bench.scenario.scenario import Scenario
+from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.cell import Cell
-from bench.store.store import Row, Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 
 BOUND = Bound(("m", "c", "k"), {"k_over_m": 0.005, "c_over_m": 0.035}, {}, {}, 0.0107, 0.006, ())
 SIZES = {"k_over_m_error_pct": 0.5, "c_over_m_error_pct": 3.5, "rmse": 0.0107}

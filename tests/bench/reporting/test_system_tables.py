@@ -18,7 +18,7 @@ from bench.reporting.tables.pooling import (
 )
 from bench.reporting.tables.systems import describe, markdown, panels, tidy
 from bench.scoring.row import Row
-from bench.store.store import StoredCell
+from bench.store.stored import StoredCell
 
 
 def _cell(*overrides, method="shooting"):

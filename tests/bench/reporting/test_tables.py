@@ -22,10 +22,12 @@ from bench.reporting.frame import Result
 from bench.reporting.paper import paper_value, printed
 from bench.reporting.tables.paper_tables import COLUMNS, HEADINGS, PaperTable
 from bench.scenario.scenario import Scenario
+from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.scoring.verdict import judge
 from bench.store.cell import Cell
-from bench.store.store import Row, Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 
 NAN = math.nan
 PAPER = {

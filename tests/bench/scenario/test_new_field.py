@@ -21,7 +21,7 @@ from bench.scenario.disturbance import KINDS
 from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import PriorSpec, Scenario
 from bench.store.cell import Cell
-from bench.store.store import StoredCell
+from bench.store.stored import StoredCell
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import pytest
 
 from bench import Status
 from bench.information.fisher import Bound
+from bench.scoring.row import Row
 from bench.scoring.summary import summarise
-from bench.store.store import Row
 
 BOUND = Bound(("m",), {"m": 0.02, "k": math.inf}, {"m": True, "k": False}, {"m": 0.0, "k": 0.0}, 0.5, 0.25, ())
 

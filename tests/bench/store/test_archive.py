@@ -15,13 +15,14 @@ import pytest
 from bench import InputError, Status
 from bench.commands.publish import publish
 from bench.scoring.row import Row
-from bench.store import index as view
+from bench.store import index as view, line
 from bench.store.archive import curves
 from bench.store.archive.archive import Archive
 from bench.store.archive.decimals import from_codes, listed, to_codes
 from bench.store.archive.part import Part
 from bench.store.opening import VARIABLE, open_store
-from bench.store.store import Store, StoredCell, cell_file
+from bench.store.store import Store
+from bench.store.stored import StoredCell, cell_file
 
 NAN, INF = math.nan, math.inf
 ODD = ("", "größer", "a\nline", '"quoted"', "\u2028 \U0001f600", "nan", "null", "0")
@@ -61,7 +62,7 @@ def random_cell(seed: int, **changes: Any) -> StoredCell:
         for i, scores in enumerate(score_rows(rng, n))
     )  # fmt: skip
     metrics = sorted({name for row in rows for name in row.scores})
-    keys = (*view.STATISTICS, "n_ok")
+    keys = (*line.STATISTICS, "n_ok")
     summary = {name: {key: rounded(float(rng.choice(SPECIAL))) for key in keys} for name in metrics}
     cell = StoredCell(
         identity=f"{seed:020x}",
@@ -265,8 +266,8 @@ def test_a_store_lies_over_the_archive(store: Store, archive: Archive, tmp_path:
 
 def test_the_view_of_the_archive_is_that_of_its_cells(store: Store, archive: Archive, tmp_path: Path) -> None:
     both = Store(tmp_path / "mine", archive)
-    plain = [name for name in view.PLAIN if name not in ("identity", "mtime_ns", "size")]
-    one, two = (view.cells(s, (*plain, *view.STATISTICS)) for s in (store, both))
+    plain = [name for name in line.PLAIN if name not in ("identity", "mtime_ns", "size")]
+    one, two = (view.cells(s, (*plain, *line.STATISTICS)) for s in (store, both))
     for name in one.columns:
         assert [_plain(v) for v in one[name]] == [_plain(v) for v in two[name]], name
     one, two = (view.summaries(s, ["rmse", "m_error_pct"]).drop(columns=["mtime_ns", "size"]) for s in (store, both))

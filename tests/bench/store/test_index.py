@@ -11,7 +11,8 @@ import pytest
 from test_store import CELL
 
 from bench.store import index as view
-from bench.store.store import Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 
 
 def a_cell(i: int, **changes: object) -> StoredCell:

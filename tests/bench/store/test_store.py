@@ -14,7 +14,9 @@ from typing import Any
 import pytest
 
 from bench import InputError, Status
-from bench.store.store import Row, Store, StoredCell
+from bench.scoring.row import Row
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 
 NAN, INF = math.nan, math.inf
 ROWS = (

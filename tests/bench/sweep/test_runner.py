@@ -18,7 +18,8 @@ from bench import InputError, Status
 from bench.entrants.registry import default_settings, load_method, make_method, missing_package
 from bench.scenario.scenario import ForceSpec, Scenario
 from bench.store.cell import Cell
-from bench.store.store import Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 from bench.sweep import runner
 from bench.sweep.plan import plan
 from bench.sweep.runner import run_cells

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from bench.store import index as view
+from bench.store import index as view, line
 from bench.store.store import Store
 
 ROOT = Path(__file__).parents[3]
@@ -52,7 +52,7 @@ def csv(store: Path) -> str:
     """A table of all that was computed: every metric of every cell, as text."""
     metrics = " ".join(view.cells(Store(store), ("metrics",))["metrics"]).split()
     table = view.summaries(Store(store), sorted(set(metrics)))
-    keep = ["identity", "label", "system", "snr_db", "seed", "n_ok", "statuses", "data", "metric", *view.STATISTICS]
+    keep = ["identity", "label", "system", "snr_db", "seed", "n_ok", "statuses", "data", "metric", *line.STATISTICS]
     return str(pd.DataFrame(table[keep]).sort_values(["identity", "metric"]).to_csv(index=False))
 
 

@@ -28,7 +28,8 @@ from bench.config.experiment import expand
 from bench.information.fisher import compute_bound, load_bounds
 from bench.store import index as view
 from bench.store.cell import Cell
-from bench.store.store import Store, StoredCell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
 from bench.sweep import launch
 from bench.sweep.launch import Job, Launch
 from bench.sweep.plan import plan
