@@ -345,7 +345,7 @@ def _cell(line: Line) -> StoredCell:
             metric: {key: value for key, value, known in zip(STATISTICS, values, there, strict=True) if known}
             for metric, values, there in columns
         },
-        prior_share=to_numbers(json.loads(plain["prior_share"])),
+        prior_share=_numbers_of(json.loads(plain["prior_share"])),
         identifiable=json.loads(plain["identifiable"]),
         wall_s=plain["wall_s"],
         provenance=json.loads(plain["provenance"]),
@@ -354,5 +354,5 @@ def _cell(line: Line) -> StoredCell:
     )
 
 
-def to_numbers(values: Mapping[str, Any]) -> dict[str, float]:
+def _numbers_of(values: Mapping[str, Any]) -> dict[str, float]:
     return {name: float(value) for name, value in values.items()}
