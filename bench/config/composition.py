@@ -58,6 +58,16 @@ def _text(group: str, name: str) -> str:
     return files("conf").joinpath(group, f"{name}.yaml").read_text(encoding="utf-8")
 
 
+def _default(group: str) -> str:
+    """The choice of a group that ``conf/config.yaml`` makes."""
+    from omegaconf import OmegaConf
+
+    text = files("conf").joinpath("config.yaml").read_text(encoding="utf-8")
+    content: Any = OmegaConf.to_container(OmegaConf.create(text))
+    named = [entry for entry in content["defaults"] if isinstance(entry, dict)]
+    return next(str(entry[group]) for entry in named if group in entry)
+
+
 def _literal(value: Any) -> str:
     return json.dumps(value) if isinstance(value, list | dict) or value is None else str(value)
 
@@ -132,7 +142,7 @@ def _by_hydra(overrides: Sequence[tuple[str, str]]) -> Any:
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
-    register_method(dict(overrides).get("method", "ls"))
+    register_method(dict(overrides).get("method") or _default("method"))
     texts = [f"{'++' if _may_be_added(key) else ''}{key}={value}" for key, value in overrides]
     try:
         with initialize_config_module("conf", version_base="1.3"):

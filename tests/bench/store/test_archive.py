@@ -15,7 +15,8 @@ import pytest
 from bench import InputError, Status
 from bench.commands.publish import publish
 from bench.scoring.row import Row
-from bench.store import index as view, line
+from bench.store import index as view
+from bench.store import line
 from bench.store.archive import curves
 from bench.store.archive.archive import Archive
 from bench.store.archive.decimals import from_codes, listed, to_codes

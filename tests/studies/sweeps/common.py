@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from bench.store import index as view, line
+from bench.store import index as view
+from bench.store import line
 from bench.store.store import Store
 
 ROOT = Path(__file__).parents[3]
