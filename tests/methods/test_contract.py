@@ -72,13 +72,14 @@ def method(request: pytest.FixtureRequest) -> Identifier:
     return make(request.param)
 
 
-without_compiling = pytest.mark.parametrize(
+LONG = ("nuts", "pinn_adam")
+quick_methods_first = pytest.mark.parametrize(
     "method",
-    [pytest.param(name, marks=pytest.mark.slow) if name == "nuts" else name for name in NAMES],
+    [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in NAMES],
     indirect=True,
     scope="module",
 )
-"""For data whose layout is another than that of ``problem()``: the gradient sampler compiles half a minute for it."""
+"""For data other than ``problem()``: the gradient sampler compiles half a minute for each layout, the descent is long."""
 
 
 @cache
@@ -129,7 +130,7 @@ def test_other_units_change_nothing_but_units(method: Identifier, units: Units) 
     same_in_other_units(method, units, start=True)
 
 
-@without_compiling
+@quick_methods_first
 def test_other_units_change_nothing_but_units_where_the_start_is_untold(method: Identifier) -> None:
     same_in_other_units(method, Units(length=1e-3, time=0.1), start=False)
 
@@ -170,7 +171,7 @@ def test_a_dead_channel_gives_a_finite_answer_or_a_status_with_a_sentence(method
     answers_or_says_why_not(method, case)
 
 
-@without_compiling
+@quick_methods_first
 @pytest.mark.parametrize("case", [case for case in HARD if "dead" not in case])
 def test_hard_data_give_a_finite_answer_or_a_status_with_a_sentence(method: Identifier, case: str) -> None:
     answers_or_says_why_not(method, case)
@@ -185,7 +186,7 @@ def test_an_estimate_travels_between_processes(method: Identifier) -> None:
         np.testing.assert_array_equal(mine(times), theirs(times))
 
 
-@without_compiling
+@quick_methods_first
 def test_without_a_prior_only_ratios_are_claimed(method: Identifier) -> None:
     given = problem()
     given = Problem(given.system, given.records, None)
@@ -197,7 +198,7 @@ def test_without_a_prior_only_ratios_are_claimed(method: Identifier) -> None:
     assert math.isfinite(ratio.value)
 
 
-@without_compiling
+@quick_methods_first
 def test_with_a_known_force_and_no_prior_the_mass_is_claimed_or_the_case_is_declined(method: Identifier) -> None:
     times = np.linspace(0.0, 8.0, 40)
     force = Force(np.linspace(0.0, 8.0, 161), 3.0 * np.sin(np.linspace(0.0, 8.0, 161) * 2.0))

@@ -130,6 +130,7 @@ def test_the_autocorrelation_time_is_that_of_the_process() -> None:
     assert "20 unknowns" in short.sentence(MCMC(), 100, 20)
 
 
+@pytest.mark.slow
 def test_walkers_that_move_by_each_other_alone_do_not_mix_among_many_unknowns() -> None:
     """Four masses, 24 unknowns: without independent moves the autocorrelation time outgrows the chain."""
     n = range(1, 5)
