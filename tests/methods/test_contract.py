@@ -79,7 +79,7 @@ quick_methods_first = pytest.mark.parametrize(
     indirect=True,
     scope="module",
 )
-"""For data other than ``problem()``: the gradient sampler compiles half a minute for each layout, the descent is long."""
+"""For data other than ``problem()``: the gradient sampler compiles anew for each layout, the descent is long."""
 
 
 @cache
