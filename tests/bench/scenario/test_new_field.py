@@ -17,7 +17,7 @@ from bench.config.experiment import expand
 from bench.config.overrides import overrides_of
 from bench.scenario import scenario as declared
 from bench.scenario.declaration import Within, plain, restored
-from bench.scenario.disturbance import KINDS
+from bench.scenario.disturbance import kinds
 from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import PriorSpec, Scenario
 from bench.store.cell import Cell
@@ -111,8 +111,8 @@ CHANGES: dict[str, Any] = {
     "impulse": {"force": ForceSpec(5, kind="impulse", start_s=0.5, length_s=0.5, hold="cubic")},
     "prior": {"prior": PriorSpec("stored", {"mass": 1, "damping": 0.5, "stiffness": 0.1, "other": 1}, wrong=True)},
     "drawn": {"prior": PriorSpec("stored", dict.fromkeys(KINDS_OF_PARAMETERS, 0.1), draws="truth")},
-    "outliers": {"disturbance": KINDS["outliers"](10, 0.1)},  # type: ignore[call-arg]
-    "bias": {"disturbance": KINDS["bias"](0.1), "initial_state": "unknown"},
+    "outliers": {"disturbance": kinds()["outliers"](10, 0.1)},  # type: ignore[call-arg]
+    "bias": {"disturbance": kinds()["bias"](0.1), "initial_state": "unknown"},
     "rig": {"measured": (0,), "added_mass": (1,), "dense": 50, "forecast": 2},
 }
 
@@ -134,7 +134,7 @@ def test_whole_numbers_are_the_floats_they_stand_for_and_parameters_are_in_the_s
     assert list(BASE.parameters) == ["m", "c", "k"]
 
 
-@pytest.mark.parametrize("kind", [Scenario, ForceSpec, PriorSpec, *KINDS.values()])
+@pytest.mark.parametrize("kind", [Scenario, ForceSpec, PriorSpec, *kinds().values()])
 def test_every_declared_type_has_a_way_to_json_and_back(kind: Any) -> None:
     """None is null, whatever the type; a sample of each other kind of value is in the tests above."""
     for declared_field in fields(kind):
