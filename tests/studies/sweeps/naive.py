@@ -11,12 +11,12 @@ import numpy as np
 
 from bench.config.composition import register_method
 from bench.config.schema import scenario_from
-from bench.entrants.registry import make_method
+from bench.entrants.registry import make_method, registered
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import score
 
 
-@hydra.main(config_path="../../conf", config_name="config", version_base="1.3")
+@hydra.main(config_path="../../../conf", config_name="config", version_base="1.3")
 def main(config: Any) -> None:
     """Make the data, identify, score, and write one file."""
     from omegaconf import OmegaConf
@@ -31,5 +31,6 @@ def main(config: Any) -> None:
 
 
 if __name__ == "__main__":
-    register_method("empty")
+    for name in registered():
+        register_method(name)
     main()
