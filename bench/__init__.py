@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from bench.contract.estimate import Belief, Cost, Draws, Estimate, Marginal, NoEstimate, Normal, Reconstruction, Status
-from bench.contract.method import Card, Identifier, Serves
+from bench.contract.method import EVERY_PROBLEM, Card, Identifier, Serves
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record, Units
 from bench.contract.progress import report_progress
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from bench.face.results import Results, experiment, run
 
 __all__ = [
+    "EVERY_PROBLEM",
     "LOG_LIMIT",
     "SIGMA_FLOOR",
     "Belief",

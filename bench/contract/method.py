@@ -67,6 +67,18 @@ class Serves:
     added_mass: bool = False
 
 
+EVERY_PROBLEM = Serves(
+    measures=("displacement", "velocity", "acceleration"),
+    several_records=True,
+    several_channels=True,
+    offsets=True,
+    max_dof=None,
+    hidden_states=True,
+    added_mass=True,
+)
+"""What a method serves that takes any problem: one that simulates, or enforces, the whole equation of motion."""
+
+
 class Identifier(ABC):
     """A method: a frozen dataclass whose fields are its settings. Subclass it, write ``estimate``, register it.
 

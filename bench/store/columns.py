@@ -35,6 +35,21 @@ class Columns(Sequence[Row]):
     def cpu_s(self) -> np.ndarray:
         """Processor time of each fit (s), (n,)."""
 
+    @property
+    @abstractmethod
+    def _rows(self) -> tuple[Row, ...]:
+        """The rows themselves."""
+
+    @overload
+    def __getitem__(self, place: int) -> Row: ...
+    @overload
+    def __getitem__(self, place: slice) -> tuple[Row, ...]: ...
+    def __getitem__(self, place: int | slice) -> Row | tuple[Row, ...]:
+        return self._rows[place]
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
 
@@ -46,7 +61,11 @@ class MadeRows(Columns):
     """Rows that are there already."""
 
     def __init__(self, rows: Sequence[Row]) -> None:
-        self._rows = tuple(rows)
+        self._made = tuple(rows)
+
+    @property
+    def _rows(self) -> tuple[Row, ...]:
+        return self._made
 
     @property
     def statuses(self) -> tuple[Status, ...]:
@@ -63,13 +82,3 @@ class MadeRows(Columns):
     @property
     def cpu_s(self) -> np.ndarray:
         return np.array([row.cpu_s for row in self._rows], float)
-
-    @overload
-    def __getitem__(self, place: int) -> Row: ...
-    @overload
-    def __getitem__(self, place: slice) -> tuple[Row, ...]: ...
-    def __getitem__(self, place: int | slice) -> Row | tuple[Row, ...]:
-        return self._rows[place]
-
-    def __len__(self) -> int:
-        return len(self._rows)

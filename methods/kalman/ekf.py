@@ -16,8 +16,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Estimate, Identifier, Problem, Serves
-from methods.kalman.filtering import SERVES, Affine, Map, Settings, estimate
+from bench import EVERY_PROBLEM, Card, Estimate, Identifier, Problem, Serves
+from methods.kalman.filtering import Affine, Map, Settings, estimate
 
 SMALL = 1e-5
 """Step of the differences, in natural units and in log-parameters."""
@@ -49,7 +49,7 @@ class EKF(Identifier):
         colour="#117733",
         marker=(4, 1, 0.0),
     )
-    serves: ClassVar[Serves] = SERVES
+    serves: ClassVar[Serves] = EVERY_PROBLEM
     works_in = "natural units"
 
     def __post_init__(self) -> None:

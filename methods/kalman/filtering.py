@@ -38,23 +38,22 @@ from functools import partial
 
 import numpy as np
 
-from bench import SIGMA_FLOOR, Cost, Estimate, InputError, NoEstimate, OutputError, Problem, Serves, estimate_at
+from bench import (
+    SIGMA_FLOOR,
+    Cost,
+    Estimate,
+    InputError,
+    NoEstimate,
+    OutputError,
+    Problem,
+    estimate_at,
+)
 from methods.kalman.joint import Chain, Joint, first_belief
 
 LEVELS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Standard deviations of the noise tried in the first pass, over the root mean square of each channel."""
 POOR = 0.5
 """A response that leaves more than this part of the mean square of the data is said to be poor."""
-
-SERVES = Serves(
-    measures=("displacement", "velocity", "acceleration"),
-    several_records=True,
-    several_channels=True,
-    offsets=True,
-    max_dof=None,
-    hidden_states=True,
-    added_mass=True,
-)
 
 
 Map = Callable[[np.ndarray], np.ndarray]

@@ -23,8 +23,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Estimate, Identifier, InputError, Problem, Serves
-from methods.kalman.filtering import SERVES, Affine, Map, Settings, estimate
+from bench import EVERY_PROBLEM, Card, Estimate, Identifier, InputError, Problem, Serves
+from methods.kalman.filtering import Affine, Map, Settings, estimate
 
 CERTAIN = 1e-5
 """Least standard deviation of a direction, in natural units and in log-parameters."""
@@ -58,7 +58,7 @@ class UKF(Identifier):
         colour="#661100",
         marker=(6, 1, 0.0),
     )
-    serves: ClassVar[Serves] = SERVES
+    serves: ClassVar[Serves] = EVERY_PROBLEM
     works_in = "natural units"
 
     def __post_init__(self) -> None:

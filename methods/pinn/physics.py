@@ -31,7 +31,18 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from bench import Cost, Estimate, Identifier, InitialState, Normal, Problem, Serves, Status, report_progress
+from bench import (
+    EVERY_PROBLEM,
+    Cost,
+    Estimate,
+    Identifier,
+    InitialState,
+    Normal,
+    Problem,
+    Serves,
+    Status,
+    report_progress,
+)
 from methods.network.response import Band, Function
 from methods.pinn.settings import Settings
 from methods.pinn.task import Task, simulated
@@ -44,15 +55,7 @@ if TYPE_CHECKING:
 class PhysicsInformed(Settings, Identifier):
     """From a Problem to fits and back to an Estimate; see the module."""
 
-    serves: ClassVar[Serves] = Serves(
-        measures=("displacement", "velocity", "acceleration"),
-        several_records=True,
-        several_channels=True,
-        offsets=True,
-        max_dof=None,
-        added_mass=True,
-        hidden_states=True,
-    )
+    serves: ClassVar[Serves] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"
     works_in = "natural units"

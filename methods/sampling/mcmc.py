@@ -30,7 +30,18 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bench import Card, Cost, Estimate, Identifier, NoEstimate, OutputError, Problem, Serves, report_progress
+from bench import (
+    EVERY_PROBLEM,
+    Card,
+    Cost,
+    Estimate,
+    Identifier,
+    NoEstimate,
+    OutputError,
+    Problem,
+    Serves,
+    report_progress,
+)
 from methods.sampling.diagnostics import Health
 from methods.sampling.posterior import Posterior, estimate_from_draws, modes_of
 from methods.sampling.proposal import Proposal
@@ -75,15 +86,7 @@ class MCMC(Identifier):
         colour="#56B4E9",
         marker="v",
     )
-    serves: ClassVar[Serves] = Serves(
-        measures=("displacement", "velocity", "acceleration"),
-        several_records=True,
-        several_channels=True,
-        offsets=True,
-        max_dof=None,
-        added_mass=True,
-        hidden_states=True,
-    )
+    serves: ClassVar[Serves] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("emcee",)
     extra: ClassVar[str] = "mcmc"
     works_in = "natural units"

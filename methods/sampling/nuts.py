@@ -28,7 +28,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bench import Card, Cost, Estimate, Identifier, InputError, NoEstimate, OutputError, Problem, Serves
+from bench import EVERY_PROBLEM, Card, Cost, Estimate, Identifier, InputError, NoEstimate, OutputError, Problem, Serves
 from methods.sampling.differentiable import Layout, log_density, prepare
 from methods.sampling.posterior import Posterior, estimate_from_draws, modes_of
 from methods.sampling.proposal import Proposal
@@ -67,15 +67,7 @@ class NUTS(Identifier):
         colour="#332288",
         marker=">",
     )
-    serves: ClassVar[Serves] = Serves(
-        measures=("displacement", "velocity", "acceleration"),
-        several_records=True,
-        several_channels=True,
-        offsets=True,
-        max_dof=None,
-        added_mass=True,
-        hidden_states=True,
-    )
+    serves: ClassVar[Serves] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("blackjax",)
     extra: ClassVar[str] = "nuts"
     works_in = "natural units"

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench import OutputError, Problem, Record, Start, state_matrix
+from bench import OutputError, Record, Start, state_matrix
 from methods.starts.equation_error import regression_starts
 from methods.starts.rough import RADIANS_A_STEP, rough_readings
 from methods.starts.scan import loaded_scan, scan
@@ -61,15 +61,6 @@ def as_fine_as_noise(model: OutputError, theta: np.ndarray) -> OutputError:
             break
         quick = finer
     return quick
-
-
-def silent(problem: Problem) -> bool:
-    """Whether no sensor shows any motion: every value zero, or constant where a constant offset is unknown."""
-    return all(
-        not np.any(c.values - (c.values[:1] if c.offset else 0.0))
-        for record in problem.records
-        for c in record.channels
-    )
 
 
 def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 8) -> list[tuple[float, np.ndarray]]:

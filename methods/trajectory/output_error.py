@@ -28,6 +28,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bench import (
+    EVERY_PROBLEM,
     Card,
     Cost,
     Estimate,
@@ -72,15 +73,7 @@ class SingleShooting(Identifier):
         colour="#4D3559",
         marker="p",
     )
-    serves: ClassVar[Serves] = Serves(
-        measures=("displacement", "velocity", "acceleration"),
-        several_records=True,
-        several_channels=True,
-        offsets=True,
-        max_dof=None,
-        added_mass=True,
-        hidden_states=True,
-    )
+    serves: ClassVar[Serves] = EVERY_PROBLEM
     works_in = "natural units"
 
     def __post_init__(self) -> None:

@@ -29,6 +29,7 @@ from typing import ClassVar
 import numpy as np
 
 from bench import (
+    EVERY_PROBLEM,
     Card,
     Channel,
     Cost,
@@ -96,15 +97,7 @@ class Shooting(Identifier):
         colour="#0072B2",
         marker="o",
     )
-    serves: ClassVar[Serves] = Serves(
-        measures=("displacement", "velocity", "acceleration"),
-        several_records=True,
-        several_channels=True,
-        offsets=True,
-        max_dof=None,
-        added_mass=True,
-        hidden_states=True,
-    )
+    serves: ClassVar[Serves] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("casadi",)
     extra: ClassVar[str] = "casadi"
     works_in = "natural units"

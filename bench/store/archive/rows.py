@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
@@ -89,13 +89,6 @@ class PackedRows(Columns):
                 *(line[name] for name in TEXTS), self.statuses, self._scored.tolist(), places, *numbers, strict=True
             )
         )
-
-    @overload
-    def __getitem__(self, place: int) -> Row: ...
-    @overload
-    def __getitem__(self, place: slice) -> tuple[Row, ...]: ...
-    def __getitem__(self, place: int | slice) -> Row | tuple[Row, ...]:
-        return self._rows[place]
 
     def __iter__(self) -> Iterator[Row]:
         return iter(self._rows)

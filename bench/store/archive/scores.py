@@ -32,8 +32,6 @@ COARSE = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 37, 50, 68, 92, 125, 170, 230, 31
 TRIED = 5
 """Replicates on which the degrees of freedom are sought."""
 
-Parts = dict[str, np.ndarray]
-
 
 def family(name: str) -> str:
     """Which scores a score stands among."""
