@@ -19,6 +19,7 @@ from bench.dynamics.ops import array_ops, nan_ops, numpy_ops, ops_from
 from bench.dynamics.rates import fastest_rates
 from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurements, simulate
 from bench.errors import InputError
+from bench.likelihood.batch import Batch, Point, layout, used_of
 from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, Search, Standardised, Start, estimate_at
 from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
 
@@ -30,6 +31,7 @@ __all__ = [
     "EVERY_PROBLEM",
     "LOG_LIMIT",
     "SIGMA_FLOOR",
+    "Batch",
     "Belief",
     "Card",
     "Channel",
@@ -49,6 +51,7 @@ __all__ = [
     "Ops",
     "OutputError",
     "Parameter",
+    "Point",
     "Prior",
     "Problem",
     "Quantity",
@@ -72,6 +75,7 @@ __all__ = [
     "fitted_start",
     "identify",
     "interval_polynomials",
+    "layout",
     "mass_matrix",
     "measurements",
     "nan_ops",
@@ -87,6 +91,7 @@ __all__ = [
     "state_matrix",
     "state_rate",
     "step_counts",
+    "used_of",
 ]
 __version__ = "0.1.0"
 __path__ = [

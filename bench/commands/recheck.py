@@ -1,6 +1,6 @@
 """``python -m bench.recheck``: which stale cells does a change of the code leave as they are?
 
-A cell is stale when any module that computes it has changed. Where the change was meant to alter nothing, this runs
+A cell is stale when a definition that computes it has changed. Where the change was meant to alter nothing, this runs
 some replicates of each stale cell again and compares them with the stored ones, every score to the digits that are
 stored: a tenth of the replicates and at least five, drawn over the whole cell. Where all are the same, the cell counts
 as computed by the present code, and its provenance says by what it was computed, which replicates were compared, and

@@ -10,11 +10,14 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import fields
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from bench.config.choices import choices, own_file
 from bench.entrants.reference import REFERENCES
@@ -40,32 +43,38 @@ def composed(chosen: Mapping[str, Any]) -> dict[str, Any]:
     content: dict[str, Any] = json.loads(_composed("", rest))
     for group in COMPOSED:
         own = tuple((key, text) for key, text in literals.items() if key.split(".")[0] == group)
-        if own:
-            content[group] = json.loads(_composed(group, own))
+        if own or isinstance(content[group], str):
+            content[group] = json.loads(_composed(group, own or ((group, content[group]),)))
     return content
 
 
 def read_yaml(group: str, name: str) -> dict[str, Any]:
     """The content of a file of ``conf``, by itself."""
-    from omegaconf import OmegaConf
+    return deepcopy(_content(group, name))
 
-    content = OmegaConf.to_container(OmegaConf.create(_text(group, name)))
+
+@cache
+def _content(group: str, name: str) -> dict[str, Any]:
+    content = yaml.load(_text(group, name), _Loader)
     assert isinstance(content, dict)
     return {str(key): value for key, value in content.items()}
+
+
+_Loader: Any = type("_Loader", (getattr(yaml, "CSafeLoader", yaml.SafeLoader),), {})
+"""YAML as Hydra reads it, in which ``1e-3`` is a number, by the parser in C where there is one."""
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$"), list("-+0123456789")
+)
 
 
 def _text(group: str, name: str) -> str:
     return files("conf").joinpath(group, f"{name}.yaml").read_text(encoding="utf-8")
 
 
-def _default(group: str) -> str:
-    """The choice of a group that ``conf/config.yaml`` makes."""
-    from omegaconf import OmegaConf
-
-    text = files("conf").joinpath("config.yaml").read_text(encoding="utf-8")
-    content: Any = OmegaConf.to_container(OmegaConf.create(text))
-    named = [entry for entry in content["defaults"] if isinstance(entry, dict)]
-    return next(str(entry[group]) for entry in named if group in entry)
+def _defaults() -> dict[str, str]:
+    """The choice of every group that ``conf/config.yaml`` makes."""
+    named = [entry for entry in read_yaml("", "config")["defaults"] if isinstance(entry, dict)]
+    return {group: name for entry in named for group, name in entry.items()}
 
 
 def _literal(value: Any) -> str:
@@ -106,17 +115,13 @@ def _composed(group: str, overrides: tuple[tuple[str, str], ...]) -> str:
 
 
 def _unchosen() -> dict[str, Any]:
-    """The configuration where nothing is chosen."""
-    content = read_yaml("", "config")
-    defaults = {group: name for one in content.pop("defaults") if isinstance(one, dict) for group, name in one.items()}
-    chosen = {group: name for group, name in defaults.items() if group in COMPOSED}
-    return content | {group: json.loads(_composed(group, ((group, name),))) for group, name in chosen.items()}
+    """The configuration where nothing is chosen, its groups by name: a method that is not wanted is not loaded."""
+    content = {key: value for key, value in read_yaml("", "config").items() if key != "defaults"}
+    return content | {group: name for group, name in _defaults().items() if group in COMPOSED}
 
 
 def _whole_file(group: str, name: str) -> dict[str, Any] | None:
     """A file, or the defaults of a method, merged over those it starts from; None where that takes Hydra."""
-    from omegaconf import OmegaConf
-
     if group == "method" and name in (*registered(), *REFERENCES):
         return {"name": name, **default_settings(name)}
     if group not in COMPOSED or name not in choices(group):
@@ -127,12 +132,19 @@ def _whole_file(group: str, name: str) -> dict[str, Any] | None:
     bases = own.pop("defaults", [])
     if not all(isinstance(base, str) and base.isidentifier() and base != "_self_" for base in bases):
         return None
-    below = [_whole_file(group, base) for base in bases]
-    if None in below:
-        return None
-    merged = OmegaConf.to_container(OmegaConf.merge(*below, own))
-    assert isinstance(merged, dict)
-    return {str(key): value for key, value in merged.items()}
+    merged: dict[str, Any] = {}
+    for base in bases:
+        below = _whole_file(group, base)
+        if below is None:
+            return None
+        merged = _merged(merged, below)
+    return _merged(merged, own)
+
+
+def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Two mappings as one, what stands in both from the one above."""
+    both = {key for key in below.keys() & above.keys() if isinstance(below[key], dict) and isinstance(above[key], dict)}
+    return {**below, **{key: _merged(below[key], own) if key in both else own for key, own in above.items()}}
 
 
 def _by_hydra(overrides: Sequence[tuple[str, str]]) -> Any:
@@ -142,7 +154,7 @@ def _by_hydra(overrides: Sequence[tuple[str, str]]) -> Any:
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
-    register_method(dict(overrides).get("method") or _default("method"))
+    register_method(dict(overrides).get("method") or _defaults()["method"])
     texts = [f"{'++' if _may_be_added(key) else ''}{key}={value}" for key, value in overrides]
     try:
         with initialize_config_module("conf", version_base="1.3"):

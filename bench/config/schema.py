@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -64,7 +65,8 @@ class Job:
     @cached_property
     def scenario(self) -> Scenario:
         """The scenario; raises InputError where it does not make sense."""
-        return scenario_from(self.config.model_dump())
+        stated = self.config.model_dump(include={config_path(f).partition(".")[0] for f in fields(declared.Scenario)})
+        return _shared_scenario(json.dumps(stated, default=str))
 
     def prior_spec(self) -> PriorSpec | None:
         """The prior, None for none."""
@@ -95,6 +97,12 @@ def config_from(content: Mapping[str, Any]) -> Config:
     if not str(content["store"] or ""):
         raise InputError("store", "", "name a folder")
     return validated(Config, content)
+
+
+@lru_cache(maxsize=1024)
+def _shared_scenario(stated: str) -> Scenario:
+    """The scenario of what is stated as JSON: one for the cells of all methods, which share what it works out."""
+    return scenario_from(json.loads(stated))
 
 
 def scenario_from(content: Mapping[str, Any]) -> Scenario:

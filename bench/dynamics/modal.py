@@ -17,13 +17,16 @@ from scipy.optimize import linear_sum_assignment
 from bench.dynamics.mechanics import state_matrix
 from bench.systems import System
 
+RESOLVED = 1e7
+"""How many times faster the fastest mode may be: the rounding of its eigenvalue is the digits of a slower one."""
+
 
 @dataclass(frozen=True, eq=False)
 class Modes:
     """Modes in order of natural frequency: ``frequencies`` (n,) in Hz, ``damping_ratios`` (n,), ``shapes`` (n_dof, n).
 
     Two real eigenvalues (an overdamped mode) make one entry: the frequency is that of their geometric mean, the
-    damping ratio is above 1, and the shape is that of the slower one.
+    damping ratio is above 1, and the shape is that of the slower one. Of several replicates each has a leading axis.
     """
 
     frequencies: np.ndarray
@@ -36,11 +39,12 @@ def modes(system: System, parameters: Mapping[str, Any]) -> Modes:
 
     Raises ValueError where the system is not linear.
     """
-    return modes_of_all(system, {name: np.array([float(value)]) for name, value in parameters.items()})[0]
+    found = modes_of_all(system, {name: np.array([float(value)]) for name, value in parameters.items()})
+    return Modes(found.frequencies[0], found.damping_ratios[0], found.shapes[0])
 
 
-def modes_of_all(system: System, parameters: Mapping[str, np.ndarray]) -> list[Modes]:
-    """The same for parameters of shape (n,): ``n`` modes."""
+def modes_of_all(system: System, parameters: Mapping[str, np.ndarray]) -> Modes:
+    """The same for parameters of shape (count,), with a leading axis of that length."""
     n, count = system.n_dof, len(next(iter(parameters.values())))
     with np.errstate(all="ignore"):  # of a fit that ran away
         try:
@@ -48,61 +52,79 @@ def modes_of_all(system: System, parameters: Mapping[str, np.ndarray]) -> list[M
             rates, vectors = np.linalg.eig(matrices)
         except np.linalg.LinAlgError:  # said of all where it is so of one
             if count == 1:
-                return [Modes(np.full(n, np.nan), np.full(n, np.nan), np.full((n, n), np.nan))]
+                return Modes(np.full((1, n), np.nan), np.full((1, n), np.nan), np.full((1, n, n), np.nan))
             each = ({name: own[i : i + 1] for name, own in parameters.items()} for i in range(count))
-            return [found for one in each for found in modes_of_all(system, one)]
-        return [_paired(own, shapes[:n]) for own, shapes in zip(rates, vectors, strict=True)]
+            parts = [vars(modes_of_all(system, one)) for one in each]
+            return Modes(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+        return _paired(rates, vectors[:, :n])
 
 
 def _paired(rates: np.ndarray, shapes: np.ndarray) -> Modes:
-    """Modes from the eigenvalues (2 n,) of a state matrix and the displacements (n, 2 n) of its eigenvectors."""
-    order = np.argsort(np.abs(rates))
-    rates, shapes = rates[order], shapes[:, order]
-    real = np.flatnonzero(rates.imag == 0)
-    pairs = [(i, i) for i in np.flatnonzero(rates.imag > 0)] + list(zip(real[::2], real[1::2], strict=False))
-    sizes = np.array([np.sqrt(np.abs(rates[i] * rates[j])) for i, j in pairs])
-    decays = np.array([-(rates[i] + rates[j]).real / 2 for i, j in pairs])
-    order = np.argsort(sizes)
-    chosen = np.stack([shapes[:, i] for i, _ in pairs], axis=1)
-    return Modes(sizes[order] / (2 * np.pi), decays[order] / sizes[order], chosen[:, order])
+    """Modes from the eigenvalues (count, 2 n) of state matrices and the displacements (count, n, 2 n) of eigenvectors.
+
+    One of each conjugate pair makes a mode, and two real ones that follow each other in size.
+    """
+    kinds = np.select([rates.imag > 0, rates.imag == 0], [0, 1], 2)
+    order = np.lexsort((np.abs(rates), kinds))
+    place, vibrating = np.arange(shapes.shape[1]), np.sum(kinds == 0, axis=1, keepdims=True)
+    first = np.where(place < vibrating, place, 2 * place - vibrating)
+    second = np.where(place < vibrating, first, first + 1)
+    slower, faster = (np.take_along_axis(order, own, axis=1) for own in (first, second))
+    one, other = (np.take_along_axis(rates, own, axis=1) for own in (slower, faster))
+    sizes, decays = np.sqrt(np.abs(one * other)), -(one + other).real / 2
+    order = np.argsort(sizes, axis=1)
+    sizes, decays, chosen = (np.take_along_axis(own, order, axis=1) for own in (sizes, decays, slower))
+    return Modes(sizes / (2 * np.pi), decays / sizes, np.take_along_axis(shapes, chosen[:, None], axis=2))
 
 
 def mac(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Modal assurance criterion of shapes (n_dof, n) and (n_dof, m), (n, m): 1 where they are the same but for scale.
 
-    ``|a' b|² / ((a' a) (b' b))`` (R. J. Allemang, Sound and Vibration 37(8):14, 2003).
+    ``|a' b|² / ((a' a) (b' b))`` (R. J. Allemang, Sound and Vibration 37(8):14, 2003). Leading axes are kept.
     """
-    crossed = np.abs(a.conj().T @ b) ** 2
-    return np.asarray(crossed / np.outer(np.sum(np.abs(a) ** 2, axis=0), np.sum(np.abs(b) ** 2, axis=0)))
+    crossed = np.abs(np.swapaxes(a.conj(), -1, -2) @ b) ** 2
+    own, others = (np.sum(np.abs(shapes) ** 2, axis=-2) for shapes in (a, b))
+    return np.asarray(crossed / (own[..., :, None] * others[..., None, :]))
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Identified modes against true ones, each matched to one by shape.
+    """Identified modes against true ones, each matched to one by shape; numbers, or arrays by replicate.
 
     ``frequency_pct`` and ``damping_pct``: root mean square over the modes of the relative error (%); ``least_mac``: the
     worst agreement in shape.
     """
 
-    frequency_pct: float
-    damping_pct: float
-    least_mac: float
+    frequency_pct: np.ndarray
+    damping_pct: np.ndarray
+    least_mac: np.ndarray
 
 
 def agreement(identified: Modes, true: Modes) -> Agreement:
-    """How well the modes agree; infinite errors and a MAC of 0 where the identified ones are not finite."""
-    if not all(np.all(np.isfinite(part)) for part in vars(identified).values()):
-        return Agreement(float("inf"), float("inf"), 0.0)
-    likeness = mac(true.shapes, identified.shapes)
-    # where shapes do not tell (one DOF, or sensors alike), frequencies do
-    distance = np.abs(np.log(np.maximum(identified.frequencies, 1e-300) / true.frequencies[:, None]))
-    mine, theirs = linear_sum_assignment(-likeness + 0.1 * np.minimum(distance, 1.0))
+    """How well modes, of one or several replicates, agree with true ones of one.
 
-    def rms(found: np.ndarray, wanted: np.ndarray) -> float:
-        return float(100.0 * np.sqrt(np.mean((found[theirs] / wanted[mine] - 1.0) ** 2)))
+    Infinite errors and a MAC of 0 where the identified ones are not finite, or so far apart that the slower ones are
+    rounding errors of the faster: of a fit that ran away.
+    """
+    finite = np.isfinite(identified.shapes).all(axis=(-2, -1))
+    for numbers in (identified.frequencies, identified.damping_ratios):
+        finite = finite & np.isfinite(numbers).all(axis=-1)
+    with np.errstate(all="ignore"):
+        finite &= identified.frequencies.max(axis=-1) < RESOLVED * identified.frequencies.min(axis=-1)
+        likeness = mac(true.shapes, identified.shapes)
+        # where shapes do not tell (one DOF, or sensors alike), frequencies do
+        near = np.abs(np.log(np.maximum(identified.frequencies, 1e-300)[..., None, :] / true.frequencies[:, None]))
+    costs = np.where(finite[..., None, None], -likeness + 0.1 * np.minimum(near, 1.0), 0.0)
+    each = [linear_sum_assignment(own)[1] for own in costs.reshape(-1, *costs.shape[-2:])]
+    theirs = np.array(each, int).reshape(costs.shape[:-1])
 
+    def rms(found: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        errors = np.take_along_axis(found, theirs, axis=-1) / wanted - 1.0
+        return np.where(finite, 100.0 * np.sqrt(np.mean(errors**2, axis=-1)), np.inf)
+
+    matched = np.take_along_axis(likeness, theirs[..., None], axis=-1)
     return Agreement(
         rms(identified.frequencies, true.frequencies),
         rms(identified.damping_ratios, true.damping_ratios),
-        float(likeness[mine, theirs].min()),
+        np.where(finite, matched.min(axis=(-2, -1)), 0.0),
     )

@@ -14,7 +14,7 @@ from bench.config.experiment import sweep
 from bench.config.overrides import overrides_of
 from bench.config.schema import Job
 from bench.errors import InputError
-from bench.face.results import finite
+from bench.face.results import nulls
 from bench.measured.record import Table, identify_record, report, table_of
 from bench.reporting.terminal_tables import record_page
 
@@ -71,7 +71,7 @@ class Identification:
 
     def as_dict(self) -> dict[str, Any]:
         """All of it, ready for JSON: null stands for what is not finite."""
-        found: dict[str, Any] = _nulls(self._plain())
+        found: dict[str, Any] = nulls(self._plain())
         return found
 
     def _plain(self) -> dict[str, Any]:
@@ -187,12 +187,3 @@ def identification(job: Job, table: Table | None = None) -> Identification:
         residuals=None if residuals is None else Residuals(**{**residuals, "values": np.array(residuals["values"])}),
         scale_is_free=problem.prior is None and not problem.forced,
     )
-
-
-def _nulls(value: Any) -> Any:
-    """The same with null for numbers that JSON cannot hold."""
-    if isinstance(value, float):
-        return finite(value)
-    if isinstance(value, dict):
-        return {key: _nulls(item) for key, item in value.items()}
-    return [_nulls(item) for item in value] if isinstance(value, list) else value

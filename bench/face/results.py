@@ -68,8 +68,7 @@ class Result:
         facts = self.facts()
         if self.stored is None:
             return facts
-        scores = {name: {key: finite(value) for key, value in own.items()} for name, own in self.scores().items()}
-        return {**facts, "metrics": scores}
+        return {**facts, "metrics": nulls(self.scores())}
 
 
 @dataclass(frozen=True)
@@ -229,6 +228,10 @@ def compute(
     return Results(tuple(cells), store)
 
 
-def finite(value: float) -> float | None:
-    """The number, or None for what JSON cannot hold."""
-    return value if math.isfinite(value) else None
+def nulls(value: Any) -> Any:
+    """The same with None for every number that JSON cannot hold."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: nulls(item) for key, item in value.items()}
+    return [nulls(item) for item in value] if isinstance(value, list) else value

@@ -113,9 +113,8 @@ def structure(
 
     ``forced``: the DOFs on which a known force with generic derivatives acts. ``start``: displacement and velocity at
     time 0 where they are told; generic values by default, and where the response has no Taylor series at ``start``.
-    Hidden states start from zero. Raises InputError for a DOF that the system does not have, or without sympy.
+    Hidden states start from zero. Raises InputError for a DOF that the system does not have.
     """
-    _require_sympy()
     measured = range(system.n_dof) if measured is None else measured
     check_dofs(system, measured)
     n = len(system.names)
@@ -151,13 +150,6 @@ def check_dofs(system: System, measured: Sequence[int]) -> None:
     if not measured or len(set(measured)) != len(measured) or not set(measured) <= set(range(system.n_dof)):
         known = ", ".join(map(str, range(system.n_dof)))
         raise InputError("measured", list(measured), f"a list of DOFs, each once; {system.name} has {known}")
-
-
-def _require_sympy() -> None:
-    try:
-        import sympy  # noqa: F401
-    except ImportError:
-        raise InputError("sympy", "missing", "pip install 'vibration-bench[identifiability]'") from None
 
 
 def _jacobian(

@@ -27,8 +27,14 @@ import psutil
 from bench.isolation.mainless import without_main
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
-NEEDED = ("bench.isolation.processes", "bench.sweep.method_process", "bench.sweep.scoring_process", "scipy.integrate")
-"""Modules that children import from their server; the last makes the truth of a nonlinear system."""
+NEEDED = (
+    "bench.isolation.processes",
+    "bench.sweep.method_process",
+    "bench.sweep.scoring_process",
+    "scipy.integrate",  # makes the truth of a nonlinear system
+    "scipy.interpolate",  # which most methods use: each of their processes would import it anew
+)
+"""Modules that children import from their server."""
 LOG_TAIL = 8000
 """How much of what a child printed is kept (characters)."""
 READY_S = 300.0
@@ -144,7 +150,7 @@ class Child:
         total = 0.0
         with contextlib.suppress(psutil.Error):
             process = psutil.Process(self.process.pid)
-            for one in (process, *process.children(recursive=True)):
+            for one in (process, *_descendants(process)):
                 with contextlib.suppress(psutil.Error):
                     total += one.memory_info().rss / 2**20
         return total
@@ -218,6 +224,14 @@ def serve_child(
         os._exit(1)
     # what it started goes with it, and no library's clean-up can hang
     os.killpg(0, signal.SIGKILL)
+
+
+def _descendants(process: psutil.Process) -> list[psutil.Process]:
+    """All that a process started. To find any takes a look at every process there is, so that waits until there are."""
+    with contextlib.suppress(OSError):  # where the kernel keeps no such lists
+        if not any((task / "children").read_bytes() for task in Path(f"/proc/{process.pid}/task").iterdir()):
+            return []
+    return process.children(recursive=True)  # type: ignore[no-any-return]
 
 
 def _end_with_parent(lifeline: Connection) -> None:

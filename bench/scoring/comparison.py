@@ -10,6 +10,7 @@ their Application, 1997, section 3.8).
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -143,8 +144,8 @@ def adjusted(comparisons: Sequence[Comparison]) -> list[Comparison]:
 
 
 def _pair(a: str, b: str, ratios: np.ndarray, resamples: np.ndarray, p: float) -> Comparison:
-    medians = _median(ratios[resamples])
-    low, high = np.quantile(medians, [0.025, 0.975], method="inverted_cdf")
+    medians = _resampled_medians(ratios, resamples)
+    low, high = np.sort(medians)[[math.ceil(level * RESAMPLES) - 1 for level in (0.025, 0.975)]]
     sizes = medians[np.isfinite(medians)]
     error = float(np.std(sizes)) if sizes.size > 1 else np.inf
     with np.errstate(over="ignore"):
@@ -208,6 +209,19 @@ def _median(values: np.ndarray) -> np.ndarray:
     """Medians along the last axis where values may be infinite, the lower of the middle two."""
     middle = (values.shape[-1] - 1) // 2
     return np.asarray(np.partition(values, middle, axis=-1)[..., middle])
+
+
+def _resampled_medians(values: np.ndarray, resamples: np.ndarray) -> np.ndarray:
+    """The medians, as :func:`_median` has them, of resamples of values (n,).
+
+    Of ranks, since what is sorted is then half as large, and in no memory but that of the ranks drawn.
+    """
+    order, middle = np.argsort(values), (values.size - 1) // 2
+    ranks = np.empty(values.size, np.int32)
+    ranks[order] = np.arange(values.size)
+    drawn = ranks[resamples]
+    drawn.partition(middle, axis=1)
+    return np.asarray(values[order[drawn[:, middle]]])
 
 
 def _resamples(scenario: np.ndarray) -> np.ndarray:

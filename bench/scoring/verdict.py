@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-RESAMPLES = 2000
+from bench.scoring.resampling import shares
+
 DECIDED_BY_PRIOR = 0.5
 """A number is not decidable where more than this part of our mean square error is the prior's."""
 
@@ -48,5 +49,5 @@ def _place(value: float, sample: np.ndarray) -> str:
 
 
 def _means(values: np.ndarray) -> np.ndarray:
-    index = np.random.default_rng(0).integers(0, values.size, (RESAMPLES, values.size))
-    return np.asarray(values[index].mean(axis=1))
+    finite, drawn = np.isfinite(values), shares(values.size)
+    return np.asarray(np.where(drawn @ ~finite > 0, np.inf, drawn @ np.where(finite, values, 0.0)))

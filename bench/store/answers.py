@@ -24,6 +24,7 @@ class Answer(NamedTuple):
 
 def answers(store: Store, identities: Collection[str]) -> dict[str, Answer]:
     """The stored ones among some cells, by identity."""
+    identities = set(identities).intersection(store.identities()) if len(identities) > FEW else identities
     if len(identities) > FEW:
         from bench.store import index
 

@@ -39,7 +39,7 @@ class Cell:
             "settings": dict(self.settings),
             "replicates": self.replicates,
             "seed": self.seed,
-            **self.scenario.to_dict(),
+            **_stated(self.scenario),
         }
 
     @property
@@ -53,3 +53,18 @@ class Cell:
         """Hash of the description: not of labels, limits, machine or place."""
         text = json.dumps(self.description(), sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+    @cached_property
+    def bound_identity(self) -> str:
+        """Hash of what the bound depends on, which many cells share."""
+        from bench.information.fisher import bound_identity  # loads scipy, which a mere look at cells does without
+
+        return bound_identity(self.scenario, self.seed)
+
+
+def _stated(scenario: Scenario) -> dict[str, Any]:
+    """The scenario as JSON holds it, worked out once: the cells of all methods have the same one."""
+    known = vars(scenario)
+    if "_stated" not in known:
+        known["_stated"] = scenario.to_dict()
+    return dict(known["_stated"])

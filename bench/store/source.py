@@ -23,6 +23,7 @@ EFFECTS = "(statements)"
 """The name of what a module does when it is imported, beside binding names."""
 LAYOUT = frozenset({"ctx", "kind", "type_comment", "returns", "annotation"})
 """Fields of a syntax tree that change no number; the annotations of a class body are kept."""
+IMPORTS = (ast.ImportFrom, ast.Import)
 
 
 @dataclass(frozen=True)
@@ -74,18 +75,19 @@ class _Text:
 
     def add(self, node: object, silent: bool = False) -> None:
         """Append a node; ``silent`` where its sentences do not count."""
-        if isinstance(node, list):
+        if isinstance(node, ast.AST):
+            if isinstance(node, IMPORTS) and self._import(node):
+                return
+            if silent and _is_sentence(node):
+                self.parts.append("''")
+            else:
+                self._node(node, silent)
+        elif isinstance(node, list):
             self.parts.append("[")
             for item in node:
                 if not _is_text(item):
                     self.add(item, silent)
             self.parts.append("]")
-        elif isinstance(node, ast.ImportFrom | ast.Import) and self._import(node):
-            return
-        elif silent and _is_sentence(node):
-            self.parts.append("''")
-        elif isinstance(node, ast.AST):
-            self._node(node, silent)
         else:
             self.parts.append(repr(node))
 

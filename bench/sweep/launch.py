@@ -252,8 +252,8 @@ def fits_bar(n_fits: int, first: str = "", shown: bool = True) -> Iterator[Progr
         bar.set_description(first)
 
         def on_progress(cell: Cell, n: int) -> None:
-            bar.set_description(f"{cell.label} {cell.scenario.snr_db:g} dB")
-            bar.update(n)
+            bar.set_description(f"{cell.label} {cell.scenario.snr_db:g} dB", refresh=False)
+            bar.update(n)  # draws it, from time to time
 
         yield on_progress
 

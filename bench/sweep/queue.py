@@ -118,7 +118,8 @@ class CellQueue:
         self.store, self.claims = store, Claims(store.claims)
         self.events: queue.Queue[Any] = queue.Queue()
         self.n_tasks = sum(max(1, len(queued.pending)) for queued in cells)
-        self.methods = {queued.cell.method for queued in cells}
+        self.wanted = tuple(queued.cell for queued in cells)
+        self.methods = {cell.method for cell in self.wanted}
         self._waiting = deque(cells)
         self._open: list[QueuedCell] = []
         self._lock = threading.Lock()

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import load_method
-from bench.information.fisher import bound_identity, load_bounds
+from bench.information.fisher import load_bounds
 from bench.isolation.processes import Children
 from bench.scoring.row import Row
 from bench.store.cell import Cell
@@ -93,9 +93,10 @@ def _hand_over(cells: CellQueue, on_rows: OnRows) -> None:
 
 def _make_bounds(wanted: Sequence[Planned], store: Store) -> None:
     """The bounds of all cells, in the store; an interrupt does not wait for the process that computes them."""
+    different = {one.cell.bound_identity: one.cell for one in wanted}
     try:
-        store.fetch_bounds({bound_identity(one.cell.scenario, one.cell.seed) for one in wanted})
-        load_bounds([(one.cell.scenario, one.cell.seed) for one in wanted], store.bounds)
+        store.fetch_bounds(different.keys())
+        load_bounds([(cell.scenario, cell.seed) for cell in different.values()], store.bounds)
     except KeyboardInterrupt:
         for child in multiprocessing.active_children():
             child.kill()

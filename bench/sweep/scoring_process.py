@@ -19,7 +19,7 @@ import numpy as np
 from bench.contract.estimate import Draws, Estimate, Status
 from bench.contract.problem import Problem
 from bench.entrants.reference import REFERENCES
-from bench.information.fisher import Bound, bound_identity, load_bounds
+from bench.information.fisher import Bound, load_bounds
 from bench.isolation.failure import one_line
 from bench.scenario.scenario import METHOD
 from bench.scenario.truth import Truth
@@ -124,10 +124,9 @@ class Scorer:
         return [Scored(row, failure.log, facts=facts(truth))]
 
     def _bound(self, cell: Cell, store: Store) -> Bound:
-        identity = bound_identity(cell.scenario, cell.seed)
-        if identity not in self.bounds:
-            self.bounds = {identity: load_bounds([(cell.scenario, cell.seed)], store.bounds)[0]}
-        return self.bounds[identity]
+        if cell.bound_identity not in self.bounds:
+            self.bounds = {cell.bound_identity: load_bounds([(cell.scenario, cell.seed)], store.bounds)[0]}
+        return self.bounds[cell.bound_identity]
 
     def _scored(self, cell: Cell, outcome: Mapping[str, Any]) -> Scored:
         replicate = outcome["replicate"]

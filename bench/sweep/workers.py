@@ -185,6 +185,8 @@ class Writer(RunThread):
         self.workers = workers
 
     def work(self) -> None:
+        for cell in self.cells.wanted:  # read off the source once a method: now, while the first fits start
+            _ = cell.version
         while not self.cells.stopped:
             over = not any(one.is_alive() for one in self.workers)  # before the look: what is complete then is all
             try:

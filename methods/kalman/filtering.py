@@ -38,16 +38,7 @@ from functools import partial
 
 import numpy as np
 
-from bench import (
-    SIGMA_FLOOR,
-    Cost,
-    Estimate,
-    InputError,
-    NoEstimate,
-    OutputError,
-    Problem,
-    estimate_at,
-)
+from bench import SIGMA_FLOOR, Cost, Estimate, InputError, NoEstimate, OutputError, Problem, estimate_at
 from methods.kalman.joint import Chain, Joint, first_belief
 
 LEVELS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)

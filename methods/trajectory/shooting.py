@@ -16,6 +16,8 @@ could still win is solved by shooting, and the best objective is kept.
 Where all parameters are told without a prior (a known force, an added mass), the likelihood may have no maximum at
 positive ones, as where the noise hides the damping: then all are solved again with a very wide prior about the first
 start, which no output-error step has moved.
+Linear systems have the same maximum without cuts, for their motion is known exactly: they are solved many at a time by
+:mod:`methods.trajectory.together`, and by the programme only where a search there does not end at a maximum.
 The covariance is the inverse of the Hessian reduced to the space that satisfies the constraints, with Student's t at
 ``N - p`` degrees of freedom. The programme itself is :mod:`methods.trajectory.programme`.
 """
@@ -55,6 +57,7 @@ from methods.trajectory.programme import (
     misfit_scale,
     reduced,
 )
+from methods.trajectory.together import Rules, Solution, solve_from, solve_together
 
 SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
 MAX_SUBSTEPS = SUBSTEPS[-1]
@@ -102,8 +105,21 @@ class Shooting(Identifier):
     extra: ClassVar[str] = "casadi"
     works_in = "natural units"
 
+    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Estimate linear systems together, where that is the same maximum; all others by shooting, one by one."""
+        models = [OutputError(problem) for problem in problems]
+        rules = Rules(self.starts, self.screen_iterations, self.margin, self.sigma_rounds, self.sigma_tolerance)
+        answers = [
+            _answer(model, found, rules) if found is not None else None
+            for model, found in zip(models, solve_together(models, rules), strict=True)
+        ]
+        return [
+            self._estimate_or_failure(problem, rng) if answer is None else answer
+            for problem, rng, answer in zip(problems, rngs, answers, strict=True)
+        ]
+
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Estimate all parameters, or the groups where nothing tells the scale. Uses no randomness."""
+        """Estimate all parameters, or the groups where nothing tells the scale, by shooting. Uses no randomness."""
         model = OutputError(problem)
         found = screened(_head(model), self.starts, rounds=1, iterations=self.screen_iterations)
         if not found:
@@ -185,13 +201,50 @@ class _Fit:
     profile: float = np.inf
 
 
+def _answer(model: OutputError, found: Solution, rules: Rules) -> Estimate | None:
+    """The estimate of a solution, or of that with a very wide prior where it leaves a parameter open.
+
+    None where no maximum is found so, or the data leave a parameter open all the same.
+    """
+    covariance, message = model.covariance(found.slopes, found.sigma), ""
+    if model.prior is None and model.problem.scale_told and covariance is not None and _open(model, covariance):
+        held = _held(model, found, left_open(np.diag(covariance)[: len(model.free)]), rules)
+        if held is None:
+            return None
+        (model, found), message = held, HELD
+        covariance = model.covariance(found.slopes, found.sigma)
+    if covariance is None:
+        return None
+    cost = Cost(found.iterations, found.iterations)
+    return estimate_at(model, found.theta, covariance, found.used, cost, message)
+
+
+def _held(model: OutputError, found: Solution, opened: np.ndarray, rules: Rules) -> tuple[OutputError, Solution] | None:
+    """The same problem with a very wide prior, and its solution from where the open parameters started.
+
+    The prior is about the data's start where a parameter is open, and about what was found where it is not: there it
+    says next to nothing.
+    """
+    theta, k = found.theta.copy(), len(model.free)
+    theta[:k] = np.where(opened, found.first[:k], theta[:k])
+    prior = very_wide({name: float(value) for name, value in model.parameters(theta).items()})
+    held = OutputError(replace(model.problem, prior=prior))
+    solution = solve_from(held, theta[None], rules)
+    return None if solution is None else (held, solution)
+
+
+def _open(model: OutputError, covariance: np.ndarray) -> bool:
+    """Whether any parameter is left more open than the very wide prior would."""
+    return bool(np.any(left_open(np.diag(covariance)[: len(model.free)])))
+
+
 def _closed(model: OutputError, fits: Sequence[_Fit]) -> bool:
     """Whether the best of the solutions leaves no parameter more open than the very wide prior would."""
     if not fits:
         return False
     best = min(fits, key=lambda fit: fit.profile)
     covariance = model.covariance(best.slopes, best.sigma)
-    return covariance is not None and not np.any(left_open(np.diag(covariance)[: len(model.free)]))
+    return covariance is not None and not _open(model, covariance)
 
 
 def _within(prior: Prior, theta: np.ndarray) -> np.ndarray:

@@ -160,7 +160,7 @@ def line(result: Result) -> dict[str, Any]:
         "rmse_m": stored.summary["rmse"]["median"],
         "rmse_excess": stored.summary["rmse"]["excess"],
         "parameters_excess": pooled_excess(scored, system.names),
-        "ratios_excess": pooled_excess(scored, [group.name for group in system.groups]),
+        "ratios_excess": pooled_excess(scored, tuple(group.name for group in system.groups)),
         "message": failed[0].message if failed else "",
     }
 

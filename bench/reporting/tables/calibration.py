@@ -7,14 +7,12 @@ spread, and the share of the displacement inside the band.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from bench.reporting.frame import Frame, Result
 from bench.reporting.labels import title as title_of
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.common import Line, csv, markdown_table
 from bench.scoring.calibration import calibration
 
 SYMBOLS = {"k_over_m": "k/m", "c_over_m": "c/m"}
@@ -28,17 +26,17 @@ points in each replicate, where the true displacement lies in the method's own 9
 uncertainty. A verdict is wrong in one case of twenty by chance alone."""
 
 
-def lines(results: Iterable[Result]) -> pd.DataFrame:
+def lines(results: Iterable[Result]) -> list[Line]:
     """One line a method, noise, start and quantity."""
-    rows: list[dict[str, Any]] = []
+    rows: list[Line] = []
     for result in results:
         for name in SYMBOLS if result.stored else ():
             head = {"method": result.label, "initial_state": result.initial_state, "snr_db": result.snr_db}
             rows.append({**head, "quantity": name, **_judged(result, name)})
-    return pd.DataFrame(rows)
+    return rows
 
 
-def _judged(result: Result, name: str) -> dict[str, Any]:
+def _judged(result: Result, name: str) -> Line:
     levels, inside = (result.scores(score) for score in (f"{name}_pit", "band_inside_95"))
     levels, inside = levels[~np.isnan(levels)], inside[~np.isnan(inside)]
     band = {"band_95": float(np.mean(inside)) if inside.size else np.nan}
@@ -53,31 +51,33 @@ def _judged(result: Result, name: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def markdown(data: pd.DataFrame, title: str) -> str:
+def markdown(data: Iterable[Line], title: str) -> str:
     """The table for reading."""
+    panels: dict[str, dict[tuple[str, float], dict[str, Line]]] = {}
+    for line in data:
+        rows = panels.setdefault(line["initial_state"], {})
+        rows.setdefault((line["method"], line["snr_db"]), {})[line["quantity"]] = line
+    headers = ["method", "SNR (dB)", "n"]
+    headers += [f"{symbol} {what}" for symbol in SYMBOLS.values() for what in ("95 %", "sd of z", "verdict")]
     parts = [f"# {title}", LEGEND]
-    for told, panel in data.groupby("initial_state", sort=False):
-        rows = [_row(own) for _, own in panel.groupby(["method", "snr_db"], sort=False)]
-        headers = ["method", "SNR (dB)", "n"]
-        headers += [f"{symbol} {what}" for symbol in SYMBOLS.values() for what in ("95 %", "sd of z", "verdict")]
-        parts += [f"## Initial state {told}", markdown_table(rows, [*headers, "band 95 %"])]
+    for told, rows in panels.items():
+        table = markdown_table([_row(*place, own) for place, own in rows.items()], [*headers, "band 95 %"])
+        parts += [f"## Initial state {told}", table]
     return "\n\n".join(parts) + "\n"
 
 
-def _row(own: pd.DataFrame) -> list[str]:
+def _row(method: str, snr: float, own: Mapping[str, Line]) -> list[str]:
     """One method at one noise level, its quantities side by side."""
-    by_name = own.set_index("quantity")
-    method, snr = str(own.method.iloc[0]), float(own.snr_db.iloc[0])
-    cells = [title_of(method), f"{snr:g}", str(by_name.n.iloc[0])]
+    first = next(iter(own.values()))
+    cells = [title_of(method), f"{snr:g}", str(first["n"])]
     for name in SYMBOLS:
-        line = by_name.loc[name]
-        if line.verdict == "-":
+        line = own[name]
+        if line["verdict"] == "-":
             cells += ["-", "-", "-"]
             continue
-        share = f"{100 * line.coverage_95:.1f} ({100 * line.low_95:.1f} to {100 * line.high_95:.1f})"
-        cells += [share, f"{line.sd_z:.2f}", line.verdict]
-    band = by_name.band_95.iloc[0]
-    return [*cells, f"{100 * band:.1f}" if np.isfinite(band) else "-"]
+        share, low, high = (f"{100 * line[key]:.1f}" for key in ("coverage_95", "low_95", "high_95"))
+        cells += [f"{share} ({low} to {high})", f"{line['sd_z']:.2f}", line["verdict"]]
+    return [*cells, f"{100 * first['band_95']:.1f}" if np.isfinite(first["band_95"]) else "-"]
 
 
 def calibration_table(frame: Frame) -> Mapping[str, str]:
@@ -87,4 +87,4 @@ def calibration_table(frame: Frame) -> Mapping[str, str]:
     data = lines(frame)
     text = f"{markdown(data, frame.title)}\nRegenerate: `{frame.command}`\n"
     name = frame.experiment
-    return {f"{name}.md": text, f"{name}.csv": data.to_csv(index=False, float_format="%.5g")}
+    return {f"{name}.md": text, f"{name}.csv": csv(data, 5)}

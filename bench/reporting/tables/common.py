@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from csv import writer as csv_writer
 from typing import Any
 
 from tabulate import tabulate
@@ -14,6 +17,8 @@ from bench.scoring.comparison import Standing, standing
 
 PRIMARY = ("k_over_m_error_pct", "c_over_m_error_pct", "rmse")
 """The metrics that methods are ranked on in Tables 2 to 5: what the data tell."""
+Line = Mapping[str, Any]
+"""A line of a tidy table: its values by column."""
 Rows = tuple[list[list[str]], list[str]]
 """The rows of a table, and its headers."""
 
@@ -66,8 +71,17 @@ def _latex_table(caption: str, rows: Sequence[Sequence[str]], headers: Sequence[
     return f"\\begin{{table}}\n\\centering\n\\small\n\\caption{{{caption}}}\n{body}\n\\end{{table}}\n"
 
 
-def csv(lines: Sequence[dict[str, Any]], digits: int = 6, columns: Sequence[str] | None = None) -> str:
-    """Lines as CSV, numbers with so many significant digits."""
-    import pandas as pd
+def csv(lines: Sequence[Line], digits: int = 6, columns: Sequence[str] | None = None) -> str:
+    """Lines as CSV, numbers with so many significant digits, nothing for what is NaN or not there."""
+    names = columns or dict.fromkeys(name for line in lines for name in line)
+    text = io.StringIO()
+    writer = csv_writer(text, lineterminator="\n")
+    writer.writerow(names)
+    for line in lines:
+        values = map(line.get, names)
+        writer.writerow([_rounded(value, digits) if isinstance(value, float) else value for value in values])
+    return text.getvalue()
 
-    return str(pd.DataFrame(lines, columns=columns).to_csv(index=False, float_format=f"%.{digits}g"))
+
+def _rounded(value: float, digits: int) -> str:
+    return "" if math.isnan(value) else f"{value:.{digits}g}"

@@ -25,7 +25,7 @@ from bench.reporting.tables.common import (
     ranked,
 )
 from bench.scoring.comparison import Standing
-from bench.scoring.summary import RESAMPLES
+from bench.scoring.resampling import RESAMPLES
 from bench.scoring.verdict import Verdict, judge
 
 COLUMNS = (

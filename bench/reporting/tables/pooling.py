@@ -8,24 +8,28 @@ from functools import cache
 
 import numpy as np
 
-from bench.dynamics.modal import Agreement, agreement, modes, modes_of_all
+from bench.dynamics.modal import Modes, agreement, modes, modes_of_all
 from bench.reporting.frame import ERROR, Result
 from bench.scenario.scenario import Scenario
 from bench.scoring.summary import wilson_interval
+from bench.systems import System
 
-MODAL = {"frequencies_error_pct": "frequency_pct", "damping_ratios_error_pct": "damping_pct", "least_mac": "least_mac"}
-"""Metrics that are computed here from the identified parameters, and where they stand in an Agreement."""
-FAILED = Agreement(math.inf, math.inf, 0.0)
+MODAL = {
+    "frequencies_error_pct": ("frequency_pct", math.inf),
+    "damping_ratios_error_pct": ("damping_pct", math.inf),
+    "least_mac": ("least_mac", 0.0),
+}
+"""Metrics computed here from the identified parameters: where they stand in an Agreement, and what a failure has."""
 
 
-def pooled_quantities(scenario: Scenario, identifiable: Mapping[str, bool]) -> list[str]:
+def pooled_quantities(scenario: Scenario, identifiable: Mapping[str, bool]) -> tuple[str, ...]:
     """The quantities that the data tell: all parameters, else the groups; where neither is told, all parameters."""
     system = scenario.make_system()
-    groups = [group.name for group in system.groups]
-    for names in (list(system.names), groups):
+    groups = tuple(group.name for group in system.groups)
+    for names in (system.names, groups):
         if all(identifiable.get(name, False) for name in names):
             return names
-    return [name for name in groups if identifiable.get(name)] or list(system.names)
+    return tuple(name for name in groups if identifiable.get(name)) or system.names
 
 
 def pooled_bound(result: Result, names: Sequence[str]) -> float:
@@ -34,7 +38,8 @@ def pooled_bound(result: Result, names: Sequence[str]) -> float:
     return math.sqrt(float(np.mean(np.square(bounds)))) if bounds else math.nan
 
 
-def pooled_errors(result: Result, names: Sequence[str]) -> np.ndarray:
+@cache
+def pooled_errors(result: Result, names: tuple[str, ...]) -> np.ndarray:
     """By replicate, the root mean square over the quantities of error over bound; infinite where it failed."""
     bounds = np.array([result.bound(name + ERROR) for name in names])
     errors = np.stack([result.errors(name + ERROR) for name in names], axis=1)
@@ -46,14 +51,16 @@ def pooled_errors(result: Result, names: Sequence[str]) -> np.ndarray:
         return np.asarray(np.sqrt(np.mean(ratios**2, axis=1)))
 
 
-def pooled_excess(result: Result, names: Sequence[str]) -> float:
+@cache
+def pooled_excess(result: Result, names: tuple[str, ...]) -> float:
     """Root mean square of the pooled errors over the successful replicates; NaN without any."""
     errors = pooled_errors(result, names)
     good = errors[np.isfinite(errors) & result.ok]
     return float(np.sqrt(np.mean(good**2))) if good.size else math.nan
 
 
-def pooled_coverage(result: Result, names: Sequence[str], level: int = 95) -> tuple[float, float, float]:
+@cache
+def pooled_coverage(result: Result, names: tuple[str, ...], level: int = 95) -> tuple[float, float, float]:
     """Share of the intervals of these quantities that held the truth, with Wilson's interval over the replicates.
 
     Intervals of one replicate are not independent of each other: the interval counts replicates, not intervals.
@@ -93,12 +100,19 @@ def modal_scores(result: Result) -> dict[str, np.ndarray]:
     system = scenario.make_system()
     if not system.linear or system.n_dof < 2 or not result.stored:
         return {}
-    true, parameters = modes(system, scenario.parameters), identified(result)
-    known = np.flatnonzero(np.all(np.isfinite(list(parameters.values())), axis=0))
-    found = [FAILED] * result.n
-    for i, own in zip(known, modes_of_all(system, {name: p[known] for name, p in parameters.items()}), strict=True):
-        found[i] = agreement(own, true)
-    return {metric: np.array([getattr(one, key) for one in found]) for metric, key in MODAL.items()}
+    true, parameters = _true_modes(system, tuple(scenario.parameters.items())), identified(result)
+    known = np.all(np.isfinite(list(parameters.values())), axis=0)
+    own = agreement(modes_of_all(system, {name: p[known] for name, p in parameters.items()}), true)
+    found = {}
+    for metric, (name, failed) in MODAL.items():
+        found[metric] = np.full(result.n, failed)
+        found[metric][known] = getattr(own, name)
+    return found
+
+
+@cache
+def _true_modes(system: System, parameters: tuple[tuple[str, float], ...]) -> Modes:
+    return modes(system, dict(parameters))
 
 
 def lower_median(values: np.ndarray) -> float:

@@ -8,19 +8,16 @@ better known than either of them: its interval resamples pairs.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from bench.reporting.frame import ERROR, Frame, Result
 from bench.reporting.labels import title as title_of
 from bench.reporting.rounding import excess_text, number
-from bench.reporting.tables.common import markdown_table
-from bench.scoring.summary import RESAMPLES
+from bench.reporting.tables.common import Line, csv, markdown_table
+from bench.scoring.resampling import shares
 from bench.store.store import Store
 
 COLUMNS = (
@@ -77,27 +74,21 @@ def ratio(disturbed: np.ndarray, undisturbed: np.ndarray) -> tuple[float, float,
     Pairs in which either failed (not finite) are left out; NaNs where fewer than two are left.
     """
     good = np.isfinite(disturbed) & np.isfinite(undisturbed)
-    squares = np.stack([disturbed[good], undisturbed[good]]) ** 2
-    if good.sum() < 2 or not np.any(squares[1]):
+    squares = np.stack([disturbed[good], undisturbed[good]], axis=1) ** 2
+    if good.sum() < 2 or not np.any(squares[:, 1]):
         return math.nan, math.nan, math.nan
-    above, below = squares[:, _resamples(squares.shape[1])].mean(axis=2)
+    above, below = (shares(len(squares)) @ squares).T
     low, high = np.quantile(np.sqrt(above / np.maximum(below, np.finfo(float).tiny)), [0.025, 0.975])
-    middle = squares.mean(axis=1)
+    middle = squares.mean(axis=0)
     return float(np.sqrt(middle[0] / middle[1])), float(low), float(high)
 
 
-@cache
-def _resamples(n: int) -> np.ndarray:
-    """Indices of resampled pairs, (RESAMPLES, n)."""
-    return np.random.default_rng(0).integers(0, n, (RESAMPLES, n))
-
-
-def tidy(found: Iterable[Pair]) -> pd.DataFrame:
+def tidy(found: Iterable[Pair]) -> list[Line]:
     """One line a cell and metric; a cell that was not run has n = 0."""
-    return pd.DataFrame([line for pair in found for line in _lines(pair)], columns=list(COLUMNS))
+    return [line for pair in found for line in _lines(pair)]
 
 
-def _lines(pair: Pair) -> Iterable[dict[str, Any]]:
+def _lines(pair: Pair) -> Iterable[Line]:
     own, plain = pair.disturbed, pair.plain
     head = {
         "disturbance": pair.kind, "size": own.scenario.disturbance.size if own.scenario.disturbance else math.nan,
@@ -116,24 +107,25 @@ def _lines(pair: Pair) -> Iterable[dict[str, Any]]:
         }  # fmt: skip
 
 
-def markdown(experiment: str, title: str, data: pd.DataFrame) -> str:
+def markdown(experiment: str, title: str, data: Sequence[Line]) -> str:
     """The table for reading: a panel a metric, then the coverage of the 95 % interval of k/m."""
+    own = {metric: [line for line in data if line["metric"] == metric] for metric, _ in PANELS}
     parts = [f"# {title}", LEGEND]
     for metric, heading in PANELS:
-        parts += [f"## {heading}", _panel(data[data.metric == metric], _excess_entry)]
-    parts += ["## Coverage of the 95 % interval of k/m, in percent", _panel(data[data.metric == COVERED], _coverage)]
-    missing = int((data[data.metric == COVERED].n == 0).sum())
+        parts += [f"## {heading}", _panel(own[metric], _excess_entry)]
+    parts += ["## Coverage of the 95 % interval of k/m, in percent", _panel(own[COVERED], _coverage)]
+    missing = sum(line["n"] == 0 for line in own[COVERED])
     parts += [f"{missing} cells were not run."] if missing else []
     parts.append(f"Regenerate: `python -m bench -m experiment={experiment} && python -m bench.tables`")
     return "\n\n".join(parts) + "\n"
 
 
-def _panel(data: pd.DataFrame, entry: Any) -> str:
-    columns = list(dict.fromkeys(zip(data.initial_state, data.disturbance, strict=True)))
-    lines = {(line.method, line.initial_state, line.disturbance): line for line in data.itertuples()}
+def _panel(data: Sequence[Line], entry: Callable[[Line], str]) -> str:
+    columns = list(dict.fromkeys((line["initial_state"], line["disturbance"]) for line in data))
+    lines = {(line["method"], line["initial_state"], line["disturbance"]): line for line in data}
     rows = [
         [title_of(method), *(entry(lines[method, *c]) if (method, *c) in lines else "-" for c in columns)]
-        for method in dict.fromkeys(data.method)
+        for method in dict.fromkeys(line["method"] for line in data)
     ]
     headers = ["method", *(_name(kind) + (" (start known)" if told == "known" else "") for told, kind in columns)]
     return markdown_table(rows, headers)
@@ -143,18 +135,19 @@ def _name(kind: str) -> str:
     return "undisturbed" if kind == "none" else kind.replace("_", " ")
 
 
-def _excess_entry(line: Any) -> str:
-    if not line.n:
+def _excess_entry(line: Line) -> str:
+    if not line["n"]:
         return "not run"
-    differs = line.disturbance != "none" and (line.ratio_low > 1 + TOLD_APART or line.ratio_high < 1 - TOLD_APART)
-    text = excess_text(line.excess) if math.isfinite(line.excess) else number(line.excess)
-    return text + (" *" if differs else "") + (f" ({line.n_ok}/{line.n})" if line.n_ok < line.n else "")
+    apart = line["ratio_low"] > 1 + TOLD_APART or line["ratio_high"] < 1 - TOLD_APART
+    excess, n_ok, n = line["excess"], line["n_ok"], line["n"]
+    text = excess_text(excess) if math.isfinite(excess) else number(excess)
+    return text + (" *" if apart and line["disturbance"] != "none" else "") + (f" ({n_ok}/{n})" if n_ok < n else "")
 
 
-def _coverage(line: Any) -> str:
-    if not line.n:
+def _coverage(line: Line) -> str:
+    if not line["n"]:
         return "not run"
-    return "-" if math.isnan(line.coverage_95) else f"{100 * line.coverage_95:.0f}"
+    return "-" if math.isnan(line["coverage_95"]) else f"{100 * line['coverage_95']:.0f}"
 
 
 def robustness_table(frame: Frame, store: Store) -> Mapping[str, str]:
@@ -165,5 +158,5 @@ def robustness_table(frame: Frame, store: Store) -> Mapping[str, str]:
     data = tidy(found)
     return {
         f"{frame.experiment}.md": markdown(frame.experiment, frame.title, data),
-        f"{frame.experiment}.csv": data.to_csv(index=False, float_format="%.6g"),
+        f"{frame.experiment}.csv": csv(data, columns=COLUMNS),
     }

@@ -80,7 +80,7 @@ class Panel:
         """Some stored result of a noise level, for what all share: bounds and identifiability."""
         return next((result for result in self.results if result.stored and result.snr_db == level), None)
 
-    def told_quantities(self, result: Result) -> list[str]:
+    def told_quantities(self, result: Result) -> tuple[str, ...]:
         """The quantities that the data tell, by what a result says of them."""
         return pooled_quantities(self.scenario, result.identifiable)
 
@@ -305,11 +305,11 @@ def _lines(table: str, panel: Panel, result: Result) -> Iterable[dict[str, Any]]
         yield {**head, "metric": metric, "median": lower_median(values), **count}
 
 
-def _pools(panel: Panel, result: Result) -> Mapping[str, list[str]]:
+def _pools(panel: Panel, result: Result) -> Mapping[str, tuple[str, ...]]:
     return {
         "told_pooled": panel.told_quantities(result),
-        "parameters_pooled": list(panel.model.names),
-        "groups_pooled": [group.name for group in panel.model.groups],
+        "parameters_pooled": panel.model.names,
+        "groups_pooled": tuple(group.name for group in panel.model.groups),
     }
 
 

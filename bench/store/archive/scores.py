@@ -14,7 +14,9 @@ used (``unsure``).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -27,6 +29,7 @@ ENDINGS = ("_error_pct", "_ratio", "_pit", *HITS, "_interval_score_pct", "_crps_
 FAMILIES = (*(ending.strip("_") for ending in ENDINGS), "other")
 MARGIN = 1e-10
 RAW, NORMAL = -1, 0
+ONE = int(to_codes(np.array(1.0)))
 COARSE = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 37, 50, 68, 92, 125, 170, 230, 310, 420)
 """Degrees of freedom that are tried first."""
 TRIED = 5
@@ -40,105 +43,101 @@ def family(name: str) -> str:
 
 def pack(names: Sequence[str], codes: np.ndarray) -> dict[str, Any]:
     """Small numbers for codes of shape (n_names, n): by family, with ``above``, ``unsure`` and ``dof``."""
-    packer = _Cell(names, codes.shape[1])
+    packer = _Cell(_layout(tuple(names)), codes.shape[1])
     packer.codes[:], packer.numbers[:] = codes, from_codes(codes)
     packer.dof = packer.best_dof()
     packer.above = packer.signs()
-    for rows, guess, exact in packer.guesses():
-        packer.keep(rows, guess, exact)
-    parts: dict[str, Any] = {name: packer.parts[packer.of(name)].ravel().astype(np.int32) for name in FAMILIES}
+    for step in packer.layout.steps:
+        packer.keep(step)
+    of = packer.layout.of
+    parts: dict[str, Any] = {name: packer.parts[rows].ravel().astype(np.int32) for name, rows in of.items()}
     unsure = np.flatnonzero(packer.doubtful).astype(np.int32)
     return parts | {"above": packer.above.ravel(), "unsure": unsure, "dof": packer.dof}
 
 
 class Unpacked:
-    """The codes of which :func:`pack` made some numbers, in the order of :meth:`_Cell.guesses`, as far as asked for."""
+    """The codes of which :func:`pack` made some numbers: those of a step, and of the steps it needs, as asked for."""
 
     def __init__(self, names: Sequence[str], n: int, packed: Mapping[str, Any]) -> None:
-        packer = self._packer = _Cell(names, n)
-        for name in FAMILIES:
-            rows = packer.of(name)
+        layout = _layout(tuple(names))
+        packer = self._packer = _Cell(layout, n)
+        for name, rows in layout.of.items():
             packer.parts[rows] = np.asarray(packed[name], np.int32).reshape(rows.size, n)
         packer.above[:] = np.asarray(packed["above"], bool).reshape(packer.above.shape)
         packer.dof = int(packed["dof"])
         packer.doubtful.flat[np.asarray(packed["unsure"], int)] = True
-        self.names, self.row = packer.names, packer.row
-        self._known, self._guesses = np.zeros(len(self.names), bool), packer.guesses()
+        self.names, self.row, self._known = layout.names, layout.row, set[int]()
 
     def numbers_of(self, name: str) -> np.ndarray:
-        """One score, (n,), NaN where it is missing; what comes behind it stays packed."""
-        while not self._known[self.row[name]]:
-            rows, guess, _ = next(self._guesses)
-            self._packer.restore(rows, guess)
-            self._known[rows] = True
+        """One score, (n,), NaN where it is missing; what it does not need stays packed."""
+        self._restore(self._packer.layout.step_of[name])
         return self._packer.values(name)
+
+    def _restore(self, number: int) -> None:
+        if number not in self._known:
+            step = self._packer.layout.steps[number]
+            for before in step.needs:
+                self._restore(before)
+            self._packer.restore(step)
+            self._known.add(number)
 
     @property
     def codes(self) -> np.ndarray:
         """Of all scores, (n_names, n)."""
-        for name in self.names:
-            self.numbers_of(name)
+        for number in range(len(self._packer.layout.steps)):
+            self._restore(number)
         return self._packer.codes
 
 
-class _Cell:
-    """The scores of one cell while they are packed or unpacked, both in the order of :meth:`guesses`."""
+@dataclass(frozen=True)
+class _Step:
+    """Scores that are guessed together, those of an ``ending`` of some quantities; none is where nothing is guessed.
 
-    def __init__(self, names: Sequence[str], n: int) -> None:
-        self.names, self.n = list(names), n
-        self.row = {name: i for i, name in enumerate(self.names)}
-        self.families = np.array([family(name) for name in self.names], object)
-        self.codes = np.zeros((len(self.names), n), np.int64)
-        self.parts = np.zeros((len(self.names), n), np.int64)
-        self.quantities = [name[: -len("_error_pct")] for name in self.names if name.endswith("_error_pct")]
-        self.above = np.zeros((len(self.quantities), n), bool)
-        self.doubtful = np.zeros((len(self.names), n), bool)
-        self.dof = RAW
-        self.numbers = np.zeros((len(self.names), n))
+    ``needs``: the steps that the guess is made from. An ``exact`` guess is the same on every machine.
+    """
+
+    ending: str
+    quantities: Sequence[str]
+    rows: Sequence[int]
+    needs: tuple[int, ...] = ()
+    exact: bool = True
+
+
+class _Layout:
+    """What the names of a cell's scores say: which stand together, and of what each is guessed."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self.names = names
+        self.row = {name: i for i, name in enumerate(names)}
+        self.families = [family(name) for name in names]
+        self.of = {own: np.flatnonzero([own == one for one in self.families]) for own in FAMILIES}
+        self.quantities = [name[: -len("_error_pct")] for name in names if name.endswith("_error_pct")]
+        self.place = {quantity: i for i, quantity in enumerate(self.quantities)}
         gauges = sorted({name[: -len("_error_pct")].partition("_over_")[2] for name in self.row if "_over_" in name})
         sources = {quantity: _sources(quantity, gauges, self.row) for quantity in self.quantities}
         self.sources = {quantity: found for quantity, found in sources.items() if found}
+        self.steps = self._steps()
+        self.step_of = {names[row]: number for number, step in enumerate(self.steps) for row in step.rows}
 
-    def of(self, family_: str) -> np.ndarray:
-        return np.flatnonzero(self.families == family_)
-
-    def values(self, name: str) -> np.ndarray:
-        """The numbers of a score, once its codes are known."""
-        return np.asarray(self.numbers[self.row[name]])
-
-    def keep(self, rows: Sequence[int], guess: np.ndarray | None, exact: bool) -> None:
-        """Differences of some rows from a guess, shape (len(rows), n); an exact one is the same on every machine.
-
-        No guess is as one of zeros.
-        """
-        expected: Any = 0 if guess is None else _expected(guess)
-        if guess is not None and not exact:
-            doubtful = to_codes(guess * (1 - MARGIN)) != to_codes(guess * (1 + MARGIN))
-            self.doubtful[rows] = doubtful
-            expected = np.where(doubtful, 0, expected)
-        self.parts[rows] = _folded(self.codes[rows] - expected)
-
-    def restore(self, rows: Sequence[int], guess: np.ndarray | None) -> None:
-        expected: Any = 0 if guess is None else np.where(self.doubtful[rows], 0, _expected(guess))
-        self.codes[rows] = _wrapped(_unfolded(self.parts[rows]) + expected)
-        self.numbers[rows] = from_codes(self.codes[rows])
-
-    def guesses(self) -> Iterator[tuple[list[int], np.ndarray | None, bool]]:
-        """What is expected of all rows, some at a time; each group needs only those before it."""
-        plain = [*self.of("pit"), *self.of("other")]
-        yield plain, None, True
-        yield [self.row[f"{q}_error_pct"] for q in self.quantities if q not in self.sources], None, True
-        some = list(self.sources)
-        yield [self.row[f"{q}_error_pct"] for q in some], self._stack([self._error(q) for q in some]), True
+    def _steps(self) -> list[_Step]:
+        plain, own, dependent = 0, 1, 2
+        rest = [row for row, own in enumerate(self.families) if own not in ("pit", "other", "error_pct")]
+        steps = [
+            _Step("", (), [*self.of["pit"], *self.of["other"]]),
+            _Step("", (), self.rows((q for q in self.quantities if q not in self.sources), "_error_pct")),
+            _Step("_error_pct", list(self.sources), self.rows(self.sources, "_error_pct"), (plain, own)),
+            _Step("", (), [row for row in rest if not self._guessed(row)]),
+        ]
         some = [q for q in self.quantities if f"{q}_ratio" in self.row]
-        yield [self.row[f"{q}_ratio"] for q in some], self._stack([self.ratio(q) for q in some]), True
-        rest = [row for row in range(len(self.names)) if self.families[row] not in ("pit", "other", "error_pct")]
-        lone = [row for row in rest if not self._guessed(row)]
-        yield lone, None, True
-        some = [q for q in self.quantities if f"{q}_pit" in self.row]
+        steps.append(_Step("_ratio", some, self.rows(some, "_ratio"), (plain, own, dependent)))
         for ending in (*HITS, "_interval_score_pct", "_crps_pct"):
-            own = [q for q in some if f"{q}{ending}" in self.row]
-            yield [self.row[f"{q}{ending}"] for q in own], self._belief(own, ending), ending in HITS
+            some = [q for q in self.quantities if f"{q}_pit" in self.row and f"{q}{ending}" in self.row]
+            needs = (plain,) if ending in HITS else (plain, own, dependent)
+            steps.append(_Step(ending, some, self.rows(some, ending), needs, exact=ending in HITS))
+        return steps
+
+    def rows(self, quantities: Iterable[str], ending: str) -> list[int]:
+        return [self.row[f"{quantity}{ending}"] for quantity in quantities]
 
     def _guessed(self, row: int) -> bool:
         """Whether a score's quantity has what its guess needs."""
@@ -146,56 +145,109 @@ class _Cell:
         quantity = name[: -len(own) - 1]
         return f"{quantity}_error_pct" in self.row and (own == "ratio" or f"{quantity}_pit" in self.row)
 
-    def _stack(self, rows: list[np.ndarray]) -> np.ndarray:
-        return np.stack(rows) if rows else np.zeros((0, self.n))
 
-    def _error(self, quantity: str) -> np.ndarray:
+_layout = cache(_Layout)
+"""Cells of one method and system share it."""
+
+
+class _Cell:
+    """The scores of one cell while they are packed or unpacked, step by step."""
+
+    def __init__(self, layout: _Layout, n: int) -> None:
+        self.layout, self.n = layout, n
+        shape = len(layout.names), n
+        self.codes, self.parts = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+        self.numbers, self.doubtful = np.zeros(shape), np.zeros(shape, bool)
+        self.above = np.zeros((len(layout.quantities), n), bool)
+        self.dof = RAW
+
+    def values(self, name: str) -> np.ndarray:
+        """The numbers of a score, once its codes are known."""
+        return np.asarray(self.numbers[self.layout.row[name]])
+
+    def keep(self, step: _Step) -> None:
+        """The differences of some scores from what is expected."""
+        guess, rows = self._guess(step), step.rows
+        expected = _expected(guess)
+        if guess is not None and not step.exact:
+            doubtful = to_codes(guess * (1 - MARGIN)) != to_codes(guess * (1 + MARGIN))
+            self.doubtful[rows] = doubtful
+            expected = np.where(doubtful, 0, expected)
+        self.parts[rows] = _folded(self.codes[rows] - expected)
+
+    def restore(self, step: _Step) -> None:
+        """The scores again."""
+        expected, rows = _expected(self._guess(step)), step.rows
+        if not step.exact:
+            expected = np.where(self.doubtful[rows], 0, expected)
+        self.codes[rows] = _wrapped(_unfolded(self.parts[rows]) + expected)
+        self.numbers[rows] = from_codes(self.codes[rows])
+
+    def _guess(self, step: _Step) -> np.ndarray | None:
+        """What is expected of the scores of a step, (len(rows), n), as numbers or as yes and no; no guess is as 0."""
+        if not step.quantities:
+            return None
+        if step.ending == "_error_pct":
+            return self._errors(step.quantities)
+        if step.ending == "_ratio":
+            return self.ratios(step.quantities)
+        return self._belief(step.quantities, step.ending)
+
+    def _errors(self, quantities: Sequence[str]) -> np.ndarray:
+        sources = [self.layout.sources[quantity] for quantity in quantities]
+        names = list(dict.fromkeys(name for own in sources for name, _ in own))
+        ratios = dict(zip(names, self.ratios(names), strict=True))
+        errors = np.empty((len(quantities), self.n))
         with np.errstate(all="ignore"):
-            product = np.ones(self.n)
-            for source, power in self.sources[quantity]:  # by operations that are the same on every machine
-                ratio = self.ratio(source)
-                product = product * (
-                    ratio if power == 1.0 else np.sqrt(ratio) if power == 0.5 else 1.0 / np.sqrt(ratio)
-                )
-            return 100.0 * np.abs(product - 1.0)
+            for error, own in zip(errors, sources, strict=True):
+                product = np.ones(self.n)
+                for source, power in own:  # by operations that are the same on every machine
+                    ratio = ratios[source]
+                    product *= ratio if power == 1.0 else np.sqrt(ratio) if power == 0.5 else 1.0 / np.sqrt(ratio)
+                error[:] = 100.0 * np.abs(product - 1.0)
+        return errors
 
-    def ratio(self, quantity: str) -> np.ndarray:
-        """The value over the true one, to the digits of its error."""
-        above = self.above[self.quantities.index(quantity)]
-        if f"{quantity}_pit" in self.row:
-            above = above ^ (self.values(f"{quantity}_pit") < 0.5)
-        error = self.values(f"{quantity}_error_pct") / 100.0
-        return np.asarray(1.0 + np.where(above, error, -error))
+    def ratios(self, quantities: Sequence[str]) -> np.ndarray:
+        """The values over the true ones, (len(quantities), n), to the digits of their errors."""
+        above = self.above[[self.layout.place[quantity] for quantity in quantities]]
+        levelled = [i for i, quantity in enumerate(quantities) if f"{quantity}_pit" in self.layout.row]
+        above[levelled] ^= self._of([quantities[i] for i in levelled], "_pit") < 0.5
+        errors = self._of(quantities, "_error_pct") / 100.0
+        return np.asarray(1.0 + np.where(above, errors, -errors))
+
+    def _of(self, quantities: Sequence[str], ending: str) -> np.ndarray:
+        """The numbers of a score of some quantities, (len(quantities), n)."""
+        return np.asarray(self.numbers[self.layout.rows(quantities, ending)])
 
     def signs(self) -> np.ndarray:
         """Whether each value is above the true one, or, where there is a level at the truth, not as that says."""
         signs = np.zeros_like(self.above)
-        for i, quantity in enumerate(self.quantities):
-            if f"{quantity}_ratio" in self.row:
+        for i, quantity in enumerate(self.layout.quantities):
+            if f"{quantity}_ratio" in self.layout.row:
                 signs[i] = self.values(f"{quantity}_ratio") > 1.0
-            if f"{quantity}_pit" in self.row:
+            if f"{quantity}_pit" in self.layout.row:
                 signs[i] ^= self.values(f"{quantity}_pit") < 0.5
         return signs
 
     def _belief(self, quantities: Sequence[str], ending: str) -> np.ndarray:
         """A score as a normal belief, or Student's t, in the logarithm would have it."""
-        levels = self._stack([self.values(f"{q}_pit") for q in quantities])
+        levels = self._of(quantities, "_pit")
         if ending in HITS:
-            return (np.abs(levels - 0.5) <= LEVELS[HITS.index(ending)] / 2).astype(float)
-        if self.dof == RAW or not quantities:
+            return np.asarray(np.abs(levels - 0.5) <= LEVELS[HITS.index(ending)] / 2)
+        if self.dof == RAW:
             return np.zeros_like(levels)
-        ratios = self._stack([self.ratio(q) for q in quantities])
-        return np.nan_to_num(_score(ending, ratios, levels, self.dof), nan=0.0, posinf=0.0, neginf=0.0)
+        guess = _score(ending, self.ratios(quantities), levels, self.dof)
+        return np.nan_to_num(guess, nan=0.0, posinf=0.0, neginf=0.0)
 
     def best_dof(self) -> int:
         """The degrees of freedom that the interval scores agree with most (0 for a normal belief), or RAW."""
-        own = [q for q in self.quantities if {f"{q}_pit", f"{q}_ratio", f"{q}_interval_score_pct"} <= set(self.row)]
+        needed = ("_pit", "_ratio", "_interval_score_pct")
+        own = [q for q in self.layout.quantities if all(f"{q}{ending}" in self.layout.row for ending in needed)]
         if not own:
             return RAW
         self.above = self.signs()
-        scores = np.array([self.values(f"{q}_interval_score_pct")[:TRIED] for q in own])
-        ratios = np.array([self.ratio(q)[:TRIED] for q in own])
-        levels = np.array([self.values(f"{q}_pit")[:TRIED] for q in own])
+        scores = self._of(own, "_interval_score_pct")[:, :TRIED]
+        ratios, levels = self.ratios(own)[:, :TRIED], self._of(own, "_pit")[:, :TRIED]
         gaps = {RAW: _gap(np.zeros_like(scores), scores)}
 
         def best(candidates: Iterable[int]) -> int:
@@ -254,7 +306,12 @@ def _score(ending: str, ratios: np.ndarray, levels: np.ndarray, dof: int) -> np.
         return np.asarray(100.0 * ((high - low) + 40.0 * (np.maximum(low, 0) + np.maximum(-high, 0))))
 
 
-def _expected(guess: np.ndarray) -> np.ndarray:
+def _expected(guess: np.ndarray | None) -> Any:
+    """The codes of a guess, 0 where it is no number."""
+    if guess is None:
+        return 0
+    if guess.dtype == bool:
+        return np.where(guess, ONE, 0)
     codes = to_codes(guess)
     return np.where((codes == NAN) | (codes == MISSING), 0, codes)
 

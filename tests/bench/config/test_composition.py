@@ -21,7 +21,7 @@ def test_whole_files_are_merged_as_hydra_merges_them(group: str, name: str) -> N
 
 def test_nothing_chosen_is_what_hydra_makes_of_nothing() -> None:
     composition.register_method("ls")
-    assert json.dumps(composition._unchosen()) == json.dumps(composition._by_hydra(()))
+    assert json.dumps(composition.composed({})) == json.dumps(composition._by_hydra(()))
 
 
 def test_a_file_that_speaks_hydras_language_is_left_to_hydra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,7 @@
 """Modes against closed forms and another solver."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.linalg import eigh
@@ -52,8 +54,8 @@ def test_each_of_many_has_the_modes_that_it_has_alone():
     """Among them an overdamped one, and one that is not finite."""
     c, masses = np.array([0.8, 5.0, np.nan]), np.ones(3)
     found = modes_of_all(SDOF(), {"m": masses, "c": c, "k": 4.0 * masses})
-    assert [one.frequencies[0] for one in found] == pytest.approx([1 / np.pi, 1 / np.pi, np.nan], nan_ok=True)
-    assert [one.damping_ratios[0] for one in found] == pytest.approx([0.2, 1.25, np.nan], nan_ok=True)
+    assert found.frequencies[:, 0] == pytest.approx([1 / np.pi, 1 / np.pi, np.nan], nan_ok=True)
+    assert found.damping_ratios[:, 0] == pytest.approx([0.2, 1.25, np.nan], nan_ok=True)
 
 
 def test_agreement_matches_modes_by_shape_not_by_order():
@@ -74,6 +76,29 @@ def test_what_is_not_finite_agrees_with_nothing():
     assert found.least_mac == 0.0
 
 
+def test_of_many_each_agrees_as_it_does_alone():
+    """Among them one whose first mode is overdamped, and one that is not finite."""
+    true = modes(Chain(3), _chain(0.01))
+    springs = np.array([20.0, 30.0, np.nan, 2.0])
+    many = {name: np.full(4, value) for name, value in _chain(0.01).items()} | {"k1": springs}
+    many["c1"] = np.array([0.2, 0.4, 0.2, 40.0])
+    found = agreement(modes_of_all(Chain(3), many), true)
+    for i in range(4):
+        alone = agreement(modes(Chain(3), {name: own[i] for name, own in many.items()}), true)
+        for name, own in vars(found).items():
+            assert float(own[i]) == pytest.approx(float(getattr(alone, name)), rel=1e-9)
+
+
 def test_a_nonlinear_system_has_no_modes():
     with pytest.raises(ValueError, match="not linear"):
         modes(Duffing(), {"m": 1.0, "c": 0.1, "k": 1.0, "k3": 1.0})
+
+
+def test_modes_too_far_apart_for_double_precision_agree_with_nothing() -> None:
+    """A first mass of 1e-20 kg: its mode is 1e10 times faster, and rounds the other one's damping away."""
+    system = Chain(2)
+    true = dict(zip(system.names, (1.0, 1.0, 0.1, 0.1, 10.0, 10.0), strict=True))
+    found = agreement(modes(system, {**true, "m1": 1e-20}), modes(system, true))
+    assert found.frequency_pct == found.damping_pct == math.inf
+    assert found.least_mac == 0.0
+    assert agreement(modes(system, {**true, "m1": 1e-8}), modes(system, true)).damping_pct < math.inf

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 import random
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,7 +29,6 @@ from bench.commands.identifiability import (  # noqa: E402
     verdict,
     verdicts,
 )
-from bench.errors import InputError  # noqa: E402
 from bench.information import structural  # noqa: E402
 from bench.information.fisher import compute_bound, information  # noqa: E402
 from bench.information.profile import THRESHOLD, _Likelihood, profiles  # noqa: E402
@@ -365,13 +363,3 @@ def test_bad_input_is_one_line(arguments: Sequence[str], said: str, capsys: pyte
     assert err.startswith("bench.identifiability: ")
     assert said in err
     assert len(err.splitlines()) == 1
-
-
-def test_without_sympy_there_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setitem(sys.modules, "sympy", None)
-    assert main([]) == 2
-    assert capsys.readouterr().err.splitlines() == [
-        "bench.identifiability: sympy=missing: pip install 'vibration-bench[identifiability]'"
-    ]
-    with pytest.raises(InputError):
-        structure(SDOF())

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bench.contract.problem import Force, InitialState
+from bench.dynamics.linear_motion import linear_motion
 from bench.information.linear_sensitivities import linear_sensitivities
 from bench.information.stepped_sensitivities import stepped_sensitivities
 from bench.systems import Chain, Loaded, Matrices, RayleighChain, System
@@ -19,6 +20,17 @@ mp.dps = 50
 
 Response = Callable[[Mapping[str, Any], Sequence[Any], Any], Any]
 """Displacement of the last DOF at given parameters, initial state and time."""
+
+
+def one_of_two(
+    system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force] = ()
+) -> tuple[np.ndarray, np.ndarray]:
+    """:func:`linear_motion` in the form of :func:`linear_sensitivities`, in the company of other parameters."""
+    n = system.n_dof
+    own = np.concatenate([start.displacement, start.velocity])
+    sets = {name: np.array([1.3 * value, value]) for name, value in p.items()}
+    path, slopes = linear_motion(system, sets, np.stack([2.0 * own, own]), times, forces)
+    return path[1, :, :n].T, np.moveaxis(slopes[1, :, :n], 1, 0)
 
 
 def check(
@@ -35,6 +47,9 @@ def check(
     start = InitialState(np.array(state[:n]), np.array(state[n:]))
     response, slopes = linear_sensitivities(system, p, start, times, forces)
     assert slopes.shape == (n, times.size, len(p) + 2 * n)
+    again, others = one_of_two(system, p, start, times, forces)
+    np.testing.assert_allclose(again, response, atol=1e-11 * np.max(np.abs(response)))
+    np.testing.assert_allclose(others, slopes, atol=1e-11 * np.max(np.abs(slopes), axis=(0, 1)).max())
     exact, h = {name: mp.mpf(value) for name, value in p.items()}, mp.mpf(10) ** -15
     at = times[::every]
     found = [float(oracle(exact, state, mp.mpf(t))) for t in at]

@@ -34,15 +34,15 @@ def found(reference: Scenario) -> list[Result]:
 
 
 def test_honest_and_halved_uncertainties_are_told_apart(found: list[Result]) -> None:
-    data = lines(found).set_index(["method", "quantity"])
-    honest, halved = data.loc[("shooting", "k_over_m")], data.loc[("pinn", "k_over_m")]
-    assert honest.verdict == "calibrated"
-    assert honest.coverage_95 == pytest.approx(0.95)
-    assert "too sure" in halved.verdict
-    assert halved.sd_z == pytest.approx(2.0, rel=0.02)
+    data = {(line["method"], line["quantity"]): line for line in lines(found)}
+    honest, halved = data["shooting", "k_over_m"], data["pinn", "k_over_m"]
+    assert honest["verdict"] == "calibrated"
+    assert honest["coverage_95"] == pytest.approx(0.95)
+    assert "too sure" in halved["verdict"]
+    assert halved["sd_z"] == pytest.approx(2.0, rel=0.02)
     # doubled scores beyond 1.96 are scores beyond 0.98: 67 % remain inside
-    assert halved.coverage_95 == pytest.approx(0.67, abs=0.01)
-    assert data.loc[("pinn", "c_over_m")].verdict == "-"
+    assert halved["coverage_95"] == pytest.approx(0.67, abs=0.01)
+    assert data["pinn", "c_over_m"]["verdict"] == "-"
     text = markdown(lines(found), "Calibration")
     assert "| 90.0" in text
     assert "too sure" in text

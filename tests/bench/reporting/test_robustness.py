@@ -84,17 +84,17 @@ def test_each_line_stands_beside_its_undisturbed_value(reference: Scenario, stor
     store.save(stored(plain, 2.0))
     store.save(stored(hit, 5.0, covered=0.4))
     data = tidy(pairs([plain, hit], store))
-    assert tuple(data.columns) == COLUMNS
-    lines = data.set_index(["disturbance", "metric"])
+    assert all(tuple(line) == COLUMNS for line in data)
+    lines = {(line["disturbance"], line["metric"]): line for line in data}
     for metric, _ in PANELS:
-        line = lines.loc[("bias", metric)]
-        assert line.excess == pytest.approx(5.0, rel=1e-5)
-        assert line.excess_undisturbed == pytest.approx(2.0, rel=1e-5)
-        assert line[["ratio", "ratio_low", "ratio_high"]].tolist() == pytest.approx([2.5] * 3, rel=1e-5)
-        assert (line["size"], line.n, line.n_ok) == (0.05, 10, 10)
-    assert lines.loc[("bias", "k_over_m_error_pct")].coverage_95 == pytest.approx(0.4)
-    assert lines.loc[("bias", "k_over_m_error_pct")].coverage_95_undisturbed == 1.0
-    assert math.isnan(lines.loc[("bias", "rmse")].coverage_95)
+        line = lines["bias", metric]
+        assert line["excess"] == pytest.approx(5.0, rel=1e-5)
+        assert line["excess_undisturbed"] == pytest.approx(2.0, rel=1e-5)
+        assert [line[name] for name in ("ratio", "ratio_low", "ratio_high")] == pytest.approx([2.5] * 3, rel=1e-5)
+        assert (line["size"], line["n"], line["n_ok"]) == (0.05, 10, 10)
+    assert lines["bias", "k_over_m_error_pct"]["coverage_95"] == pytest.approx(0.4)
+    assert lines["bias", "k_over_m_error_pct"]["coverage_95_undisturbed"] == 1.0
+    assert math.isnan(lines["bias", "rmse"]["coverage_95"])
     panels = markdown("robustness", "T", data).split("## ")
     for panel in panels[1:4]:
         assert [x.strip() for x in panel.splitlines()[4].split("|")[2:4]] == ["2.00", "5.00 *"]
@@ -106,9 +106,10 @@ def test_the_undisturbed_value_is_of_the_same_reading_of_the_start(reference: Sc
     found += [replace(c, scenario=replace(c.scenario, initial_state="unknown")) for c in found]
     for c, scale in zip(found, (1.0, 4.0, 3.0, 3.0), strict=True):
         store.save(stored(c, scale))
-    lines = tidy(pairs(found, store)).query("metric == 'rmse'").set_index(["initial_state", "disturbance"])
-    assert lines.loc[("known", "late_trigger")].ratio == pytest.approx(4.0, rel=1e-5)
-    assert lines.loc[("unknown", "late_trigger")].ratio == pytest.approx(1.0, rel=1e-5)
+    own = [line for line in tidy(pairs(found, store)) if line["metric"] == "rmse"]
+    ratios = {(line["initial_state"], line["disturbance"]): line["ratio"] for line in own}
+    assert ratios["known", "late_trigger"] == pytest.approx(4.0, rel=1e-5)
+    assert ratios["unknown", "late_trigger"] == pytest.approx(1.0, rel=1e-5)
 
 
 def test_failures_and_cells_that_were_not_run_say_so(reference: Scenario, store: Store) -> None:

@@ -50,31 +50,31 @@ def _result(errors, bounds, failed=0, coverage=None, cell=None):
 def test_pooling_by_hand():
     """Errors (3, 4) % over bounds (1, 1) %: sqrt((9 + 16)/2) of a replicate; over two replicates the mean square."""
     result = _result({"m": [3.0, 0.0], "k": [4.0, 2.0]}, {"m": 1.0, "k": 1.0}, failed=1)
-    errors = pooled_errors(result, ["m", "k"])
+    errors = pooled_errors(result, ("m", "k"))
     assert errors[:2] == pytest.approx([math.sqrt(12.5), math.sqrt(2.0)])
     assert errors[2] == math.inf
-    assert pooled_excess(result, ["m", "k"]) == pytest.approx(math.sqrt((12.5 + 2.0) / 2))
+    assert pooled_excess(result, ("m", "k")) == pytest.approx(math.sqrt((12.5 + 2.0) / 2))
 
 
 def test_a_quantity_without_a_bound_is_not_pooled():
     result = _result({"m": [3.0], "k": [4.0]}, {"m": math.inf, "k": 2.0})
-    assert pooled_errors(result, ["m", "k"]) == pytest.approx([2.0])
+    assert pooled_errors(result, ("m", "k")) == pytest.approx([2.0])
 
 
 def test_coverage_is_pooled_over_quantities_and_replicates():
     result = _result({"m": [1.0, 1.0]}, {"m": 1.0}, coverage={"m": [1.0, 0.0], "k": [1.0, 1.0]})
-    share, low, high = pooled_coverage(result, ["m", "k"])
+    share, low, high = pooled_coverage(result, ("m", "k"))
     assert share == 0.75
     assert low < 0.75 < high
-    assert math.isnan(pooled_coverage(result, ["c"])[0])
+    assert math.isnan(pooled_coverage(result, ("c",))[0])
 
 
 def test_what_the_data_tell_is_pooled():
     """With a force every parameter; in free vibration the ratios to the mass."""
     forced, free = _cell("system=sdof_forced").scenario, _cell("system=duffing").scenario
-    assert pooled_quantities(forced, dict.fromkeys(["m", "c", "k", "k_over_m", "c_over_m"], True)) == ["m", "c", "k"]
+    assert pooled_quantities(forced, dict.fromkeys(["m", "c", "k", "k_over_m", "c_over_m"], True)) == ("m", "c", "k")
     told = dict.fromkeys(["k_over_m", "c_over_m", "k3_over_m"], True)
-    assert pooled_quantities(free, {**told, "m": False, "c": False, "k": False, "k3": False}) == list(told)
+    assert pooled_quantities(free, {**told, "m": False, "c": False, "k": False, "k3": False}) == tuple(told)
 
 
 def test_parameters_from_ratios_and_from_groups():

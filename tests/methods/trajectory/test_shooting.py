@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench import Channel, Force, InitialState, Prior, Problem, Record, Units, measurements, simulate
+from bench import Channel, Force, Identifier, InitialState, Prior, Problem, Record, Units, measurements, simulate
 from bench.contract.estimate import Estimate, Status
 from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
 from bench.systems import SDOF, Chain, Duffing, System
@@ -23,8 +23,27 @@ START = InitialState(np.array([0.8]), np.array([0.5]))
 AIR_TRACK = "schmidt_lipson_airtrack/real_linear_h_1.txt"
 
 
+class Programme(Shooting):
+    """Shooting by the programme alone, linear systems too."""
+
+    estimate_many = Identifier.estimate_many
+
+
 def fit(problem: Problem, **settings: object) -> Estimate:
-    return Shooting(**settings).identify(problem, np.random.default_rng(0))  # type: ignore[arg-type]
+    """The answer of the programme; the one of linear systems together must be the same, to a part of its interval."""
+    rng = np.random.default_rng(0)
+    found = Programme(**settings).identify(problem, rng)  # type: ignore[arg-type]
+    other = Shooting(**settings).identify(problem, rng)  # type: ignore[arg-type]
+    assert other.status is found.status
+    for quantity in problem.system.quantities if found.message != HELD else ():
+        one, two = found.marginal(quantity), other.marginal(quantity)
+        assert (one is None) == (two is None)
+        if one is not None and two is not None and one.ppf is not None:
+            low, high = one.interval(0.95)
+            stepped = 1e-8 * abs(one.value)  # what the programme's Runge-Kutta steps may err by
+            assert abs(two.value - one.value) <= 0.02 * (high - low) + stepped
+            np.testing.assert_allclose(two.interval(0.95), (low, high), atol=0.02 * (high - low) + stepped)
+    return found
 
 
 def scenario(snr: float, **changes: object) -> Scenario:

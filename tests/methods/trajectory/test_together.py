@@ -1,0 +1,94 @@
+"""Linear systems solved together: as alone, as by shooting, and left to shooting where no maximum is found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from bench import OutputError, Problem
+from bench.config.experiment import expand
+from bench.contract.estimate import Status
+
+pytest.importorskip("casadi")
+from methods.trajectory import together
+from methods.trajectory.shooting import Shooting
+from methods.trajectory.together import Rules, solve_together
+
+RULES = Rules(starts=3, screen_iterations=5, margin=15.0, sigma_rounds=4, sigma_tolerance=0.01)
+
+
+def problems(arguments: Sequence[str], n: int) -> list[Problem]:
+    """Replicates, in SI units."""
+    job = expand(["method=prior", *arguments], multirun=False)[0]
+    return [problem for problem, _ in job.scenario.replicates(job.config.seed, n)]
+
+
+@pytest.mark.parametrize("arguments", [["snr=10"], ["snr=20", "initial_state=unknown"], ["system=sdof_forced"]])
+def test_an_answer_is_the_same_alone_and_in_company(arguments: Sequence[str]) -> None:
+    """To 1e-9 of its standard deviation's size."""
+    given = problems(arguments, 6)
+    mixed = [*given, *problems(["system=duffing"], 1), *problems(["system=sdof", "system.samples=30"], 1)]
+    rngs = [np.random.default_rng(0) for _ in mixed]
+    company = Shooting().identify_many(mixed, rngs)
+    for problem, found in zip(given[:3], company, strict=False):
+        alone = Shooting().identify(problem, np.random.default_rng(0))
+        for quantity in problem.system.quantities:
+            one, two = alone.marginal(quantity), found.marginal(quantity)
+            assert one is not None
+            assert two is not None
+            assert two.value == pytest.approx(one.value, rel=1e-9)
+            np.testing.assert_allclose(two.interval(0.95), one.interval(0.95), rtol=1e-9)
+
+
+def test_the_maximum_is_at_least_as_high_as_shooting_s() -> None:
+    """Two masses under a force at 10 dB, where searches go astray: the log-posteriors of both, at their ends."""
+    given = problems(["system=chain2_forced", "snr=20"], 6)
+    models = [OutputError(problem.expressed_in(problem.natural_units())) for problem in given]
+    found = solve_together(models, RULES)
+    method = Shooting()
+    for model, solution in zip(models, found, strict=True):
+        other = method.estimate(model.problem, np.random.default_rng(0))
+        assert solution is not None
+        assert other.parameters is not None
+        theirs = model.profile(model.vector(dict(zip(model.free, np.exp(other.parameters.mean), strict=True))))
+        assert model.profile(solution.theta) < theirs + 0.01
+
+
+def test_a_search_that_does_not_end_is_left_to_shooting(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(together, "MOST_ITERATIONS", 0)
+    given = problems(["snr=20"], 2)
+    models = [OutputError(problem.expressed_in(problem.natural_units())) for problem in given]
+    assert solve_together(models, RULES) == [None, None]
+    answers = Shooting().identify_many(given, [np.random.default_rng(0) for _ in given])
+    assert [answer.status for answer in answers] == [Status.OK, Status.OK]
+
+
+def test_a_nonlinear_system_is_left_to_shooting() -> None:
+    problem = problems(["system=duffing"], 1)[0]
+    assert solve_together([OutputError(problem.expressed_in(problem.natural_units()))], RULES) == [None]
+
+
+def test_a_critically_damped_oscillator_is_solved() -> None:
+    """A repeated pole: modes would be defective."""
+    given = problems(["snr=40", "system.parameters.c=5.656854249492381"], 3)  # 2 sqrt(k m), k = 8 N/m and m = 1 kg
+    models = [OutputError(problem.expressed_in(problem.natural_units())) for problem in given]
+    assert all(solution is not None for solution in solve_together(models, RULES))
+    answers = Shooting().identify_many(given, [np.random.default_rng(0) for _ in given])
+    for problem, answer in zip(given, answers, strict=True):
+        marginal = answer.marginal(problem.system.quantity("k_over_m"))
+        assert marginal is not None
+        assert marginal.value == pytest.approx(8.0, rel=0.05)
+
+
+def test_full_matrices_are_identified() -> None:
+    """A scan begins with equal entries of the mass matrix, which are singular: the regression must do."""
+    given = problems(["system=matrices", "snr=60"], 2)
+    true_values = (1.0, 0.2, 0.8, 0.6, 0.1, 0.3, 20.0, 8.0, 9.0)
+    for problem, answer in zip(given, Shooting().identify_many(given, [np.random.default_rng(0)] * 2), strict=True):
+        assert answer.status is Status.OK, answer.message
+        for name, true in zip(problem.system.names, true_values, strict=True):
+            marginal = answer.marginal(problem.system.quantity(name))
+            assert marginal is not None
+            assert marginal.value == pytest.approx(true, rel=0.02)
