@@ -17,20 +17,14 @@ from scipy.interpolate import make_smoothing_spline
 from scipy.optimize import least_squares, nnls
 
 from bench import Channel, Problem, Record, System, numpy_ops, regression_columns
+from methods.starts.common_rates import common_rates, damped_columns
 
-DECAYS = (0.15, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
-"""Decay rates of the grid, in 1 / record."""
-CYCLE_STEP = 0.25
-"""Step of the grid in cycles per record: half of the half-cycle at which the misfit has its next minimum."""
-MAX_CYCLES = 100.0
 LEVELS = 4
 """Curves of each record, from stiff to loose."""
 POINTS = 400
 """Times on a curve at which the equation of motion is asked for."""
 CURVE_ERROR = 0.1
 """Error of a curve's acceleration, relative to its size, against which nonlinear regression weighs the prior."""
-MOST_AT_ONCE = 2**22
-"""Numbers of the columns of sinusoids that are formed at a time."""
 SEARCHES, FARTHEST = 60, 30.0
 """Evaluations of a nonlinear regression at most; the largest log-parameter that it tries."""
 OUTSIDE = 1e50
@@ -72,7 +66,7 @@ def _smoothed(system: System, record: Record) -> list[Curves]:
         splines = [[_spline(c, 10.0 ** (level - 3)) for c in measured] for level in range(LEVELS)]
         return [([c(times, 0) for c in own], [c(times, 1) for c in own], [c(times, 2) for c in own], force)
                 for own in splines]  # fmt: skip
-    rates = _rates(measured, LEVELS)
+    rates = common_rates(measured, LEVELS)
     return [(*_waves(measured, rates[: n + 1], times), force) for n in range(LEVELS)]
 
 
@@ -98,44 +92,9 @@ class _spline:
         return np.asarray(self.curve(times / self.step, nu=order)) / self.step**order
 
 
-def _columns(channel: Channel, rates: np.ndarray) -> np.ndarray:
-    """Damped sinusoids of the rates (..., k), and a constant for an offset, at a channel's samples: (..., n, 2k)."""
-    waves = np.exp(rates[..., None, :] * channel.times[:, None])
-    constant = np.ones((*waves.shape[:-1], int(channel.offset)))
-    return np.concatenate([waves.real, -waves.imag, constant], axis=-1)
-
-
 def _amplitudes(channel: Channel, rates: np.ndarray) -> np.ndarray:
-    found = np.linalg.lstsq(_columns(channel, rates), channel.values, rcond=1e-9)[0]
+    found = np.linalg.lstsq(damped_columns(channel.times, rates, channel.offset), channel.values, rcond=1e-9)[0]
     return np.asarray(found[: rates.size] + 1j * found[rates.size : 2 * rates.size])
-
-
-def _rates(channels: Sequence[Channel], n: int) -> np.ndarray:
-    """Complex rates of ``n`` damped sinusoids common to all channels: one at a time, each the best on the grid."""
-    gaps = [float(np.median(np.diff(c.times))) for c in channels]
-    frequencies = np.arange(CYCLE_STEP, min(0.5 / min(gaps), MAX_CYCLES) + 1e-9, CYCLE_STEP)
-    rates = np.zeros(0, complex)
-    for _ in range(n):
-        pool = (-np.array(DECAYS)[:, None] + 2j * np.pi * frequencies).ravel()
-        for span in (1.0, 0.3, 0.1):
-            together = np.concatenate([np.broadcast_to(rates, (pool.size, rates.size)), pool[:, None]], axis=1)
-            best = pool[int(np.argmin(_left(channels, together)))]
-            shifts = np.linspace(-1, 1, 5) * span
-            pool = (best.real * np.exp(shifts)[:, None] + 1j * (best.imag + 2 * np.pi * CYCLE_STEP * shifts)).ravel()
-        rates = np.append(rates, best)
-    return rates
-
-
-def _left(channels: Sequence[Channel], rates: np.ndarray) -> np.ndarray:
-    """Misfit (sets,) of the channels, relative to their size, by damped sinusoids of rates (sets, k)."""
-    total = np.zeros(len(rates))
-    for c in channels:
-        size = float(c.values @ c.values) or 1.0
-        step = max(1, MOST_AT_ONCE // (c.n * (2 * rates.shape[1] + 1)))
-        for at in range(0, len(rates), step):
-            q = np.linalg.qr(_columns(c, rates[at : at + step]))[0]
-            total[at : at + step] += 1.0 - np.sum((c.values @ q) ** 2, axis=-1) / size
-    return total
 
 
 def _fixed(problem: Problem) -> dict[str, float]:

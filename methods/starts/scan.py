@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from bench import LOG_LIMIT, Channel, Force, InitialState, Problem, Record, System, measurements
-from methods.starts.equation_error import CYCLE_STEP, DECAYS, MAX_CYCLES
+from methods.starts.common_rates import CYCLE_STEP, DECAYS, MAX_CYCLES
 
 
 def scan(problem: Problem, n: int) -> list[dict[str, float]]:

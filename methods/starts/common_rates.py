@@ -1,0 +1,97 @@
+"""Complex rates of damped sinusoids that several channels share: one after the other, each the best on a grid.
+
+A candidate adds two columns, ``e^(-d t) cos(w t)`` and ``e^(-d t) sin(w t)``, to those already there. What it takes off
+the misfit follows from inner products alone, once these are projected out (the projected problem of G. Golub and V.
+Pereyra, SIAM J. Numer. Anal. 10:413, 1973), and on a grid the columns are products of a decay and a wave, so that all
+inner products are products of matrices. Channels read at the same times share the columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench import Channel
+
+DECAYS = (0.15, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+"""Decay rates of the grid, in 1 / record."""
+CYCLE_STEP = 0.25
+"""Step of the grid in cycles per record: half of the half-cycle at which the misfit has its next minimum."""
+MAX_CYCLES = 100.0
+SPANS = (1.0, 0.3)
+"""Half-widths of the finer grids about the best point, in steps of the grid and in the logarithm of the decay."""
+RIDGE = 1e-10
+"""Of the squares of a column, added to them: one that the others have already adds nothing."""
+
+
+def common_rates(channels: Sequence[Channel], n: int) -> np.ndarray:
+    """Complex rates (n,) of damped sinusoids common to all channels, in natural units; a channel weighs by its shape."""
+    gaps = [float(np.median(np.diff(c.times))) for c in channels]
+    groups = _groups(channels)
+    cycles = np.arange(CYCLE_STEP, min(0.5 / min(gaps), MAX_CYCLES) + 1e-9, CYCLE_STEP)
+    rates = np.zeros(0, complex)
+    for _ in range(n):
+        decay, omega = _best(groups, rates, np.array(DECAYS), 2 * np.pi * cycles)
+        for span in SPANS:
+            shifts = np.linspace(-span, span, 5)
+            decay, omega = _best(groups, rates, decay * np.exp(shifts), omega + 2 * np.pi * CYCLE_STEP * shifts)
+        rates = np.append(rates, -decay + 1j * omega)
+    return rates
+
+
+def damped_columns(times: np.ndarray, rates: np.ndarray, offset: bool) -> np.ndarray:
+    """Damped sinusoids of the rates (k,), and a constant for an offset, at the times: (n, 2k) or (n, 2k + 1)."""
+    waves = np.exp(rates * times[:, None])
+    return np.concatenate([waves.real, -waves.imag, np.ones((times.size, int(offset)))], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Channels that are read at the same times: their values over their sizes, one a row."""
+
+    times: np.ndarray
+    values: np.ndarray
+    offset: bool
+
+
+def _groups(channels: Sequence[Channel]) -> list[_Group]:
+    found: dict[tuple[bytes, bool], list[Channel]] = {}
+    for c in channels:
+        found.setdefault((c.times.tobytes(), c.offset), []).append(c)
+    return [
+        _Group(own[0].times, np.stack([c.values / (float(np.linalg.norm(c.values)) or 1.0) for c in own]), offset)
+        for (_, offset), own in found.items()
+    ]
+
+
+def _best(groups: Sequence[_Group], rates: np.ndarray, decays: np.ndarray, omegas: np.ndarray) -> tuple[float, float]:
+    """The decay and angular frequency that take most off the misfit beside the rates already there."""
+    gains = sum((_gains(group, rates, decays, omegas) for group in groups), np.zeros((decays.size, omegas.size)))
+    i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
+    return float(decays[i]), float(omegas[j])
+
+
+def _gains(group: _Group, rates: np.ndarray, decays: np.ndarray, omegas: np.ndarray) -> np.ndarray:
+    """Squares (n_decays, n_omegas) that a wave takes off the values of a group, beside the waves of ``rates``."""
+    there = np.linalg.qr(damped_columns(group.times, rates, group.offset))[0].T
+    left = group.values - (group.values @ there.T) @ there
+    phase = np.outer(group.times, omegas)
+    waves = np.stack([np.cos(phase), np.sin(phase)])
+    envelopes = np.exp(-np.outer(decays, group.times))
+
+    def products(rows: np.ndarray) -> np.ndarray:
+        """Inner products of rows (r, n) with the columns: (2, n_decays, r, n_omegas)."""
+        return np.asarray((envelopes[:, None] * rows).reshape(-1, group.times.size) @ waves).reshape(
+            2, decays.size, len(rows), omegas.size
+        )
+
+    known, onto = products(there), products(left)
+    gram = np.empty((3, decays.size, omegas.size))
+    for at, (a, b) in enumerate(((0, 0), (0, 1), (1, 1))):
+        gram[at] = envelopes**2 @ (waves[a] * waves[b]) - np.sum(known[a] * known[b], axis=1)
+    ridge = RIDGE * np.sum(envelopes**2, axis=1)[:, None]
+    cc, cs, ss, (c, s) = gram[0] + ridge, gram[1], gram[2] + ridge, onto
+    numerator = np.sum(ss[:, None] * c**2 - 2 * cs[:, None] * c * s + cc[:, None] * s**2, axis=1)
+    return np.asarray(numerator / np.maximum(cc * ss - cs**2, ridge**2))
