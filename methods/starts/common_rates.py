@@ -27,7 +27,7 @@ RIDGE = 1e-10
 
 
 def common_rates(channels: Sequence[Channel], n: int) -> np.ndarray:
-    """Complex rates (n,) of damped sinusoids common to all channels, in natural units; a channel weighs by its shape."""
+    """Complex rates (n,) of damped sinusoids common to all channels, in natural units; channels weigh the same."""
     gaps = [float(np.median(np.diff(c.times))) for c in channels]
     groups = _groups(channels)
     cycles = np.arange(CYCLE_STEP, min(0.5 / min(gaps), MAX_CYCLES) + 1e-9, CYCLE_STEP)
