@@ -14,17 +14,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench import OutputError, Record, Start, state_matrix
+from bench import OutputError, Problem, Record, Start
 from methods.starts.equation_error import regression_starts
 from methods.starts.rough import RADIANS_A_STEP, rough_readings
 from methods.starts.scan import loaded_scan, scan
+from methods.starts.separate import separate
 
 NOISE_SHARE = 0.05
 """Error of the integration over the standard error that the data allow."""
 HALVINGS = 4
 """How often the steps are halved at most."""
-ALIAS_MARGIN = 6.0
-"""By how much in minus twice the log-posterior: odds of 20 to 1."""
+MOST_SCANNED = 2
+"""Degrees of freedom up to which a scan is made beside a regression, which sees each stiffness by itself."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,44 +65,34 @@ def as_fine_as_noise(model: OutputError, theta: np.ndarray) -> OutputError:
 
 
 def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 8) -> list[tuple[float, np.ndarray]]:
-    """The best ``n`` separate starts after a few output-error steps each: (profile, theta), best first.
-
-    The sampling is taken to resolve the motion: where the slowest oscillation of a linear system came to lie above
-    half the sampling rate, it is dropped as the alias of a slower one, unless data and prior clearly prefer it.
-    """
-    found: list[tuple[float, np.ndarray]] = []
+    """The best ``n`` separate starts after a few output-error steps each: (profile, theta), best first."""
     quick = screening(model)
-    thetas = np.stack([quick.vector(p) for p in candidates(model, n + 1)])
-    for theta in quick.settle(thetas, rounds, iterations):
-        value = quick.profile(theta)
-        near = [other for _, other in found if np.max(np.abs(other - theta)[: len(model.free)]) < 1e-2]
-        if np.isfinite(value) and not near:
-            found.append((value, theta))
-    found.sort(key=lambda pair: pair[0])
-    resolved = [pair for pair in found if not _aliased(model, pair[1])]
-    clear = not resolved or found[0][0] + ALIAS_MARGIN < resolved[0][0]
-    return (found if clear else resolved)[:n]
-
-
-def _aliased(model: OutputError, theta: np.ndarray) -> bool:
-    if not model.system.linear:
-        return False
-    rates = np.linalg.eigvals(state_matrix(model.system, model.parameters(theta))[0])
-    oscillations = np.abs(rates.imag)[np.abs(rates.imag) > 0]
-    gaps = [float(np.median(np.diff(c.times))) for _, c in model.channels if c.n > 1]
-    return bool(oscillations.size and gaps and oscillations.min() * min(gaps) > np.pi)
+    thetas = quick.settle(np.stack([quick.vector(p) for p in candidates(model, n + 1)]), rounds, iterations)
+    values = np.array([quick.profile(theta) for theta in thetas])
+    return [(float(values[i]), thetas[i]) for i in separate(model, values, thetas)[:n]]
 
 
 def candidates(model: OutputError, n: int) -> list[dict[str, float]]:
-    """Parameter sets to start from, in natural units: from the scan, the regression, and the prior's nominal values."""
+    """Parameter sets to start from, in natural units: from the regression, the scan, and the prior's nominal values."""
     problem = model.problem
+    several = problem.system.n_dof > 1 or not problem.system.linear
     with np.errstate(all="ignore"):
-        linear = problem.system.linear
-        loaded = any(record.added_mass is not None for record in problem.records)
-        found = (loaded_scan(problem, n) if loaded else scan(problem, n)) if linear else []
-        if problem.system.n_dof > 1 or not linear:
-            found = regression_starts(problem) + found
-    if problem.prior is not None and (problem.system.n_dof > 1 or not linear or loaded):
+        found = regression_starts(problem) if several else []
+        if problem.system.linear and (problem.system.n_dof <= MOST_SCANNED or not found):
+            found = found + _scanned(problem, n)
+    if problem.prior is not None and (several or _loaded(problem)):
         found.append(dict(problem.prior.nominal))
     good = [p for p in found if all(np.isfinite(v) and v > 0 for v in p.values())]
     return good or [dict(problem.prior.nominal) if problem.prior else dict.fromkeys(problem.system.names, 1.0)]
+
+
+def _loaded(problem: Problem) -> bool:
+    return any(record.added_mass is not None for record in problem.records)
+
+
+def _scanned(problem: Problem, n: int) -> list[dict[str, float]]:
+    """The starts of the scan; none where the proportions that it begins with make a singular mass matrix."""
+    try:
+        return loaded_scan(problem, n) if _loaded(problem) else scan(problem, n)
+    except np.linalg.LinAlgError:
+        return []

@@ -10,22 +10,17 @@ rules. A problem in which any of these searches does not end at a maximum has no
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from bench import SIGMA_FLOOR, Batch, OutputError, Point, layout, used_of
-from methods.starts.candidates import ALIAS_MARGIN, _aliased, candidates
-from methods.starts.equation_error import regression_starts
+from methods.starts.candidates import candidates
+from methods.starts.separate import separate
 
 MOST_ITERATIONS = 60
 MOST_AT_ONCE = 1_000_000
 """Derivatives of predictions that are held together, of one start a problem."""
-MOST_SCANNED = 2
-"""Degrees of freedom up to which starts are sought by a scan, too."""
-APART = 1e-2
-"""Log-parameters nearer than this are one start."""
 LEFT = 1e-6
 """What a search may still gain where it counts as ended at a maximum, in minus twice the log-posterior."""
 
@@ -117,7 +112,7 @@ def _fitted(batch: Batch, starts: _Starts, rules: Rules) -> list[Solution | None
 
 def _screened(batch: Batch, rules: Rules) -> _Starts:
     """The starts that are worth a fit after a few output-error steps."""
-    vectors = [[model.vector(p) for p in _starts(model, rules.starts + 1)] for model in batch.models]
+    vectors = [[model.vector(p) for p in candidates(model, rules.starts + 1)] for model in batch.models]
     cases = np.repeat(np.arange(len(vectors)), [len(own) for own in vectors])
     start = batch.point(cases, np.array([theta for own in vectors for theta in own]).reshape(-1, batch.first.size))
     residuals = batch.data[cases] - start.predicted
@@ -129,35 +124,10 @@ def _screened(batch: Batch, rules: Rules) -> _Starts:
     kept: list[int] = []
     for problem, model in enumerate(batch.models):
         own = np.flatnonzero(cases == problem)
-        separate = _separate(model, own, values, settled.theta)[: rules.starts]
-        kept += [i for i in separate if values[i] <= values[separate[0]] + rules.margin]
+        best = own[separate(model, values[own], settled.theta[own])[: rules.starts]]
+        kept += [i for i in best if values[i] <= values[best[0]] + rules.margin]
     nothing = np.full(batch.first.size, np.nan)
     return _Starts(cases[kept], settled.theta[kept], np.array([own[0] if own else nothing for own in vectors]))
-
-
-def _starts(model: OutputError, n: int) -> list[dict[str, float]]:
-    """Starts from the data alone. Many masses do without the scan, which raises all stiffnesses together.
-
-    A regression of their equations on the measured motions sees each by itself, and takes a fraction of the time.
-    """
-    if model.system.n_dof <= MOST_SCANNED:
-        with suppress(np.linalg.LinAlgError):  # equal entries of a mass matrix, with which a scan begins, are singular
-            return candidates(model, n)
-    with np.errstate(all="ignore"):
-        found = regression_starts(model.problem)
-    return [p for p in found if all(np.isfinite(v) and v > 0 for v in p.values())]
-
-
-def _separate(model: OutputError, own: np.ndarray, values: np.ndarray, thetas: np.ndarray) -> list[int]:
-    """Of the cases of a problem those that ended apart, best first; aliases only where they are clearly preferred."""
-    k, kept = len(model.free), list[int]()
-    for i in own[np.isfinite(values[own])]:
-        if not any(np.max(np.abs(thetas[i] - thetas[other])[:k]) < APART for other in kept):
-            kept.append(int(i))
-    kept.sort(key=lambda i: float(values[i]))
-    resolved = [i for i in kept if not _aliased(model, thetas[i])]
-    clear = not resolved or values[kept[0]] + ALIAS_MARGIN < values[resolved[0]]
-    return kept if clear else resolved
 
 
 @dataclass(frozen=True, eq=False)
