@@ -25,15 +25,17 @@ from bench.sweep.method_process import Fit, MethodFit, ReferenceFit
 from bench.sweep.plan import FAILURES, Planned, State
 from bench.sweep.scoring_process import Scored
 
-LARGEST_TASK = 5
-"""Replicates in a task, at most, where a method does not say how many it solves together: a process that dies loses
-all of its task, and they are tried again one by one."""
+FIRST_TASK, LARGEST_TASK = 5, 50
+"""Replicates in a task, at most, where a method does not say how many it solves together: of the first, and of those
+after it. A process that dies loses all of its task, and they are tried again one by one."""
+TASK_S = 0.5
+"""Seconds of fitting in a task, where its replicates take so little that there are several in it."""
 WAIT_S = 0.5
 
 
 @dataclass
 class QueuedCell:
-    """A cell to be computed: the tasks that are still to be fitted, and the rows so far.
+    """A cell to be computed: the replicates that are still to be fitted, and the rows so far.
 
     Attributes:
         cell: What is computed.
@@ -41,7 +43,10 @@ class QueuedCell:
         requires: Packages that the method needs.
         n_wanted: Rows at which the cell is complete.
         stamp: When its file was written before it was queued (ns); 0 where there was none.
-        pending: Tasks, as numbers of replicates.
+        size: How many replicates the method solves together; 1: as many as take ``TASK_S``.
+        workers: How many workers may share them.
+        pending: Replicates to be fitted.
+        alone: Replicates to be fitted by themselves.
         facts: What tables say of the data that all replicates share.
         started: Seconds since the epoch.
     """
@@ -51,7 +56,10 @@ class QueuedCell:
     requires: tuple[str, ...]
     n_wanted: int
     stamp: int
-    pending: deque[tuple[int, ...]] = field(default_factory=deque)
+    size: int = 1
+    workers: int = 1
+    pending: deque[int] = field(default_factory=deque)
+    alone: deque[int] = field(default_factory=deque)
     rows: list[Row] = field(default_factory=list)
     tracebacks: dict[int, str] = field(default_factory=dict)
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
@@ -62,6 +70,28 @@ class QueuedCell:
     def complete(self) -> bool:
         return len(self.rows) == self.n_wanted
 
+    @property
+    def open(self) -> int:
+        """How many replicates nobody has begun."""
+        return len(self.alone) + len(self.pending)
+
+    def next_task(self) -> tuple[int, ...]:
+        """The replicates to be fitted next, at least one where any is open."""
+        if self.alone:
+            return (self.alone.popleft(),)
+        n = min(self._task_size(), len(self.pending))
+        return tuple(self.pending.popleft() for _ in range(n))
+
+    def _task_size(self) -> int:
+        """As the method says; else as many as take ``TASK_S``, and such that all workers have some to the end."""
+        if self.size > 1:
+            return self.size
+        if not self.rows:
+            return max(1, min(FIRST_TASK, self.n_wanted // (4 * self.workers)))
+        each = float(np.mean([row.wall_s for row in self.rows]))
+        share = -(-len(self.pending) // (2 * self.workers))
+        return max(1, min(LARGEST_TASK, share, int(TASK_S / max(each, 1e-6))))
+
     def errors(self) -> str:
         """The tracebacks of all failed replicates, in order."""
         parts = [f"replicate {i}\n{text.rstrip()}\n" for i, text in sorted(self.tracebacks.items()) if text.strip()]
@@ -69,7 +99,7 @@ class QueuedCell:
 
 
 def queue_cell(planned: Planned, store: Store, workers: int, replicates: Collection[int] | None = None) -> QueuedCell:
-    """A planned cell, with what is to be fitted cut into tasks.
+    """A planned cell, with what is to be fitted.
 
     Args:
         planned: The cell; where it is tried again, the rows that did not fail are taken over.
@@ -80,7 +110,8 @@ def queue_cell(planned: Planned, store: Store, workers: int, replicates: Collect
     cell = planned.cell
     wanted = sorted(range(cell.replicates) if replicates is None else replicates)
     fit, requires, size = _fit(cell)
-    queued = QueuedCell(cell, pickle.dumps(fit), requires, len(wanted), store.stamp(cell.identity))
+    stamp = store.stamp(cell.identity)
+    queued = QueuedCell(cell, pickle.dumps(fit), requires, len(wanted), stamp, size, workers)
     lacking = missing_package(cell.method)
     if lacking:
         queued.rows = [Row(i, Status.MISSING_DEPENDENCY, lacking) for i in wanted]
@@ -88,9 +119,7 @@ def queue_cell(planned: Planned, store: Store, workers: int, replicates: Collect
     if planned.state is State.FAILED:
         _keep_good(queued, store)
     kept = {row.replicate for row in queued.rows}
-    todo = [i for i in wanted if i not in kept]
-    size = size if size > 1 else max(1, min(LARGEST_TASK, len(wanted) // (4 * workers)))
-    queued.pending.extend(tuple(todo[i : i + size]) for i in range(0, len(todo), size))
+    queued.pending.extend(i for i in wanted if i not in kept)
     return queued
 
 
@@ -117,7 +146,7 @@ class CellQueue:
     def __init__(self, cells: Sequence[QueuedCell], store: Store) -> None:
         self.store, self.claims = store, Claims(store.claims)
         self.events: queue.Queue[Any] = queue.Queue()
-        self.n_tasks = sum(max(1, len(queued.pending)) for queued in cells)
+        self.n_replicates = sum(max(1, queued.open) for queued in cells)
         self.wanted = tuple(queued.cell for queued in cells)
         self.methods = {cell.method for cell in self.wanted}
         self._waiting = deque(cells)
@@ -145,11 +174,11 @@ class CellQueue:
         """
         while not self._stopped.is_set():
             with self._lock:
-                if last is not None and last.pending:
-                    return last, last.pending.popleft()
-                queued = self._claimed() or max(self._open, key=lambda one: len(one.pending), default=None)
-                if queued is not None and queued.pending:
-                    return queued, queued.pending.popleft()
+                if last is not None and last.open:
+                    return last, last.next_task()
+                queued = self._claimed() or max(self._open, key=lambda one: one.open, default=None)
+                if queued is not None and queued.open:
+                    return queued, queued.next_task()
                 if not self._waiting:
                     return None
             self._stopped.wait(WAIT_S)  # for cells that another run has claimed
@@ -168,7 +197,7 @@ class CellQueue:
                 continue
             queued.started = time.time()
             self._open.append(queued)
-            if not queued.pending:  # nothing to fit: its package is missing
+            if not queued.open:  # nothing to fit: its package is missing
                 self.complete.put(queued)
                 continue
             return queued
@@ -184,7 +213,7 @@ class CellQueue:
     def split(self, queued: QueuedCell, replicates: Sequence[int]) -> None:
         """Have replicates tried again one by one."""
         with self._lock:
-            queued.pending.extendleft((replicate,) for replicate in reversed(replicates))
+            queued.alone.extend(replicates)
 
     def add(self, queued: QueuedCell, scored: Sequence[Scored]) -> None:
         """Note rows; a cell that is complete goes to be stored."""

@@ -61,7 +61,7 @@ def run_replicates(
 def _run(cells: CellQueue, limits: Limits, on_progress: Progress | None, on_rows: OnRows | None = None) -> None:
     """Work a queue off; with ``on_rows``, that gets what is complete instead of a writer."""
     children = Children(needed(limits.preload, cells.methods))
-    workers = [Worker(cells, children, limits) for _ in range(max(1, min(limits.workers, cells.n_tasks)))]
+    workers = [Worker(cells, children, limits) for _ in range(max(1, min(limits.workers, cells.n_replicates)))]
     n_writers = 0 if on_rows else -(-len(workers) // WORKERS_A_WRITER)
     threads: list[RunThread] = [*workers, *(Writer(cells, children, limits, workers) for _ in range(n_writers))]
     try:

@@ -133,7 +133,7 @@ class Worker(RunThread):
                 answers = self._answers(queued, replicates)
                 if isinstance(answers, bytes):
                     self.request("score", queued.cell, answers)
-                    if not queued.pending and self.cells.more and self.spare is None:
+                    if not queued.open and self.cells.more and self.spare is None:
                         self.spare = self.children.start(method_process.serve)
                     return self.answer(SCORING_S * n)  # type: ignore[no-any-return]
                 failure = answers
