@@ -19,7 +19,6 @@ import numpy as np
 
 from bench.contract.problem import Channel, Force, Record
 from bench.dynamics.intervals import interval_polynomials, merged_grid
-from bench.dynamics.mechanics import state_rate
 from bench.dynamics.ops import nan_ops
 from bench.systems import Ops, System
 
@@ -48,21 +47,39 @@ class Matrices:
 def linear_matrices_and_slopes(system: System, p: Mapping[str, np.ndarray], driven: Sequence[int]) -> Matrices:
     """The matrices of a linear system for parameters of shape (sets,), with a column of ``B`` for each driven DOF.
 
-    They are the state rate at unit states and unit forces, with an imaginary step in one parameter after the other
-    (W. Squire and G. Trapp, SIAM Review 40:110, 1998).
+    Columns of the mass, damping and stiffness matrices are the residual at one unit of acceleration, velocity or
+    displacement and nothing else: so none is a small difference of large numbers. The imaginary step is in one
+    parameter after the other (W. Squire and G. Trapp, SIAM Review 40:110, 1998).
     """
-    n, m = system.n_dof, len(driven)
-    steps = 1.0 + 1j * IMAGINARY * np.eye(len(system.names))
+    n, m, q = system.n_dof, len(driven), len(system.names)
+    steps = 1.0 + 1j * IMAGINARY * np.eye(q)
     stepped = {
         name: np.asarray(p[name])[:, None, None] * step[:, None] for name, step in zip(system.names, steps, strict=True)
     }
-    units = np.eye(2 * n + m)
-    force = [units[2 * n + driven.index(i)] if i in driven else np.zeros(2 * n + m) for i in range(n)]
-    rates = state_rate(system, stepped, list(units[: 2 * n]), force, _OPS)
-    shape = (len(np.asarray(p[system.names[0]])), len(steps), 2 * n + m)
-    both = np.stack([np.broadcast_to(rate, shape) for rate in rates], axis=2)
-    value, slope = both[:, 0].real, both.imag / IMAGINARY
+    units = np.eye(3 * n + m)
+    x, v, a = (list(units[i * n : (i + 1) * n]) for i in range(3))
+    force = [units[3 * n + driven.index(i)] if i in driven else np.zeros(3 * n + m) for i in range(n)]
+    shape = (len(np.asarray(p[system.names[0]])), q, 3 * n + m)
+    columns = [np.broadcast_to(r, shape) for r in system.residual(stepped, x, v, a, force, [], _OPS)]
+    both = np.stack(columns, axis=2).astype(complex)
+    order = np.r_[: 2 * n, 3 * n : 3 * n + m]
+    low = -_solved(both[..., 2 * n : 3 * n], both[..., order])
+    rates = np.zeros((*shape[:2], 2 * n, 2 * n + m), complex)
+    rates[..., :n, n : 2 * n], rates[..., n:, :] = np.eye(n), low
+    value, slope = rates[:, 0].real, rates.imag / IMAGINARY
     return Matrices(value[..., : 2 * n], value[..., 2 * n :], slope[..., : 2 * n], slope[..., 2 * n :])
+
+
+def _solved(mass: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """``mass^-1 right``, not finite where the mass matrix is singular."""
+    if mass.shape[-1] == 1:
+        return np.asarray(right / mass)
+    try:
+        return np.asarray(np.linalg.solve(mass, right))
+    except np.linalg.LinAlgError:
+        singular = np.linalg.matrix_rank(mass.real) < mass.shape[-1]
+        found = np.linalg.solve(np.where(singular[..., None, None], np.eye(mass.shape[-1]), mass), right)
+        return np.where(singular[..., None, None], np.nan, found)
 
 
 def linear_motion(

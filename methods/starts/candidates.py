@@ -16,6 +16,7 @@ import numpy as np
 
 from bench import OutputError, Problem, Record, Start
 from methods.starts.equation_error import regression_starts
+from methods.starts.long_records import is_long, starts_of_long
 from methods.starts.rough import RADIANS_A_STEP, rough_readings
 from methods.starts.scan import loaded_scan, scan
 from methods.starts.separate import separate
@@ -75,6 +76,8 @@ def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 
 def candidates(model: OutputError, n: int) -> list[dict[str, float]]:
     """Parameter sets to start from, in natural units: from the regression, the scan, and the prior's nominal values."""
     problem = model.problem
+    if problem.system.linear and is_long(problem):
+        return starts_of_long(problem, lambda short: candidates(short, n)) or _nominal(problem)
     several = problem.system.n_dof > 1 or not problem.system.linear
     with np.errstate(all="ignore"):
         found = regression_starts(problem) if several else []
@@ -83,7 +86,12 @@ def candidates(model: OutputError, n: int) -> list[dict[str, float]]:
     if problem.prior is not None and (several or _loaded(problem)):
         found.append(dict(problem.prior.nominal))
     good = [p for p in found if all(np.isfinite(v) and v > 0 for v in p.values())]
-    return good or [dict(problem.prior.nominal) if problem.prior else dict.fromkeys(problem.system.names, 1.0)]
+    return good or _nominal(problem)
+
+
+def _nominal(problem: Problem) -> list[dict[str, float]]:
+    """The prior's nominal values; without one, ones."""
+    return [dict(problem.prior.nominal) if problem.prior else dict.fromkeys(problem.system.names, 1.0)]
 
 
 def _loaded(problem: Problem) -> bool:
