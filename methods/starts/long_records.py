@@ -1,0 +1,107 @@
+"""Starts for long records: from a part of each that is short enough to be scanned, carried on to the whole.
+
+A scan costs cycles times samples, and a response whose frequency is off by half a cycle over the record has lost its
+phase. So the starts come from the first cycles, thinned, and are fitted again on four times the length, and again, each
+time few enough samples: a fit over one length finds the frequency better than the next one needs. Samples left out cost
+information, not correctness, for a response is exact at whatever times it is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bench import SIGMA_FLOOR, Batch, Channel, Force, OutputError, Problem, Record
+
+MOST_SAMPLES = 1000
+"""Of a channel, that starts are sought on."""
+LONG = 3 * MOST_SAMPLES
+"""Samples of a channel beyond which a record counts as long."""
+FIRST_CYCLES = 40.0
+"""Of the strongest oscillation, in the first part."""
+LONGER = 4.0
+ITERATIONS = 12
+STRONGEST_OF = 2**17
+"""Samples in which the strongest oscillation is sought."""
+
+Starts = list[dict[str, float]]
+
+
+def is_long(problem: Problem) -> bool:
+    """Whether any channel has more samples than starts are sought on."""
+    return any(c.n > LONG for record in problem.records for c in record.channels)
+
+
+def starts_of_long(problem: Problem, seek: Callable[[OutputError], Starts]) -> Starts:
+    """Starts of a linear system in natural units; ``seek`` finds those of a short problem."""
+    shares = [_first_share(record) for record in problem.records]
+    short = _part(problem, shares)
+    units = short.natural_units()
+    scales = units.scales(problem.system)
+    found = [{name: v * scales[name] for name, v in p.items()} for p in seek(OutputError(short.expressed_in(units)))]
+    while min(shares) < 1.0:
+        shares = [min(LONGER * share, 1.0) for share in shares]
+        found = _fitted(OutputError(_part(problem, shares)), found)
+    return found
+
+
+def _fitted(model: OutputError, found: Starts) -> Starts:
+    """The same starts after a few output-error steps on a problem; those that diverge are left out."""
+    batch, cases = Batch((model,)), np.zeros(len(found), int)
+    with np.errstate(all="ignore"):
+        point = batch.point(cases, np.array([model.vector(p) for p in found]))
+        good = np.flatnonzero(np.all(np.isfinite(point.predicted), axis=1))
+        cases, point = cases[good], point.at(good)
+        sigma = batch.noise(cases, batch.data[cases] - point.predicted, np.zeros(good.size), SIGMA_FLOOR)
+        thetas = batch.search(cases, point, sigma, ITERATIONS).theta
+    return [{name: float(v) for name, v in model.parameters(theta).items()} for theta in thetas]
+
+
+def _part(problem: Problem, shares: Sequence[float]) -> Problem:
+    """The first share of each record, on at most ``MOST_SAMPLES`` a channel."""
+    pairs = zip(problem.records, shares, strict=True)
+    return replace(problem, records=tuple(_head(record, share * record.duration) for record, share in pairs))
+
+
+def _head(record: Record, end: float) -> Record:
+    """A record until a time, thinned; a force is taken as its mean over what is left out."""
+
+    def thinned(c: Channel) -> Channel:
+        n = int(np.searchsorted(c.times, end, "right"))
+        own = slice(0, n, max(1, -(-n // MOST_SAMPLES)))
+        return replace(c, times=c.times[own], values=c.values[own])
+
+    return replace(
+        record,
+        channels=tuple(thinned(c) for c in record.channels),
+        forces=tuple(_averaged(force, end) for force in record.forces),
+    )
+
+
+def _averaged(force: Force, end: float) -> Force:
+    """A force until a time, as the means over equally many samples each, at their mean times."""
+    n = max(2, int(np.searchsorted(force.times, end, "right")))
+    size = -(-n // MOST_SAMPLES)
+    if size == 1:
+        return replace(force, times=force.times[:n], values=force.values[:n])
+    whole = n // size * size
+    times, values = (own[:whole].reshape(-1, size).mean(axis=1) for own in (force.times, force.values))
+    times[0] = force.times[0]
+    return replace(force, times=times, values=values, hold="linear")
+
+
+def _first_share(record: Record) -> float:
+    """How much of a record has ``FIRST_CYCLES`` of the strongest oscillation that any channel shows."""
+    cycles = max((_strongest(c) * record.duration for c in record.channels if c.n > LONG), default=0.0)
+    return float(min(1.0, FIRST_CYCLES / max(cycles, 1e-9)))
+
+
+def _strongest(channel: Channel) -> float:
+    """The frequency (cycles per unit of time) at which the periodogram of the first samples is highest."""
+    n = min(channel.n, STRONGEST_OF)
+    times = np.linspace(channel.times[0], channel.times[n - 1], n)
+    values = np.interp(times, channel.times[:n], channel.values[:n])
+    power = np.abs(np.fft.rfft(values - values.mean())) ** 2
+    return float(np.argmax(power) / (times[-1] - times[0]))
