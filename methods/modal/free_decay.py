@@ -1,26 +1,61 @@
 """What the methods share that read k/m and c/m of one mass off its free decay: logarithmic decrement, matrix pencil.
 
 A method brings one function, from displacements to (k/m, c/m) of many data sets at once. The rest is here: which
-problems are a free decay, the parametric bootstrap and the answer. The start is not used even where it is told: that is
-what these methods are like.
+problems are a free decay, the parametric bootstrap and the answer, of all problems of one layout at once. The start is
+not used even where it is told: that is what these methods are like.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from bench import Estimate, NoEstimate, Problem, Serves
-from methods.regression.bootstrap import bootstrap_covariance
+from methods.regression.bootstrap import bootstrap_covariances
+from methods.regression.company import Finish, answers_together
 from methods.regression.equation import Regression, Values, answer, layout_objection, responses
 
-Reader = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Times (n,) and displacements (sets, n) to k/m and c/m, shape (sets, 2); NaN where a set does not tell them."""
+Reader = Callable[[np.ndarray, np.ndarray, bool], np.ndarray]
+"""Times (n,), displacements (sets, n) and whether an unknown constant is in them to k/m and c/m, shape (sets, 2).
+
+NaN where a set does not tell them.
+"""
+Spread = Callable[["Decays"], np.ndarray]
+"""Covariances (sets, 2, 2) of k/m and c/m; NaN where the bootstrap is to find them."""
 
 SERVES = Serves(offsets=True, forced=False, nonlinear=False, max_dof=1)
 GROWS = "the vibration grows: c/m came out negative; take a record with more decay above its noise"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a method reads free decays: ``unreadable`` is the sentence for a record that ``read`` makes nothing of.
+
+    The covariance is that of ``bootstrap`` synthetic records (none where it is 0), or of ``spread`` where it has one.
+    """
+
+    read: Reader
+    unreadable: str
+    bootstrap: int
+    spread: Spread | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Decays:
+    """Free decays as they were read: ``groups`` (sets, 2), k/m and c/m, at times (n,), whether about an ``offset``.
+
+    ``centres`` (sets, n) are their responses from the best start, NaN where they overflow; ``noise`` (sets,) is the
+    standard deviation of the data about them with N - 4 degrees of freedom (N - 5 with an offset).
+    """
+
+    times: np.ndarray
+    groups: np.ndarray
+    centres: np.ndarray
+    noise: np.ndarray
+    offset: bool
 
 
 def decay_objection(problem: Problem) -> str | None:
@@ -36,28 +71,41 @@ def has_offset(problem: Problem) -> bool:
     return problem.records[0].channels[0].offset
 
 
-def decay_estimate(
-    problem: Problem, read: Reader, unreadable: str, rng: np.random.Generator, bootstrap: int
-) -> Estimate:
-    """Estimate the groups of a free decay with the covariance of ``bootstrap`` synthetic records (none where it is 0).
+def decay_estimates(
+    problems: Sequence[Problem], rngs: Sequence[np.random.Generator], reading: Reading
+) -> list[Estimate]:
+    """Estimate the groups of free decays.
 
-    ``unreadable`` is the sentence for a record that ``read`` makes nothing of. An unstable estimate (c/m negative) is
-    given as it is, with a sentence: dropping it would drop the unlucky half of the noise.
+    An unstable estimate (c/m negative) is given as it is, with a sentence: dropping it would drop the unlucky half of
+    the noise.
     """
-    regression = Regression.of(untold(problem))
-    times, order = regression.times[0], _order(regression)
+    own = [untold(problem) for problem in problems]
+    return answers_together(own, rngs, partial(_decays, reading), max(1, reading.bootstrap))
 
-    def fitter(values: Values) -> np.ndarray:
-        return np.asarray(read(times, values[0][0])[:, order])
 
-    unknowns = fitter(regression.values)[0]
+def _decays(
+    reading: Reading, regressions: Sequence[Regression], rngs: Sequence[np.random.Generator]
+) -> Sequence[Finish]:
+    first = regressions[0]
+    times, order, offset = first.times[0], _order(first), first.records[0].channels[0].offset
+    y = np.concatenate([regression.values[0] for regression in regressions], axis=1)
+    groups = reading.read(times, y[0], offset)
+    decays = _world(first, Decays(times, groups, y[0], np.zeros(len(groups)), offset), order)
+    covariances = _covariances(reading, decays, rngs)
+    return [
+        partial(
+            _estimate, regression, reading.unreadable, own[order], None if cov is None else cov[np.ix_(order, order)]
+        )
+        for regression, own, cov in zip(regressions, groups, covariances, strict=True)
+    ]
+
+
+def _estimate(regression: Regression, unreadable: str, unknowns: np.ndarray, covariance: np.ndarray | None) -> Estimate:
     if not np.all(np.isfinite(unknowns)):
         raise NoEstimate(unreadable)
-    world = _world(regression, unknowns)
-    covariance = bootstrap_covariance(world, fitter, rng, bootstrap) if world is not None and bootstrap else None
-    damping = unknowns[order][1]
     # the resting level is found too, and costs a degree of freedom
-    found = np.append(unknowns, np.zeros(int(has_offset(problem))))
+    found = np.append(unknowns, np.zeros(int(regression.records[0].channels[0].offset)))
+    damping = unknowns[_order(regression)][1]
     return answer(regression, found, covariance, GROWS if damping <= 0 else "")
 
 
@@ -73,6 +121,30 @@ def _order(regression: Regression) -> list[int]:
     return [0, 1] if stiffness in first else [1, 0]
 
 
+def _covariances(reading: Reading, decays: Decays, rngs: Sequence[np.random.Generator]) -> list[np.ndarray | None]:
+    """Covariances of k/m and c/m; None where there is none."""
+    found: list[np.ndarray | None] = [None] * len(rngs)
+    if not reading.bootstrap:
+        return found
+    if reading.spread is not None:
+        found = [cov if np.all(np.isfinite(cov)) else None for cov in reading.spread(decays)]
+    worlds = np.all(np.isfinite(decays.centres), axis=1)
+    left = [i for i, cov in enumerate(found) if cov is None and worlds[i]]
+
+    def fitter(values: Values) -> np.ndarray:
+        return reading.read(decays.times, values[0][0], decays.offset)
+
+    drawn = bootstrap_covariances(
+        [_Decay((decays.centres[i : i + 1],), (decays.noise[i : i + 1],)) for i in left],
+        fitter,
+        [rngs[i] for i in left],
+        reading.bootstrap,
+    )
+    for i, cov in zip(left, drawn, strict=True):
+        found[i] = cov
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class _Decay:
     """The simulated response (1, n) and the standard deviation (1,) of the data about it."""
@@ -81,16 +153,9 @@ class _Decay:
     noise: tuple[np.ndarray, ...]
 
 
-def _world(regression: Regression, unknowns: np.ndarray) -> _Decay | None:
-    """The response of the estimate from its best start, and the noise with N - 4 degrees of freedom (N - 5 with an
-    offset); None where it overflows.
-    """
-    y = regression.values[0]
-    response = responses(
-        regression.system, regression.parameters(unknowns[None]), regression.records[0], y, np.zeros(2)
-    )
-    if not np.all(np.isfinite(response)):
-        return None
-    misfit = np.sum((response - y) ** 2, axis=-1)[:, 0]
-    spent = 4 + int(regression.records[0].channels[0].offset)
-    return _Decay((response[:, 0],), (np.sqrt(misfit / max(y.shape[-1] - spent, 1)),))
+def _world(regression: Regression, decays: Decays, order: list[int]) -> Decays:
+    """The decays with the responses from their best starts and the noise about them, in place of data and zeros."""
+    y, parameters = decays.centres, regression.parameters(decays.groups[:, order])
+    centres = responses(regression.system, parameters, regression.records[0], y[None], np.zeros(2))[0]
+    left = max(y.shape[1] - 4 - int(decays.offset), 1)
+    return replace(decays, centres=centres, noise=np.sqrt(np.sum((centres - y) ** 2, axis=1) / left))

@@ -21,6 +21,7 @@ Times may be uneven. The start, the prior and the noise level are not used.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import ClassVar
@@ -28,7 +29,7 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card, Estimate, Identifier, InputError, Problem, Serves
-from methods.modal.free_decay import SERVES, decay_estimate, decay_objection, has_offset
+from methods.modal.free_decay import SERVES, Reading, decay_estimates, decay_objection
 from methods.regression.derivatives import finite_differences
 
 MIN_CROSSINGS = 3
@@ -73,17 +74,20 @@ class LogDecrement(Identifier):
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate the groups k/m and c/m; ``diverged`` where there are too few crossings or extremes."""
+        return self.estimate_many([problem], [rng])[0]
 
-        def read(times: np.ndarray, sets: np.ndarray) -> np.ndarray:
-            if has_offset(problem):
-                sets = np.array([y - resting_level(times, y, self.smallest) for y in sets])
-            return np.array([decrement(times, y, self.smallest) for y in sets])
-
+    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Estimate problems of one layout together."""
         sentence = (
             f"fewer than {MIN_CROSSINGS} zero crossings or {MIN_EXTREMES} extremes above {self.smallest:g} of the "
             "largest sample: take a longer record, more samples a cycle or less noise"
         )
-        return decay_estimate(problem, read, sentence, rng, self.bootstrap)
+        return decay_estimates(problems, rngs, Reading(self._read, sentence, self.bootstrap))
+
+    def _read(self, times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
+        if offset:
+            sets = np.array([y - resting_level(times, y, self.smallest) for y in sets])
+        return np.array([decrement(times, y, self.smallest) for y in sets])
 
 
 def decrement(times: np.ndarray, y: np.ndarray, smallest: float) -> tuple[float, float]:

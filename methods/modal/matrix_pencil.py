@@ -14,18 +14,23 @@ little change between; Sarkar and Pereira advise N/3 to N/2. Here N/3, and no tr
 A sensor's offset is a third exponential, of pole 1: three singular vectors are then kept, and of the three poles the
 complex pair is the vibration.
 
+The covariance is that of the poles to first order (:mod:`methods.modal.perturbation`) where the noise is small beside
+the decay, as told there, else that of a parametric bootstrap.
+
 Even sampling is needed. The start, the prior and the noise level are not used.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from bench import Card, Estimate, Identifier, InputError, Problem, Serves
-from methods.modal.free_decay import SERVES, decay_estimate, decay_objection, has_offset
+from methods.modal.free_decay import SERVES, Decays, Reading, decay_estimates, decay_objection, has_offset
+from methods.modal.perturbation import small_noise_covariance
 
 UNEVEN = 1e-3
 """Steps may differ by this part of themselves: what rounding of printed times does."""
@@ -41,7 +46,10 @@ NO_VIBRATION = (
 
 @dataclass(frozen=True)
 class MatrixPencil(Identifier):
-    """Pencil parameter ``pencil`` times the samples; ``bootstrap`` synthetic records give the covariance."""
+    """Pencil parameter ``pencil`` times the samples; ``bootstrap`` synthetic records where first order does not do.
+
+    With ``bootstrap=0`` there is no uncertainty.
+    """
 
     pencil: float = 1.0 / 3.0
     bootstrap: int = 200
@@ -51,7 +59,8 @@ class MatrixPencil(Identifier):
         start="not used",
         scale="groups",
         reconstruction="simulated",
-        uncertainty="covariance of a parametric bootstrap, Student t with N - 4 degrees of freedom",
+        uncertainty="covariance of the poles to first order, at large noise of a parametric bootstrap; Student t with "
+        "N - 4 degrees of freedom",
         settings_source="pencil parameter N/3: least variance in Hua and Sarkar (1990)",
         tuning="none",
         title="Matrix pencil",
@@ -73,12 +82,27 @@ class MatrixPencil(Identifier):
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate the groups k/m and c/m; ``diverged`` with a sentence where the poles are not a complex pair."""
+        return self.estimate_many([problem], [rng])[0]
 
-        def read(times: np.ndarray, sets: np.ndarray) -> np.ndarray:
-            found = poles(sets, self.pencil, 3 if has_offset(problem) else 2)
-            return groups_from_poles(found, float(times[-1] - times[0]) / (times.size - 1))
+    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Estimate problems of one layout together."""
+        return decay_estimates(problems, rngs, Reading(self._read, NO_VIBRATION, self.bootstrap, self._spread))
 
-        return decay_estimate(problem, read, NO_VIBRATION, rng, self.bootstrap)
+    def _read(self, times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
+        return groups_from_poles(poles(sets, self.pencil, 3 if offset else 2), _step(times))
+
+    def _spread(self, decays: Decays) -> np.ndarray:
+        if decays.offset:
+            # its pole is known no better than the level is large: nothing of first order
+            return np.full((len(decays.groups), 2, 2), np.nan)
+        samples = decays.times.size
+        return small_noise_covariance(
+            decays.groups, decays.centres, decays.noise, _step(decays.times), pencil_length(samples, self.pencil, 2)
+        )
+
+
+def _step(times: np.ndarray) -> float:
+    return float(times[-1] - times[0]) / (times.size - 1)
 
 
 def _sampling_objection(problem: Problem) -> str | None:
@@ -94,10 +118,15 @@ def _sampling_objection(problem: Problem) -> str | None:
     return None
 
 
+def pencil_length(samples: int, pencil: float, count: int) -> int:
+    """The pencil parameter L, which leaves as many rows and columns as there are poles."""
+    return int(np.clip(round(pencil * samples), count, samples - count))
+
+
 def poles(sets: np.ndarray, pencil: float, count: int = 2) -> np.ndarray:
     """``count`` poles z of each data set, complex (sets, count), from even samples (sets, n), n >= 2 count."""
     n = sets.shape[-1]
-    length = int(np.clip(round(pencil * n), count, n - count))
+    length = pencil_length(n, pencil, count)
     batch = max(1, BATCH // ((n - length) * (length + 1)))
     found = [_poles(sets[i : i + batch], length, count) for i in range(0, sets.shape[0], batch)]
     return np.concatenate(found)

@@ -2,7 +2,7 @@
 
 * :func:`spline_fit` is the regression on smoothing splines of many smoothing weights; the one is kept whose estimate,
   simulated, explains the record best.
-* :func:`bootstrap_covariance` makes records like the one at hand and fits them again. The textbook covariance of a
+* :func:`bootstrap_covariances` makes records like the one at hand and fits them again. The textbook covariance of a
   regression is wrong here: its columns are noisy too (errors in variables), and the noise of differentiated data is
   correlated.
 """
@@ -185,20 +185,33 @@ def smoothings(regression: Regression, fit: SplineFit, values: Values) -> list[t
     ]
 
 
-def bootstrap_covariance(
-    fit: World, fitter: Callable[[Values], np.ndarray], rng: np.random.Generator, count: int
-) -> np.ndarray | None:
-    """Covariance (q, q) of what ``fitter`` finds in ``count`` synthetic data sets; None where too few can be fitted.
+def bootstrap_covariances(
+    fits: Sequence[World], fitter: Callable[[Values], np.ndarray], rngs: Sequence[np.random.Generator], count: int
+) -> list[np.ndarray | None]:
+    """Covariances (q, q) of what ``fitter`` finds in ``count`` synthetic data sets of each fit.
 
     The parametric bootstrap (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, section 6.5): records are
     drawn from the response of a fit plus white noise of its misfit, and fitted like the data.
-    ``fitter`` maps displacements (n_dof, count, n) a record to unknowns (count, q). It measures spread, not bias.
+    ``fitter`` maps displacements (n_dof, fits * count, n) a record, fit by fit, to unknowns (fits * count, q). It
+    measures spread, not bias. None where too few can be fitted.
     """
-    drawn = [
+    if not fits:
+        return []
+    drawn = [_drawn(fit, rng, count) for fit, rng in zip(fits, rngs, strict=True)]
+    found = fitter([np.concatenate(own, axis=1) for own in zip(*drawn, strict=True)])
+    return [_covariance(own) for own in found.reshape(len(fits), count, -1)]
+
+
+def _drawn(fit: World, rng: np.random.Generator, count: int) -> list[np.ndarray]:
+    return [
         centre[:, None] + sd[:, None, None] * rng.standard_normal((centre.shape[0], count, centre.shape[1]))
         for centre, sd in zip(fit.centres, fit.noise, strict=True)
     ]
-    found = fitter(drawn)
+
+
+def _covariance(found: np.ndarray) -> np.ndarray | None:
+    """Covariance of what was found (count, q) where finite."""
+    count = len(found)
     found = found[np.all(np.isfinite(found), axis=1)]
     if found.shape[0] <= max(found.shape[1] + 1, count // 2):
         return None

@@ -29,7 +29,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from bench import Card, Estimate, Identifier, Problem, Serves
-from methods.regression.bootstrap import bootstrap_covariance, spline_fit, spline_refit
+from methods.regression.bootstrap import bootstrap_covariances, spline_fit, spline_refit
 from methods.regression.equation import Regression, Values, answer, layout_objection, solve
 
 
@@ -84,5 +84,5 @@ class LS(Identifier):
                 return spline_refit(regression, fit, values)
             return solve(*regression.finite(values))
 
-        covariance = bootstrap_covariance(fit, fitter, rng, self.bootstrap)
+        covariance = bootstrap_covariances([fit], fitter, [rng], self.bootstrap)[0]
         return answer(regression, unknowns, covariance)

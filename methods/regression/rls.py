@@ -23,7 +23,7 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card, Dimension, Estimate, Identifier, InputError, Problem, Serves
-from methods.regression.bootstrap import bootstrap_covariance, spline_fit
+from methods.regression.bootstrap import bootstrap_covariances, spline_fit
 from methods.regression.equation import Regression, answer, layout_objection
 
 
@@ -90,8 +90,8 @@ class RLS(Identifier):
             columns = columns * np.nan  # fewer equations than unknowns: the diffuse start would answer
         fit = spline_fit(regression)
         path = self._path(regression, columns, target)
-        covariance = bootstrap_covariance(
-            fit, lambda values: self._path(regression, *regression.finite(values))[-1], rng, self.bootstrap
+        (covariance,) = bootstrap_covariances(
+            [fit], lambda values: self._path(regression, *regression.finite(values))[-1], [rng], self.bootstrap
         )
         traces = {
             "trajectory": path[:, 0, : len(regression.names)],

@@ -34,7 +34,7 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card, Dimension, Estimate, Identifier, InputError, NoEstimate, Problem, Serves, Status
-from methods.regression.bootstrap import SplineFit, bootstrap_covariance, smoothings, spline_fit
+from methods.regression.bootstrap import SplineFit, bootstrap_covariances, smoothings, spline_fit
 from methods.regression.derivatives import Motion
 from methods.regression.equation import Regression, Values, answer, layout_objection, solve
 
@@ -97,7 +97,7 @@ class SINDy(Identifier):
         def fitter(values: Values) -> np.ndarray:
             return library.refit(values, fit, len(models))
 
-        covariance = bootstrap_covariance(fit, fitter, rng, self.bootstrap)
+        covariance = bootstrap_covariances([fit], fitter, [rng], self.bootstrap)[0]
         traces = {"coefficients": best[0], "powers": library.powers.astype(float)}
         dimensions = {"coefficients": library.dimensions()}
         return answer(regression, unknowns, covariance, library.told(best[0]), traces, dimensions)

@@ -11,6 +11,7 @@ from bench.scenario.scenario import Scenario
 from bench.scenario.truth import closed_form
 from bench.systems import SDOF
 from methods.modal.matrix_pencil import MatrixPencil, groups_from_poles, poles
+from methods.modal.perturbation import Pair
 
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
 TIMES = np.linspace(0.0, 10.0, 25)
@@ -101,6 +102,50 @@ def test_the_bootstrap_covariance_is_the_spread_over_replicates() -> None:
     told = np.median([np.sqrt(np.diag(found.covariance)) for found in fits if found.covariance is not None], axis=0)
     np.testing.assert_allclose(told, spread, rtol=0.4)
     assert fits[0].dof == 25 - 4
+
+
+@pytest.mark.parametrize("index", [0, 6, 16, 24])
+def test_slopes_of_the_poles_are_those_of_the_estimator(index: int) -> None:
+    """Central differences of the whole estimator, decomposition and all, by one sample after the other."""
+    y, step, length = closed_form(PLANT, 0.8, 0.5, TIMES), TIMES[1], 8
+    true = np.array([[PLANT["k"] / PLANT["m"], PLANT["c"] / PLANT["m"]]])
+    moved = np.stack([y + sign * 1e-6 * (np.arange(25) == index) for sign in (1, -1)])
+    high, low = groups_from_poles(poles(moved, 1 / 3), step)
+    found = Pair.of(true, y[None], step).group_slopes(step, length)[0, :, index]
+    np.testing.assert_allclose(found, (high - low) / 2e-6, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("length", [2, 8, 20])
+def test_the_second_singular_value_is_that_of_the_hankel_matrix(length: int) -> None:
+    y = closed_form(PLANT, 0.8, 0.5, TIMES)
+    true = np.array([[PLANT["k"] / PLANT["m"], PLANT["c"] / PLANT["m"]]])
+    expected = np.linalg.svd(np.lib.stride_tricks.sliding_window_view(y, length + 1), compute_uv=False)[1]
+    np.testing.assert_allclose(Pair.of(true, y[None], TIMES[1]).second_singular(length), expected, rtol=1e-9)
+
+
+def test_first_order_covariance_is_the_bootstrap_s(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At small noise, and with it the correlation: 4000 records tell a standard deviation to 1 %."""
+    problem = record(PLANT, noise=0.02)
+    first_order = groups(problem, bootstrap=4000).covariance
+    monkeypatch.setattr("methods.modal.perturbation.SMALL", 0.0)
+    drawn = groups(problem, bootstrap=4000).covariance
+    assert first_order is not None
+    assert drawn is not None
+    sds, expected = np.sqrt(np.diag(first_order)), np.sqrt(np.diag(drawn))
+    np.testing.assert_allclose(sds, expected, rtol=0.05)
+    np.testing.assert_allclose(first_order[0, 1] / np.prod(sds), drawn[0, 1] / np.prod(expected), atol=0.06)
+
+
+def test_large_noise_is_left_to_the_bootstrap() -> None:
+    """The answer at small noise does not depend on the generator, at large noise it does."""
+    for noise, same in ((0.01, True), (0.25, False)):
+        problem = record(PLANT, noise=noise)
+        found = [MatrixPencil().identify(problem, np.random.default_rng(seed)).groups for seed in (0, 1)]
+        assert found[0] is not None
+        assert found[1] is not None
+        assert found[0].covariance is not None
+        assert found[1].covariance is not None
+        assert np.array_equal(found[0].covariance, found[1].covariance) is same
 
 
 def test_poles_that_are_no_pair_are_a_sentence() -> None:
