@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -85,71 +84,150 @@ class LogDecrement(Identifier):
         return decay_estimates(problems, rngs, Reading(self._read, sentence, self.bootstrap))
 
     def _read(self, times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
-        if offset:
-            sets = np.array([y - resting_level(times, y, self.smallest) for y in sets])
-        return np.array([decrement(times, y, self.smallest) for y in sets])
+        level = resting_level(times, sets, self.smallest)[:, None] if offset else 0.0
+        return decrement(times, sets - level, self.smallest)
 
 
-def decrement(times: np.ndarray, y: np.ndarray, smallest: float) -> tuple[float, float]:
-    """k/m and c/m of one record (n,) as the module's docstring says; NaN where there is too little to read."""
-    swings, crossings = swings_and_crossings(times, y, smallest)
-    at, heights = extremes(times, y, swings)
-    if crossings.size < MIN_CROSSINGS or heights.size < MIN_EXTREMES:
-        return float("nan"), float("nan")
-    half_period = _slope(np.arange(crossings.size, dtype=float), crossings)
-    decay = -_slope(at, np.log(np.abs(heights)))
-    return (np.pi / half_period) ** 2 + decay**2, 2.0 * decay
+def decrement(times: np.ndarray, sets: np.ndarray, smallest: float) -> np.ndarray:
+    """k/m and c/m, (sets, 2), of records (sets, n) as the module's docstring says; NaN where there is too little."""
+    swings = Swings.of(times, sets, smallest)
+    at, heights = extremes(times, sets, swings.largest)
+    numbers = np.broadcast_to(np.arange(swings.crossings.shape[1], dtype=float), swings.crossings.shape)
+    with np.errstate(all="ignore"):
+        half_period = _slope(numbers, swings.crossings)
+        decay = -_slope(at, np.log(np.abs(heights)))
+        groups = np.stack([(np.pi / half_period) ** 2 + decay**2, 2.0 * decay], axis=1)
+    enough = (_count(swings.crossings) >= MIN_CROSSINGS) & (_count(heights) >= MIN_EXTREMES)
+    return np.where(enough[:, None], groups, np.nan)
 
 
-def resting_level(times: np.ndarray, y: np.ndarray, smallest: float) -> float:
-    """The level about which the extremes of a record (n,) alternate; its mean where there are fewer than three."""
-    level = float(np.mean(y))
+def resting_level(times: np.ndarray, sets: np.ndarray, smallest: float) -> np.ndarray:
+    """The levels (sets,) about which extremes of records (sets, n) alternate; the mean where there are fewer than 3."""
+    level, going = np.mean(sets, axis=1), np.arange(len(sets))
     for _ in range(LEVEL_ROUNDS):
-        swings, _crossings = swings_and_crossings(times, y - level, smallest)
-        _at, e = extremes(times, y - level, swings)
-        if e.size < 3:
+        y = sets[going] - level[going, None]
+        _at, heights = extremes(times, y, Swings.of(times, y, smallest).largest)
+        enough = _count(heights) >= 3
+        going, e = going[enough], _packed(heights[enough])
+        if not going.size:
             break
-        level += float(np.mean((e[:-2] * e[2:] - e[1:-1] ** 2) / (e[:-2] + e[2:] - 2.0 * e[1:-1])))
+        # NaN in the triples that are not there
+        levels = (e[:, :-2] * e[:, 2:] - e[:, 1:-1] ** 2) / (e[:, :-2] + e[:, 2:] - 2.0 * e[:, 1:-1])
+        there = np.isfinite(e[:, 2:])
+        level[going] += np.sum(np.where(there, levels, 0.0), axis=1) / np.sum(there, axis=1)
     return level
 
 
-def swings_and_crossings(times: np.ndarray, y: np.ndarray, smallest: float) -> tuple[list[np.ndarray], np.ndarray]:
-    """The swings, as numbers of their samples, and the times of zero between them (one fewer), earliest first.
+@dataclass(frozen=True, eq=False)
+class Swings:
+    """The swings of records, earliest first: where each is ``largest`` (sets, swings), -1 where there is none.
 
-    Between the last sample of one swing and the first of the next the sign may turn more than once, in noise: the mean
-    of those times is taken.
+    ``crossings`` (sets, swings - 1) are the times of zero between them, NaN where there is none.
     """
-    beyond = np.flatnonzero(np.abs(y) >= smallest * np.max(np.abs(y)))
-    swings = np.split(beyond, np.flatnonzero(np.diff(np.sign(y[beyond]))) + 1)
-    crossings = np.array([_zero(times, y, a[-1], b[0]) for a, b in pairwise(swings)])
-    gaps = np.diff(crossings)
-    lost = np.flatnonzero(gaps > MISSING * np.median(gaps)) if gaps.size else gaps
-    kept = int(lost[0]) + 1 if lost.size else crossings.size
-    return swings[: kept + 1], crossings[:kept]
+
+    largest: np.ndarray
+    crossings: np.ndarray
+
+    @staticmethod
+    def of(times: np.ndarray, sets: np.ndarray, smallest: float) -> Swings:
+        """Read records (sets, n).
+
+        Between the last sample of one swing and the first of the next the sign may turn more than once, in noise: the
+        mean of those times is taken.
+        """
+        size = np.abs(sets)
+        beyond = size >= smallest * np.max(size, axis=1, keepdims=True)
+        number = _numbers(sets, beyond)
+        count = int(np.max(number, initial=0)) + 1
+        crossings = _crossings(times, sets, beyond, number, count)
+        kept = _kept(crossings)
+        largest = _largest(np.where(beyond, size, -1.0), number, count)
+        return Swings(
+            np.where(np.arange(count) <= kept[:, None], largest, -1),
+            np.where(np.arange(count - 1) < kept[:, None], crossings, np.nan),
+        )
 
 
-def _zero(times: np.ndarray, y: np.ndarray, first: int, last: int) -> float:
-    """Where straight lines between samples ``first`` and ``last``, of opposite sign, pass through zero; on average."""
-    t, x = times[first : last + 1], y[first : last + 1]
-    turns = np.flatnonzero((x[:-1] >= 0) != (x[1:] >= 0))
-    return float(np.mean(t[turns] - x[turns] * (t[turns + 1] - t[turns]) / (x[turns + 1] - x[turns])))
+def _numbers(sets: np.ndarray, beyond: np.ndarray) -> np.ndarray:
+    """The number of the swing, from 0, that each sample (sets, n) ends or follows; -1 before the first."""
+    at = np.arange(sets.shape[1])
+    last = np.maximum.accumulate(np.where(beyond, at, -1), axis=1)
+    side = np.where(last >= 0, np.take_along_axis(np.sign(sets), np.maximum(last, 0), axis=1), np.nan)
+    # NaN before the first swing is unlike any side, so that the first begins by itself
+    begins = np.concatenate([last[:, :1] >= 0, (side[:, 1:] != side[:, :-1]) & (last[:, 1:] >= 0)], axis=1)
+    return np.asarray(np.cumsum(begins, axis=1) - 1)
 
 
-def extremes(times: np.ndarray, y: np.ndarray, swings: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Times and heights of the extremes, by the parabola through the largest sample of each swing and its neighbours.
+def _crossings(times: np.ndarray, sets: np.ndarray, beyond: np.ndarray, number: np.ndarray, count: int) -> np.ndarray:
+    """Where straight lines between samples of opposite sign pass through zero, on average over each gap of swings.
+
+    Of shape (sets, count - 1), NaN where there is no such gap.
+    """
+    # the number of the swing that each sample begins or comes before; the last one's after the last
+    after = np.where(beyond, number, count)
+    after = np.minimum.accumulate(after[:, ::-1], axis=1)[:, ::-1]
+    positive = sets >= 0
+    turns = (positive[:, :-1] != positive[:, 1:]) & (number[:, :-1] >= 0) & (after[:, 1:] == number[:, :-1] + 1)
+    turns &= after[:, 1:] < count
+    own, i = np.nonzero(turns)
+    zero = times[i] - sets[own, i] * (times[i + 1] - times[i]) / (sets[own, i + 1] - sets[own, i])
+    gap, gaps = own * (count - 1) + number[own, i], len(sets) * (count - 1)
+    with np.errstate(all="ignore"):
+        mean = np.bincount(gap, zero, gaps) / np.bincount(gap, minlength=gaps)
+    return np.asarray(mean.reshape(len(sets), count - 1))
+
+
+def _kept(crossings: np.ndarray) -> np.ndarray:
+    """How many crossings of (sets, count) come before the first gap that has lost a swing, (sets,)."""
+    count, gaps = _count(crossings), np.diff(crossings, axis=1)
+    if not gaps.shape[1]:
+        return count
+    ordered, middle = np.sort(gaps, axis=1), np.maximum(count - 1, 1)
+    low, high = (np.take_along_axis(ordered, i[:, None], axis=1) for i in ((middle - 1) // 2, middle // 2))
+    lost = gaps > MISSING * 0.5 * (low + high)
+    return np.where(np.any(lost, axis=1), np.argmax(lost, axis=1) + 1, count)
+
+
+def _largest(size: np.ndarray, number: np.ndarray, count: int) -> np.ndarray:
+    """The first largest sample of each swing, (sets, count), of sizes (sets, n), -1 for samples of none; -1 if none."""
+    own, i = np.nonzero(size >= 0)
+    swing = number[own, i]
+    top = np.full((len(size), count), -1.0)
+    np.maximum.at(top, (own, swing), size[own, i])
+    tops = size[own, i] == top[own, swing]
+    largest = np.full((len(size), count), size.shape[1])
+    np.minimum.at(largest, (own[tops], swing[tops]), i[tops])
+    return np.where(largest < size.shape[1], largest, -1)
+
+
+def extremes(times: np.ndarray, sets: np.ndarray, largest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times and heights of the extremes, by the parabola through each swing's ``largest`` sample and its neighbours.
 
     The parabola has its top at ``-x'/x''`` from the sample, where it is ``x - x'²/(2x'')``; of three equal samples it
-    is the middle one. A swing whose largest sample is the first or the last of the record has no top to be seen.
+    is the middle one. A swing whose largest sample is the first or the last of the record has no top to be seen: NaN,
+    as where there is no swing. Of records (sets, n) and numbers of samples (sets, swings).
     """
-    largest = np.array([swing[np.argmax(np.abs(y[swing]))] for swing in swings], dtype=int)
-    largest = largest[(largest > 0) & (largest < y.size - 1)]
-    motion = finite_differences(times, y)
-    v, a = motion.v[largest - 1], motion.a[largest - 1]
+    seen = (largest > 0) & (largest < sets.shape[1] - 1)
+    i = np.where(seen, largest, 1)
+    motion = finite_differences(times, sets)
+    x, v, a = (np.take_along_axis(part, i - 1, axis=1) for part in (motion.x, motion.v, motion.a))
     away = np.where(a == 0.0, 0.0, -v / np.where(a == 0.0, 1.0, a))
-    return times[largest] + away, y[largest] + 0.5 * v * away
+    return np.where(seen, times[i] + away, np.nan), np.where(seen, x + 0.5 * v * away, np.nan)
 
 
-def _slope(x: np.ndarray, y: np.ndarray) -> float:
-    """The slope of the least-squares line through the points."""
-    away = x - np.mean(x)
-    return float(away @ y / (away @ away))
+def _count(values: np.ndarray) -> np.ndarray:
+    """How many values (sets, count) are not NaN."""
+    return np.sum(~np.isnan(values), axis=1)
+
+
+def _packed(values: np.ndarray) -> np.ndarray:
+    """Values (sets, count) with those that are NaN behind the others."""
+    return np.take_along_axis(values, np.argsort(np.isnan(values), axis=1, kind="stable"), axis=1)
+
+
+def _slope(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The slopes (sets,) of the least-squares lines through the points (sets, count) whose y is not NaN."""
+    there = ~np.isnan(y)
+    mean = np.sum(np.where(there, x, 0.0), axis=1) / np.sum(there, axis=1)
+    away = np.where(there, x - mean[:, None], 0.0)
+    return np.asarray(np.sum(away * np.where(there, y, 0.0), axis=1) / np.sum(away**2, axis=1))

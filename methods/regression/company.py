@@ -14,7 +14,7 @@ import numpy as np
 from bench import Estimate, NoEstimate, Problem, layout
 from methods.regression.equation import Regression
 
-MOST_AT_ONCE = 2_000_000
+MOST_AT_ONCE = 500_000
 """Displacements that are held together, over all synthetic records of all problems."""
 
 Finish = Callable[[], Estimate]
