@@ -1,6 +1,6 @@
 """How much to smooth, and how uncertain a regression is: the spline fit, and records drawn like the one at hand.
 
-* :func:`spline_fit` is the regression on smoothing splines of many smoothing weights; the one is kept whose estimate,
+* :func:`spline_fits` is the regression on smoothing splines of many smoothing weights; the one is kept whose estimate,
   simulated, explains the record best.
 * :func:`bootstrap_covariances` makes records like the one at hand and fits them again. The textbook covariance of a
   regression is wrong here: its columns are noisy too (errors in variables), and the noise of differentiated data is
@@ -26,6 +26,10 @@ Degrees are 5 and 7. A natural spline bends wrongly at the ends of a record, so 
 """
 NEARBY = np.array([-4, -2, 0, 2, 4])
 """Steps on the grid of weights that a bootstrap sample tries about the chosen one."""
+TRIED = len(SMOOTHERS) * WEIGHTS
+"""Splines tried on a data set."""
+TRIED_ANEW = len(SMOOTHERS) * NEARBY.size
+"""And on a bootstrap sample."""
 FEW_SAMPLES = 120
 """With more samples the smoothing matters little, and a bootstrap sample keeps it as it is."""
 MEANINGLESS = 0.9
@@ -68,23 +72,25 @@ class _Trial:
 
 
 def _try(regression: Regression, values: Values, smoothers: Sequence[tuple[int, int]], which: np.ndarray) -> _Trial:
-    """Every smoother at every weight number ``which`` (w,), on displacements (n_dof, sets, n) a record.
+    """Every smoother at the weights of numbers ``which`` (sets, w), on displacements (n_dof, sets, n) a record.
 
+    The sets are those of the regression's problems, as many of each, problem by problem.
     The deviance is minus twice the log-likelihood of the simulated response, the noise level of each channel unknown:
     ``sum n log(mean squared misfit)``. It is infinite for a response that describes nothing.
     """
     sets, found = values[0].shape[1], []
     for smoother in smoothers:
-        repeated = [np.repeat(y, which.size, axis=1) for y in values]
-        unknowns = solve(*regression.splines(repeated, smoother, np.tile(which, sets)))
-        found.append(unknowns.reshape(sets, which.size, -1))
+        repeated = [np.repeat(y, which.shape[1], axis=1) for y in values]
+        unknowns = solve(*regression.splines(repeated, smoother, which.ravel()))
+        found.append(unknowns.reshape(sets, which.shape[1], -1))
     candidates = np.concatenate(found, axis=1)
     count = candidates.shape[1]
     p = regression.parameters(candidates.reshape(sets * count, -1))
     simulated, deviance = [], np.zeros(sets * count)
-    for record, times, y in zip(regression.records, regression.times, values, strict=True):
+    for record, times, y, told in zip(regression.records, regression.times, values, regression.told, strict=True):
         repeated_y = np.repeat(y, count, axis=1)
-        x = responses(regression.system, p, record, repeated_y, _start_guess(times, np.mean(y, axis=1)))
+        starts = None if told is None else np.repeat(told, sets * count // told.shape[1], axis=1)
+        x = responses(regression.system, p, record, repeated_y, _start_guess(times, np.mean(y, axis=1)), starts)
         with np.errstate(all="ignore"):
             square, power = np.mean((x - repeated_y) ** 2, axis=-1), np.var(repeated_y, axis=-1)
             deviance += np.sum(times.size * np.log(np.maximum(square, 1e-28 * power)), axis=0)
@@ -99,28 +105,39 @@ def _start_guess(times: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.concatenate([polynomial[0], polynomial[1]])
 
 
-def spline_fit(regression: Regression) -> SplineFit:
-    """The regression on splines of each smoother and weight; kept is the one that explains the record best.
+def spline_fits(regressions: Sequence[Regression]) -> list[SplineFit]:
+    """The regressions on splines of each smoother and weight; kept is the one that explains the record best.
 
     How much to smooth cannot be told from the samples alone where a cycle has few of them (the likelihood of a spline
     without a system takes such a vibration for noise). The system can tell: each smoother and weight gives an
     estimate, each estimate a simulated response, and the response of largest likelihood names the smoothing.
+    The problems are of one layout; there is one of them where the system is not linear.
     """
-    usable = _usable(regression)
+    joined = Regression.joined(regressions)
+    usable = _usable(joined)
     # integrating a nonlinear system, or a long record, takes its time: fewer weights
-    quick = regression.system.linear and max(t.size for t in regression.times) <= 1000
+    quick = joined.system.linear and max(t.size for t in joined.times) <= 1000
     which = np.arange(0, WEIGHTS, 1 if quick else 3)
-    trial = _try(regression, regression.values, usable, which)
-    best = int(np.argmin(trial.deviance[0]))
-    if not np.isfinite(trial.deviance[0, best]):
-        return _unexplained(regression, usable[0])
-    centres = tuple(x[:, 0, best] for x in trial.responses)
+    trial = _try(joined, joined.values, usable, np.tile(which, (len(regressions), 1)))
+    return [
+        _best(regression, trial, i, [(smoother, int(w)) for smoother in usable for w in which])
+        for i, regression in enumerate(regressions)
+    ]
+
+
+def _best(
+    regression: Regression, trial: _Trial, number: int, candidates: Sequence[tuple[tuple[int, int], int]]
+) -> SplineFit:
+    """The fit of one of the problems tried; ``candidates`` are smoothers and numbers of weights."""
+    best = int(np.argmin(trial.deviance[number]))
+    if not np.isfinite(trial.deviance[number, best]):
+        return _unexplained(regression, candidates[0][0])
+    centres = tuple(x[:, number, best] for x in trial.responses)
     noise = tuple(
         np.sqrt(np.sum((centre - y[:, 0]) ** 2, axis=-1) / _left(regression, record))
         for record, centre, y in zip(regression.records, centres, regression.values, strict=True)
     )
-    smoother, weight = usable[best // which.size], int(which[best % which.size])
-    return SplineFit(trial.unknowns[0, best], smoother, weight, centres, noise)
+    return SplineFit(trial.unknowns[number, best], *candidates[best], centres, noise)
 
 
 def _usable(regression: Regression) -> list[tuple[int, int]]:
@@ -154,10 +171,10 @@ def _unexplained(regression: Regression, smoother: tuple[int, int]) -> SplineFit
     return SplineFit(unknowns, smoother, which, tuple(centres), tuple(noise), explained=False)
 
 
-def spline_refit(regression: Regression, fit: SplineFit, values: Values) -> np.ndarray:
+def spline_refit(regression: Regression, fits: Sequence[SplineFit], values: Values) -> np.ndarray:
     """Unknowns (sets, q) of other data (n_dof, sets, n) a record, each smoothed as :func:`smoothings` says."""
-    found = np.full((values[0].shape[1], fit.unknowns.size), np.nan)
-    chosen = smoothings(regression, fit, values)
+    found = np.full((values[0].shape[1], fits[0].unknowns.size), np.nan)
+    chosen = smoothings(regression, fits, values)
     for smoother in set(s for s, _ in chosen):
         mine = np.array([s == smoother for s, _ in chosen])
         which = np.array([w for _, w in chosen])[mine]
@@ -165,22 +182,25 @@ def spline_refit(regression: Regression, fit: SplineFit, values: Values) -> np.n
     return found
 
 
-def smoothings(regression: Regression, fit: SplineFit, values: Values) -> list[tuple[tuple[int, int], int]]:
+def smoothings(regression: Regression, fits: Sequence[SplineFit], values: Values) -> list[tuple[tuple[int, int], int]]:
     """Smoother and number of the weight for each set of other data (n_dof, sets, n) a record.
 
-    For a linear system and few samples each set chooses anew, by its simulated response, among all smoothers and the
-    weights near the fit's; else the fit's own is kept.
+    The sets are like the data of the regression's problems, as many of each, problem by problem; ``fits`` are those
+    problems'. For a linear system and few samples each set chooses anew, by its simulated response, among all smoothers
+    and the weights near the fit's; else the fit's own is kept.
     """
-    sets = values[0].shape[1]
-    own = (fit.smoother, fit.which)
-    if not regression.system.linear or not fit.explained or max(t.size for t in regression.times) > FEW_SAMPLES:
-        return [own] * sets
+    own = [fit for fit in fits for _ in range(values[0].shape[1] // len(fits))]
+    usual = [(fit.smoother, fit.which) for fit in own]
+    if not regression.system.linear or max(t.size for t in regression.times) > FEW_SAMPLES:
+        return usual
     usable = _usable(regression)
-    which = np.unique(np.clip(fit.which + NEARBY, 0, WEIGHTS - 1))
+    which = np.clip(np.array([fit.which for fit in own])[:, None] + NEARBY, 0, WEIGHTS - 1)
     deviance = _try(regression, values, usable, which).deviance
     best = np.argmin(deviance, axis=1)
     return [
-        (usable[b // which.size], int(which[b % which.size])) if np.isfinite(deviance[i, b]) else own
+        (usable[b // NEARBY.size], int(which[i, b % NEARBY.size]))
+        if own[i].explained and np.isfinite(deviance[i, b])
+        else usual[i]
         for i, b in enumerate(best)
     ]
 

@@ -37,7 +37,9 @@ def answers_together(
         else:
             groups.setdefault(layout(problem), []).append((i, regression))
     for members in groups.values():
-        size = max(1, MOST_AT_ONCE // (draws * problems[members[0][0]].n))
+        first = problems[members[0][0]]
+        # the steps of a nonlinear motion are chosen for all that are integrated with it: each problem by itself
+        size = max(1, MOST_AT_ONCE // (draws * first.n)) if first.system.linear else 1
         for at in range(0, len(members), size):
             numbers, regressions = zip(*members[at : at + size], strict=True)
             finishes |= zip(numbers, _solved(solve, regressions, [rngs[i] for i in numbers]), strict=True)

@@ -11,7 +11,7 @@ on a problem in its natural units (:meth:`bench.Problem.natural_units`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -64,6 +64,11 @@ def layout_objection(problem: Problem) -> str | None:
     return None
 
 
+def _state(record: Record) -> np.ndarray | None:
+    start = record.initial_state
+    return None if start is None else np.concatenate([start.displacement, start.velocity])[:, None]
+
+
 def _numerator(exponents: Mapping[str, float]) -> str:
     return next((name for name, power in exponents.items() if power > 0), "")
 
@@ -76,16 +81,25 @@ class Regression:
     the identifiable groups, in the order of ``system.groups``. Where a known force or an added mass tells the scale
     they are all parameters. An unknown sensor offset of a linear system adds a constant to each equation of its record:
     a nuisance unknown after those.
+
+    Several problems of one layout (:func:`bench.layout`) can stand in one, with the records of the first: ``values``
+    are the measured displacements, (n_dof, problems, n) a record, ``told`` displacement and velocity at time 0,
+    (2 n_dof, problems) a record, None where they are not told.
     """
 
     system: System
     records: tuple[Record, ...]
     scale_told: bool
+    values: tuple[np.ndarray, ...]
+    told: tuple[np.ndarray | None, ...]
 
     @staticmethod
     def of(problem: Problem) -> Regression:
         """Make that of a problem past :func:`layout_objection`; NoEstimate where a displacement never changes."""
-        regression = Regression(problem.system, problem.records, problem.scale_told)
+        by_dof = [sorted(record.channels, key=lambda c: c.dof) for record in problem.records]
+        series = tuple(np.stack([c.values for c in channels])[:, None] for channels in by_dof)
+        told = tuple(_state(record) for record in problem.records)
+        regression = Regression(problem.system, problem.records, problem.scale_told, series, told)
         for values in regression.values:
             dead = [i for i, series in enumerate(values[:, 0]) if not np.any(series != series[0])]
             if dead:
@@ -93,15 +107,20 @@ class Regression:
                 raise NoEstimate(f"{where} never changes: check the sensor and its cable", Status.INVALID)
         return regression
 
+    @staticmethod
+    def joined(regressions: Sequence[Regression]) -> Regression:
+        """Problems of one layout in one."""
+        values = zip(*(regression.values for regression in regressions), strict=True)
+        told = zip(*(regression.told for regression in regressions), strict=True)
+        return replace(
+            regressions[0],
+            values=tuple(np.concatenate(own, axis=1) for own in values),
+            told=tuple(None if own[0] is None else np.concatenate(own, axis=1) for own in told),
+        )
+
     @cached_property
     def times(self) -> tuple[np.ndarray, ...]:
         return tuple(record.channels[0].times for record in self.records)
-
-    @cached_property
-    def values(self) -> tuple[np.ndarray, ...]:
-        """The measured displacements, (n_dof, 1, n) a record."""
-        by_dof = [sorted(record.channels, key=lambda c: c.dof) for record in self.records]
-        return tuple(np.stack([c.values for c in channels])[:, None] for channels in by_dof)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -192,13 +211,19 @@ def solve(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def responses(
-    system: System, p: Mapping[str, np.ndarray], record: Record, y: np.ndarray, guess: np.ndarray
+    system: System,
+    p: Mapping[str, np.ndarray],
+    record: Record,
+    y: np.ndarray,
+    guess: np.ndarray,
+    told: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Displacements (n_dof, sets, n) simulated at parameters (sets,), from the told start or the best-fitting one.
+    """Displacements (n_dof, sets, n) simulated at parameters (sets,), from ``told`` starts or the best-fitting ones.
 
     The vectorised twin of :func:`bench.fitted_start`, on data ``y`` (n_dof, sets or 1, n) in place of the record's:
     Gauss-Newton over the start by finite differences, one step for a linear system (exact), two from ``guess``
-    (2 n_dof,) for others. Estimated offsets are in the response. NaN where it diverges.
+    (2 n_dof,) for others. Told starts are of shape (2 n_dof, sets); that of the record is not looked at. Estimated
+    offsets are in the response. NaN where it diverges.
     """
     sets, n, rig = np.shape(next(iter(p.values())))[0], system.n_dof, record.rig(system)
     usable = np.all([np.isfinite(value) for value in p.values()], axis=0)
@@ -218,18 +243,17 @@ def responses(
         return np.asarray(x - (offset[:, None] if theta.ndim == 3 else offset) * constant)
 
     with np.errstate(all="ignore"):
-        if record.initial_state is not None:
-            told = np.concatenate([record.initial_state.displacement, record.initial_state.velocity])
-            return np.where(usable[:, None], at(np.repeat(told[:, None], sets, 1)), np.nan)
-        size = np.max(np.abs(y)) * np.repeat([1.0, 1.0 / record.duration], n)
+        if told is not None:
+            return np.where(usable[:, None], at(told), np.nan)
+        size = np.repeat([1.0, 1.0 / record.duration], n)[:, None] * np.max(np.abs(y), axis=(0, 2))
         theta = np.repeat(0.0 * guess[:, None] if system.linear else guess[:, None], sets, 1)
-        trials = 1e-3 * np.concatenate([np.zeros((2 * n, 1)), np.diag(size)], axis=1)[..., None]
+        trials = 1e-3 * np.concatenate([np.zeros((1, 2 * n)), np.eye(2 * n)]).T[..., None] * size[:, None]
         for _ in range(1 if system.linear else 2):
             x = at(theta[:, None] + trials)
             jacobian = (x[:, 1:] - x[:, :1]) / 1e-3
             misfit = (y - x[:, 0]).transpose(1, 0, 2).reshape(sets, -1)
             step = _shortest(jacobian.transpose(2, 0, 3, 1).reshape(sets, -1, 2 * n), misfit)
-            theta = theta + size[:, None] * step.T
+            theta = theta + size * step.T
             if system.linear:  # the response is affine in the start
                 response = x[:, 0] + np.einsum("dqsn,sq->dsn", jacobian, step)
                 return np.where(usable[:, None], response, np.nan)

@@ -12,7 +12,7 @@ k/m is about ``ω²h²/12`` low: some 11 % at five samples a cycle. Noise makes 
 ``derivative="spline"`` differentiates a smoothing spline (degree 5 or 7). Smoothing damps displacement, velocity and
 acceleration of the regression alike, so it biases little. How much to smooth is decided by the data and the equations:
 each smoothing gives an estimate, and the one is kept whose simulated response is closest to the record
-(:func:`methods.regression.bootstrap.spline_fit`). A likelihood of the spline alone fails on few samples a cycle.
+(:func:`methods.regression.bootstrap.spline_fits`). A likelihood of the spline alone fails on few samples a cycle.
 
 Told: the equations, the samples, the known force. A told start is used in choosing the smoothing and in the noise
 level of the bootstrap, not in the regression: the finite-difference estimate itself does not depend on it. The prior is
@@ -23,13 +23,16 @@ variant miss the truth where its bias matters.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, Literal
 
 import numpy as np
 
 from bench import Card, Estimate, Identifier, Problem, Serves
-from methods.regression.bootstrap import bootstrap_covariances, spline_fit, spline_refit
+from methods.regression.bootstrap import TRIED, TRIED_ANEW, bootstrap_covariances, spline_fits, spline_refit
+from methods.regression.company import Finish, answers_together
 from methods.regression.equation import Regression, Values, answer, layout_objection, solve
 
 
@@ -75,14 +78,22 @@ class LS(Identifier):
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate groups, or parameters where the scale is told."""
-        regression = Regression.of(problem)
-        fit = spline_fit(regression)
-        unknowns = fit.unknowns if self.derivative == "spline" else solve(*regression.finite(regression.values))[0]
+        return self.estimate_many([problem], [rng])[0]
+
+    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Estimate problems of one layout together."""
+        refits = self.bootstrap * TRIED_ANEW if self.derivative == "spline" else self.bootstrap
+        return answers_together(problems, rngs, self._solve, max(refits, TRIED))
+
+    def _solve(self, regressions: Sequence[Regression], rngs: Sequence[np.random.Generator]) -> Sequence[Finish]:
+        joined, fits = Regression.joined(regressions), spline_fits(regressions)
 
         def fitter(values: Values) -> np.ndarray:
             if self.derivative == "spline":
-                return spline_refit(regression, fit, values)
-            return solve(*regression.finite(values))
+                return spline_refit(joined, fits, values)
+            return solve(*joined.finite(values))
 
-        covariance = bootstrap_covariances([fit], fitter, [rng], self.bootstrap)[0]
-        return answer(regression, unknowns, covariance)
+        spline = self.derivative == "spline"
+        unknowns = [fit.unknowns for fit in fits] if spline else solve(*joined.finite(joined.values))
+        covariances = bootstrap_covariances(fits, fitter, rngs, self.bootstrap)
+        return [partial(answer, *own) for own in zip(regressions, unknowns, covariances, strict=True)]

@@ -3,7 +3,10 @@
 The update is the standard one with exponential forgetting (Ljung, System Identification: Theory for the User, 2nd ed.
 1999, section 11.2): with row ``φ``, target ``y`` and forgetting factor ``λ``,
 ``K = P φ / (λ + φᵀ P φ)``, ``θ <- θ + K (y - φᵀ θ)``, ``P <- (P - K φᵀ P) / λ``.
-A sample of several degrees of freedom brings several rows; it forgets once.
+A sample of several degrees of freedom brings several rows; it forgets once. Held is a root S of ``P = S Sᵀ`` (Potter's
+form: G. J. Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter II), with ``f = Sᵀ φ`` and
+``β = λ + fᵀ f``: ``K = S f / β``, ``S <- (S - K fᵀ / (1 + √(λ/β))) / √λ``. P itself loses half of its
+digits on the way from diffuse to known.
 
 It starts from nothing: ``θ = 0`` and a diffuse ``P``, ``diffuse`` times the identity in the problem's natural units
 (displacement of order one). The prior does not enter here; the harness combines it with the groups, once. The
@@ -17,13 +20,16 @@ trace ``trajectory`` keeps the estimate after each sample (n_samples, n_identifi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
 from bench import Card, Dimension, Estimate, Identifier, InputError, Problem, Serves
-from methods.regression.bootstrap import bootstrap_covariances, spline_fit
+from methods.regression.bootstrap import TRIED, bootstrap_covariances, spline_fits
+from methods.regression.company import Finish, answers_together
 from methods.regression.equation import Regression, answer, layout_objection
 
 
@@ -32,15 +38,17 @@ def recursive_least_squares(
 ) -> np.ndarray:
     """Estimates after each sample, (n_samples, sets, q), for columns (sets, rows, q) and target (sets, rows)."""
     sets, rows, q = columns.shape
-    theta, p = np.zeros((sets, q)), np.broadcast_to(diffuse * np.eye(q), (sets, q, q))
+    theta, root = np.zeros((sets, q)), np.broadcast_to(np.sqrt(diffuse) * np.eye(q), (sets, q, q))
     path = np.empty((rows // rows_per_sample, sets, q))
     with np.errstate(all="ignore"):
         for i in range(rows):
             phi, rate = columns[:, i], forgetting if i % rows_per_sample == 0 else 1.0
-            p_phi = (p @ phi[..., None])[..., 0]
-            gain = p_phi / (rate + np.sum(phi * p_phi, axis=-1, keepdims=True))
+            seen = np.sum(root * phi[..., None], axis=1)
+            size = rate + np.sum(seen**2, axis=-1, keepdims=True)
+            gain = np.sum(root * seen[:, None], axis=-1) / size
             theta = theta + gain * (target[:, i] - np.sum(phi * theta, axis=-1))[:, None]
-            p = (p - gain[..., None] * p_phi[:, None]) / rate
+            shrunk = gain / (1.0 + np.sqrt(rate / size))
+            root = (root - shrunk[..., None] * seen[:, None]) / np.sqrt(rate)
             path[i // rows_per_sample] = theta
     return path
 
@@ -84,24 +92,40 @@ class RLS(Identifier):
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate groups, or parameters where the scale is told."""
-        regression, system = Regression.of(problem), problem.system
-        columns, target = regression.finite(regression.values)
+        return self.estimate_many([problem], [rng])[0]
+
+    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Estimate problems of one layout together."""
+        return answers_together(problems, rngs, self._solve, max(self.bootstrap, TRIED))
+
+    def _solve(self, regressions: Sequence[Regression], rngs: Sequence[np.random.Generator]) -> Sequence[Finish]:
+        joined = Regression.joined(regressions)
+        columns, target = joined.finite(joined.values)
         if columns.shape[1] < columns.shape[2]:
             columns = columns * np.nan  # fewer equations than unknowns: the diffuse start would answer
-        fit = spline_fit(regression)
-        path = self._path(regression, columns, target)
-        (covariance,) = bootstrap_covariances(
-            [fit], lambda values: self._path(regression, *regression.finite(values))[-1], [rng], self.bootstrap
+        fits = spline_fits(regressions)
+        path = self._path(joined, columns, target)
+        covariances = bootstrap_covariances(
+            fits, lambda values: self._path(joined, *joined.finite(values))[-1], rngs, self.bootstrap
         )
-        traces = {
-            "trajectory": path[:, 0, : len(regression.names)],
-            "trajectory_times": np.concatenate([t[1:-1] for t in regression.times]),
-        }
-        dimensions = {
-            "trajectory": [system.dimension(system.quantity(name)) for name in regression.names],
-            "trajectory_times": [Dimension(time=1.0)],
-        }
-        return answer(regression, path[-1, 0], covariance, "", traces, dimensions)
+        return [
+            partial(_answer, regression, path[:, i], covariance)
+            for i, (regression, covariance) in enumerate(zip(regressions, covariances, strict=True))
+        ]
 
     def _path(self, regression: Regression, columns: np.ndarray, target: np.ndarray) -> np.ndarray:
         return recursive_least_squares(columns, target, self.forgetting, self.diffuse, regression.system.n_dof)
+
+
+def _answer(regression: Regression, path: np.ndarray, covariance: np.ndarray | None) -> Estimate:
+    """The last of the estimates (n_samples, q), with all of them as a trace."""
+    system = regression.system
+    traces = {
+        "trajectory": path[:, : len(regression.names)],
+        "trajectory_times": np.concatenate([t[1:-1] for t in regression.times]),
+    }
+    dimensions = {
+        "trajectory": [system.dimension(system.quantity(name)) for name in regression.names],
+        "trajectory_times": [Dimension(time=1.0)],
+    }
+    return answer(regression, path[-1], covariance, "", traces, dimensions)

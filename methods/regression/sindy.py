@@ -5,7 +5,7 @@ three, and on the known forces, and few of them are kept (Brunton, Proctor and K
 library holds more than the equation of motion: sparsity has to find it.
 
 * Derivatives decide everything on few samples. They are those of a smoothing spline, smoothed as in LS with
-  ``derivative="spline"`` (:func:`methods.regression.bootstrap.spline_fit`).
+  ``derivative="spline"`` (:func:`methods.regression.bootstrap.spline_fits`).
 * Terms are taken one by one by forward orthogonal least squares (FROLS of pysindy; Billings, Nonlinear System
   Identification, 2013, chapter 3): each time the one that explains most of what is left of the acceleration.
 * How many is decided as Mangan, Kutz, Brunton and Proctor do (Proceedings of the Royal Society A 473 (2017) 20170009):
@@ -34,7 +34,7 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card, Dimension, Estimate, Identifier, InputError, NoEstimate, Problem, Serves, Status
-from methods.regression.bootstrap import SplineFit, bootstrap_covariances, smoothings, spline_fit
+from methods.regression.bootstrap import SplineFit, bootstrap_covariances, smoothings, spline_fits
 from methods.regression.derivatives import Motion
 from methods.regression.equation import Regression, Values, answer, layout_objection, solve
 
@@ -87,7 +87,7 @@ class SINDy(Identifier):
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate groups in free vibration, parameters with a known force."""
         regression = Regression.of(problem)
-        fit = spline_fit(regression)
+        (fit,) = spline_fits([regression])
         library = _Library.of(regression, self.degree)
         motions = regression.motions(regression.values, fit.smoother, np.array([fit.which]))
         models = library.sparse_models(motions, self.most_terms)
@@ -253,7 +253,7 @@ class _Library:
 
     def refit(self, values: Values, fit: SplineFit, most_terms: int) -> np.ndarray:
         """Unknowns (sets, q) of other data (n_dof, sets, n) a record: the whole choice of terms, made anew."""
-        chosen = smoothings(self.regression, fit, values)
+        chosen = smoothings(self.regression, [fit], values)
         found = np.full((len(chosen), fit.unknowns.size), np.nan)
         for smoother in sorted({s for s, _ in chosen}):
             mine = np.array([s == smoother for s, _ in chosen])

@@ -1,4 +1,4 @@
-"""Modal methods in company: problems of several layouts together, each answered as it would be alone."""
+"""Modal and regression methods in company: problems of several layouts together, each answered as it would be alone."""
 
 from __future__ import annotations
 
@@ -7,17 +7,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench import Channel, Estimate, Identifier, Problem, Record, Status
+from bench import Channel, Estimate, Identifier, Normal, Problem, Record, Status
 from bench.config.experiment import expand
 from bench.scenario.scenario import Scenario
 from bench.systems import SDOF
 from methods.modal.era import ERA
 from methods.modal.log_decrement import LogDecrement
 from methods.modal.matrix_pencil import MatrixPencil
+from methods.regression.ls import LS
+from methods.regression.rls import RLS
 
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
-METHODS = [MatrixPencil(bootstrap=40), LogDecrement(bootstrap=40), ERA(bootstrap=40)]
-each_method = pytest.mark.parametrize("method", METHODS, ids=lambda method: type(method).__name__)
+METHODS = {
+    "matrix_pencil": MatrixPencil(bootstrap=40),
+    "log_decrement": LogDecrement(bootstrap=40),
+    "era": ERA(bootstrap=40),
+    "ls": LS(bootstrap=40),
+    "ls_spline": LS(derivative="spline", bootstrap=40),
+    "rls": RLS(bootstrap=40),
+}
+each_method = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 
 
 def replicates(n: int, **fields: object) -> list[Problem]:
@@ -25,26 +34,42 @@ def replicates(n: int, **fields: object) -> list[Problem]:
     return [problem for problem, _ in scenario.replicates(5, n)]
 
 
+def configured(*arguments: str) -> list[Problem]:
+    job = expand(["method=prior", "snr=30", *arguments], multirun=False)[0]
+    return [problem for problem, _ in job.scenario.replicates(job.config.seed, 2)]
+
+
 def mixed() -> list[Problem]:
-    """Little noise and much, an offset, other times, two masses, a record without motion and one with two levels."""
-    plain, times = replicates(3), np.linspace(0.0, 10.0, 25)
+    """Little noise and much, unknown starts, other times, offsets, records without motion or of two levels, forces, two
+    masses, a system that is not linear.
+    """
+    times = np.linspace(0.0, 10.0, 25)
     offset = [
         Problem(p.system, (Record((replace(p.records[0].channels[0], offset=True),)),))
         for p in replicates(2, snr_db=30.0)
     ]
     hard = [Channel(times, values) for values in (np.ones(25), np.where(times < 4.0, 1.0, -1.0))]
-    job = expand(["method=prior", "system=chain2", "snr=30"], multirun=False)[0]
-    chains = [problem for problem, _ in job.scenario.replicates(job.config.seed, 2)]
-    loud, longer = replicates(3, snr_db=3.0), replicates(2, samples=60)
-    return [*plain, *loud, *offset, *longer, *(Problem(SDOF(), (Record((c,)),)) for c in hard), *chains]
+    names = ("chain2", "chain2_forced", "sdof_forced", "duffing")
+    return [
+        *replicates(3),
+        *replicates(3, snr_db=3.0),
+        *replicates(2, initial_state="unknown"),
+        *replicates(2, samples=60),
+        *offset,
+        *(Problem(SDOF(), (Record((channel,)),)) for channel in hard),
+        *(problem for name in names for problem in configured(f"system={name}")),
+    ]
 
 
 def numbers(estimate: Estimate) -> list[np.ndarray]:
-    if estimate.groups is None:
+    """Mean, covariance, reconstructions and traces."""
+    belief = estimate.belief
+    if belief is None:
         return []
-    covariance = estimate.groups.covariance
-    own = [estimate.groups.mean] if covariance is None else [estimate.groups.mean, covariance]
-    return [*own, *(response(np.linspace(0.0, 5.0, 7)) for response in estimate.reconstructions)]
+    assert isinstance(belief, Normal)
+    own = [belief.mean] if belief.covariance is None else [belief.mean, belief.covariance]
+    responses = [response(np.linspace(0.0, 5.0, 7)) for response in estimate.reconstructions]
+    return [*own, *responses, *estimate.traces.values()]
 
 
 @each_method
