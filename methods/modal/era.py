@@ -23,7 +23,9 @@ Even sampling is needed, and the displacement of every DOF. Start, prior and noi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -31,6 +33,8 @@ import numpy as np
 from bench import Card, Estimate, Identifier, InputError, NoEstimate, Problem, Serves
 from methods.modal.free_decay import untold
 from methods.modal.matrix_pencil import MAX_SAMPLES, UNEVEN
+from methods.modal.subspace import leading_vectors
+from methods.regression.company import Finish, answers_together
 from methods.regression.derivatives import Motion
 from methods.regression.equation import Regression, answer, layout_objection, solve
 
@@ -75,37 +79,60 @@ class ERA(Identifier):
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate the identifiable groups; ``diverged`` where the realisation is no vibration of the system."""
-        regression = Regression.of(untold(problem))
-        system, y, times = regression.system, regression.values[0][:, 0], regression.times[0]
+        return self.estimate_many([problem], [rng])[0]
+
+    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Estimate problems of one layout together."""
+        return answers_together([untold(problem) for problem in problems], rngs, self._solve, max(1, self.bootstrap))
+
+    def _solve(self, regressions: Sequence[Regression], rngs: Sequence[np.random.Generator]) -> Sequence[Finish]:
+        first = Regression.joined(regressions)
+        y, times = first.values[0].swapaxes(0, 1), first.times[0]
         step = float(times[-1] - times[0]) / (times.size - 1)
-
-        def lower(sets: np.ndarray) -> np.ndarray:
-            return state_rows(*realise(sets, self.rows), step)
-
-        rates, shapes = (part[0] for part in realise(y[None], self.rows))
-        rows = lower(y[None])
-        if not np.all(np.isfinite(rows)):
-            sentence = (
-                "its poles are not those of a vibration of this system: take a longer record, more samples a cycle "
-                "or less noise"
-            )
-            raise NoEstimate(sentence)
-        response = RealisedResponse.of(np.log(rates) / step, shapes, times, y)
-        unknowns, covariance = _groups(regression, rows), None
-        if self.bootstrap:
-            spent = len(regression.names) + 2 * system.n_dof
-            left = max(1.0 - spent / y.size, 1.0 / y.size)
-            noise = np.sqrt(np.mean((response(times) - y) ** 2, axis=1) / left)
-            drawn = response(times) + noise[:, None] * rng.standard_normal((self.bootstrap, *y.shape))
-            unknowns, covariance = _weighted(regression, rows, lower(drawn))
-        if not np.all(np.isfinite(unknowns)):
-            sentence = "the realised matrices do not determine the groups: take more samples, or samples of more motion"
-            raise NoEstimate(sentence)
-        said = [
-            f"{name} came out negative" for name, value in zip(regression.names, unknowns[0], strict=True) if value < 0
+        rates, shapes = realise(y, self.rows)
+        rows = state_rows(rates, shapes, step)
+        responses: dict[int, RealisedResponse] = {
+            int(i): RealisedResponse.of(np.log(rates[i]) / step, shapes[i], times, y[i])
+            for i in np.flatnonzero(np.all(np.isfinite(rows), axis=(1, 2)))
+        }
+        drawn = dict[int, np.ndarray]()
+        if self.bootstrap and responses:
+            sets = [self._drawn(regressions[i], response, y[i], rngs[i]) for i, response in responses.items()]
+            drawn_rows = state_rows(*realise(np.concatenate(sets), self.rows), step)
+            drawn = dict(zip(responses, np.split(drawn_rows, len(sets)), strict=True))
+        return [
+            partial(_estimate, regression, rows[i : i + 1], responses.get(i), drawn.get(i))
+            for i, regression in enumerate(regressions)
         ]
-        estimate = answer(regression, unknowns[0], covariance, "; ".join(said))
-        return replace(estimate, reconstructions=(response,))
+
+    def _drawn(
+        self, regression: Regression, response: RealisedResponse, y: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Synthetic records (bootstrap, n_dof, N) like the record y (n_dof, N)."""
+        centre = response(regression.times[0])
+        spent = len(regression.names) + 2 * regression.system.n_dof
+        left = max(1.0 - spent / y.size, 1.0 / y.size)
+        noise = np.sqrt(np.mean((centre - y) ** 2, axis=1) / left)
+        return np.asarray(centre + noise[:, None] * rng.standard_normal((self.bootstrap, *y.shape)))
+
+
+def _estimate(
+    regression: Regression, rows: np.ndarray, response: RealisedResponse | None, drawn: np.ndarray | None
+) -> Estimate:
+    """The groups of realised ``rows`` (1, n, 2n), with weights and covariance where rows of records were drawn."""
+    if response is None:
+        sentence = (
+            "its poles are not those of a vibration of this system: take a longer record, more samples a cycle "
+            "or less noise"
+        )
+        raise NoEstimate(sentence)
+    unknowns, covariance = (_groups(regression, rows), None) if drawn is None else _weighted(regression, rows, drawn)
+    if not np.all(np.isfinite(unknowns)):
+        sentence = "the realised matrices do not determine the groups: take more samples, or samples of more motion"
+        raise NoEstimate(sentence)
+    said = [f"{name} came out negative" for name, value in zip(regression.names, unknowns[0], strict=True) if value < 0]
+    estimate = answer(regression, unknowns[0], covariance, "; ".join(said))
+    return replace(estimate, reconstructions=(response,))
 
 
 def _sampling_objection(problem: Problem) -> str | None:
@@ -139,7 +166,7 @@ def _realise(sets: np.ndarray, blocks: int) -> tuple[np.ndarray, np.ndarray]:
     # windows (sets, n, columns, blocks) to block rows of n channels each
     hankel = np.lib.stride_tricks.sliding_window_view(sets, sets.shape[2] + 1 - blocks, axis=-1)
     hankel = hankel.swapaxes(1, 2).reshape(count, blocks * n, -1)
-    main = np.linalg.svd(hankel, full_matrices=False)[0][..., : 2 * n]
+    main = leading_vectors(hankel, 2 * n)
     shift = np.linalg.pinv(main[:, :-n]) @ main[:, n:]
     z, vectors = np.linalg.eig(shift)
     return z.astype(complex), (main[:, :n] @ vectors).astype(complex)

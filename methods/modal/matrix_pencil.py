@@ -31,6 +31,7 @@ import numpy as np
 from bench import Card, Estimate, Identifier, InputError, Problem, Serves
 from methods.modal.free_decay import SERVES, Decays, Reading, decay_estimates, decay_objection, has_offset
 from methods.modal.perturbation import small_noise_covariance
+from methods.modal.subspace import leading_vectors
 
 UNEVEN = 1e-3
 """Steps may differ by this part of themselves: what rounding of printed times does."""
@@ -134,7 +135,7 @@ def poles(sets: np.ndarray, pencil: float, count: int = 2) -> np.ndarray:
 
 def _poles(sets: np.ndarray, length: int, count: int) -> np.ndarray:
     hankel = np.lib.stride_tricks.sliding_window_view(sets, length + 1, axis=-1)
-    main = np.linalg.svd(hankel, full_matrices=False)[2][:, :count].swapaxes(-1, -2)
+    main = leading_vectors(hankel.swapaxes(1, 2), count)
     return np.asarray(np.linalg.eigvals(np.linalg.pinv(main[:, :-1]) @ main[:, 1:])).astype(complex)
 
 
