@@ -11,16 +11,18 @@ from which a parametric bootstrap would draw.
 
 First order holds while the singular vectors that are kept stand out. The largest singular value of the noise is about
 ``σ`` times the root of the longer side of the Hankel matrix. Its ratio to the second singular value of the response
-decides: on seven development systems (damping 1-20 %, 2-10 cycles, 40-200 samples, 40 to 5 dB) the standard deviations
-are those of the bootstrap to within 3 % where it is below 0.15, less than the 5 % to which 200 records tell them, and
-some 1.3 times its square too small above.
+decides. On nine development systems (damping 1-20 %, 2-10 cycles, 25-200 samples, 40 to 5 dB) the standard deviations
+are those of 200 records to 3 % where it is below 0.15, less than the 5 % to which so many tell them, and some 1.3 times
+its square too small above. Up to 0.2 logarithmic score, interval score and the cover of 95 % intervals (0.92-0.96 and
+0.93-0.97 of 1000 replicates a system) are equal or better. From there to 0.35 the scores stay better, but the cover
+falls to 0.92 where that of the bootstrap is 0.97: there records are drawn.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-SMALL = 0.15
+SMALL = 0.2
 """Of the second singular value of the response: noise up to which first order does."""
 
 
