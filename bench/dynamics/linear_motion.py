@@ -30,6 +30,8 @@ TERMS = 24
 """Of the Taylor series at norm 1 at most: what it leaves out, 1/23!, is below rounding."""
 NEAR = 1e-2
 """Of ``|d| t²``, below which the derivative of ``sinh(√d t)/√d`` by d is summed as a series: it cancels otherwise."""
+MOST_AT_ONCE = 2**18
+"""Numbers of the derivatives of exponentials that are formed together."""
 FASTEST = 1e7
 """Radians that a motion may turn in an interval; one that is faster is said to be not finite."""
 
@@ -204,7 +206,7 @@ def _stepped(
     lengths, which = _distinct(np.diff(grid))
     exponentials = _Exponentials(matrices, given.shape[1])
     exponentials.hold(float(np.max(lengths, initial=0.0)))
-    growth, slopes = zip(*(exponentials.step(h) for h in lengths), strict=True) if len(lengths) else ((), ())
+    growth, slopes = exponentials.steps(lengths)
 
     path = np.empty((grid.size, sets, n2, 1 + q + n2))
     path[0] = np.eye(n2, 1 + q + n2, 1 + q)
@@ -266,16 +268,29 @@ class _Exponentials:
             self._derivatives.append(rows / k)
             self._powers.append(self._powers[-1] @ matrix / k)
 
-    def step(self, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """The rows of the state of ``exp(M h)``, (sets, 2n, 2n + k), and their derivatives (sets, q, 2n, 2n + k)."""
-        halvings = max(0, math.ceil(math.log2(max(self.norm * h, 1e-300))))
-        weights, n = (self.norm * h / 2.0**halvings) ** np.arange(TERMS), self.n
+    def steps(self, lengths: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """The rows of the state of ``exp(M h)`` by h, (sets, 2n, 2n + k), and derivatives (sets, q, 2n, 2n + k)."""
+        growth, slopes = list[np.ndarray](), list[np.ndarray]()
+        together = max(1, MOST_AT_ONCE // max(self._derivatives[0].size, self._powers[0].size))
+        for at in range(0, lengths.size, together):
+            found = self._steps(lengths[at : at + together])
+            growth.extend(found[0])
+            slopes.extend(found[1])
+        return growth, slopes
+
+    def _steps(self, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same for lengths that fit into memory together."""
+        n = self.n
+        halvings = np.array([max(0, math.ceil(math.log2(max(self.norm * h, 1e-300)))) for h in lengths])
+        weights = ((self.norm * lengths / 2.0**halvings)[:, None] ** np.arange(TERMS)).T[:, :, None, None, None]
         growth = sum(w * power for w, power in zip(weights, self._powers, strict=True))
-        slopes = sum(w * rows for w, rows in zip(weights, self._derivatives, strict=True))
-        for _ in range(halvings):
-            slopes = growth[:, None, :n, :n] @ slopes + slopes @ growth[:, None]
-            growth = growth @ growth
-        return growth[:, :n], slopes
+        slopes = sum(w[..., None] * rows for w, rows in zip(weights, self._derivatives, strict=True))
+        for done in range(int(np.max(halvings, initial=0))):
+            left = slice(None) if np.all(halvings > done) else halvings > done
+            mine, own = growth[left], slopes[left]
+            slopes[left] = mine[:, :, None, :n, :n] @ own + own @ mine[:, :, None]
+            growth[left] = mine @ mine
+        return growth[:, :, :n], slopes
 
 
 def _balanced_norms(a: np.ndarray) -> np.ndarray:

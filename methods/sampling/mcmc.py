@@ -25,8 +25,9 @@ the way out, a sampler with gradients.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -40,14 +41,21 @@ from bench import (
     OutputError,
     Problem,
     Serves,
+    Status,
+    layout,
     report_progress,
 )
+from methods.sampling.answer import estimate_from_draws
 from methods.sampling.diagnostics import Health
-from methods.sampling.posterior import Posterior, estimate_from_draws, modes_of
+from methods.sampling.ensembles import Ensemble, Lockstep
+from methods.sampling.modes import Modes, found_or_failure, modes_of
+from methods.sampling.posterior import Posterior, Target
 from methods.sampling.proposal import Proposal
 from methods.starts.candidates import as_fine_as_noise
 
 STEPPED = 4
+MOST_AT_ONCE = 1_000_000
+"""Numbers in the chains of a block that are sampled together."""
 
 
 @dataclass(frozen=True)
@@ -93,71 +101,96 @@ class MCMC(Identifier):
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Sample the posterior: draws of all parameters, or a normal over the groups where no mass is known."""
-        model = OutputError(problem)
-        modes = modes_of(model)
-        posterior = Posterior(as_fine_as_noise(model, modes[0][1]), modes[0][1])
-        proposal = Proposal.around(posterior, modes)
-        many, few = (1, 1) if model.system.linear else (STEPPED, 2)
-        burn, block = -(-self.burn // few), -(-self.block // few)
+        return self.estimate_many([problem], [rng])[0]
+
+    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Sample the posteriors of linear systems of one layout together, all others one by one."""
+        models = [OutputError(problem) for problem in problems]
+        answers: dict[int, Estimate] = {}
+        groups: dict[object, list[_Fit]] = {}
+        for i, (model, modes, rng) in enumerate(zip(models, modes_of(models), rngs, strict=True)):
+            try:
+                fit = _Fit.of(i, model, found_or_failure(modes), rng)
+            except NoEstimate as reason:
+                answers[i] = Estimate.failed(model.system, reason.status, str(reason), reason.cost)
+                continue
+            groups.setdefault(layout(model.problem) if model.system.linear else i, []).append(fit)
+        for fits in groups.values():
+            walkers, burn, block = self._lengths(fits[0].posterior)
+            size = max(1, MOST_AT_ONCE // (self.ensembles * walkers * block * fits[0].posterior.size))
+            for at in range(0, len(fits), size):
+                answers |= self._sampled(fits[at : at + size], walkers, burn, block)
+        return [answers[i] for i in range(len(problems))]
+
+    def _lengths(self, posterior: Posterior) -> tuple[int, int, int]:
+        """Walkers, steps of burning in and steps of a block."""
+        many, few = (1, 1) if posterior.model.system.linear else (STEPPED, 2)
         walkers = 2 * max(many * self.walkers // 2, posterior.size + 1)
-        chains = [self._ensemble(posterior, proposal, walkers, burn, rng) for _ in range(self.ensembles)]
-        steps = burn
-        for _ in range(self.blocks):
-            for chain in chains:
-                chain(block)
-            steps += block
-            paths = np.stack([chain.path() for chain in chains])
-            health = Health.of(paths)
-            if health.converged(self, paths.shape[1]):
+        return walkers, -(-self.burn // few), -(-self.block // few)
+
+    def _sampled(self, fits: Sequence[_Fit], walkers: int, burn: int, block: int) -> dict[int, Estimate]:
+        """The answers by the number of the problem, of problems that can be simulated together."""
+        ensembles = [
+            Ensemble(i, fit.proposal, np.random.RandomState(int(fit.rng.integers(2**31))))
+            for i, fit in enumerate(fits)
+            for _ in range(self.ensembles)
+        ]
+        chains = Lockstep(Target([fit.posterior for fit in fits]), ensembles, walkers, self.independent)
+        if burn:
+            chains.run(burn)
+        answers, going = dict[int, Estimate](), list(fits)
+        for number in range(1, self.blocks + 1):
+            paths = chains.run(block).reshape(len(going), self.ensembles, block, walkers, -1)
+            for fit, path in zip(going, paths, strict=True):
+                fit.path = np.concatenate([fit.path, path], axis=1) if fit.path.size else path
+            last = number == self.blocks
+            found = [self._judged(fit, burn + number * block, last) for fit in going]
+            answers |= {fit.place: answer for fit, answer in zip(going, found, strict=True) if answer is not None}
+            left = [i for i, answer in enumerate(found) if answer is None]
+            if not left:
                 break
-            drawn = self._kept(paths)
-            report_progress(problem, lambda drawn=drawn: estimate_from_draws(posterior, drawn, {}, Cost(), self.curves))  # type: ignore[misc]
-        cost = Cost(evaluations=posterior.calls, iterations=steps * self.ensembles)
-        if not health.converged(self, paths.shape[1]):
-            sentence = health.sentence(self, paths.shape[1], posterior.size)
-            raise NoEstimate(sentence, cost=cost)
+            going = [going[i] for i in left]
+            chains.keep([i * self.ensembles + j for i in left for j in range(self.ensembles)])
+        return answers
+
+    def _judged(self, fit: _Fit, steps: int, last: bool) -> Estimate | None:
+        """The answer where the chains have converged, or where this was the ``last`` block; else None."""
+        health, kept = Health.of(fit.path), fit.path.shape[1]
+        converged = health.converged(self, kept)
+        if not converged and not last:
+            drawn = self._kept(fit.path)
+            report_progress(fit.problem, lambda: estimate_from_draws(fit.posterior, drawn, {}, Cost(), self.curves))
+            return None
+        cost = Cost(evaluations=fit.posterior.calls, iterations=steps * self.ensembles)
+        if not converged:
+            sentence = health.sentence(self, kept, fit.posterior.size)
+            return Estimate.failed(fit.problem.system, Status.DIVERGED, sentence, cost)
         traces = {
             "r_hat": np.array([health.r_hat]),
             "effective_sample_size": np.array([health.effective]),
             "autocorrelation_time": np.array([health.time]),
         }
-        return estimate_from_draws(posterior, self._kept(paths), traces, cost, self.curves)
+        return estimate_from_draws(fit.posterior, self._kept(fit.path), traces, cost, self.curves)
 
     def _kept(self, paths: np.ndarray) -> np.ndarray:
         """So many draws of all chains, evenly spread over them."""
         flat = paths.reshape(-1, paths.shape[-1])
         return np.asarray(flat[np.linspace(0, len(flat) - 1, min(self.draws, len(flat))).astype(int)])
 
-    def _ensemble(
-        self, posterior: Posterior, proposal: Proposal, walkers: int, burn: int, rng: np.random.Generator
-    ) -> Ensemble:
-        return Ensemble(posterior, proposal, walkers, burn, self.independent, int(rng.integers(2**31)))
 
+@dataclass(eq=False)
+class _Fit:
+    """One problem, by its place among those given; ``path`` (ensembles, steps, walkers, size) since burning in."""
 
-class Ensemble:
-    """One emcee ensemble, from an overdispersed start; call it to run more steps."""
+    place: int
+    problem: Problem
+    posterior: Posterior
+    proposal: Proposal
+    rng: np.random.Generator
+    path: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
-    def __init__(
-        self, posterior: Posterior, proposal: Proposal, walkers: int, burn: int, independent: float, seed: int
-    ) -> None:
-        import emcee
-
-        random = np.random.RandomState(seed)
-        moves = [
-            (emcee.moves.MHMove(proposal, ndim=posterior.size), independent),
-            (emcee.moves.DEMove(), 0.8 * (1 - independent)),
-            (emcee.moves.DESnookerMove(), 0.2 * (1 - independent)),
-        ]
-        self.sampler = emcee.EnsembleSampler(walkers, posterior.size, posterior, moves=moves, vectorize=True)
-        start = proposal.draw(walkers, random, spread=2.0)
-        self.state: Any = emcee.State(start, random_state=random.get_state())
-        if burn:
-            self(burn)
-            self.sampler.reset()
-
-    def __call__(self, steps: int) -> None:
-        self.state = self.sampler.run_mcmc(self.state, steps, skip_initial_state_check=True)
-
-    def path(self) -> np.ndarray:
-        """The chain since burning in, shape (steps, walkers, size)."""
-        return np.asarray(self.sampler.get_chain())
+    @staticmethod
+    def of(place: int, model: OutputError, modes: Modes, rng: np.random.Generator) -> _Fit:
+        """Prepare a problem with its modes. Raises NoEstimate where the data leave a parameter open."""
+        posterior = Posterior(as_fine_as_noise(model, modes[0][1]), modes[0][1])
+        return _Fit(place, model.problem, posterior, Proposal.around(posterior, modes), rng)

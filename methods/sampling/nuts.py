@@ -29,8 +29,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bench import EVERY_PROBLEM, Card, Cost, Estimate, Identifier, InputError, NoEstimate, OutputError, Problem, Serves
+from methods.sampling.answer import estimate_from_draws
 from methods.sampling.differentiable import Layout, log_density, prepare
-from methods.sampling.posterior import Posterior, estimate_from_draws, modes_of
+from methods.sampling.modes import modes_or_failure
+from methods.sampling.posterior import Posterior
 from methods.sampling.proposal import Proposal
 from methods.starts.rounding import rounded
 
@@ -81,7 +83,7 @@ class NUTS(Identifier):
         """Sample the posterior: draws of all parameters, or a normal over the groups where no mass is known."""
         # to ten digits: a path of leapfrog steps magnifies the last bit of the data to other draws
         model = OutputError(rounded(problem))
-        modes = modes_of(model)
+        modes = modes_or_failure(model)
         posterior = Posterior(model, modes[0][1])
         phi, health, steps = self._chains(posterior, Proposal.around(posterior, modes), rng)
         cost = Cost(evaluations=steps, iterations=phi.shape[0] * (self.warmup + phi.shape[1]))

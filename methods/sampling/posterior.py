@@ -1,52 +1,29 @@
-"""The posterior that the samplers draw from, its modes, and the answer that draws from it are.
+"""The posterior that the samplers draw from.
 
 Sampled together: the log-parameters, the initial states and offsets that are not told, and the logarithm of each
 channel's noise. Likelihood: independent normal errors about the simulated response. Priors, all proper but one: the
 problem's nominal prior on the log-parameters (without one, a normal of standard deviation 3, a factor of 20, about the
 best fit to the data); ``log sigma ~ Normal(log(rms of the channel / 10), 3²)``, its two standard deviations reach from
 70 dB to -30 dB; flat on initial states and offsets, which the data fix.
-
-The point value of a quantity is that of least expected squared relative error (:class:`bench.Draws`); the
-reconstruction is the mean response over draws: of all curves the one of least expected square error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
-from bench import (
-    LOG_LIMIT,
-    Cost,
-    Draws,
-    Estimate,
-    Force,
-    InitialState,
-    NoEstimate,
-    Normal,
-    OutputError,
-    System,
-    simulate,
-)
-from methods.starts.candidates import screened
+from bench import LOG_LIMIT, OutputError, Start
 from methods.starts.open_parameters import PRIORLESS_SD
 
 NOISE_CENTRE = float(np.log(0.1))
 NOISE_SD = 3.0
-
-
-def modes_of(model: OutputError) -> list[tuple[float, np.ndarray]]:
-    """Find minus twice the log-posterior and theta of the best modes, best first; NoEstimate where there is none."""
-    modes = screened(model, n=3, rounds=3, iterations=12)
-    if not modes:
-        raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
-    return modes
+MOST_AT_ONCE = 2**16
+"""Predictions that are formed at a time: more would leave the processor's cache."""
 
 
 class Posterior:
-    """The log-density over ``phi = [theta, log sigma by channel]``, up to a constant; ``calls`` counts responses."""
+    """What belongs to one posterior over ``phi = [theta, log sigma by channel]``; ``calls`` counts responses."""
 
     def __init__(self, model: OutputError, mode: np.ndarray) -> None:
         self.model, self.mode, self.calls = model, mode, 0
@@ -61,69 +38,66 @@ class Posterior:
 
     def __call__(self, phi: np.ndarray) -> np.ndarray:
         """Log-density, shape (n,), of ``phi`` of shape (n, size); minus infinity where the response diverges."""
+        return Target([self])(np.zeros(len(phi), int), phi)
+
+
+class Target:
+    """Of posteriors of one layout and a linear system, or of a single posterior of any system.
+
+    A *case* is one posterior with one vector phi; a case's value does not depend on the others.
+    """
+
+    def __init__(self, posteriors: Sequence[Posterior]) -> None:
+        self.posteriors, self.model = list(posteriors), posteriors[0].model
+        self.data = np.stack([own.model.data for own in posteriors])
+        self.centre = np.stack([own.centre for own in posteriors])
+        self.sds = np.stack([own.sds for own in posteriors])
+        self.noise_centre = np.stack([own.noise_centre for own in posteriors])
+        self.told = [
+            None if isinstance(starts[0], tuple) else np.stack([[s.displacement, s.velocity] for s in starts], -1)
+            for starts in zip(*(own.model.starts(own.mode) for own in posteriors), strict=True)
+        ]
+
+    def __call__(self, which: np.ndarray, phi: np.ndarray) -> np.ndarray:
+        """Log-density, shape (n,), of cases (n,) and phi (n, size); minus infinity where the response diverges."""
+        size = max(1, MOST_AT_ONCE // self.model.data.size)
+        for problem, count in zip(*np.unique(which, return_counts=True), strict=True):
+            self.posteriors[problem].calls += int(count)
+        parts = [self._values(which[at : at + size], phi[at : at + size]) for at in range(0, len(phi), size)]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def _values(self, which: np.ndarray, phi: np.ndarray) -> np.ndarray:
         model, d, k = self.model, self.model.size, len(self.model.free)
         theta, log_sigma = phi[:, :d], phi[:, d:]
         inside = np.all(np.abs(theta[:, :k]) < LOG_LIMIT, axis=1) & np.all(np.abs(log_sigma) < LOG_LIMIT, axis=1)
-        self.calls += len(phi)
         with np.errstate(all="ignore"):
-            predicted = model.predict(np.where(inside[:, None], theta, 0.0))
-            r = (model.data - predicted) * np.exp(-log_sigma)[:, model.channel_of]
+            r = self.data[which] - self._predicted(which, np.where(inside[:, None], theta, 0.0))
+            r *= np.exp(-log_sigma)[:, model.channel_of]
             value = -0.5 * np.einsum("ni,ni->n", r, r) - log_sigma @ model.counts
-            value -= 0.5 * np.sum(((theta[:, :k] - self.centre) / self.sds) ** 2, axis=1)
-            value -= 0.5 * np.sum(((log_sigma - self.noise_centre) / NOISE_SD) ** 2, axis=1)
+            value -= 0.5 * np.sum(((theta[:, :k] - self.centre[which]) / self.sds[which]) ** 2, axis=1)
+            value -= 0.5 * np.sum(((log_sigma - self.noise_centre[which]) / NOISE_SD) ** 2, axis=1)
         return np.where(inside & np.isfinite(value), value, -np.inf)
 
+    def _predicted(self, which: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """Simulated measurements (n, N). A case whose matrices are singular or overflow fails for all: it is sought."""
+        try:
+            found = self._simulated(which, theta)
+            if len(theta) == 1 or np.any(np.isfinite(found)):
+                return found
+        except np.linalg.LinAlgError:
+            if len(theta) == 1:
+                return np.full((1, self.model.data.size), np.nan)
+        half = len(theta) // 2
+        parts = (slice(None, half), slice(half, None))
+        return np.concatenate([self._predicted(which[part], theta[part]) for part in parts])
 
-@dataclass(frozen=True, eq=False)
-class MeanResponse:
-    """The mean displacement over draws, as a function of time; can be pickled. Starts have shape (n_dof, n_draws)."""
-
-    system: System
-    parameters: dict[str, np.ndarray]
-    displacement: np.ndarray
-    velocity: np.ndarray
-    forces: tuple[Force, ...] = ()
-
-    def __call__(self, times: np.ndarray) -> np.ndarray:
-        """Displacement (m), shape (n_dof, n_times), at increasing times (s)."""
-        start = (self.displacement, self.velocity)
-        return np.asarray(simulate(self.system, self.parameters, start, times, self.forces).displacement.mean(axis=1))
-
-
-def estimate_from_draws(
-    posterior: Posterior, phi: np.ndarray, traces: Mapping[str, np.ndarray], cost: Cost, curves: int
-) -> Estimate:
-    """Make the answer of draws of phi (n, size); the parameters at the mode are added to the traces."""
-    model = posterior.model
-    system, theta = model.system, phi[:, : model.size]
-    p, starts = model.parameters(theta), model.starts(theta)
-    few = np.linspace(0, len(phi) - 1, min(curves, len(phi))).astype(int)
-    responses, states = [], []
-    for record, start in zip(model.problem.records, starts, strict=True):
-        if isinstance(start, InitialState):
-            shape = (system.n_dof, len(few))
-            x, v = (np.broadcast_to(part[:, None], shape) for part in (start.displacement, start.velocity))
-            states.append(start)
-        else:
-            x, v = start[0][:, few], start[1][:, few]
-            states.append(InitialState(np.median(start[0], axis=1), np.median(start[1], axis=1)))
-        few_p = {name: value[few] for name, value in p.items()}
-        responses.append(MeanResponse(record.rig(system), few_p, x, v, record.forces))
-    parameters = groups = None
-    if len(model.free) == len(system.names):
-        parameters = Draws(system.names, np.stack([p[name] for name in system.names], axis=1))
-    else:
-        names = tuple(group.name for group in system.groups)
-        values = np.stack([group.value(p) for group in system.groups], axis=1)
-        groups = Normal(names, values.mean(axis=0), np.atleast_2d(np.cov(values.T)), log=False)
-    return Estimate(
-        system,
-        parameters=parameters,
-        groups=groups,
-        reconstructions=tuple(responses),
-        initial_states=tuple(states),
-        offsets=tuple(map(float, np.median(model.offsets(theta), axis=0))),
-        cost=cost,
-        traces={"posterior_mode": np.array(list(model.parameters(posterior.mode).values())), **traces},
-        dimensions={"posterior_mode": [parameter.dimension for parameter in system.parameters]},
-    )
+    def _simulated(self, which: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        model = self.model
+        if len(self.posteriors) == 1:
+            return model.predict(theta)
+        p, starts = model.parameters(theta), list[Start]()
+        for told, start in zip(self.told, model.starts(theta), strict=True):
+            starts.append(start if told is None else (told[0][:, which], told[1][:, which]))
+        records = model.problem.records
+        parts = [model.readings(p, start, record) for start, record in zip(starts, records, strict=True)]
+        return np.concatenate(parts, -1) + model.offsets(theta)[..., model.channel_of]

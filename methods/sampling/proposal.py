@@ -84,8 +84,3 @@ class Proposal:
         parts = tails - log_det + np.log(self.weights)
         largest = parts.max(axis=1)
         return np.asarray(largest + np.log(np.sum(np.exp(parts - largest[:, None]), axis=1)) + constant)
-
-    def __call__(self, coordinates: np.ndarray, random: Any) -> tuple[np.ndarray, np.ndarray]:
-        """emcee's proposal function: new coordinates and the logarithm of q(old) / q(new)."""
-        new = self.draw(len(coordinates), random)
-        return new, self.log_density(coordinates) - self.log_density(new)

@@ -21,6 +21,7 @@ Hessian.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -29,24 +30,35 @@ from scipy.optimize import least_squares
 
 from bench import (
     EVERY_PROBLEM,
+    SIGMA_FLOOR,
+    Batch,
     Card,
     Cost,
     Estimate,
     Identifier,
     InitialState,
     InputError,
-    NoEstimate,
     OutputError,
     Problem,
     Serves,
     Standardised,
+    Status,
     estimate_at,
+    layout,
+    used_of,
 )
 from methods.regression.equation import too_fast
 from methods.starts.scan import records_by_load, unloaded
+from methods.trajectory.trust_region import TrustRegion
 
 POOR = 0.5
 """A response that leaves more than this part of the mean square of the data is said to be poor."""
+MOST_AT_ONCE = 1_000_000
+"""Derivatives of predictions that are held together."""
+TOGETHER = 0.3
+"""The part of the searches that must have ended before the next ones begin: a few at a time would cost as much."""
+BAD_START = "the response at the start values is not finite, or too fast; give a prior nearer to the system"
+NO_RESPONSE = "the search ran to parameters without a response; give a prior nearer to the system"
 
 
 @dataclass(frozen=True)
@@ -83,25 +95,98 @@ class SingleShooting(Identifier):
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate all parameters, or the groups where nothing tells the scale. Uses no randomness."""
-        try:
-            return self._fitted(OutputError(problem))
-        except np.linalg.LinAlgError:
-            sentence = "the search ran to parameters without a response; give a prior nearer to the system"
-            raise NoEstimate(sentence) from None
+        return self.estimate_many([problem], [rng])[0]
 
-    def _fitted(self, model: OutputError) -> Estimate:
-        start, spent = self._start(model.problem)
-        theta = model.vector(start)
-        if not np.all(np.isfinite(model.predict(theta))) or _out_of_reach(model, theta):
-            sentence = "the response at the start values is not finite, or too fast; give a prior nearer to the system"
-            raise NoEstimate(sentence)
-        found = self._settled(model, theta)
-        residuals, theta = found.residuals, found.theta
-        covariance = model.covariance(model.jacobian(theta)[1], model.noise(residuals, found.used, floor=0.0))
-        left = float(np.sum((residuals / model.rms[model.channel_of]) ** 2)) / model.data.size
-        message = _message(left, covariance is None, found.stopped)
-        cost = Cost(spent.evaluations + found.evaluations, spent.iterations + found.iterations)
-        return estimate_at(model, theta, covariance, found.used, cost, message)
+    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Estimate linear systems of one layout together, all others one by one."""
+        models, starts = [OutputError(problem) for problem in problems], self._starts(problems)
+        ends = self._ends(models, [p for p, _ in starts])
+        return [_answer(model, end, spent) for model, end, (_, spent) in zip(models, ends, starts, strict=True)]
+
+    def _starts(self, problems: Sequence[Problem]) -> list[tuple[dict[str, float], Cost]]:
+        """The cold start of each problem, and what it cost: nothing but where two loads tell the mass."""
+        starts = [(cold_start(problem), Cost(0, 0)) for problem in problems]
+        loads = {i: records_by_load(p) for i, p in enumerate(problems) if p.prior is None}
+        pairs = [(i, load, own[load]) for i, own in loads.items() if len(own) > 1 for load in (min(own), max(own))]
+        models = [OutputError(part) for _, _, part in pairs]
+        ends = self._ends(models, [cold_start(part) for _, _, part in pairs])
+        for i in {i for i, _, _ in pairs}:
+            mine = [j for j, pair in enumerate(pairs) if pair[0] == i]
+            good = {pairs[j][1]: (models[j], end) for j in mine if isinstance(end := ends[j], _Found)}
+            spent = [end for _, end in good.values()]
+            cost = Cost(sum(end.evaluations for end in spent), sum(end.iterations for end in spent))
+            alone = {
+                load: {name: float(value) for name, value in model.parameters(end.theta).items()}
+                for load, (model, end) in good.items()
+            }
+            found = unloaded(problems[i], alone) if len(alone) == len(mine) else None
+            starts[i] = (found or starts[i][0], cost)
+        return starts
+
+    def _ends(self, models: Sequence[OutputError], starts: Sequence[dict[str, float]]) -> list[_Found | str]:
+        """Where the fits from these starts end, or a sentence where they cannot."""
+        groups: dict[object, list[int]] = {}
+        for i, model in enumerate(models):
+            groups.setdefault(layout(model.problem) if model.system.linear else i, []).append(i)
+        thetas = [_vector(model, start) for model, start in zip(models, starts, strict=True)]
+        found: dict[int, _Found | str] = {}
+        for places in groups.values():
+            first = models[places[0]]
+            size = max(1, MOST_AT_ONCE // (first.data.size * first.size)) if first.system.linear else 1
+            for at in range(0, len(places), size):
+                own = places[at : at + size]
+                found |= zip(own, self._fitted([models[i] for i in own], [thetas[i] for i in own]), strict=True)
+        return [found[i] for i in range(len(models))]
+
+    def _fitted(self, models: Sequence[OutputError], thetas: Sequence[np.ndarray]) -> Sequence[_Found | str]:
+        """Those of linear systems of one layout, or of a single problem."""
+        model = models[0]
+        if model.system.linear:
+            return self._settled_together(Batch(tuple(models)), np.stack(thetas))
+        if not np.all(np.isfinite(model.predict(thetas[0]))) or _out_of_reach(model, thetas[0]):
+            return [BAD_START]
+        try:
+            return [self._settled(model, thetas[0])]
+        except np.linalg.LinAlgError:
+            return [NO_RESPONSE]
+
+    def _settled_together(self, batch: Batch, thetas: np.ndarray) -> list[_Found | str]:
+        """Fit and noise in turn, of linear systems of one layout: each goes on to its next fit by itself."""
+        every, samples = np.arange(len(thetas)), batch.first.data.size
+        search = TrustRegion(batch, batch.point(every, thetas), self.max_evaluations)
+        used, rounds = np.full(every.size, float(batch.first.size)), np.ones(every.size, int)
+        residuals = batch.data - search.predicted
+        started = np.all(np.isfinite(residuals), axis=1)
+        going, ended = every[started], every[started]
+        if going.size:
+            search.begin(going, batch.noise(going, residuals[going], used[going], SIGMA_FLOOR))
+        while (going := going[~search.lost[going]]).size:
+            search.step()
+            ended = going[search.done[going] & ~search.lost[going]]
+            if ended.size <= TOGETHER * going.size:
+                continue
+            used[ended] = used_of(search.jacobian(ended), samples)
+            before = search.sigma[ended]
+            sigma = batch.noise(ended, batch.data[ended] - search.predicted[ended], used[ended], SIGMA_FLOOR)
+            moved = np.max(np.abs(np.log(sigma / before)), axis=1) >= self.sigma_tolerance
+            again = moved & (rounds[ended] < self.sigma_rounds)
+            going = np.setdiff1d(going, ended[~again])
+            rounds[ended[again]] += 1
+            search.begin(ended[again], sigma[again])
+        residuals = batch.data - search.predicted
+        ends: list[_Found | str] = [
+            _Found(
+                theta=search.theta[i],
+                residuals=residuals[i],
+                slopes=search.slopes[i],
+                used=float(used[i]),
+                stopped=bool(search.stopped[i]),
+                evaluations=int(search.evaluations[i]),
+                iterations=int(search.iterations[i]),
+            )
+            for i in every
+        ]
+        return [BAD_START if not started[i] else NO_RESPONSE if search.lost[i] else end for i, end in enumerate(ends)]
 
     def _settled(self, model: OutputError, theta: np.ndarray) -> _Found:
         """Fit and noise in turn, from ``theta``."""
@@ -118,23 +203,7 @@ class SingleShooting(Identifier):
             before, sigma = sigma, model.noise(residuals, used)
             if np.max(np.abs(np.log(sigma / before))) < self.sigma_tolerance:
                 break
-        return _Found(theta, residuals, used, stopped, evaluations, iterations)
-
-    def _start(self, problem: Problem) -> tuple[dict[str, float], Cost]:
-        """The cold start, and what it cost: nothing but where two loads tell the mass."""
-        parts = records_by_load(problem)
-        if problem.prior is not None or len(parts) == 1:
-            return cold_start(problem), Cost(0, 0)
-        alone, evaluations, iterations = {}, 0, 0
-        for load in (min(parts), max(parts)):
-            model = OutputError(parts[load])
-            theta = model.vector(cold_start(parts[load]))
-            if not np.all(np.isfinite(model.predict(theta))) or _out_of_reach(model, theta):
-                return cold_start(problem), Cost(evaluations, iterations)
-            found = self._settled(model, theta)
-            alone[load] = {name: float(value) for name, value in model.parameters(found.theta).items()}
-            evaluations, iterations = evaluations + found.evaluations, iterations + found.iterations
-        return unloaded(problem, alone) or cold_start(problem), Cost(evaluations, iterations)
+        return _Found(theta, residuals, model.jacobian(theta)[1], used, stopped, evaluations, iterations)
 
 
 @dataclass(frozen=True)
@@ -143,10 +212,30 @@ class _Found:
 
     theta: np.ndarray
     residuals: np.ndarray
+    slopes: np.ndarray
     used: float
     stopped: bool
     evaluations: int
     iterations: int
+
+
+def _answer(model: OutputError, found: _Found | str, spent: Cost) -> Estimate:
+    """The estimate that a fit gives; of a sentence, a failure that says it."""
+    if isinstance(found, str):
+        return Estimate.failed(model.system, Status.DIVERGED, found)
+    covariance = model.covariance(found.slopes, model.noise(found.residuals, found.used, floor=0.0))
+    left = float(np.sum((found.residuals / model.rms[model.channel_of]) ** 2)) / model.data.size
+    message = _message(left, covariance is None, found.stopped)
+    cost = Cost(spent.evaluations + found.evaluations, spent.iterations + found.iterations)
+    return estimate_at(model, found.theta, covariance, found.used, cost, message)
+
+
+def _vector(model: OutputError, start: dict[str, float]) -> np.ndarray:
+    """Theta at a start; not a number where its matrices are singular."""
+    try:
+        return model.vector(start)
+    except np.linalg.LinAlgError:
+        return np.full(model.size, np.nan)
 
 
 def cold_start(problem: Problem) -> dict[str, float]:

@@ -1,0 +1,82 @@
+"""The modes of posteriors, from the data alone: linear systems of one layout together, with exact derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from bench import SIGMA_FLOOR, Batch, NoEstimate, OutputError, layout
+from methods.starts.candidates import candidates, screened
+from methods.starts.equation_error import regression_starts
+from methods.trajectory.together import MOST_AT_ONCE, _separate
+
+MODES, ROUNDS, ITERATIONS = 3, 3, 12
+"""Modes that are kept, rounds of fit and noise in turn, and steps of a fit."""
+
+Modes = list[tuple[float, np.ndarray]]
+"""Minus twice the log-posterior and theta of each mode, best first."""
+
+
+def modes_of(models: Sequence[OutputError]) -> list[Modes]:
+    """The best modes of each model, in order; none where no start gives a finite response."""
+    groups: dict[object, list[int]] = {}
+    for i, model in enumerate(models):
+        groups.setdefault(layout(model.problem) if model.system.linear else i, []).append(i)
+    found: list[Modes] = [[] for _ in models]
+    for places in groups.values():
+        first = models[places[0]]
+        if not first.system.linear:
+            found[places[0]] = screened(first, MODES, ROUNDS, ITERATIONS)
+            continue
+        size = max(1, MOST_AT_ONCE // (first.data.size * first.size))
+        for at in range(0, len(places), size):
+            own = places[at : at + size]
+            for i, modes in zip(own, _linear_modes(Batch(tuple(models[i] for i in own))), strict=True):
+                found[i] = modes
+    return found
+
+
+def modes_or_failure(model: OutputError) -> Modes:
+    """The modes of one model; NoEstimate where there is none."""
+    return found_or_failure(modes_of([model])[0])
+
+
+def found_or_failure(modes: Modes) -> Modes:
+    """The modes, or NoEstimate where there is none."""
+    if not modes:
+        raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
+    return modes
+
+
+def _linear_modes(batch: Batch) -> list[Modes]:
+    """Fit and noise in turn from every start of every problem, by the rules of :meth:`bench.OutputError.settle`."""
+    vectors = [[model.vector(p) for p in _starts(model, MODES + 1)] for model in batch.models]
+    cases = np.repeat(np.arange(len(vectors)), [len(own) for own in vectors])
+    point = batch.point(cases, np.array([theta for own in vectors for theta in own]).reshape(-1, batch.first.size))
+    good = np.flatnonzero(np.all(np.isfinite(point.predicted), axis=1))
+    cases, point = cases[good], point.at(good)
+    for _ in range(ROUNDS):
+        sigma = batch.noise(cases, batch.data[cases] - point.predicted, np.zeros(cases.size), SIGMA_FLOOR)
+        point = batch.search(cases, point, sigma, ITERATIONS).point
+    values = batch.profile(cases, point.theta, batch.data[cases] - point.predicted)
+    found = []
+    for problem, model in enumerate(batch.models):
+        best = _separate(model, np.flatnonzero(cases == problem), values, point.theta)[:MODES]
+        found.append([(float(values[i]), point.theta[i]) for i in best])
+    return found
+
+
+def _starts(model: OutputError, n: int) -> list[dict[str, float]]:
+    """Starts from the data, and where they are none the prior's nominal values.
+
+    Equal entries of a mass matrix, with which a scan begins, are singular: the regression must do there.
+    """
+    with suppress(np.linalg.LinAlgError):
+        return candidates(model, n)
+    with np.errstate(all="ignore"):
+        found = regression_starts(model.problem)
+    if model.prior is not None:
+        found.append(dict(model.prior.nominal))
+    return [p for p in found if all(np.isfinite(v) and v > 0 for v in p.values())]
