@@ -49,7 +49,7 @@ from bench import (
 )
 from methods.regression.equation import too_fast
 from methods.starts.scan import records_by_load, unloaded
-from methods.trajectory.trust_region import TrustRegion
+from methods.trajectory.trust_region import TrustRegion, within_reach
 
 POOR = 0.5
 """A response that leaves more than this part of the mean square of the data is said to be poor."""
@@ -153,7 +153,7 @@ class SingleShooting(Identifier):
     def _settled_together(self, batch: Batch, thetas: np.ndarray) -> list[_Found | str]:
         """Fit and noise in turn, of linear systems of one layout: each goes on to its next fit by itself."""
         every, samples = np.arange(len(thetas)), batch.first.data.size
-        search = TrustRegion(batch, batch.point(every, thetas), self.max_evaluations)
+        search = TrustRegion(batch, within_reach(batch, every, thetas), self.max_evaluations)
         used, rounds = np.full(every.size, float(batch.first.size)), np.ones(every.size, int)
         residuals = batch.data - search.predicted
         started = np.all(np.isfinite(residuals), axis=1)

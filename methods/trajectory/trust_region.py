@@ -15,6 +15,8 @@ TOLERANCE = 1e-8
 """Relative, of cost and step, and absolute, of the gradient, at which a search ends: SciPy's default."""
 ROOT_TOLERANCE, ROOT_STEPS = 0.01, 10
 """When the step is as long as the radius, and how often it is tried."""
+FARTHEST = 300.0
+"""The largest log-parameter: beyond, products of parameters overflow."""
 EPS = float(np.finfo(float).eps)
 
 
@@ -27,7 +29,7 @@ class TrustRegion:
 
     def __init__(self, batch: Batch, start: Point, most: int) -> None:
         self.batch, self.most = batch, most
-        self.theta, self.predicted, self.slopes = start.theta, start.predicted, start.slopes
+        self.theta, self.predicted, self.slopes = start.theta.copy(), start.predicted.copy(), start.slopes.copy()
         n, size = start.theta.shape
         self.evaluations, self.iterations, self.tried = np.zeros(n, int), np.zeros(n, int), np.zeros(n, int)
         self.stopped, self.lost, self.done = np.zeros(n, bool), np.zeros(n, bool), np.ones(n, bool)
@@ -89,7 +91,7 @@ class TrustRegion:
         now = (self.along[at], self.values[at], self.axes[at])
         scaled, self.damping[at] = _step(*now, radius, self.damping[at], self.rows)
         step = scaled / self.sizes[at]
-        point = self.batch.point(at, self.theta[at] + step)
+        point = within_reach(self.batch, at, self.theta[at] + step)
         residuals, rows = self._rows(at, point)
         self.evaluations[at] += 1
         self.tried[at] += 1
@@ -120,6 +122,13 @@ class TrustRegion:
         promised = -0.5 * np.sum(bent**2, axis=1) - np.sum(self.gradient[at] / self.sizes[at] * scaled, axis=1)
         ratio = np.where(promised > 0, gain / np.where(promised > 0, promised, 1.0), 0.0)
         return np.where((promised == 0) & (gain == 0), 1.0, ratio)
+
+
+def within_reach(batch: Batch, at: np.ndarray, theta: np.ndarray) -> Point:
+    """The predictions of some cases; not a number where a log-parameter is out of all bounds."""
+    point = batch.point(at, theta)
+    point.predicted[np.any(theta[:, : len(batch.first.free)] > FARTHEST, axis=1)] = np.nan
+    return point
 
 
 def _norm(x: np.ndarray, axis: int = -1) -> np.ndarray:

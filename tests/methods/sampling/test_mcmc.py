@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from bench import Channel, Draws, Force, InitialState, Normal, Problem, Record, Units, measurements
+from bench.config.experiment import expand
 from bench.contract.estimate import Estimate, Status
 from bench.dynamics.simulate import simulate
 from bench.scenario.scenario import PriorSpec, Scenario
 from bench.systems import SDOF, Chain
 
 pytest.importorskip("emcee")
-from methods.sampling.diagnostics import Health, rank_r_hat
+from methods.sampling.diagnostics import Health, autocorrelation_times, rank_r_hat
 from methods.sampling.mcmc import MCMC
 from methods.sampling.posterior import NOISE_SD
 
@@ -103,12 +104,52 @@ def test_same_seed_same_draws_and_nothing_global() -> None:
     assert len(first.parameters.samples) <= 2000
 
 
+def test_an_answer_is_the_same_alone_and_in_company() -> None:
+    """Problems of three layouts, one of which cannot be sampled with others, and one that needs more blocks."""
+    free, unknown = scenario(5.0).replicates(0, 3), scenario(5.0, initial_state="unknown").replicates(0, 3)
+    parameters = {"m": 1.2, "c": 0.5, "k": 6.0, "k3": 4.0}
+    duffing = scenario(25.0, system="duffing", parameters=parameters, samples=15, duration=3.0).replicates(0, 1)
+    given = [problem for problem, _ in [*free, *duffing, *unknown]]
+    method = MCMC(block=30)
+    company = method.identify_many(given, [np.random.default_rng(i) for i in range(len(given))])
+    assert len({found.cost.iterations for found in company}) > 1
+    for i, (problem, found) in enumerate(zip(given, company, strict=True)):
+        alone = method.identify(problem, np.random.default_rng(i))
+        assert isinstance(alone.parameters, Draws)
+        assert isinstance(found.parameters, Draws)
+        np.testing.assert_allclose(found.parameters.samples, alone.parameters.samples, rtol=1e-9)
+        assert found.cost == alone.cost
+
+
+def test_full_matrices_are_sampled() -> None:
+    """A scan begins with equal entries of the mass matrix, which are singular: other starts must do."""
+    job = expand(["method=prior", "system=matrices", "snr=60"], multirun=False)[0]
+    problem, _ = job.scenario.replicates(job.config.seed, 1)[0]
+    estimate = sample(problem)
+    true_values = (1.0, 0.2, 0.8, 0.6, 0.1, 0.3, 20.0, 8.0, 9.0)
+    for name, true in zip(problem.system.names, true_values, strict=True):
+        marginal = estimate.marginal(problem.system.quantity(name))
+        assert marginal is not None, estimate.message
+        assert marginal.value == pytest.approx(true, rel=0.02)
+
+
 def test_a_chain_that_is_too_short_is_a_failure_with_a_sentence() -> None:
     problem, _ = scenario(20.0).replicates(0, 1)[0]
     estimate = sample(problem, burn=0, block=8, blocks=1)
     assert estimate.status is Status.DIVERGED
     assert "not converged" in estimate.message
     assert "R-hat" in estimate.message
+
+
+def test_the_autocorrelation_time_is_emcee_s() -> None:
+    from emcee.autocorr import integrated_time
+
+    rng = np.random.default_rng(3)
+    for steps, weight in ((60, 0.5), (97, 0.9), (8, 0.99)):
+        noise = rng.standard_normal((2, steps, 12, 3))
+        path = np.stack([noise[:, : i + 1].sum(axis=1) * weight + noise[:, i] for i in range(steps)], axis=1)
+        expected = [integrated_time(own, tol=0, quiet=True) for own in path]
+        np.testing.assert_allclose(autocorrelation_times(path), expected, rtol=1e-9)
 
 
 def test_the_autocorrelation_time_is_that_of_the_process() -> None:

@@ -4,13 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
-from bench import Channel, Estimate, InitialState, InputError, Prior, Problem, Record, Status, Units, measurements
+from bench import (
+    Batch,
+    Channel,
+    Estimate,
+    InitialState,
+    InputError,
+    OutputError,
+    Prior,
+    Problem,
+    Record,
+    Standardised,
+    Status,
+    Units,
+    measurements,
+)
 from bench.entrants.reference import oracle_estimate
 from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
 from bench.scoring.combination import combine_with_prior
 from bench.systems import SDOF, Chain, Duffing, System
 from methods.trajectory.output_error import SingleShooting, cold_start
+from methods.trajectory.trust_region import TrustRegion
 
 NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
 TRUE = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
@@ -164,3 +180,68 @@ def test_a_start_that_cannot_be_simulated_is_a_sentence() -> None:
 def test_settings_out_of_range_are_refused() -> None:
     with pytest.raises(InputError, match="sigma_rounds"):
         SingleShooting(sigma_rounds=0)
+
+
+def many(snr: float, n: int, **changes: object) -> list[Problem]:
+    return [problem for problem, _ in scenario(snr, **changes).replicates(5, n)]
+
+
+PUSH = ForceSpec(3.0, 0.1, 1.0, samples=101, hold="linear")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"initial_state": "unknown"}, {"prior": None}, {"force": PUSH, "samples": 30}],
+    ids=["told", "unknown", "no prior", "forced"],
+)
+def test_one_search_ends_where_scipy_s_does(changes: dict[str, object]) -> None:
+    """From starts that are far away, in as many evaluations: the same steps, so the same of several minima."""
+    for problem in many(15.0, 5, **changes):
+        model = OutputError(problem.expressed_in(problem.natural_units()))
+        theta = model.vector(cold_start(model.problem))
+        batch, sigma = Batch((model,)), model.noise(model.data - model.predict(theta), 0.0)
+        search = TrustRegion(batch, batch.point(np.zeros(1, int), theta[None]), 200)
+        search.begin(np.zeros(1, int), sigma[None])
+        while not search.done[0]:
+            search.step()
+        aim = Standardised(model, sigma)
+        found = least_squares(aim.residuals, theta, aim.jacobian, x_scale="jac")
+        np.testing.assert_allclose(search.theta[0], found.x, atol=1e-6)
+        assert (search.evaluations[0], search.iterations[0]) == (found.nfev, found.njev)
+
+
+def test_a_search_stops_at_its_last_evaluation() -> None:
+    for problem in many(15.0, 3):
+        estimate = fit(problem, max_evaluations=2, sigma_rounds=1)
+        assert "max_evaluations" in estimate.message
+        assert estimate.cost.evaluations == 2
+
+
+def test_an_answer_is_the_same_alone_and_in_company() -> None:
+    duffing = {"system": "duffing", "parameters": {"m": 1.2, "c": 0.5, "k": 6.0, "k3": 4.0}, "samples": 15}
+    given = [
+        *many(10.0, 6),
+        *many(10.0, 4, initial_state="unknown"),
+        *many(20.0, 1, **duffing),
+        *many(20.0, 4, prior=None),
+    ]
+    company = SingleShooting().identify_many(given, [np.random.default_rng(0) for _ in given])
+    for problem, found in zip(given, company, strict=True):
+        alone = fit(problem)
+        assert found.cost == alone.cost
+        for quantity in problem.system.quantities:
+            one, two = alone.marginal(quantity), found.marginal(quantity)
+            assert (one is None) == (two is None)
+            if one is not None and two is not None:
+                assert two.value == pytest.approx(one.value, rel=1e-9)
+                np.testing.assert_allclose(two.interval(0.95), one.interval(0.95), rtol=1e-9)
+
+
+def test_a_problem_without_a_response_spoils_no_other() -> None:
+    good = many(20.0, 2)
+    assert good[0].prior is not None
+    endless = Prior({**good[0].prior.nominal, "c": 1e200}, good[0].prior.log_sd)
+    bad = Problem(good[0].system, good[0].records, endless)
+    estimates = SingleShooting().identify_many([good[0], bad, good[1]], [np.random.default_rng(0)] * 3)
+    assert [estimate.status for estimate in estimates] == [Status.OK, Status.DIVERGED, Status.OK]
+    assert value(estimates[2], good[1].system, "k_over_m") == value(fit(good[1]), good[1].system, "k_over_m")
