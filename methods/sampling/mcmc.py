@@ -14,6 +14,9 @@ rank-normalised draws and of their distances from the median (A. Vehtari et al.,
 integrated autocorrelation time (emcee's estimate, A. Sokal's window), and the effective sample size that it implies.
 A chain that has not converged is extended; one that never does is a failure with a sentence.
 
+The ensembles of all problems of one layout with a linear system step together (:mod:`methods.sampling.ensembles`): the
+kind of move goes by turns, and each ensemble has its own random numbers, so an answer does not depend on its company.
+
 The response of a nonlinear system is integrated step by step, which takes about as long for many walkers as for few:
 it has ``STEPPED`` times the walkers, in blocks of half the length.
 

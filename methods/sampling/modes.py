@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 
 import numpy as np
 
 from bench import SIGMA_FLOOR, Batch, NoEstimate, OutputError, layout
 from methods.starts.candidates import candidates, screened
-from methods.starts.equation_error import regression_starts
-from methods.trajectory.together import MOST_AT_ONCE, _separate
+from methods.starts.separate import separate
+from methods.trajectory.together import MOST_AT_ONCE
 
 MODES, ROUNDS, ITERATIONS = 3, 3, 12
 """Modes that are kept, rounds of fit and noise in turn, and steps of a fit."""
@@ -52,7 +51,7 @@ def found_or_failure(modes: Modes) -> Modes:
 
 def _linear_modes(batch: Batch) -> list[Modes]:
     """Fit and noise in turn from every start of every problem, by the rules of :meth:`bench.OutputError.settle`."""
-    vectors = [[model.vector(p) for p in _starts(model, MODES + 1)] for model in batch.models]
+    vectors = [[model.vector(p) for p in candidates(model, MODES + 1)] for model in batch.models]
     cases = np.repeat(np.arange(len(vectors)), [len(own) for own in vectors])
     point = batch.point(cases, np.array([theta for own in vectors for theta in own]).reshape(-1, batch.first.size))
     good = np.flatnonzero(np.all(np.isfinite(point.predicted), axis=1))
@@ -63,20 +62,7 @@ def _linear_modes(batch: Batch) -> list[Modes]:
     values = batch.profile(cases, point.theta, batch.data[cases] - point.predicted)
     found = []
     for problem, model in enumerate(batch.models):
-        best = _separate(model, np.flatnonzero(cases == problem), values, point.theta)[:MODES]
+        own = np.flatnonzero(cases == problem)
+        best = own[separate(model, values[own], point.theta[own])[:MODES]]
         found.append([(float(values[i]), point.theta[i]) for i in best])
     return found
-
-
-def _starts(model: OutputError, n: int) -> list[dict[str, float]]:
-    """Starts from the data, and where they are none the prior's nominal values.
-
-    Equal entries of a mass matrix, with which a scan begins, are singular: the regression must do there.
-    """
-    with suppress(np.linalg.LinAlgError):
-        return candidates(model, n)
-    with np.errstate(all="ignore"):
-        found = regression_starts(model.problem)
-    if model.prior is not None:
-        found.append(dict(model.prior.nominal))
-    return [p for p in found if all(np.isfinite(v) and v > 0 for v in p.values())]

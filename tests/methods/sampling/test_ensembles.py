@@ -47,6 +47,24 @@ def test_moments_are_those_of_the_density(independent: float) -> None:
         np.testing.assert_allclose(np.cov(draws.T), COVARIANCE, atol=0.2)
 
 
+def test_the_snooker_move_leaves_a_narrow_density_as_it_is() -> None:
+    """Alone, on standard deviations of 0.05 and 0.07, where a length is far from its root. A variance of some 6000
+    effective draws is known to 2 %.
+    """
+    chains = lockstep(0.0, walkers=40)
+    chains.target = lambda which, phi: normal(which, MEANS[which] + (phi - MEANS[which]) / 0.05)  # type: ignore[assignment]
+    chains.coords = MEANS[[0, 0, 1, 1]][:, None] + 0.05 * (chains.coords - MEANS[[0, 0, 1, 1]][:, None])
+    chains.log_prob = chains._log_density(chains.coords)
+    chains._prepare(1)
+    paths = []
+    for _ in range(3000):
+        chains._evolve(chains.snooker)
+        paths.append(chains.coords)
+    for i, mean in enumerate(MEANS):
+        draws = (np.stack(paths[200:])[:, 2 * i : 2 * i + 2].reshape(-1, 2) - mean) / 0.05
+        np.testing.assert_allclose(np.cov(draws.T), COVARIANCE, atol=0.2)
+
+
 def test_walkers_have_the_log_densities_of_where_they_are() -> None:
     chains = lockstep(0.5)
     chains.run(37)
