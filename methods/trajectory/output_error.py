@@ -17,6 +17,9 @@ an end is reported as it stands, as it would be by an engineer who trusted the o
 The noise of each channel is not known: fit, ``sigma² = RSS / (N - p)``, fit again from there, until it settles; p is
 the number of directions that the data decide, ``trace(H_data H^-1)``. The covariance is the inverse of the Gauss-Newton
 Hessian.
+
+Linear systems of one layout are fitted together, by the same steps with exact derivatives
+(:mod:`methods.trajectory.trust_region`).
 """
 
 from __future__ import annotations
@@ -157,7 +160,7 @@ class SingleShooting(Identifier):
         used, rounds = np.full(every.size, float(batch.first.size)), np.ones(every.size, int)
         residuals = batch.data - search.predicted
         started = np.all(np.isfinite(residuals), axis=1)
-        going, ended = every[started], every[started]
+        going = every[started]
         if going.size:
             search.begin(going, batch.noise(going, residuals[going], used[going], SIGMA_FLOOR))
         while (going := going[~search.lost[going]]).size:
