@@ -1,15 +1,17 @@
-"""The output-error likelihood of many problems at once, for linear systems: exact derivatives, one search for all.
+"""The output-error likelihood of many problems at once: exact derivatives, one search for all.
 
-It is :class:`bench.OutputError`, problem by problem. Problems of one *layout* differ in their data, told starts and
-priors alone: same system, sensors, sample times and forces, so that one call simulates them all. A *case* is one
-problem with one vector of unknowns; a problem may have several cases, one a start of its search.
+Linear systems move exactly; a subclass of :class:`Batch` says how others do. It is :class:`bench.OutputError`, problem
+by problem. Problems of one *layout* differ in their data, told starts and priors alone: same system, sensors, sample
+times and forces, so that one call simulates them all. A *case* is one problem with one vector of unknowns; a problem
+may have several cases, one a start of its search.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -45,7 +47,9 @@ def layout(problem: Problem) -> Hashable:
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """The likelihoods of problems of one layout and of a linear system; a vector ``theta`` is that of OutputError.
+    """The likelihoods of problems of one layout; a vector ``theta`` is that of OutputError.
+
+    A subclass for systems that are not linear has :meth:`readings` of its own.
 
     ``cases`` everywhere: the number of the problem of each case, shape (cases,).
     """
@@ -82,6 +86,35 @@ class Batch:
         known = [prior for prior in priors if prior is not None]
         return np.stack([prior.log_mean for prior in known]), np.stack([1.0 / prior.log_sds for prior in known])
 
+    def starts(self, cases: np.ndarray, theta: np.ndarray) -> list[np.ndarray]:
+        """By record, displacements and velocities at time 0, told or of ``theta``, each of shape (cases, 2 n_dof)."""
+        at, n2, found = len(self.first.free), 2 * self.first.system.n_dof, list[np.ndarray]()
+        for told in self._told:
+            found.append(theta[:, at : at + n2] if told is None else told[cases])
+            at += n2 * (told is None)
+        return found
+
+    def readings(
+        self, cases: np.ndarray, number: int, p: Mapping[str, np.ndarray], start: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What the sensors of record ``number`` would show, and its derivatives, as :func:`linear_readings`.
+
+        Derivatives by a told start need not be there.
+        """
+        return linear_readings(self.first.system, p, start, self.first.problem.records[number])
+
+    def for_screening(self, cases: np.ndarray, theta: np.ndarray) -> Self:
+        """The same, as exact as comparing starts near ``theta`` (cases, size) asks for; itself where it is exact."""
+        return self
+
+    def refined(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> Self:
+        """The same, as exact as answers near ``theta`` must be at noise ``sigma`` (cases, channels); maybe itself."""
+        return self
+
+    def coarse(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+        """Whether an answer at ``theta`` would have to be more exact, shape (cases,)."""
+        return np.zeros(cases.size, bool)
+
     def predict(self, cases: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Simulated measurements (cases, N) and their exact derivatives (cases, N, size)."""
         first, n2 = self.first, 2 * self.first.system.n_dof
@@ -89,9 +122,8 @@ class Batch:
         logs = [names.index(name) for name in first.free]
         p = first.parameters(theta)
         values, slopes, at = [], [], k
-        for record, told in zip(first.problem.records, self._told, strict=True):
-            start = theta[:, at : at + n2] if told is None else told[cases]
-            value, slope = linear_readings(first.system, p, start, record)
+        for number, (start, told) in enumerate(zip(self.starts(cases, theta), self._told, strict=True)):
+            value, slope = self.readings(cases, number, p, start)
             own = np.zeros((*value.shape, first.size))
             own[..., :k] = slope[..., logs]
             if told is None:

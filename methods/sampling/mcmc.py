@@ -49,6 +49,7 @@ from bench import (
     report_progress,
 )
 from methods.sampling.answer import estimate_from_draws
+from methods.sampling.compiled import Compiled
 from methods.sampling.diagnostics import Health
 from methods.sampling.ensembles import Ensemble, Lockstep
 from methods.sampling.modes import Modes, found_or_failure, modes_of
@@ -108,7 +109,7 @@ class MCMC(Identifier):
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
         """Sample the posteriors of linear systems of one layout together, all others one by one."""
-        models = [OutputError(problem) for problem in problems]
+        models = [Compiled(p) if p.system.n_hidden else OutputError(p) for p in problems]
         answers: dict[int, Estimate] = {}
         groups: dict[object, list[_Fit]] = {}
         for i, (model, modes, rng) in enumerate(zip(models, modes_of(models), rngs, strict=True)):

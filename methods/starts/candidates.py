@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench import OutputError, Problem, Record, Start
+from bench import OutputError, Problem, Record, Start, System
 from methods.starts.equation_error import regression_starts
 from methods.starts.long_records import is_long, starts_of_long
 from methods.starts.rough import RADIANS_A_STEP, rough_readings
@@ -25,6 +25,8 @@ NOISE_SHARE = 0.05
 """Error of the integration over the standard error that the data allow."""
 HALVINGS = 4
 """How often the steps are halved at most."""
+STIFFER = (1.0, 0.6, 1.6)
+"""Stiffnesses of the starts of a system with hidden states, over what is stated of it."""
 MOST_SCANNED = 2
 """Degrees of freedom up to which a scan is made beside a regression, which sees each stiffness by itself."""
 
@@ -86,7 +88,15 @@ def candidates(model: OutputError, n: int) -> list[dict[str, float]]:
     if problem.prior is not None and (several or _loaded(problem)):
         found.append(dict(problem.prior.nominal))
     good = [p for p in found if all(np.isfinite(v) and v > 0 for v in p.values())]
-    return good or _nominal(problem)
+    return _at_frequencies(problem.system, good or _nominal(problem))
+
+
+def _at_frequencies(system: System, found: list[dict[str, float]]) -> list[dict[str, float]]:
+    """Starts of a system with hidden states, which no regression on measured motions sees, at several frequencies."""
+    if not system.n_hidden:
+        return found
+    stiff = [q.name for q in system.parameters if q.kind == "stiffness"]
+    return [{name: v * (by if name in stiff else 1.0) for name, v in p.items()} for p in found for by in STIFFER]
 
 
 def _nominal(problem: Problem) -> list[dict[str, float]]:

@@ -7,6 +7,7 @@ with ``w h = 0.15`` four parts in a million of it, far below what tells one star
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ import numpy as np
 from bench import InitialState, Record, Start, Steps, System, acceleration, fastest_rates, numpy_ops, rk4_path
 
 RADIANS_A_STEP = 0.15
+Carry = Callable[[System, Mapping[str, Any], Sequence[np.ndarray], Steps, np.ndarray], np.ndarray]
+"""What takes a state along steps, as :func:`bench.rk4_path` does."""
 MOST_STEPS = 64
 """Steps between two samples at most: a motion that is faster than that is no start anyway."""
 
@@ -33,17 +36,22 @@ def fastest_rate(system: System, p: dict[str, np.ndarray], start: Start) -> floa
 
 
 def rough_readings(
-    system: System, p: dict[str, np.ndarray], start: Start, record: Record, radians: float = RADIANS_A_STEP
+    system: System,
+    p: dict[str, np.ndarray],
+    start: Start,
+    record: Record,
+    radians: float = RADIANS_A_STEP,
+    carry: Carry = rk4_path,
 ) -> np.ndarray:
     """What the sensors of a record would show, channel after channel, shape (*sets, n_samples), without offsets.
 
     Parameters are arrays of one shape ``sets`` of at most one dimension; ``start`` an InitialState, or displacement
-    and velocity of shape (n_dof, *sets). Not finite where the motion diverges. Hidden states are not carried.
+    and velocity of shape (n_dof, *sets); hidden states start at 0. Not finite where the motion diverges.
     """
     n = system.n_dof
     knots = [f.times[f.times < record.duration] for f in record.forces]
     grid = np.unique(np.concatenate([[0.0], *[c.times for c in record.channels], *knots]))
-    path = rough_states(system, p, start, record, grid, radians)
+    path = rough_states(system, p, start, record, grid, radians, carry)
     parts = []
     for c in record.channels:
         there = path[:, ..., np.searchsorted(grid, c.times)]
@@ -51,7 +59,8 @@ def rough_readings(
             wide = {name: np.asarray(value)[..., None] for name, value in p.items()}
             force = record.force(c.times, n)
             rig = record.rig(system)
-            parts.append(acceleration(rig, wide, list(there[:n]), list(there[n:]), force, [], numpy_ops)[c.dof])
+            x, v, z = (list(own) for own in (there[:n], there[n : 2 * n], there[2 * n :]))
+            parts.append(acceleration(rig, wide, x, v, force, z, numpy_ops)[c.dof])
         else:
             parts.append(there[c.dof + (n if c.measures == "velocity" else 0)])
     return np.concatenate([np.broadcast_to(part, (*path.shape[1:-1], np.shape(part)[-1])) for part in parts], axis=-1)
@@ -64,13 +73,18 @@ def rough_states(
     record: Record,
     grid: np.ndarray,
     radians: float = RADIANS_A_STEP,
+    carry: Carry = rk4_path,
 ) -> np.ndarray:
-    """Displacements and velocities (2 n_dof, *sets, n_times) at times that begin with 0 and hold every force's knot."""
+    """Displacements, velocities and hidden states (states, *sets, n_times) at times from 0 on with every force's knot.
+
+    ``carry`` takes a state along steps.
+    """
     rig, n = record.rig(system), system.n_dof
     x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
     sets = np.broadcast_shapes(*(np.shape(value) for value in p.values()), np.shape(x)[1:])
     state: list[Any] = [np.broadcast_to(part[i], sets) for part in (x, v) for i in range(n)]
     with np.errstate(all="ignore"):
         rate = fastest_rate(rig, p, (np.stack(state[:n]), np.stack(state[n:])))
+        state += [np.zeros(sets) for _ in range(rig.n_hidden)]
         counts = np.clip(np.ceil(np.diff(grid) * rate / radians), 1, MOST_STEPS).astype(int)
-        return rk4_path(rig, p, state, Steps.over(grid, counts, record.forces, n), np.arange(grid.size))
+        return carry(rig, p, state, Steps.over(grid, counts, record.forces, n), np.arange(grid.size))

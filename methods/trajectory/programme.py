@@ -29,6 +29,7 @@ class Plan:
         # cuts that differ by rounding alone are one
         self.grid = grid[np.concatenate([[True], np.diff(grid) > 1e-11 * max(record.duration, 1e-300)])]
         self.steps = np.diff(self.grid)
+        self.longest = float(np.max(self.steps, initial=0.0))
         n = system.n_dof
         coefficients = interval_polynomials(record.forces, self.grid, n)
         self.degree = len(coefficients) - 1
@@ -80,7 +81,8 @@ class Programme:
     linear: Any
 
 
-def _casadi_ops() -> Ops:
+def casadi_ops() -> Ops:
+    """The functions that a residual may call, for CasADi's symbols."""
     import casadi as ca
 
     def solve(matrix: Any, right: Any) -> list[Any]:
@@ -98,8 +100,8 @@ def _rates(system: System) -> Any:
     """
     import casadi as ca
 
-    n, ops = system.n_dof, _casadi_ops()
-    state, logs, forces = ca.SX.sym("s", _size(system)), ca.SX.sym("p", len(system.names)), ca.SX.sym("f", n)
+    n, ops = system.n_dof, casadi_ops()
+    state, logs, forces = ca.SX.sym("s", state_size(system)), ca.SX.sym("p", len(system.names)), ca.SX.sym("f", n)
     p = {name: ca.exp(logs[i]) for i, name in enumerate(system.names)}
     entries, a = ca.vertsplit(state), ca.SX.sym("a", n)
     x, v, z, f = entries[:n], entries[n : 2 * n], entries[2 * n :], ca.vertsplit(forces)
@@ -110,7 +112,7 @@ def _rates(system: System) -> Any:
     return ca.Function("rates", [state, logs, forces], [ca.vertcat(*v, accelerations, *hidden)])
 
 
-def _size(system: System) -> int:
+def state_size(system: System) -> int:
     """Entries of a state: displacements, velocities, hidden states."""
     return 2 * system.n_dof + system.n_hidden
 
@@ -120,7 +122,7 @@ def _interval(system: System, substeps: int, degree: int) -> Any:
     import casadi as ca
 
     n, rates = system.n_dof, _rates(system)
-    state, logs = ca.SX.sym("s", _size(system)), ca.SX.sym("p", len(system.names))
+    state, logs = ca.SX.sym("s", state_size(system)), ca.SX.sym("p", len(system.names))
     length, forces = ca.SX.sym("h"), ca.SX.sym("f", (degree + 1) * n)
     part, width = ca.SX.sym("part"), ca.SX.sym("width")
     start, middle, end = (ca.vertcat(*_polynomial(forces, part + d * width, n)) for d in (0.0, 0.5, 1.0))
@@ -164,7 +166,7 @@ def build_programme(shape: Shape, max_iterations: int) -> Programme:
     offsets, states, given, misfits, joins = [], [], [], [], []
     for rig, cuts, degree, channels in shape.records:
         interval, rates = _interval(rig, shape.substeps, degree), _rates(rig)
-        path = ca.MX.sym("path", _size(system), cuts)
+        path = ca.MX.sym("path", state_size(system), cuts)
         steps, forces = ca.MX.sym("steps", 1, cuts - 1), ca.MX.sym("forces", (degree + 1) * n, cuts - 1)
         states.append(path)
         given += [steps, forces]
@@ -283,7 +285,7 @@ class Layout:
 
     @staticmethod
     def of(model: OutputError, plans: tuple[Plan, ...]) -> Layout:
-        names, n, moving = model.system.names, _size(model.system), 2 * model.system.n_dof
+        names, n, moving = model.system.names, state_size(model.system), 2 * model.system.n_dof
         logs = [names.index(name) for name in model.free]
         at = len(names) + len(model.offset_channels)
         offsets = list(range(len(names), at))

@@ -16,8 +16,9 @@ could still win is solved by shooting, and the best objective is kept.
 Where all parameters are told without a prior (a known force, an added mass), the likelihood may have no maximum at
 positive ones, as where the noise hides the damping: then all are solved again with a very wide prior about the first
 start, which no output-error step has moved.
-Linear systems have the same maximum without cuts, for their motion is known exactly: they are solved many at a time by
-:mod:`methods.trajectory.together`, and by the programme only where a search there does not end at a maximum.
+The same maximum can be had without cuts, where the search gets there: problems are solved many at a time by
+:mod:`methods.trajectory.together`, linear ones with their exact motion, others by the same steps; and by the programme
+where a search there does not end at a maximum, or where the record of a nonlinear system is long.
 The covariance is the inverse of the Hessian reduced to the space that satisfies the constraints, with Student's t at
 ``N - p`` degrees of freedom. The programme itself is :mod:`methods.trajectory.programme`.
 """
@@ -37,6 +38,7 @@ from bench import (
     Cost,
     Estimate,
     Identifier,
+    InitialState,
     NoEstimate,
     OutputError,
     Prior,
@@ -46,7 +48,7 @@ from bench import (
 )
 from methods.starts.candidates import candidates, screened, screening
 from methods.starts.open_parameters import left_open, very_wide
-from methods.starts.rough import fastest_rate, radians_a_step
+from methods.trajectory.fineness import Fineness
 from methods.trajectory.programme import (
     Layout,
     Plan,
@@ -57,12 +59,8 @@ from methods.trajectory.programme import (
     misfit_scale,
     reduced,
 )
-from methods.trajectory.together import Rules, Solution, solve_from, solve_together
+from methods.trajectory.together import SCREENED, Rules, Solution, solve_from, solve_together
 
-SUBSTEPS = (1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128)
-MAX_SUBSTEPS = SUBSTEPS[-1]
-SCREENED = 300
-"""Samples of each channel on which the starts of a nonlinear system are compared."""
 HELD = "the likelihood has no maximum at positive parameters: held by a prior of a factor of 20 about the data's start"
 POLISH = 3
 """Gauss-Newton steps in the reduced space after IPOPT, at most: they make the answer free of its tolerance."""
@@ -106,9 +104,11 @@ class Shooting(Identifier):
     works_in = "natural units"
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Estimate linear systems together, where that is the same maximum; all others by shooting, one by one."""
+        """Estimate all problems together, where that ends at the same maximum; the others by shooting, one by one."""
         models = [OutputError(problem) for problem in problems]
-        rules = Rules(self.starts, self.screen_iterations, self.margin, self.sigma_rounds, self.sigma_tolerance)
+        rules = Rules(
+            self.starts, self.screen_iterations, self.margin, self.sigma_rounds, self.sigma_tolerance, self._fineness
+        )
         answers = [
             _answer(model, found, rules) if found is not None else None
             for model, found in zip(models, solve_together(models, rules), strict=True)
@@ -171,18 +171,15 @@ class Shooting(Identifier):
         return fit
 
     def _substeps(self, model: OutputError, theta: np.ndarray, plans: tuple[Plan, ...], sigma: np.ndarray) -> int:
-        """Runge-Kutta steps in the longest interval: 1, 2, 3, 4, 6, 8, 12, ... so that few programmes are built.
+        """Runge-Kutta steps in the longest interval."""
+        longest = max(plan.longest for plan in plans)
+        parts = [(s.displacement, s.velocity) if isinstance(s, InitialState) else s for s in model.starts(theta)]
+        states = [np.concatenate(own)[None] for own in parts]
+        return int(self._fineness.substeps(model, longest, theta[None], states, sigma[None], model.rms[None])[0])
 
-        The error over the record is kept below what is allowed (:func:`methods.starts.rough.radians_a_step`).
-        """
-        relative = float(np.min(sigma / model.rms)) / np.sqrt(model.data.size)
-        allowed = max(self.integration_error, self.noise_share * relative)
-        radians = max(fastest_rate(model.system, model.parameters(theta), start) for start in model.starts(theta))
-        duration = max(record.duration for record in model.problem.records)
-        step = radians_a_step(allowed, radians * duration) / max(radians, 1e-9)
-        longest = max(float(np.max(plan.steps)) for plan in plans)
-        wanted = min(longest / step, MAX_SUBSTEPS)
-        return int(next(n for n in SUBSTEPS if n >= wanted))
+    @property
+    def _fineness(self) -> Fineness:
+        return Fineness(self.integration_error, self.noise_share)
 
 
 @dataclass

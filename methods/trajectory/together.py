@@ -1,10 +1,12 @@
-"""Many problems of linear systems at once, as multiple shooting solves them one by one.
+"""Many problems at once, as multiple shooting solves them one by one.
 
-Where the motion of a linear system is known exactly, multiple shooting and output error have the same maximum of the
-same posterior: the states at the cuts are functions of the parameters and the start, and at a solution the joins hold.
-What is left of multiple shooting is how it gets there. So the starts of :mod:`methods.starts.candidates` are searched
-here by Levenberg-Marquardt with exact derivatives, all problems and starts together, fit and noise in turn by the same
-rules. A problem in which any of these searches does not end at a maximum has no answer here: it is left to shooting.
+Where the motion follows from parameters and start, multiple shooting and output error have the same maximum of the same
+posterior: the states at the cuts are functions of the parameters and the start, and at a solution the joins hold. What
+is left of multiple shooting is how it gets there. So the starts of :mod:`methods.starts.candidates` are searched here
+by Levenberg-Marquardt, all problems and starts together, fit and noise in turn by the same rules. Linear systems move
+exactly; others by the same Runge-Kutta steps as in shooting (:mod:`methods.trajectory.stepped`), with the derivatives
+of these steps. A linear system in which any of these searches does not end at a maximum has no answer here, and another
+where the best does not: they are left to shooting.
 """
 
 from __future__ import annotations
@@ -17,12 +19,18 @@ import numpy as np
 from bench import SIGMA_FLOOR, Batch, OutputError, Point, layout, used_of
 from methods.starts.candidates import candidates
 from methods.starts.separate import separate
+from methods.trajectory.fineness import Fineness
+from methods.trajectory.stepped import Stepped
 
 MOST_ITERATIONS = 60
 MOST_AT_ONCE = 1_000_000
 """Derivatives of predictions that are held together, of one start a problem."""
+SCREENED = 300
+"""Samples of each channel on which the starts of a nonlinear system are compared; a longer record is shooting's."""
 LEFT = 1e-6
 """What a search may still gain where it counts as ended at a maximum, in minus twice the log-posterior."""
+LEFT_AT_KINKS = 1e-3
+"""The same where a system bends suddenly: so does its likelihood, and there no step gains what its slopes promise."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +42,8 @@ class Rules:
     margin: float
     sigma_rounds: int
     sigma_tolerance: float
+    fineness: Fineness
+    """How exactly the motion of a system that is not linear is integrated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +63,7 @@ def solve_together(models: Sequence[OutputError], rules: Rules) -> list[Solution
     """The solutions of problems in natural units, in order; None where shooting is to find it."""
     groups: dict[object, list[int]] = {}
     for i, model in enumerate(models):
-        if model.system.linear:
+        if model.system.linear or all(c.n <= SCREENED for _, c in model.channels):
             groups.setdefault(layout(model.problem), []).append(i)
     found: list[Solution | None] = [None] * len(models)
     for places in groups.values():
@@ -61,9 +71,14 @@ def solve_together(models: Sequence[OutputError], rules: Rules) -> list[Solution
         size = max(1, MOST_AT_ONCE // (first.data.size * first.size))
         for at in range(0, len(places), size):
             own = places[at : at + size]
-            for i, solution in zip(own, _solve(Batch(tuple(models[i] for i in own)), rules), strict=True):
+            for i, solution in zip(own, _solve(_batch([models[i] for i in own], rules), rules), strict=True):
                 found[i] = solution
     return found
+
+
+def _batch(models: Sequence[OutputError], rules: Rules) -> Batch:
+    """Problems of one layout, by the motion that is exact for a linear system, or by steps."""
+    return Batch(tuple(models)) if models[0].system.linear else Stepped.rough(models, rules.fineness)
 
 
 def _solve(batch: Batch, rules: Rules) -> list[Solution | None]:
@@ -75,7 +90,7 @@ def _solve(batch: Batch, rules: Rules) -> list[Solution | None]:
 def solve_from(model: OutputError, starts: np.ndarray, rules: Rules) -> Solution | None:
     """The solution of one problem from given vectors (starts, size); None where shooting is to find it."""
     own = _Starts(np.zeros(len(starts), int), starts, starts[:1])
-    return _fitted(Batch((model,)), own, rules)[0]
+    return _fitted(_batch([model], rules), own, rules)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +108,7 @@ def _fitted(batch: Batch, starts: _Starts, rules: Rules) -> list[Solution | None
     fits = _settled(batch, cases, starts.thetas, rules)
     for problem in range(len(batch.models)):
         own = np.flatnonzero(cases == problem)
-        if not own.size or not np.all(fits.good[own]):
+        if not _ended(batch, fits, own):
             found.append(None)
             continue
         best = own[np.argmin(fits.profile[own])]
@@ -110,11 +125,22 @@ def _fitted(batch: Batch, starts: _Starts, rules: Rules) -> list[Solution | None
     return found
 
 
+def _ended(batch: Batch, fits: _Fits, own: np.ndarray) -> bool:
+    """Whether the best of these fits ended at a maximum, and of a linear system all of them did."""
+    if not own.size:
+        return False
+    wanted = own if batch.first.system.linear else own[[np.argmin(fits.profile[own])]]
+    return bool(np.all(fits.good[wanted]))
+
+
 def _screened(batch: Batch, rules: Rules) -> _Starts:
     """The starts that are worth a fit after a few output-error steps."""
-    vectors = [[model.vector(p) for p in candidates(model, rules.starts + 1)] for model in batch.models]
-    cases = np.repeat(np.arange(len(vectors)), [len(own) for own in vectors])
-    start = batch.point(cases, np.array([theta for own in vectors for theta in own]).reshape(-1, batch.first.size))
+    found = [candidates(model, rules.starts + 1) for model in batch.models]
+    cases = np.repeat(np.arange(len(found)), [len(own) for own in found])
+    vectors = _vectors(batch, cases, [p for own in found for p in own])
+    batch = batch.for_screening(cases, vectors)
+    vectors = batch.with_starts(cases, vectors) if isinstance(batch, Stepped) else vectors
+    start = batch.point(cases, vectors)
     residuals = batch.data[cases] - start.predicted
     good = np.flatnonzero(np.all(np.isfinite(residuals), axis=1))
     cases = cases[good]
@@ -126,8 +152,19 @@ def _screened(batch: Batch, rules: Rules) -> _Starts:
         own = np.flatnonzero(cases == problem)
         best = own[separate(model, values[own], settled.theta[own])[: rules.starts]]
         kept += [i for i in best if values[i] <= values[best[0]] + rules.margin]
-    nothing = np.full(batch.first.size, np.nan)
-    return _Starts(cases[kept], settled.theta[kept], np.array([own[0] if own else nothing for own in vectors]))
+    # of a problem without a start that of another: it has no fit that would use it
+    heads = np.searchsorted(np.repeat(np.arange(len(found)), [len(own) for own in found]), np.arange(len(found)))
+    return _Starts(cases[kept], settled.theta[kept], vectors[np.minimum(heads, max(len(vectors) - 1, 0))])
+
+
+def _vectors(batch: Batch, cases: np.ndarray, starts: Sequence[dict[str, float]]) -> np.ndarray:
+    """A vector of unknowns of each start, with initial states and offsets where these are found one by one."""
+    if not isinstance(batch, Stepped):
+        vectors = [batch.models[i].vector(p) for i, p in zip(cases, starts, strict=True)]
+        return np.array(vectors).reshape(-1, batch.first.size)
+    free, theta = batch.first.free, np.zeros((len(starts), batch.first.size))
+    theta[:, : len(free)] = np.log([[p[name] for name in free] for p in starts]).reshape(-1, len(free))
+    return theta
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,16 +181,23 @@ class _Fits:
 
 def _settled(batch: Batch, cases: np.ndarray, thetas: np.ndarray, rules: Rules) -> _Fits:
     """Fit and noise in turn, from one vector a case, until the noise settles."""
-    point, n = batch.point(cases, thetas), cases.size
+    left = LEFT if batch.first.system.linear or batch.first.system.smooth else LEFT_AT_KINKS
+    known, n = batch.for_screening(cases, thetas), cases.size
+    point = known.point(cases, thetas)
     used, iterations = np.full(n, float(batch.first.size)), np.zeros(n, int)
     residuals = batch.data[cases] - point.predicted
     sigma, good = batch.noise(cases, residuals, used, SIGMA_FLOOR), np.ones(n, bool)
     going = np.arange(n)
     for _ in range(rules.sigma_rounds):
+        free = batch.noise(cases[going], residuals[going], used[going], 0.0)
+        batch = batch.refined(cases[going], point.theta[going], free)
+        if batch is not known:
+            known = batch
+            _put(point, going, batch.point(cases[going], point.theta[going]))
         search = batch.search(cases[going], point.at(going), sigma[going], MOST_ITERATIONS)
         _put(point, going, search.point)
         iterations[going] += search.iterations
-        good[going] = search.left < LEFT
+        good[going] = search.left < left
         _, rows = batch.rows(cases[going], search.point, sigma[going])
         finite = np.all(np.isfinite(rows), axis=(1, 2))
         good[going] &= finite
@@ -162,7 +206,10 @@ def _settled(batch: Batch, cases: np.ndarray, thetas: np.ndarray, rules: Rules) 
         before = sigma[going]
         sigma[going] = batch.noise(cases[going], residuals[going], used[going], SIGMA_FLOOR)
         moved = np.max(np.abs(np.log(sigma[going] / before)), axis=1)
-        going = going[good[going] & (moved >= rules.sigma_tolerance)]
+        # where the answer moves faster than its start did, or fits better, the steps were too long
+        free = batch.noise(cases[going], residuals[going], used[going], 0.0)
+        unsettled = (moved >= rules.sigma_tolerance) | batch.coarse(cases[going], search.theta, free)
+        going = going[good[going] & unsettled]
         if not going.size:
             break
     free = batch.noise(cases, residuals, used, 0.0)
