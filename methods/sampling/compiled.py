@@ -1,4 +1,4 @@
-"""Motions with hidden states by Runge-Kutta steps that jax compiles: a sampler asks for them again and again.
+"""Motions of nonlinear systems by Runge-Kutta steps that jax compiles: a sampler asks for them again and again.
 
 What is compiled depends on the system, the number of sets and the number of steps. Both numbers are rounded up, so few
 programmes serve many calls.
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from bench import OutputError, Record, Start, Steps, System, rk4_path, rk4_scan
+from methods.starts.candidates import Stepped
 from methods.starts.rough import rough_readings
 
 PARTS_OF_OCTAVE = 2
@@ -23,18 +24,20 @@ MOST_STATES = 10_000_000
 COMPILED_SETS = 8
 """From so many sets on."""
 RADIANS = 0.05
-"""Steps in radians of the fastest rate, as those of :func:`bench.simulate`."""
+"""Steps in radians of the fastest rate where nothing else is said, as those of :func:`bench.simulate`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Compiled(OutputError):
-    """The same, for a system with hidden states."""
+    """The same, for a nonlinear system, integrated by steps of at most so many radians."""
+
+    radians: float = RADIANS
 
     def readings(self, p: dict[str, np.ndarray], start: Start, record: Record) -> np.ndarray:
         """As above; not finite where the response diverges."""
         if np.prod(np.broadcast_shapes(*(np.shape(value) for value in p.values()))) < COMPILED_SETS:
             return super().readings(p, start, record)
-        return rough_readings(self.system, p, start, record, RADIANS, compiled_path)
+        return rough_readings(self.system, p, start, record, self.radians, compiled_path)
 
 
 def compiled_path(
@@ -50,6 +53,13 @@ def compiled_path(
     path = np.asarray(_carried(system)(values, np.stack([s.ravel() for s in state])[:, repeated], *_padded(steps)))
     picked = path[steps.reached[wanted], :, :many]
     return np.moveaxis(picked, 0, -1).reshape(len(state), *sets, wanted.size)
+
+
+def compiled(model: OutputError) -> OutputError:
+    """The same model, integrated as finely, by compiled steps where the system is not linear."""
+    if model.system.linear:
+        return model
+    return Compiled(model.problem, radians=model.radians if isinstance(model, Stepped) else RADIANS)
 
 
 @lru_cache(maxsize=64)

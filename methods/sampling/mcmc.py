@@ -49,7 +49,7 @@ from bench import (
     report_progress,
 )
 from methods.sampling.answer import estimate_from_draws
-from methods.sampling.compiled import Compiled
+from methods.sampling.compiled import compiled
 from methods.sampling.diagnostics import Health
 from methods.sampling.ensembles import Ensemble, Lockstep
 from methods.sampling.modes import Modes, found_or_failure, modes_of
@@ -109,7 +109,7 @@ class MCMC(Identifier):
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
         """Sample the posteriors of linear systems of one layout together, all others one by one."""
-        models = [Compiled(p) if p.system.n_hidden else OutputError(p) for p in problems]
+        models = [compiled(OutputError(p)) if p.system.n_hidden else OutputError(p) for p in problems]
         answers: dict[int, Estimate] = {}
         groups: dict[object, list[_Fit]] = {}
         for i, (model, modes, rng) in enumerate(zip(models, modes_of(models), rngs, strict=True)):
@@ -196,5 +196,5 @@ class _Fit:
     @staticmethod
     def of(place: int, model: OutputError, modes: Modes, rng: np.random.Generator) -> _Fit:
         """Prepare a problem with its modes. Raises NoEstimate where the data leave a parameter open."""
-        posterior = Posterior(as_fine_as_noise(model, modes[0][1]), modes[0][1])
+        posterior = Posterior(compiled(as_fine_as_noise(model, modes[0][1])), modes[0][1])
         return _Fit(place, model.problem, posterior, Proposal.around(posterior, modes), rng)
