@@ -1,0 +1,112 @@
+"""``python -m tests.studies.engines``: what a fit costs, beside goals, floors, an earlier checkout and other engines.
+
+Every row is measured in fresh processes with limits of time and memory; ``before=`` names the folder of another
+checkout, whose code then takes turns with this one's in the same run. The page is ``<out>/engines.md``, the numbers
+``<out>/engines.csv``, the picture of growth ``<out>/engines_scaling.svg``.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tqdm import tqdm
+
+from bench.commands.guard import command, read_fields, whole
+from bench.errors import InputError
+from bench.isolation.processes import single_threaded
+from bench.store.store import Store
+
+if TYPE_CHECKING:
+    from tests.studies.engines.page import Study
+
+USAGE = """usage: python -m tests.studies.engines [rows=<a,b>|none] [before=<folder of an earlier checkout>]
+                                           [scaling=true|false] [rivals=true|false] [limit_s=120] [out=results]"""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line says."""
+
+    rows: tuple[str, ...]
+    before: Path | None
+    scaling: bool
+    rivals: bool
+    limit_s: float
+    out: Path
+
+
+def read_options(arguments: Sequence[str]) -> Options:
+    """The arguments, checked; raises InputError. Named rows alone come without the picture and the rivals."""
+    from tests.studies.engines.rows import rows
+
+    texts = {"rows": "", "before": "", "scaling": "", "rivals": "", "limit_s": "120", "out": "results"}
+    texts = read_fields(arguments, texts)
+    known = rows()
+    chosen = () if texts["rows"] == "none" else tuple(filter(None, texts["rows"].split(","))) or tuple(known)
+    for name in chosen:
+        if name not in known:
+            raise InputError("rows", name, f"known: {', '.join(known)}, or none")
+    before = Path(texts["before"]).resolve() if texts["before"] else None
+    if before and not (before / "bench" / "config" / "experiment.py").is_file():
+        raise InputError("before", before, "the folder of a checkout of this repository")
+    whole_run = "false" if texts["rows"] else "true"
+    flags = {name: texts[name] or whole_run for name in ("scaling", "rivals")}
+    for name, text in flags.items():
+        if text not in ("true", "false"):
+            raise InputError(name, text, "true or false")
+    limit = float(whole("limit_s", texts["limit_s"]))
+    return Options(chosen, before, flags["scaling"] == "true", flags["rivals"] == "true", limit, Path(texts["out"]))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measure, and write page, numbers and picture; exit status 2 for bad input, 130 interrupted."""
+    return command("tests.studies.engines", f"{USAGE}\n\n{__doc__}", argv, _main)
+
+
+def _main(arguments: Sequence[str]) -> int:
+    single_threaded()  # before numpy: this process measures the rates of the floors
+    from tests.studies.engines.page import page, tidy
+    from tests.studies.engines.picture import picture
+
+    chosen = read_options(arguments)
+    Store(chosen.out).prepare()
+    study = _measured(chosen)
+    written = [chosen.out / "engines.md", chosen.out / "engines.csv"]
+    written[0].write_text(page(study), encoding="utf-8")
+    written[1].write_text(tidy(study).to_csv(index=False, float_format="%.4g"), encoding="utf-8")
+    if study.growths:
+        written += picture(study.growths, chosen.out)
+    for path in written:
+        print(path)
+    return 0
+
+
+def _measured(chosen: Options) -> Study:
+    from tests.studies.engines import floors, peers, results
+    from tests.studies.engines.page import Study
+    from tests.studies.engines.rivals import RIVALS, STARTS
+    from tests.studies.engines.rows import CURVES, rows
+
+    curves = CURVES if chosen.scaling else ()
+    total = len(chosen.rows) + sum(len(curve.sizes) for curve in curves)
+    total += (2 + len(RIVALS) * len(STARTS)) if chosen.rivals else 0
+    machine, found = floors.rates(), []
+    with tqdm(total=total, unit="measurement", file=sys.stderr, leave=False) as bar:
+        for name in chosen.rows:
+            bar.set_description(name)
+            result = results.measure(rows()[name], chosen.limit_s, chosen.before)
+            found.append(replace(result, floor_s=floors.floor(result.row, result.now.evaluations, machine)))
+            bar.update()
+        bar.set_description("growth")
+        growths = [results.grow(curve, chosen.limit_s, bar.update) for curve in curves]
+        bar.set_description("rivals")
+        others = peers.compare(chosen.limit_s, bar.update) if chosen.rivals else []
+    return Study(found, growths, others, machine, chosen.limit_s)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,207 @@
+"""The page and the CSV of what was measured; every sentence about a number is made from the number."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from tabulate import tabulate
+
+from bench.reporting import labels
+from bench.reporting.rounding import number
+from tests.studies.engines.floors import FORMULAS, Rates
+from tests.studies.engines.peers import Peer
+from tests.studies.engines.results import LARGE, Growth, Result, difference, same_answers
+from tests.studies.engines.rivals import SOLVED
+
+TEXT = """Regenerate: `python -m tests.studies.engines` (`before=<folder>` for the times of an earlier checkout beside \
+these, in the same run; `rows=<a,b>` for some rows only).
+
+Processor seconds a fit, imports apart, one thread; each row in processes of its own, of this code and of the earlier in
+turn, the best of several runs on the same data. Start told, nominal prior, 20 dB where nothing else is said; chains are
+those of [chains](chains.md). *Together*: data sets fitted in one call. Limits: {limit:g} s of processor time a run, and
+8 GB of address space. *Floor*: what the evaluations that the method counts would take, were there nothing but their
+unavoidable arithmetic, at this machine's rates. *Largest difference*: of the logarithm of any parameter (or group)
+between both codes, over its standard error; of a bound, of its own logarithm. *Memory*: the most that the process held,
+all its imports included. Measured on {cores} cores ({machine}), Python {python}, numpy {numpy}: exp, cos and sin of a
+number take {functions:.1f} ns, products of matrices run at {gigaflops:.0f} GFLOP/s."""
+RIVALS = """One mass, 20 dB, the data of the first row. The others fit damping and stiffness, the weighed mass and the
+start of the motion being told, by plain residuals; *scan*: from the start that ours looks up, so that they differ by
+engine alone, and without the time that it took to find; *nominal*: from the prior's nominal values. Ours takes the
+prior and the noise into account and gives the covariance, too, and its time has the search for its starts in it.
+*Solved*: damping and stiffness over mass within {solved:g} of our standard errors of our answer. Median over the data
+sets of the best of two fits."""
+
+
+def milliseconds(seconds: float) -> str:
+    """A time as tables show it: three digits, or all before the point."""
+    return number(1e3 * seconds) if not seconds >= 1.0 else f"{1e3 * seconds:.0f}"
+
+
+def seconds_text(outcome: Any) -> str:
+    """A time in ms, or why there is none."""
+    if outcome is None:
+        return "-"
+    if outcome.failure:
+        return str(outcome.failure)
+    failed = f" ({outcome.failed} of {len(outcome.answers)} without an estimate)" if outcome.failed else ""
+    return milliseconds(outcome.best) + failed
+
+
+@dataclass(frozen=True)
+class Study:
+    """All that was measured."""
+
+    results: Sequence[Result]
+    growths: Sequence[Growth]
+    peers: Sequence[Peer]
+    rates: Rates
+    limit_s: float
+
+
+def line(result: Result) -> list[str]:
+    """A row of the table."""
+    row, now = result.row, result.now
+    goal = milliseconds(row.goal_s) + (f", {row.goal_mb:g} MB" if not math.isnan(row.goal_mb) else "")
+    held = {True: "yes", False: "no", None: "-"}[result.held]
+    over = now.best / result.floor_s
+    return [
+        row.title, f"{row.together}", seconds_text(now), goal, held, seconds_text(result.before),
+        "-" if math.isnan(result.ratio) else f"{result.ratio:.3g} ×", same_answers(result),
+        milliseconds(result.floor_s), "-" if math.isnan(over) else f"{over:.3g} ×", number(now.peak_mb),
+    ]  # fmt: skip
+
+
+COLUMNS = (
+    "what", "together", "time (ms)", "goal (ms)", "held", "before (ms)", "before / now", "largest difference",
+    "floor (ms)", "time / floor", "memory (MB)",
+)  # fmt: skip
+
+
+def said_of_rows(results: Sequence[Result]) -> str:
+    """Which goals are held, what became faster or slower, and where the answers differ."""
+    asked = [result for result in results if result.held is not None]
+    missed = [result for result in asked if not result.held]
+    parts = [f"{len(asked) - len(missed)} of {len(asked)} goals are held."]
+    if missed:
+        parts.append("Not held: " + "; ".join(f"{r.row.title} ({missing(r)})" for r in missed) + ".")
+    paired = [result for result in results if not math.isnan(result.ratio)]
+    if paired:
+        ratios = [result.ratio for result in paired]
+        slower = [result.row.title for result in paired if result.ratio < 1.0 / LARGE]
+        parts.append(
+            f"The earlier code takes {min(ratios):.3g} to {max(ratios):.3g} times as long, {median(ratios):.3g} in the "
+            f"median of {len(paired)}; slower now: {', '.join(slower) or 'none'}."
+        )
+        offs = [difference(r.now, r.before) for r in paired if r.before and r.now.data == r.before.data]
+        if finite := [off for off in offs if not math.isnan(off)]:
+            parts.append(f"No answer of the same data differs by more than {max(finite):.1g} standard errors.")
+    return " ".join(parts)
+
+
+def missing(result: Result) -> str:
+    """By how much a goal is missed."""
+    now, row = result.now, result.row
+    if now.failure or now.failed:
+        return seconds_text(now)
+    too_much = [f"{now.best / row.goal_s:.2g} times the time"] if now.best > row.goal_s else []
+    if now.peak_mb > row.goal_mb:
+        too_much.append(f"{now.peak_mb / row.goal_mb:.2g} times the memory")
+    return " and ".join(too_much)
+
+
+def said_of_floors(results: Sequence[Result]) -> str:
+    """The formula of each kind of floor, and why rows have none."""
+    kinds = dict.fromkeys(result.row.floor for result in results if result.row.floor in FORMULAS)
+    lines = []
+    for kind in kinds:
+        titles = ", ".join(result.row.title for result in results if result.row.floor == kind)
+        lines.append(f"- {titles}: {FORMULAS[kind]}.")
+    for why in dict.fromkeys(result.row.why for result in results if result.row.why):
+        lines.append(f"- {', '.join(r.row.title for r in results if r.row.why == why)}: no floor, since {why}.")
+    return "\n".join(["Floors:", "", *lines])
+
+
+def said_of_growth(growths: Sequence[Growth]) -> str:
+    """The exponents, what is more than linear and why, and where a curve ends early."""
+    lines = []
+    for growth in growths:
+        curve = growth.curve
+        head = f"- {labels.title(curve.method)} against {AXES[curve.axis]}: exponent {growth.exponent:.2f}"
+        more = f", more than linear: {curve.more}" if growth.exponent > LARGE else ""
+        ended = f"; {growth.failure}" if growth.failure else ""
+        lines.append(f"{head}{more}{ended}.")
+    return "\n".join(lines)
+
+
+AXES = {
+    "together": "data sets together (time of all)",
+    "samples": "samples (time of a fit)",
+    "masses": "masses (time of a fit)",
+}
+
+
+def peer_line(peer: Peer, ours: float) -> list[str]:
+    """A row of the table of rivals."""
+    solved = f"{peer.solved}/{peer.sets}" if peer.sets else "-"
+    ratio = peer.seconds / ours
+    return [
+        peer.title, peer.start, peer.failure or milliseconds(peer.seconds),
+        "-" if math.isnan(ratio) else f"{ratio:.3g} ×", solved,
+    ]  # fmt: skip
+
+
+def page(study: Study) -> str:
+    """The whole page."""
+    text = TEXT.format(
+        limit=study.limit_s, cores=os.cpu_count(), machine=platform.machine(), python=platform.python_version(),
+        numpy=np.__version__, functions=1e9 * study.rates.functions_s, gigaflops=study.rates.flops / 1e9,
+    )  # fmt: skip
+    parts = ["# What the engines cost", text]
+    if study.results:
+        parts += [said_of_rows(study.results), _table(map(line, study.results), COLUMNS), said_of_floors(study.results)]
+    if study.growths:
+        parts += ["## Growth", "![Time against size](engines_scaling.svg)", said_of_growth(study.growths)]
+    if study.peers:
+        own = study.peers[0].seconds
+        columns = ("engine", "start", "time (ms)", "over ours, alone", "solved")
+        rows = [peer_line(peer, own) for peer in study.peers]
+        parts += ["## Other engines", RIVALS.format(solved=SOLVED), _table(rows, columns)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _table(rows: Any, columns: Sequence[str]) -> str:
+    return str(tabulate(list(rows), headers=columns, tablefmt="github", disable_numparse=True))
+
+
+def tidy(study: Study) -> pd.DataFrame:
+    """All numbers, one line a measurement."""
+    lines: list[dict[str, Any]] = []
+    for result in study.results:
+        row = result.row
+        for code, outcome in (("now", result.now), ("before", result.before)):
+            if outcome is not None:
+                lines.append({
+                    "part": "rows", "name": row.name, "code": code, "size": row.together, "seconds": outcome.best,
+                    "first_s": next(iter(outcome.seconds), math.nan), "failure": outcome.failure,
+                    "without_estimate": outcome.failed, "evaluations": outcome.evaluations,
+                    "goal_s": row.goal_s, "floor_s": result.floor_s if code == "now" else math.nan,
+                    "peak_mb": outcome.peak_mb,
+                })  # fmt: skip
+    for growth in study.growths:
+        name = f"{growth.curve.method} {growth.curve.axis}"
+        for size, seconds in zip(growth.sizes, growth.seconds, strict=True):
+            lines.append({"part": "growth", "name": name, "code": "now", "size": size, "seconds": seconds})
+    for peer in study.peers:
+        name = f"{peer.name} {peer.start}"
+        lines.append(
+            {"part": "engines", "name": name, "size": peer.sets, "seconds": peer.seconds, "failure": peer.failure}
+        )
+    return pd.DataFrame(lines)

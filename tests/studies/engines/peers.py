@@ -1,0 +1,58 @@
+"""The table of other people's engines beside ours."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import median
+
+from tests.studies.engines.children import MEMORY_MB, answered, measured
+from tests.studies.engines.rivals import RIVALS, SOLVED, STARTS
+from tests.studies.engines.rows import SEED, Row
+
+SETS, REPEATS, TOGETHER = 10, 2, 100
+
+
+@dataclass(frozen=True)
+class Peer:
+    """One line: median seconds a fit, how many of how many data sets ended at our minimum; or why there is none."""
+
+    name: str
+    title: str
+    start: str
+    seconds: float = math.nan
+    solved: int = 0
+    sets: int = 0
+    failure: str = ""
+
+
+def compare(limit_s: float, advance: Callable[[], object]) -> list[Peer]:
+    """Ours, one data set at a time and many together, with the search for their starts; then the others."""
+    found = []
+    for together in (1, TOGETHER):
+        row = Row("", "", ("system=sdof",), "shooting", {}, together)
+        outcome = measured(row.task(limit_s))
+        title = f"`method=shooting`, {f'{together} together' if together > 1 else 'alone'}"
+        found.append(Peer("shooting", title, "its own", outcome.best, failure=outcome.failure))
+        advance()
+    for name, (_, title, _) in RIVALS.items():
+        for start in STARTS:
+            found.append(peer(name, title, start, limit_s))
+            advance()
+    return found
+
+
+def peer(name: str, title: str, start: str, limit_s: float) -> Peer:
+    """One engine from one kind of start, in a child of its own."""
+    task = {
+        "rival": name, "start": start, "seed": SEED, "sets": SETS, "repeats": REPEATS, "limit_s": limit_s,
+        "memory_mb": MEMORY_MB,
+    }  # fmt: skip
+    said = answered(["-m", "tests.studies.engines.rivals"], task)
+    if isinstance(said, str):
+        return Peer(name, title, start, failure=said)
+    if "missing" in said:
+        return Peer(name, title, start, failure="not installed")
+    solved = sum(off < SOLVED for off in said["off"])
+    return Peer(name, title, start, median(said["seconds"]), solved, len(said["off"]))

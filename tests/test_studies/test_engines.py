@@ -1,0 +1,253 @@
+"""The benchmark of engines: its children and their limits, its floors and sentences, and the other engines."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.config.experiment import expand
+from bench.entrants.registry import make_method
+from bench.information.fisher import compute_bound
+from bench.scenario.truth import closed_form
+from tests.studies import chains
+from tests.studies.engines import children, floors, page, peers, results, rivals
+from tests.studies.engines.__main__ import main, read_options
+from tests.studies.engines.children import ROOT, Outcome, answered
+from tests.studies.engines.floors import Rates
+from tests.studies.engines.picture import picture
+from tests.studies.engines.results import Growth, Result
+from tests.studies.engines.row import METHOD_STREAM
+from tests.studies.engines.rows import CURVES, SEED, Row, rows
+
+SDOF = Row("ls", "least squares", ("system=sdof",), "ls", {}, 2, goal_s=60.0, rounds=1, repeats=2)
+LIMIT = "from tests.studies.engines.row import limit_memory"
+UNIT = Rates(functions_s=1e-8, flops=1e9)
+
+
+def answer(values: Mapping[str, float], errors: Mapping[str, float], status: str = "ok") -> dict[str, Any]:
+    return {"status": status, "message": "", "evaluations": 3, "values": dict(values), "errors": dict(errors)}
+
+
+def outcome(k: float, status: str = "ok", seconds: float = 0.01, data: str = "a") -> Outcome:
+    own = answer({"k": k, "c": 1.0}, {"k": 0.1, "c": 0.2}, status)
+    return Outcome((3.0 * seconds, seconds), (own,), data, 100.0, 1.0)
+
+
+# ------------------------------------------------------------------------------------------------ children
+
+
+def test_a_child_fits_as_this_process_does() -> None:
+    """The same data sets, one by one and in this process."""
+    found = children.measured(SDOF.task(60.0))
+    assert found.failure == ""
+    assert len(found.answers) == 2
+    scenario, method = expand(["method=prior", "system=sdof"], multirun=False)[0].scenario, make_method("ls", {})
+    make = scenario.maker(SEED)
+    for i, own in enumerate(found.answers):
+        estimate = method.identify(make(i)[0], np.random.default_rng([METHOD_STREAM, SEED, i]))
+        belief = estimate.groups
+        assert belief is not None
+        assert belief.covariance is not None
+        for j, name in enumerate(belief.names):
+            assert own["values"][name] == pytest.approx(math.log(belief.mean[j]), abs=1e-9)
+            relative = math.sqrt(belief.covariance[j, j]) / belief.mean[j]
+            assert own["errors"][name] == pytest.approx(relative, rel=1e-6)
+
+
+def test_a_child_computes_the_bound_of_this_process() -> None:
+    row = Row("bound", "", ("system=sdof", "snr=30"), repeats=1)
+    (own,) = children.measured(row.task(60.0)).answers
+    expected = compute_bound(row.scenario, SEED)
+    assert own["values"]["rmse"] == pytest.approx(math.log(expected.rmse), abs=1e-12)
+    assert own["values"]["k_over_m"] == pytest.approx(math.log(expected.relative_sd["k_over_m"]), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ("while True: pass", "not in 1 s"),
+        (f"{LIMIT}; limit_memory(2000); bytearray(3 * 2**30)", "out of memory"),
+        ("raise ValueError('so')", "crashed: ValueError: so"),
+        ("print('a word')\nprint('[1]')", [1]),
+    ],
+)  # fmt: skip
+def test_what_ends_a_child_is_an_entry(script: str, said: object) -> None:
+    assert answered(["-c", script], {"limit_s": 1.0}) == said
+
+
+def test_a_row_has_the_scenario_of_the_chains() -> None:
+    for n in (1, 10):
+        assert replace(rows()["chain10"], fields=_chain(n)).scenario.to_dict() == chains.scenario(n).to_dict()
+
+
+def _chain(n: int) -> dict[str, Any]:
+    from tests.studies.engines.rows import chain_fields
+
+    return chain_fields(n)
+
+
+def test_both_codes_take_turns_and_agree_with_themselves() -> None:
+    found = results.measure(replace(SDOF, rounds=2), 60.0, ROOT / "tests" / "..")
+    assert found.before is not None
+    assert len(found.now.seconds) == 4  # two runs in each of two children
+    assert results.same_answers(found) == "equal"
+
+
+# ------------------------------------------------------------------------------------------------ what came out
+
+
+def test_a_difference_is_in_standard_errors() -> None:
+    """0.05 of a standard error of 0.1 is a half; a parameter that moved by less does not hide it."""
+    now, before = outcome(2.05), outcome(2.0)
+    assert results.difference(now, before) == pytest.approx(0.5)
+    assert results.same_answers(Result(SDOF, now, before)) == "0.5"
+    assert results.same_answers(Result(SDOF, outcome(2.0), before)) == "equal"
+    assert results.same_answers(Result(SDOF, outcome(2.0, "diverged"), before)) == "equal; 1 other statuses"
+    assert results.same_answers(Result(SDOF, outcome(2.0, data="b"), before)) == "other data"
+    assert results.same_answers(Result(SDOF, now, None)) == "-"
+
+
+def test_goals_and_ratios() -> None:
+    """The best run counts: 0.01 s of 0.01 and 0.03."""
+    row = replace(SDOF, goal_s=0.01, goal_mb=100.0)
+    held = Result(row, outcome(2.0), outcome(2.0, seconds=0.05))
+    assert held.held
+    assert held.ratio == pytest.approx(5.0)
+    slow = Result(replace(row, goal_s=0.004, goal_mb=80.0), outcome(2.0), None)
+    assert not slow.held
+    assert page.missing(slow) == "2.5 times the time and 1.2 times the memory"
+    assert not Result(row, Outcome(failure="not in 120 s"), None).held
+    assert not Result(row, outcome(2.0, "diverged"), None).held
+    assert Result(replace(row, goal_s=math.nan), outcome(2.0), None).held is None
+
+
+def test_an_exponent_is_of_the_upper_half() -> None:
+    sizes = np.array([1.0, 3.0, 10.0, 30.0, 100.0, 300.0])
+    law = 0.02 * sizes**1.7
+    assert results.exponent(sizes, law) == pytest.approx(1.7)
+    law[:3] = 5.0
+    assert results.exponent(sizes, law) == pytest.approx(1.7)
+    assert results.exponent([2, 4], [1.0, 8.0]) == pytest.approx(3.0)
+    assert math.isnan(results.exponent([2], [1.0]))
+
+
+def test_a_curve_ends_where_a_fit_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stands_in(task: dict[str, Any]) -> Outcome:
+        return Outcome(failure="not in 9 s") if task["together"] > 10 else outcome(1.0, seconds=0.5)
+
+    monkeypatch.setattr(results, "measured", stands_in)
+    ticks = list[int]()
+    growth = results.grow(CURVES[0], 9.0, lambda: ticks.append(1))
+    assert growth.sizes == (1, 3, 10)
+    assert growth.seconds == (0.5, 1.5, 5.0)  # of all together
+    assert growth.failure == "not in 9 s at 30"
+    assert len(ticks) == len(CURVES[0].sizes)
+    assert "more than linear" not in page.said_of_growth([growth])
+    steep = replace(growth, seconds=(1.0, 9.0, 100.0))
+    assert re.search(r"exponent 2\.00, more than linear: .+; not in 9 s at 30", page.said_of_growth([steep]))
+
+
+# ------------------------------------------------------------------------------------------------ floors
+
+
+def test_floors_by_hand() -> None:
+    """25 samples, 4 responses; 200 records and one, 17 rows of 9; 2 masses: 2·n values and 6² products."""
+    every = rows()
+    assert floors.floor(every["ml"], 4.0, UNIT) == pytest.approx(4 * 25 * 1e-8)
+    settings = {"pencil": 1.0 / 3.0, "bootstrap": 200}
+    assert floors.pencil_flops(25, settings) == pytest.approx(2 * 201 * 17 * 81)
+    times = len({*np.linspace(0, 10, 25), *np.linspace(0, 10, 1000), *(10 + np.linspace(0, 10, 1001)[1:])})
+    assert floors.floor(every["bound"], 1.0, UNIT) == pytest.approx(times * 1e-8)
+    two = replace(every["chain10"], fields={})
+    assert floors.floor(two, 5.0, UNIT) == pytest.approx(5 * 2 * two.scenario.samples * 36 / 1e9)
+    assert math.isnan(floors.floor(every["duffing"], 5.0, UNIT))
+
+
+def test_every_row_has_a_floor_or_a_reason() -> None:
+    for row in rows().values():
+        assert (row.floor in floors.FORMULAS) != bool(row.why), row.name
+
+
+def test_the_least_time_is_of_a_single_call() -> None:
+    """Ten thousand additions take some ten times a thousand, and neither takes none."""
+    small, large = (floors.least(lambda n=n: sum(range(n)), 5, 5) for n in (10_000, 100_000))  # type: ignore[misc]
+    assert 0.0 < 3.0 * small < large
+
+
+# ------------------------------------------------------------------------------------------------ other engines
+
+TIMES = np.linspace(0.0, 10.0, 25)
+DATA = rivals.Data(TIMES, closed_form({"m": 2.0, "c": 0.8, "k": 16.0}, 1.0, 0.5, TIMES), np.array([1.0, 0.5]), 2.0)
+
+
+@pytest.mark.parametrize("name", rivals.RIVALS)
+def test_an_engine_finds_the_parameters_of_a_closed_form(name: str) -> None:
+    package, _, fit = rivals.RIVALS[name]
+    pytest.importorskip(package)
+    c, k = fit(DATA, 0.9, 15.0)
+    assert c == pytest.approx(0.8, rel=1e-3)
+    assert k == pytest.approx(16.0, rel=1e-3)
+
+
+def test_starts_are_the_scans_and_the_stated_ones() -> None:
+    scenario = expand(["method=prior", "system=sdof", "snr=60"], multirun=False)[0].scenario
+    problem, truth = scenario.maker(SEED)(0)
+    assert problem.prior is not None
+    nominal, mass = problem.prior.nominal, 3.0
+    c, k = rivals.start_of(problem, "nominal", mass)
+    assert (c, k) == pytest.approx((mass * nominal["c"] / nominal["m"], mass * nominal["k"] / nominal["m"]))
+    _, k = rivals.start_of(problem, "scan", mass)
+    assert k / mass == pytest.approx(truth.parameters["k"] / truth.parameters["m"], rel=0.2)
+
+
+def test_an_engine_that_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(peers, "answered", lambda command, task: {"missing": "lmfit"})
+    found = peers.peer("lmfit", "lmfit", "scan", 9.0)
+    assert page.peer_line(found, 1.0)[2:] == ["not installed", "-", "-"]
+    monkeypatch.setattr(peers, "answered", lambda command, task: {"seconds": [1.0, 3.0], "off": [0.1, math.nan]})
+    found = peers.peer("lmfit", "lmfit", "scan", 9.0)
+    assert page.peer_line(found, 0.5)[2:] == ["2000", "4 ×", "1/2"]
+
+
+# ------------------------------------------------------------------------------------------------ page
+
+
+def test_the_page_counts(tmp_path: Path) -> None:
+    good = Result(replace(SDOF, goal_s=1.0), outcome(2.05), outcome(2.0, seconds=0.04), 0.002)
+    bad = Result(replace(SDOF, title="another", goal_s=1.0), Outcome(failure="not in 120 s"), None)
+    growth = Growth(CURVES[0], (1, 3, 10), (1.0, 3.0, 10.0))
+    study = page.Study([good, bad], [growth], [peers.Peer("shooting", "ours", "its own", 0.1)], UNIT, 120.0)
+    text = page.page(study)
+    assert "1 of 2 goals are held. Not held: another (not in 120 s)." in text
+    assert "takes 4 to 4 times as long, 4 in the median of 1; slower now: none." in text
+    assert "by more than 0.5 standard errors" in text
+    assert "| 5 × " in text  # over the floor
+    assert "exponent 1.00" in text
+    data = page.tidy(study)
+    assert list(data[data.part == "rows"].seconds.dropna()) == [0.01, 0.04]
+    assert [path.suffix for path in picture([growth], tmp_path)] == [".svg", ".png"]
+
+
+def test_a_row_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["rows=bound", f"out={tmp_path}"]) == 0
+    assert capsys.readouterr().out.split() == [str(tmp_path / name) for name in ("engines.md", "engines.csv")]
+    assert "bound of a new linear scenario" in (tmp_path / "engines.md").read_text(encoding="utf-8")
+
+
+def test_arguments(capsys: pytest.CaptureFixture[str]) -> None:
+    every = read_options([])
+    assert every.rows == tuple(rows())
+    assert every.scaling
+    assert every.rivals
+    assert not read_options(["rows=ml"]).rivals
+    assert read_options(["rows=none", "rivals=true"]).rows == ()
+    for wrong in ("rows=nothing", "before=/nowhere", "rivals=perhaps", "limit_s=0", "what=1"):
+        assert main([wrong]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
