@@ -21,10 +21,10 @@ from tests.studies.engines import children, floors, page, peers, results, rivals
 from tests.studies.engines.__main__ import main, read_options
 from tests.studies.engines.children import ROOT, Outcome, answered
 from tests.studies.engines.floors import Rates
-from tests.studies.engines.picture import picture
+from tests.studies.engines.picture import lifted, picture
 from tests.studies.engines.results import Growth, Result
 from tests.studies.engines.row import METHOD_STREAM
-from tests.studies.engines.rows import CURVES, SEED, Row, rows
+from tests.studies.engines.rows import CURVES, SEED, Row, chain_fields, rows
 
 SDOF = Row("ls", "least squares", ("system=sdof",), "ls", {}, 2, goal_s=60.0, rounds=1, repeats=2)
 LIMIT = "from tests.studies.engines.row import limit_memory"
@@ -84,13 +84,7 @@ def test_what_ends_a_child_is_an_entry(script: str, said: object) -> None:
 
 def test_a_row_has_the_scenario_of_the_chains() -> None:
     for n in (1, 10):
-        assert replace(rows()["chain10"], fields=_chain(n)).scenario.to_dict() == chains.scenario(n).to_dict()
-
-
-def _chain(n: int) -> dict[str, Any]:
-    from tests.studies.engines.rows import chain_fields
-
-    return chain_fields(n)
+        assert replace(rows()["chain10"], fields=chain_fields(n)).scenario.to_dict() == chains.scenario(n).to_dict()
 
 
 def test_both_codes_take_turns_and_agree_with_themselves() -> None:
@@ -120,6 +114,9 @@ def test_goals_and_ratios() -> None:
     held = Result(row, outcome(2.0), outcome(2.0, seconds=0.05))
     assert held.held
     assert held.ratio == pytest.approx(5.0)
+    late = replace(held, before=Outcome(failure="not in 9 s"), limit_s=9.0)
+    assert late.ratio_text == "> 450 ×"  # 9 s over 2 fits of 0.01 s
+    assert math.isnan(late.ratio)
     slow = Result(replace(row, goal_s=0.004, goal_mb=80.0), outcome(2.0), None)
     assert not slow.held
     assert page.missing(slow) == "2.5 times the time and 1.2 times the memory"
@@ -208,12 +205,17 @@ def test_starts_are_the_scans_and_the_stated_ones() -> None:
 
 
 def test_an_engine_that_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(peers, "answered", lambda command, task: {"missing": "lmfit"})
-    found = peers.peer("lmfit", "lmfit", "scan", 9.0)
+    monkeypatch.setattr(peers, "answered", lambda command, task, python: {"missing": "lmfit"})
+    found = peers.peer("lmfit", "lmfit", "scan", 9.0, "python")
     assert page.peer_line(found, 1.0)[2:] == ["not installed", "-", "-"]
-    monkeypatch.setattr(peers, "answered", lambda command, task: {"seconds": [1.0, 3.0], "off": [0.1, math.nan]})
-    found = peers.peer("lmfit", "lmfit", "scan", 9.0)
+    monkeypatch.setattr(
+        peers, "answered", lambda command, task, python: {"seconds": [1.0, 3.0], "off": [0.1, math.nan]}
+    )
+    found = peers.peer("lmfit", "lmfit", "scan", 9.0, "python")
     assert page.peer_line(found, 0.5)[2:] == ["2000", "4 ×", "1/2"]
+    said = page.said_of_peers([peers.Peer("shooting 1", "ours", "its own", 0.5), found])
+    assert said.startswith("The others take from the scan's start 4 to 4 times as long as ours alone.")
+    assert said.endswith("Not always at our minimum: lmfit (scan).")
 
 
 # ------------------------------------------------------------------------------------------------ page
@@ -235,6 +237,14 @@ def test_the_page_counts(tmp_path: Path) -> None:
     assert [path.suffix for path in picture([growth], tmp_path)] == [".svg", ".png"]
 
 
+def test_numbers_at_lines_that_end_near_by_do_not_cover_each_other() -> None:
+    """In a panel of 35 mm for five decades of samples; the third ends a decade further."""
+    ends = ((600, 1.6), (1000, 2.4), (10_000, 2.3))
+    found = {g.sizes[-1]: lift for g, lift in lifted([Growth(CURVES[1], (1, n), (0.1, s)) for n, s in ends])}
+    assert found[600] == found[10_000] == 0.0
+    assert found[1000] > 0.0
+
+
 def test_a_row_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["rows=bound", f"out={tmp_path}"]) == 0
     assert capsys.readouterr().out.split() == [str(tmp_path / name) for name in ("engines.md", "engines.csv")]
@@ -248,6 +258,6 @@ def test_arguments(capsys: pytest.CaptureFixture[str]) -> None:
     assert every.rivals
     assert not read_options(["rows=ml"]).rivals
     assert read_options(["rows=none", "rivals=true"]).rows == ()
-    for wrong in ("rows=nothing", "before=/nowhere", "rivals=perhaps", "limit_s=0", "what=1"):
+    for wrong in ("rows=nothing", "before=/nowhere", "rivals=perhaps", "limit_s=0", "rival_python=/nowhere", "what=1"):
         assert main([wrong]) == 2
         assert capsys.readouterr().err.count("\n") == 1

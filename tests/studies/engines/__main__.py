@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from tests.studies.engines.page import Study
 
 USAGE = """usage: python -m tests.studies.engines [rows=<a,b>|none] [before=<folder of an earlier checkout>]
-                                           [scaling=true|false] [rivals=true|false] [limit_s=120] [out=results]"""
+                                           [scaling=true|false] [rivals=true|false] [rival_python=<with their packages>]
+                                           [limit_s=120] [out=results]"""
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,7 @@ class Options:
     before: Path | None
     scaling: bool
     rivals: bool
+    rival_python: str
     limit_s: float
     out: Path
 
@@ -43,7 +45,8 @@ def read_options(arguments: Sequence[str]) -> Options:
     """The arguments, checked; raises InputError. Named rows alone come without the picture and the rivals."""
     from tests.studies.engines.rows import rows
 
-    texts = {"rows": "", "before": "", "scaling": "", "rivals": "", "limit_s": "120", "out": "results"}
+    texts = dict.fromkeys(("rows", "before", "scaling", "rivals"), "")
+    texts |= {"rival_python": sys.executable, "limit_s": "120", "out": "results"}
     texts = read_fields(arguments, texts)
     known = rows()
     chosen = () if texts["rows"] == "none" else tuple(filter(None, texts["rows"].split(","))) or tuple(known)
@@ -58,8 +61,11 @@ def read_options(arguments: Sequence[str]) -> Options:
     for name, text in flags.items():
         if text not in ("true", "false"):
             raise InputError(name, text, "true or false")
-    limit = float(whole("limit_s", texts["limit_s"]))
-    return Options(chosen, before, flags["scaling"] == "true", flags["rivals"] == "true", limit, Path(texts["out"]))
+    python = str(Path(texts["rival_python"]).absolute())
+    if not Path(python).is_file():
+        raise InputError("rival_python", python, "the path of a Python interpreter")
+    limit, wanted = float(whole("limit_s", texts["limit_s"])), {name: text == "true" for name, text in flags.items()}
+    return Options(chosen, before, wanted["scaling"], wanted["rivals"], python, limit, Path(texts["out"]))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -104,7 +110,7 @@ def _measured(chosen: Options) -> Study:
         bar.set_description("growth")
         growths = [results.grow(curve, chosen.limit_s, bar.update) for curve in curves]
         bar.set_description("rivals")
-        others = peers.compare(chosen.limit_s, bar.update) if chosen.rivals else []
+        others = peers.compare(chosen.limit_s, chosen.rival_python, bar.update) if chosen.rivals else []
     return Study(found, growths, others, machine, chosen.limit_s)
 
 

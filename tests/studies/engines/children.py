@@ -22,6 +22,7 @@ ROOT = Path(__file__).parents[3]
 ROW = Path(__file__).with_name("row.py")
 MEMORY_MB = 8192.0
 OUT_OF_MEMORY = ("MemoryError", "bad_alloc", "RESOURCE_EXHAUSTED", "Out of memory", "Cannot allocate memory")
+LATE = "not in"
 POLL_S = 0.05
 PATIENCE = 20.0
 """By the clock a child may take so many times its processor time: it shares the machine with others."""
@@ -47,6 +48,11 @@ class Outcome:
     def best(self) -> float:
         """The least time a fit; nan without one."""
         return min(self.seconds, default=float("nan"))
+
+    @property
+    def late(self) -> bool:
+        """Whether the limit of time ended it."""
+        return self.failure.startswith(LATE)
 
     @property
     def evaluations(self) -> float:
@@ -77,7 +83,9 @@ def environment(folder: Path) -> dict[str, str]:
     return {**own, **one, "PYTHONPATH": str(folder), "VIBRATION_BENCH_ARCHIVE": "none"}
 
 
-def answered(command: Sequence[str], task: dict[str, Any], folder: Path = ROOT) -> dict[str, Any] | str:
+def answered(
+    command: Sequence[str], task: dict[str, Any], folder: Path = ROOT, python: str = sys.executable
+) -> dict[str, Any] | str:
     """What a child prints as JSON on its last line; or a sentence that says why it did not.
 
     From one line that it prints to the next it may use ``task["limit_s"]`` of processor time; its memory it limits by
@@ -87,11 +95,11 @@ def answered(command: Sequence[str], task: dict[str, Any], folder: Path = ROOT) 
         out, errors = Path(name) / "out", Path(name) / "errors"
         with out.open("w") as to, errors.open("w") as wrong:
             child = subprocess.Popen(
-                [sys.executable, *command, json.dumps(task)],
+                [python, *command, json.dumps(task)],
                 cwd=folder, env=environment(folder), stdout=to, stderr=wrong,
             )  # fmt: skip
             if not _in_time(child, out, task["limit_s"]):
-                return f"not in {task['limit_s']:g} s"
+                return f"{LATE} {task['limit_s']:g} s"
         lines = out.read_text(encoding="utf-8").strip().splitlines()
         said = errors.read_text(encoding="utf-8", errors="replace").strip()
     if child.returncode == NO_MEMORY or (child.returncode != 0 and any(word in said for word in OUT_OF_MEMORY)):

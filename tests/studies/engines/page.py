@@ -19,7 +19,7 @@ from bench.reporting.rounding import number
 from tests.studies.engines.floors import FORMULAS, Rates
 from tests.studies.engines.peers import Peer
 from tests.studies.engines.results import LARGE, Growth, Result, difference, same_answers
-from tests.studies.engines.rivals import SOLVED
+from tests.studies.engines.rivals import SOLVED, STARTS
 
 TEXT = """Regenerate: `python -m tests.studies.engines` (`before=<folder>` for the times of an earlier checkout beside \
 these, in the same run; `rows=<a,b>` for some rows only).
@@ -36,8 +36,8 @@ RIVALS = """One mass, 20 dB, the data of the first row. The others fit damping a
 start of the motion being told, by plain residuals; *scan*: from the start that ours looks up, so that they differ by
 engine alone, and without the time that it took to find; *nominal*: from the prior's nominal values. Ours takes the
 prior and the noise into account and gives the covariance, too, and its time has the search for its starts in it.
-*Solved*: damping and stiffness over mass within {solved:g} of our standard errors of our answer. Median over the data
-sets of the best of two fits."""
+CasADi's problem is built anew for each record, as one writes it. *Solved*: damping and stiffness over mass within
+{solved:g} of our standard errors of our answer. Median over the data sets of the best of two fits."""
 
 
 def milliseconds(seconds: float) -> str:
@@ -74,7 +74,7 @@ def line(result: Result) -> list[str]:
     over = now.best / result.floor_s
     return [
         row.title, f"{row.together}", seconds_text(now), goal, held, seconds_text(result.before),
-        "-" if math.isnan(result.ratio) else f"{result.ratio:.3g} ×", same_answers(result),
+        result.ratio_text, same_answers(result),
         milliseconds(result.floor_s), "-" if math.isnan(over) else f"{over:.3g} ×", number(now.peak_mb),
     ]  # fmt: skip
 
@@ -131,7 +131,7 @@ def said_of_floors(results: Sequence[Result]) -> str:
 
 def said_of_growth(growths: Sequence[Growth]) -> str:
     """The exponents, what is more than linear and why, and where a curve ends early."""
-    lines = []
+    lines = ["Exponents of a power law over the upper half of the sizes, as they stand at the lines.", ""]
     for growth in growths:
         curve = growth.curve
         head = f"- {labels.title(curve.method)} against {AXES[curve.axis]}: exponent {growth.exponent:.2f}"
@@ -158,6 +158,22 @@ def peer_line(peer: Peer, ours: float) -> list[str]:
     ]  # fmt: skip
 
 
+def said_of_peers(peers: Sequence[Peer]) -> str:
+    """How much longer the others take than ours, and which miss the minimum."""
+    own, others = peers[0].seconds, [peer for peer in peers if peer.sets]
+    parts = []
+    for start in STARTS:
+        if ratios := [peer.seconds / own for peer in others if peer.start == start]:
+            parts.append(f"from {WHENCE[start]} {min(ratios):.3g} to {max(ratios):.3g} times as long as ours alone")
+    sentence = f"The others take {' and '.join(parts)}." if parts else ""
+    missed = [f"{peer.title} ({peer.start})" for peer in others if peer.solved < peer.sets]
+    solved = f" Not always at our minimum: {', '.join(missed)}." if missed else " All end at our minimum every time."
+    return sentence + solved if others else "No other engine is installed."
+
+
+WHENCE = {"scan": "the scan's start", "nominal": "the nominal values"}
+
+
 def page(study: Study) -> str:
     """The whole page."""
     text = TEXT.format(
@@ -173,7 +189,7 @@ def page(study: Study) -> str:
         own = study.peers[0].seconds
         columns = ("engine", "start", "time (ms)", "over ours, alone", "solved")
         rows = [peer_line(peer, own) for peer in study.peers]
-        parts += ["## Other engines", RIVALS.format(solved=SOLVED), _table(rows, columns)]
+        parts += ["## Other engines", RIVALS.format(solved=SOLVED), said_of_peers(study.peers), _table(rows, columns)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -201,7 +217,5 @@ def tidy(study: Study) -> pd.DataFrame:
             lines.append({"part": "growth", "name": name, "code": "now", "size": size, "seconds": seconds})
     for peer in study.peers:
         name = f"{peer.name} {peer.start}"
-        lines.append(
-            {"part": "engines", "name": name, "size": peer.sets, "seconds": peer.seconds, "failure": peer.failure}
-        )
+        lines.append({"part": "engines", "name": name, "seconds": peer.seconds, "failure": peer.failure})
     return pd.DataFrame(lines)

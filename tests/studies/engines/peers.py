@@ -27,29 +27,29 @@ class Peer:
     failure: str = ""
 
 
-def compare(limit_s: float, advance: Callable[[], object]) -> list[Peer]:
-    """Ours, one data set at a time and many together, with the search for their starts; then the others."""
+def compare(limit_s: float, python: str, advance: Callable[[], object]) -> list[Peer]:
+    """Ours, one data set at a time and many together, with the search for their starts; then those of a Python."""
     found = []
     for together in (1, TOGETHER):
         row = Row("", "", ("system=sdof",), "shooting", {}, together)
         outcome = measured(row.task(limit_s))
         title = f"`method=shooting`, {f'{together} together' if together > 1 else 'alone'}"
-        found.append(Peer("shooting", title, "its own", outcome.best, failure=outcome.failure))
+        found.append(Peer(f"shooting {together}", title, "its own", outcome.best, failure=outcome.failure))
         advance()
     for name, (_, title, _) in RIVALS.items():
         for start in STARTS:
-            found.append(peer(name, title, start, limit_s))
+            found.append(peer(name, title, start, limit_s, python))
             advance()
     return found
 
 
-def peer(name: str, title: str, start: str, limit_s: float) -> Peer:
+def peer(name: str, title: str, start: str, limit_s: float, python: str) -> Peer:
     """One engine from one kind of start, in a child of its own."""
     task = {
         "rival": name, "start": start, "seed": SEED, "sets": SETS, "repeats": REPEATS, "limit_s": limit_s,
         "memory_mb": MEMORY_MB,
     }  # fmt: skip
-    said = answered(["-m", "tests.studies.engines.rivals"], task)
+    said = answered(["-m", "tests.studies.engines.rivals"], task, python=python)
     if isinstance(said, str):
         return Peer(name, title, start, failure=said)
     if "missing" in said:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,8 +13,26 @@ TITLES = {
     "samples": ("samples", "time of a fit (s)"),
     "masses": ("masses in the chain", "time of a fit (s)"),
 }
+NEAR = 2.5
 DASHES = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 """Beside its marker each line has a stroke of its own, by which it is told where there is no colour."""
+
+
+def lifted(growths: Sequence[Growth]) -> list[tuple[Growth, float]]:
+    """The curves from the lowest end to the highest, each with points by which its number is lifted over the last.
+
+    It is where it would stand on that of a line that ends near by: within so many times its size and its time.
+    """
+    found: list[tuple[Growth, float]] = []
+    for growth in sorted(growths, key=lambda one: one.seconds[-1]):
+        near = [
+            lift
+            for other, lift in found
+            if growth.seconds[-1] < NEAR * other.seconds[-1]
+            and max(growth.sizes[-1] / other.sizes[-1], other.sizes[-1] / growth.sizes[-1]) < NEAR
+        ]
+        found.append((growth, max(near) + SMALL if near else 0.0))
+    return found
 
 
 def picture(growths: Sequence[Growth], folder: Path) -> list[Path]:
@@ -28,11 +45,11 @@ def picture(growths: Sequence[Growth], folder: Path) -> list[Path]:
             method = growth.curve.method
             style = {"color": look[method].colour, "ls": strokes[method], **look[method].point(4.0)}
             axis.plot(growth.sizes, growth.seconds, **style)
-            if not math.isnan(growth.exponent):
-                axis.annotate(
-                    f"{growth.exponent:.2f}", (growth.sizes[-1], growth.seconds[-1]), (5, 0),
-                    textcoords="offset points", fontsize=SMALL, va="center", annotation_clip=False,
-                )  # fmt: skip
+        for growth, lift in lifted([one for one in growths if one.curve.axis == kind and len(one.sizes) > 1]):
+            axis.annotate(
+                f"{growth.exponent:.2f}", (growth.sizes[-1], growth.seconds[-1]), (5, lift),
+                textcoords="offset points", fontsize=SMALL, va="center", annotation_clip=False,
+            )  # fmt: skip
         axis.set(xscale="log", yscale="log", xlabel=label, title=title)
         axis.margins(x=0.16)
         axis.grid(which="major")

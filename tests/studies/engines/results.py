@@ -25,6 +25,7 @@ class Result:
     now: Outcome
     before: Outcome | None
     floor_s: float = math.nan
+    limit_s: float = math.nan
 
     @property
     def held(self) -> bool | None:
@@ -39,6 +40,13 @@ class Result:
         """Time before over time now; where the earlier code came to no end within its limit, nan."""
         return self.before.best / self.now.best if self.before else math.nan
 
+    @property
+    def ratio_text(self) -> str:
+        """The ratio as the table shows it: its least value where only the earlier code came to no end."""
+        if self.before and self.before.late and not self.now.failure:
+            return f"> {self.limit_s / (self.now.best * self.row.together):.3g} ×"
+        return "-" if math.isnan(self.ratio) else f"{self.ratio:.3g} ×"
+
 
 def measure(row: Row, limit_s: float, before: Path | None) -> Result:
     """A row's children, those of the earlier checkout and of this one in turn."""
@@ -50,7 +58,7 @@ def measure(row: Row, limit_s: float, before: Path | None) -> Result:
                 continue
             new = measured({**row.task(limit_s), "modules": modules[folder]}, folder)
             found[folder] = found[folder].with_more(new) if folder in found else new
-    return Result(row, found[ROOT], found[before] if before else None)
+    return Result(row, found[ROOT], found[before] if before else None, limit_s=limit_s)
 
 
 def difference(now: Outcome, before: Outcome) -> float:

@@ -125,15 +125,21 @@ class Curve:
 
 
 SAMPLES = (25, 100, 1_000, 10_000, 100_000)
-NORMAL = (
-    "the normal equations take the square of 3 n parameters for each of the values, of which there are more than n "
-    "times as many for n masses: their slowest mode is slower, the record longer"
+STEPS = (
+    "each sample takes a matrix of 2 n rows times the state and its derivatives by 3 n parameters, and the record of a "
+    "longer chain, whose slowest mode is slower, has about as many times more samples"
 )
+WAVES = "the scan for its starts compares waves of as many frequencies as there are samples, each at every sample"
 CURVES = (
     Curve("shooting", "together", (1, 3, 10, 30, 100, 300), "nothing is shared between so many replicates"),
     Curve("shooting", "samples", SAMPLES, "what one mass costs is proportional to the samples; the rest is the start"),
     Curve("mcmc", "samples", SAMPLES[:4], "each draw simulates every sample; a long record needs more steps"),
     Curve("matrix_pencil", "samples", (25, 100, 300, 600), "a singular value decomposition takes the cube of them"),
-    Curve("collocation", "samples", SAMPLES, "the spline has a coefficient for each step of the motion and its noise"),
-    Curve("shooting", "masses", chains.SIZES, NORMAL),
+    Curve(
+        "collocation",
+        "samples",
+        SAMPLES,
+        WAVES,
+    ),
+    Curve("shooting", "masses", chains.SIZES, STEPS),
 )
