@@ -172,10 +172,11 @@ def test_every_row_has_a_floor_or_a_reason() -> None:
         assert (row.floor in floors.FORMULAS) != bool(row.why), row.name
 
 
-def test_the_least_time_is_of_a_single_call() -> None:
-    """Ten thousand additions take some ten times a thousand, and neither takes none."""
-    small, large = (floors.least(lambda n=n: sum(range(n)), 5, 5) for n in (10_000, 100_000))  # type: ignore[misc]
-    assert 0.0 < 3.0 * small < large
+def test_the_least_time_is_of_a_single_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four calls from 0 to 8, four from 10 to 14: 2 and 1."""
+    clock = iter([0.0, 8.0, 10.0, 14.0])
+    monkeypatch.setattr(floors.time, "process_time", lambda: next(clock))
+    assert floors.least(lambda: None, turns=2, calls=4) == 1.0
 
 
 # ------------------------------------------------------------------------------------------------ other engines
@@ -228,10 +229,14 @@ def test_the_page_counts(tmp_path: Path) -> None:
     study = page.Study([good, bad], [growth], [peers.Peer("shooting", "ours", "its own", 0.1)], UNIT, 120.0)
     text = page.page(study)
     assert "1 of 2 goals are held. Not held: another (not in 120 s)." in text
-    assert "takes 4 to 4 times as long, 4 in the median of 1; slower now: none." in text
-    assert "by more than 0.5 standard errors" in text
+    assert "takes 4 times as long; slower now by more than a tenth: none." in text
+    assert "The answers to the same data differ by at most 0.5 standard errors." in text
+    twice = page.said_of_rows([good, replace(good, before=outcome(2.05, seconds=0.005))])
+    assert "takes 0.5 to 4 times as long, 2.25 in the median of 2; slower now by more than a tenth: least" in twice
     assert "| 5 × " in text  # over the floor
     assert "exponent 1.00" in text
+    gone = replace(good, before=Outcome(failure="not in 9 s"))
+    assert "Without an answer by the earlier code: least squares (not in 9 s)." in page.said_of_rows([gone])
     data = page.tidy(study)
     assert list(data[data.part == "rows"].seconds.dropna()) == [0.01, 0.04]
     assert [path.suffix for path in picture([growth], tmp_path)] == [".svg", ".png"]

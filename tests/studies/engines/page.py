@@ -96,13 +96,19 @@ def said_of_rows(results: Sequence[Result]) -> str:
     if paired:
         ratios = [result.ratio for result in paired]
         slower = [result.row.title for result in paired if result.ratio < 1.0 / LARGE]
+        several = f" to {max(ratios):.3g}" if len(ratios) > 1 else ""
+        middle = f", {median(ratios):.3g} in the median of {len(ratios)}" if len(ratios) > 1 else ""
         parts.append(
-            f"The earlier code takes {min(ratios):.3g} to {max(ratios):.3g} times as long, {median(ratios):.3g} in the "
-            f"median of {len(paired)}; slower now: {', '.join(slower) or 'none'}."
+            f"The earlier code takes {min(ratios):.3g}{several} times as long{middle}; slower now by more than a tenth: "
+            f"{', '.join(slower) or 'none'}."
         )
         offs = [difference(r.now, r.before) for r in paired if r.before and r.now.data == r.before.data]
         if finite := [off for off in offs if not math.isnan(off)]:
-            parts.append(f"No answer of the same data differs by more than {max(finite):.1g} standard errors.")
+            most = f"differ by at most {max(finite):.1g} standard errors" if max(finite) else "are equal"
+            parts.append(f"The answers to the same data {most}.")
+    if gone := [result for result in results if result.before and result.before.failure]:
+        names = [f"{r.row.title} ({r.before.failure})" for r in gone if r.before]
+        parts.append(f"Without an answer by the earlier code: {'; '.join(names)}.")
     return " ".join(parts)
 
 
