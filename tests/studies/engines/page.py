@@ -99,8 +99,8 @@ def said_of_rows(results: Sequence[Result]) -> str:
         several = f" to {max(ratios):.3g}" if len(ratios) > 1 else ""
         middle = f", {median(ratios):.3g} in the median of {len(ratios)}" if len(ratios) > 1 else ""
         parts.append(
-            f"The earlier code takes {min(ratios):.3g}{several} times as long{middle}; slower now by more than a tenth: "
-            f"{', '.join(slower) or 'none'}."
+            f"The earlier code takes {min(ratios):.3g}{several} times as long{middle}; slower now by more than a "
+            f"tenth: {', '.join(slower) or 'none'}."
         )
         offs = [difference(r.now, r.before) for r in paired if r.before and r.now.data == r.before.data]
         if finite := [off for off in offs if not math.isnan(off)]:
