@@ -70,16 +70,16 @@ def test_a_child_computes_the_bound_of_this_process() -> None:
 
 
 @pytest.mark.parametrize(
-    ("script", "said"),
+    ("script", "limit_s", "said"),
     [
-        ("while True: pass", "not in 1 s"),
-        (f"{LIMIT}; limit_memory(2000); bytearray(3 * 2**30)", "out of memory"),
-        ("raise ValueError('so')", "crashed: ValueError: so"),
-        ("print('a word')\nprint('[1]')", [1]),
+        ("while True: pass", 1.0, "not in 1 s"),
+        (f"{LIMIT}; limit_memory(2000); bytearray(3 * 2**30)", 120.0, "out of memory"),
+        ("raise ValueError('so')", 120.0, "crashed: ValueError: so"),
+        ("print('a word')\nprint('[1]')", 120.0, [1]),
     ],
-)  # fmt: skip
-def test_what_ends_a_child_is_an_entry(script: str, said: object) -> None:
-    assert answered(["-c", script], {"limit_s": 1.0}) == said
+)
+def test_what_ends_a_child_is_an_entry(script: str, limit_s: float, said: object) -> None:
+    assert answered(["-c", script], {"limit_s": limit_s}) == said
 
 
 def test_a_row_has_the_scenario_of_the_chains() -> None:
