@@ -1,12 +1,14 @@
 """``python -m bench.recheck``: which stale cells does a change of the code leave as they are?
 
 A cell is stale when a definition that computes it has changed. Where the change was meant to alter nothing, this runs
-some replicates of each stale cell again and compares them with the stored ones, every score to the digits that are
-stored: a tenth of the replicates and at least five, drawn over the whole cell. Where all are the same, the cell counts
-as computed by the present code, and its provenance says by what it was computed, which replicates were compared, and
-how likely that misses a change of 5 % of them. Where any differs the cell is named and stays stale, for a sweep to
-compute; so does one with a failed replicate, whose repair may have been the change. Each cell is dealt with as soon as
-its replicates are there: a run that is interrupted goes on where it was.
+some replicates of each stale cell again and compares them with the stored ones, every score: a tenth of the replicates
+and at least five, drawn over the whole cell. Where all are the same, but for a tenth of what rounding to the three
+digits of a table takes, the cell counts as computed by the present code, and its provenance says by what it was
+computed, which replicates were compared, how far they differ at most, and how likely that misses a change of 5 % of
+them. (Training a network carries the last bits of another processor to the sixth digit of its answer.) Where any
+differs the cell is named and stays stale, for a sweep to compute; so does one with a failed replicate, whose repair may
+have been the change. Each cell is dealt with as soon as its replicates are there: a run that is interrupted goes on
+where it was.
 
 Cells that were vouched for on fewer replicates are checked again.
 """
@@ -45,6 +47,8 @@ USAGE = f"""usage: python -m bench.recheck [experiment=<name>] [method=<name>,<n
 experiment, method: only the stale cells of these\n\n"""
 ONE_IN, LEAST = 10, 5
 """Of the replicates of a cell, one in so many is compared, and so many at least."""
+SAME = 5e-5
+"""Largest relative difference of a score: rounding to three digits takes 5e-4 at least."""
 HIT_ONE_IN = 20
 """The change that may be missed hits one replicate in so many: 5 %."""
 
@@ -113,20 +117,22 @@ def _vouched_on_few(stored: StoredCell) -> bool:
     return n < n_compared(len(stored.rows))
 
 
-def same(check: Check, rows: Sequence[Row]) -> bool:
-    """Whether replicates that were computed anew are the stored ones."""
+def difference(check: Check, rows: Sequence[Row]) -> float:
+    """The largest relative difference of replicates that were computed anew; infinite where one has another status."""
     chosen = set(check.replicates)
     before = [row for row in check.stored.rows if row.replicate in chosen]
-    return compare_rows(before, rows, check.stored.rows).name == "identical"
+    if [row.status for row in before] != [row.status for row in rows]:
+        return math.inf
+    return max(compare_rows(before, rows, check.stored.rows).differences.values(), default=0.0)
 
 
-def vouched(check: Check, commit: str | None) -> StoredCell:
+def vouched(check: Check, commit: str | None, largest: float) -> StoredCell:
     """The cell as one of the present code, with a note of why."""
     stored, notes = check.stored, _notes(check.stored)
     computed_by = notes[0]["computed_by"] if notes else stored.version.get("digest")
     note = {
-        "replicates": list(check.replicates), "missed_5_percent": check.miss, "computed_by": computed_by,
-        "commit": commit,
+        "replicates": list(check.replicates), "largest_difference": float(f"{largest:.2g}"),
+        "missed_5_percent": check.miss, "computed_by": computed_by, "commit": commit,
     }  # fmt: skip
     version = check.cell.version.as_json()
     return replace(stored, version=version, provenance={**stored.provenance, "rechecked": [*notes, note]})
@@ -194,10 +200,11 @@ def run(found: Sequence[Check], store: Store, limits: Limits) -> dict[str, bool]
 
     def on_rows(cell: Cell, rows: Sequence[Row]) -> None:
         check = by_identity[cell.identity]
-        confirmed[cell.identity] = same(check, rows)
+        largest = difference(check, rows)
+        confirmed[cell.identity] = largest < SAME
         if confirmed[cell.identity]:
             come = provenance(cell.version, limits.workers, limits.timeout_s, limits.memory_mb, time.time())
-            store.restate(vouched(check, come["commit"]))
+            store.restate(vouched(check, come["commit"], largest))
         elif _notes(check.stored):
             store.restate(withdrawn(check))
 

@@ -86,9 +86,10 @@ class QueuedCell:
         """As the method says; else as many as take ``TASK_S``, and such that all workers have some to the end."""
         if self.size > 1:
             return self.size
-        if not self.rows:
+        known = [row.wall_s for row in self.rows if np.isfinite(row.wall_s)]
+        if not known:
             return max(1, min(FIRST_TASK, self.n_wanted // (4 * self.workers)))
-        each = float(np.mean([row.wall_s for row in self.rows]))
+        each = float(np.mean(known))
         share = -(-len(self.pending) // (2 * self.workers))
         return max(1, min(LARGEST_TASK, share, int(TASK_S / max(each, 1e-6))))
 

@@ -61,12 +61,13 @@ def _vouched(replicates: Any) -> Callable[[dict[str, Any]], dict[str, Any]]:
     return lambda come: {**come, "rechecked": [{"replicates": replicates, "computed_by": OLD, "commit": None}]}
 
 
-def _moved(replicate: int) -> Callable[[dict[str, Any]], dict[str, Any]]:
-    """Its k/m error is moved by one part in ten thousand: more than the stored digits hide."""
+def _moved(replicate: int, by: float = 3e-4) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    """Its k/m error is moved by three parts in ten thousand of it: that can show in a table."""
 
     def moved(rows: dict[str, Any]) -> dict[str, Any]:
         name = "k_over_m_error_pct"
-        values = [v * (1.0001 if i == replicate else 1.0) for i, v in enumerate(rows["scores"][name])]
+        values = [v + (by * max(map(abs, rows["scores"][name])) if i == replicate else 0.0)
+                  for i, v in enumerate(rows["scores"][name])]  # fmt: skip
         return {**rows, "scores": {**rows["scores"], name: values}}
 
     return moved
@@ -139,6 +140,14 @@ def test_a_changed_replicate_among_those_drawn_is_found(store: Store, capsys: py
     assert _digest(other) != OLD
 
 
+def test_the_last_bits_of_another_processor_are_no_change_and_their_size_is_noted(store: Store) -> None:
+    path = _edit(store, "ls", version=_older)
+    _edit(store, "ls", rows=_moved(recheck.draw(path.stem, N)[-1], by=1e-5))
+    assert recheck.main([f"store={store.folder}"]) == 0
+    assert _digest(path) != OLD
+    assert 5e-6 < json.loads(path.read_text())["provenance"]["rechecked"][0]["largest_difference"] < 5e-5
+
+
 def test_a_changed_replicate_is_missed_where_it_is_not_drawn(store: Store) -> None:
     """Which is what the stated probability says of itself."""
     path = _edit(store, "ls", version=_older)
@@ -173,15 +182,15 @@ def test_an_interrupted_recheck_keeps_what_was_confirmed_and_goes_on(
     store: Store, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     paths = [_edit(store, method, version=_older) for method in ("ls", "matrix_pencil")]
-    same, asked = recheck.same, []
+    difference, asked = recheck.difference, []
 
-    def once(check: recheck.Check, rows: Any) -> bool:
+    def once(check: recheck.Check, rows: Any) -> float:
         asked.append(check)
         if len(asked) == 2:
             raise KeyboardInterrupt
-        return same(check, rows)
+        return difference(check, rows)
 
-    monkeypatch.setattr(recheck, "same", once)
+    monkeypatch.setattr(recheck, "difference", once)
     assert recheck.main([f"store={store.folder}"]) == 130
     assert "what was confirmed is kept" in capsys.readouterr().err
     assert sorted(_digest(path) == OLD for path in paths) == [False, True]

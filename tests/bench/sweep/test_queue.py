@@ -53,7 +53,7 @@ def test_a_task_takes_about_half_a_second_and_leaves_some_for_the_other_workers(
     plugins("Together")
     queued = queue_cell(Planned(replace(a_cell(reference), replicates=100), State.MISSING, "", True), new_store(), 2)
     assert queued.next_task() == (0, 1, 2, 3, 4)
-    queued.rows = [Row(i, Status.OK, "", wall_s=each_s) for i in range(5)]
+    queued.rows = [Row(i, Status.OK, "", wall_s=each_s) for i in range(4)] + [Row(4, Status.INVALID)]
     assert [len(queued.next_task()) for _ in sizes] == sizes
     queued.alone.append(3)
     assert queued.next_task() == (3,)
