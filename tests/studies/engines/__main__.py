@@ -2,7 +2,7 @@
 
 Every row is measured in fresh processes with limits of time and memory; ``before=`` names the folder of another
 checkout, whose code then takes turns with this one's in the same run. The page is ``<out>/engines.md``, the numbers
-``<out>/engines.csv``, the picture of growth ``<out>/engines_scaling.svg``.
+``<out>/engines.csv``, the picture of growth ``<out>/figures/engines_scaling.svg``.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def _main(arguments: Sequence[str]) -> int:
     written[0].write_text(page(study), encoding="utf-8")
     written[1].write_text(tidy(study).to_csv(index=False, float_format="%.4g"), encoding="utf-8")
     if study.growths:
-        written += picture(study.growths, chosen.out)
+        written += picture(study.growths, chosen.out / "figures")
     for path in written:
         print(path)
     return 0

@@ -190,7 +190,7 @@ def page(study: Study) -> str:
     if study.results:
         parts += [said_of_rows(study.results), _table(map(line, study.results), COLUMNS), said_of_floors(study.results)]
     if study.growths:
-        parts += ["## Growth", "![Time against size](engines_scaling.svg)", said_of_growth(study.growths)]
+        parts += ["## Growth", "![Time against size](figures/engines_scaling.svg)", said_of_growth(study.growths)]
     if study.peers:
         own = study.peers[0].seconds
         columns = ("engine", "start", "time (ms)", "over ours, alone", "solved")
