@@ -79,7 +79,7 @@ def _main(arguments: Sequence[str]) -> int:
     from tests.studies.engines.picture import picture
 
     chosen = read_options(arguments)
-    Store(chosen.out).prepare()
+    Store(chosen.out / "figures").prepare()
     study = _measured(chosen)
     written = [chosen.out / "engines.md", chosen.out / "engines.csv"]
     written[0].write_text(page(study), encoding="utf-8")
