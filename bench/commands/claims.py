@@ -1,0 +1,71 @@
+"""``python -m bench.claims``: every claim of README.md beside the results it rests on.
+
+Prints each claim with its numbers, and where the results, the text or a condition disagree. ``write=true`` fills the
+numbers in. Exit status 1 where a claim does not hold, the text says something else, or a number is typed by hand.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.commands.guard import command, read_fields
+from bench.errors import InputError
+from bench.store.opening import DEFAULT_STORE, open_store
+
+if TYPE_CHECKING:
+    from bench.reporting.claims.document import Checked
+
+USAGE = (
+    f"usage: python -m bench.claims [write=true] [document=README.md] [results=results] [store={DEFAULT_STORE}] "
+    "[archive=<folder>|none]"
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Check, and with ``write=true`` fill in; exit status 1 where something disagrees, 2 for bad input."""
+    return command("bench.claims", f"{USAGE}\n\n{__doc__}", argv, _main)
+
+
+def _main(arguments: Sequence[str]) -> int:
+    from bench.reporting.claims.document import check, filled, typed, typed_in_claims
+    from bench.reporting.claims.evidence import Evidence
+
+    known = {"write": "false", "document": "README.md", "results": "results", "store": DEFAULT_STORE, "archive": ""}
+    fields = read_fields(arguments, known)
+    if fields["write"] not in ("true", "false"):
+        raise InputError("write", fields["write"], "true or false")
+    path = Path(fields["document"])
+    if not path.is_file():
+        raise InputError("document", path, "there is no such file; run the command in a clone")
+    text = path.read_text(encoding="utf-8")
+    evidence = Evidence(Path(fields["results"]), open_store(fields["store"], fields["archive"]))
+    checked = list(check(text, evidence))
+    if fields["write"] == "true" and (new := filled(text, checked)) != text:
+        path.write_text(new, encoding="utf-8")
+        print(f"{path}: written", file=sys.stderr)
+        text, checked = new, list(check(new, evidence))
+    loose = [*typed(text), *(one for found in typed_in_claims().values() for one in found)]
+    for one in checked:
+        print(_line(one))
+    for place in loose:
+        print(f"typed by hand: {place}")
+    passed = sum(one.passes for one in checked)
+    print(f"{passed} of {len(checked)} claims pass; {len(loose)} numbers are typed by hand")
+    return 0 if passed == len(checked) and not loose and filled(text, checked) == text else 1
+
+
+def _line(one: Checked) -> str:
+    """A claim, its numbers, and what is wrong with it."""
+    if one.said is None:
+        return f"{one.claim.name}: UNKNOWN: {one.problem}"
+    numbers = ", ".join(f"{name} {value}" for name, value in one.said.numbers.items())
+    wrong = [f"FALSE: {condition}" for condition in one.said.broken]
+    wrong += [] if one.agrees else ["THE TEXT DIFFERS: write=true fills it in"]
+    return f"{one.claim.name}: {numbers}; {'; '.join(wrong) or 'holds'}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
