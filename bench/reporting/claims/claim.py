@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from inspect import cleandoc
 from string import Formatter
+from textwrap import fill
 
 from bench.errors import InputError
 from bench.reporting.claims.evidence import Evidence
 from bench.reporting.page.words import joined
+
+WIDTH = 120
+"""Letters in a line of a filled passage."""
 
 
 @dataclass(frozen=True)
@@ -42,16 +48,24 @@ class Claim:
         return found
 
     def filled(self, said: Said) -> str:
-        """The passage with its numbers."""
-        return self.text.format_map(said.numbers)
+        """The passage with its numbers, in lines of at most 120 letters; a point of a list begins with ``- ``."""
+        points = re.split(r"\n(?=- )", self.text.format_map(said.numbers))
+        return "\n".join(
+            fill(
+                " ".join(point.split()),
+                WIDTH,
+                subsequent_indent="  " if point.startswith("- ") else "",
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
+            for point in points
+        )
 
 
-Expression = Callable[[Evidence], Said]
-
-
-def claim(text: str) -> Callable[[Expression], Claim]:
-    """Make a claim of an expression; its name is the function's."""
-    return lambda expression: Claim(expression.__name__, text.strip("\n"), expression)
+def claim(expression: Callable[[Evidence], Said]) -> Claim:
+    """Make a claim of an expression: its docstring is the text, its name the name."""
+    assert expression.__doc__, "a claim says something"
+    return Claim(expression.__name__, cleandoc(expression.__doc__), expression)
 
 
 def said(conditions: Mapping[str, bool], **numbers: str) -> Said:

@@ -94,12 +94,12 @@ def filled(document: str, checked: Sequence[Checked]) -> str:
     return PASSAGE.sub(passage, document)
 
 
-def typed(text: str) -> list[str]:
-    """Numbers in prose that belong to no claim and are not allowed (:data:`ALLOWED`), each with the words around it."""
+def typed(text: str, allowed: Sequence[str] = ALLOWED) -> list[str]:
+    """Numbers in prose that belong to no claim and match no allowed pattern, each with the words around it."""
     for pattern in SET_ASIDE:
         text = pattern.sub(lambda found: "\n" * found[0].count("\n") + " ", text)
     text = re.sub(r"\s+", " ", text)
-    spans = [found.span() for pattern in ALLOWED for found in re.finditer(pattern, text)]
+    spans = [found.span() for pattern in allowed for found in re.finditer(pattern, text)]
     outside = (
         found for found in NUMBER.finditer(text) if not any(a <= found.start() and found.end() <= b for a, b in spans)
     )

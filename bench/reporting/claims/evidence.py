@@ -28,12 +28,13 @@ class Evidence:
         self._cells: dict[str, list[Result]] = {}
 
     def table(self, name: str) -> pd.DataFrame:
-        """``results/<name>.csv``, whole; raises InputError where it is not there."""
+        """``results/<name>.csv`` without the lines of cells that were not run; raises InputError without it."""
         if name not in self._tables:
             path = self.folder / f"{name}.csv"
             if not path.is_file():
                 raise InputError("results", path, "there is no such table; python -m bench.tables writes the tables")
-            self._tables[name] = pd.read_csv(path)
+            data = pd.read_csv(path)
+            self._tables[name] = data[data.metric != "not run"] if "metric" in data else data
         return self._tables[name]
 
     def rows(self, name: str, **wanted: Any) -> pd.DataFrame:
@@ -90,7 +91,7 @@ class Evidence:
         if first is None:
             raise InputError("results", path, f"no table below {section!r}")
         last = next((i for i in range(first, len(lines)) if not lines[i].startswith("|")), len(lines))
-        split = csv.reader((line.strip("| ") for line in lines[first:last]), delimiter="|", quoting=csv.QUOTE_NONE)
+        split = csv.reader((line.strip()[1:-1] for line in lines[first:last]), delimiter="|", quoting=csv.QUOTE_NONE)
         head, _, *rest = [[entry.strip() for entry in line] for line in split]
         width = len(head)
         return pd.DataFrame([(line + [""] * width)[:width] for line in rest], columns=head)

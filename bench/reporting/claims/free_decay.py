@@ -11,14 +11,14 @@ USUAL = (40.0, 30.0, 20.0, 10.0)
 """The noise levels (dB) where the errors are small enough for the bound to hold."""
 
 
-@claim("""
-- **Multiple shooting, MCMC, the PINN and spline collocation sit on the bound**: their excess is {excess} from
-  40 to 10 dB, start known or not, and on the same data they differ by at most {apart} %. At 20 dB with a
-  known start that is k/m to {k_over_m} %, c/m to {c_over_m} %, and the displacement to {rmse} mm, where the
-  paper reports {paper} mm for its PINN. What they differ in is time: {seconds} s of processor time a fit, the
-  PINN's {slow} s at 40 dB.
-""")
+@claim
 def on_the_bound(e: Evidence) -> Said:
+    """- **Multiple shooting, MCMC, the PINN and spline collocation sit on the bound**: their excess is {excess}
+    from 40 to 10 dB, start known or not, and on the same data they differ by at most {apart} %. At 20 dB with a
+    known start that is k/m to {k_over_m} %, c/m to {c_over_m} %, and the displacement to {rmse} mm, where the
+    paper reports {paper} mm for its PINN. What they differ in is time: {seconds} s of processor time a fit, the
+    PINN's {slow} s at 40 dB.
+    """
     lines = e.rows("table5", method=ON_THE_BOUND, metric=PRIMARY, snr_db=USUAL)
     asked = lines.groupby(["initial_state", "snr_db", "metric"])["excess"]
     apart = (asked.max() / asked.min()).max() - 1
@@ -41,14 +41,14 @@ def on_the_bound(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- **The network is not what makes the PINN good.** A quintic B-spline in its place, with the same residuals
-  and the same optimiser, has the same excess to {apart} % at every noise level of Table 5, in {share} % of
-  the time. Beyond it each fails where the other does not: with 2.2 samples a cycle at even times the PINN is
-  at {pinn} times the bound and the spline at {spline}, at irregular times it is {pinn_irregular} against
-  {spline_irregular}.
-""")
+@claim
 def network(e: Evidence) -> Said:
+    """- **The network is not what makes the PINN good.** A quintic B-spline in its place, with the same residuals
+    and the same optimiser, has the same excess to {apart} % at every noise level of Table 5, in {share} % of the
+    time. Beyond it each fails where the other does not: with 2.2 samples a cycle at even times the PINN is at
+    {pinn} times the bound and the spline at {spline}, at irregular times it is {pinn_irregular} against
+    {spline_irregular}.
+    """
     lines = e.rows("table5", method=("pinn", "collocation"), metric=PRIMARY)
     asked = lines.groupby(["initial_state", "snr_db", "metric"])["excess"]
     apart = (asked.max() / asked.min()).max() - 1
@@ -76,14 +76,15 @@ def network(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- **The PINN's optimiser decides.** The same network and loss trained as in the paper (Adam, then L-BFGS,
-  fewer steps) has, with a known start, an excess of {loud} at 10 dB, {middle} at 20 dB and {quiet} at 30 and
-  40 dB: it stops before the minimum of its own loss, and takes {seconds} s. With an unknown start it comes to
-  {unknown}. This is the pattern of the paper's own Table 5, whose displacement error is {paper} times the
-  bound at 40 dB.
-""")
+@claim
 def optimiser(e: Evidence) -> Said:
+    """- **The PINN's optimiser decides.** The same network and loss trained as in the paper (Adam, then L-BFGS,
+    fewer steps) has, with a known start, an excess of {loud} at 10 dB, {middle} at 20 dB and {quiet} at 30 and 40
+    dB: it stops before the minimum of its own loss, and takes {seconds} s. With an unknown start it comes to
+    {unknown}. This is the pattern of the paper's own Table 5, whose displacement error is {paper} times the bound
+    at 40 dB.
+    """
+
     def excess(start: str, *levels: float) -> list[float]:
         return list(
             e.excess("table5", method="pinn_adam", metric=PRIMARY, initial_state=start, snr_db=levels),
@@ -109,12 +110,13 @@ def optimiser(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- **Modal practice comes close at next to no cost**: with unknown start the matrix pencil is at {pencil} times
-  the bound from 40 to 10 dB, in {milliseconds} ms. It cannot use a known start ({told} times the bound
-  there). The logarithmic decrement by hand is at {decrement} times.
-""")
+@claim
 def modal(e: Evidence) -> Said:
+    """- **Modal practice comes close at next to no cost**: with unknown start the matrix pencil is at {pencil}
+    times the bound from 40 to 10 dB, in {milliseconds} ms. It cannot use a known start ({told} times the bound
+    there). The logarithmic decrement by hand is at {decrement} times.
+    """
+
     def excess(method: str, *starts: str) -> list[float]:
         return list(e.excess("table5", method=method, metric=PRIMARY, snr_db=USUAL, initial_state=starts))
 
@@ -137,13 +139,14 @@ def modal(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- **Output error from one cold start is as good as multiple shooting until it is not**: with this prior and 25
-  samples {right} % of the fits of a cell find the right k/m, and the others are grossly wrong (excess up to
-  {worst} at 40 dB, start unknown). That is what the starts of shooting are for: {shooting} of its {fits} fits
-  go astray.
-""")
+@claim
 def cold_start(e: Evidence) -> Said:
+    """- **Output error from one cold start is as good as multiple shooting until it is not**: with this prior and
+    25 samples {right} % of the fits of a cell find the right k/m, and the others are grossly wrong (excess up to
+    {worst} at 40 dB, start unknown). That is what the starts of shooting are for: {shooting} of its {fits} fits
+    go astray.
+    """
+
     def astray(label: str) -> list[tuple[int, int]]:
         """By cell, fits farther than 10 bounds from the true k/m, and all."""
         cells = e.cells("table5", label=label, snr_db=USUAL)
@@ -166,14 +169,14 @@ def cold_start(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- **Intervals can be believed where they come from the noise**: over {n} replicates ({n_mcmc} of MCMC) the 95
-  % intervals of shooting, MCMC, PINN and collocation hold the truth in {coverage} %, for k/m and c/m, from 30
-  to 10 dB, start known or not. The paper's, the spread over random initialisations, hold it in {held} of
-  {cases} once the fits converge: initialisation is not where the error comes from. See
-  [calibration](results/calibration.md).
-""")
+@claim
 def intervals(e: Evidence) -> Said:
+    """- **Intervals can be believed where they come from the noise**: over {n} replicates ({n_mcmc} of MCMC) the 95
+    % intervals of shooting, MCMC, PINN and collocation hold the truth in {coverage} %, for k/m and c/m, from 30
+    to 10 dB, start known or not. The paper's, the spread over random initialisations, hold it in {held} of
+    {cases} once the fits converge: initialisation is not where the error comes from. See
+    [calibration](results/calibration.md).
+    """
     asked = {"snr_db": (30.0, 20.0, 10.0), "quantity": ("k_over_m", "c_over_m"), "initial_state": STARTS}
     good = e.rows("calibration", method=ON_THE_BOUND, **asked)
     paper = e.rows("calibration", method="pinn_ensemble", **asked)
@@ -191,14 +194,14 @@ def intervals(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- **Least squares on finite differences is {error} % off in k/m at 40 dB**, where the bound is {bound} %,
-  because a second difference over five samples a cycle is not a derivative. More replicates do not help, and
-  from 30 to 20 dB its 95 % intervals for k/m hold the truth in {held} of {cases} cases. A smoothing spline in
-  place of the differences removes nearly all of it (excess of k/m with a known start {loud} at 20 dB, {quiet}
-  at 40 dB, where its own bias shows).
-""")
+@claim
 def differences(e: Evidence) -> Said:
+    """- **Least squares on finite differences is {error} % off in k/m at 40 dB**, where the bound is {bound} %,
+    because a second difference over five samples a cycle is not a derivative. More replicates do not help, and
+    from 30 to 20 dB its 95 % intervals for k/m hold the truth in {held} of {cases} cases. A smoothing spline in
+    place of the differences removes nearly all of it (excess of k/m with a known start {loud} at 20 dB, {quiet}
+    at 40 dB, where its own bias shows).
+    """
     at = {"metric": PRIMARY[0], "initial_state": "known"}
     error = e.value("table5", "median", method="ls", snr_db=40.0, **at)
     bound = e.value("table5", "bound", method="ls", snr_db=40.0, **at)
@@ -221,13 +224,13 @@ def differences(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- **The DDNN, a network without physics**, reconstructs the displacement with {ddnn} times the error of the
-  bound from 40 to 10 dB: 25 samples do not tell a network the curvature between them. SINDy, from the same
-  spline, does as well as the spline regression down to 20 dB (its excess is {sindy} times that one's), and
-  worse at 10 dB (up to {loud} times).
-""")
+@claim
 def without_physics(e: Evidence) -> Said:
+    """- **The DDNN, a network without physics**, reconstructs the displacement with {ddnn} times the error of the
+    bound from 40 to 10 dB: 25 samples do not tell a network the curvature between them. SINDy, from the same
+    spline, does as well as the spline regression down to 20 dB (its excess is {sindy} times that one's), and
+    worse at 10 dB (up to {loud} times).
+    """
     ddnn = e.excess("table5", method="ddnn", metric="rmse", snr_db=USUAL)
 
     def ratio(*levels: float) -> list[float]:
@@ -247,14 +250,14 @@ def without_physics(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- **The mass errors of the paper's table say nothing about the methods.** Displacement in free vibration does
-  not contain the mass: at the bound {share} % of what is known of it is the prior's. Here every method
-  reports {mass} %, the weighing's own ({weighing} %). How the paper's baselines come to {paper} % is not
-  explained by their data. Each of its {numbers} numbers has its verdict, under {readings} readings of what it
-  leaves open: [reproduction](results/reproduction.md).
-""")
+@claim
 def mass(e: Evidence) -> Said:
+    """- **The mass errors of the paper's table say nothing about the methods.** Displacement in free vibration does
+    not contain the mass: at the bound {share} % of what is known of it is the prior's. Here every method reports
+    {mass} %, the weighing's own ({weighing} %). How the paper's baselines come to {paper} % is not explained by
+    their data. Each of its {numbers} numbers has its verdict, under {readings} readings of what it leaves open:
+    [reproduction](results/reproduction.md).
+    """
     lines = e.rows("table3", metric="m_error_pct", initial_state="known")
     share = e.value("table3", "prior_share", metric="m_error_pct", initial_state="known", method="bound")
     weighing = e.value("table3", "median", metric="m_error_pct", initial_state="known", method="prior")

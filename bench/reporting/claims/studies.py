@@ -24,13 +24,13 @@ def _entry(table: pd.DataFrame, row: str, column: str) -> float:
 # ---- the PINN engine
 
 
-@claim("""
-- On one core and the very same loss it is within 1 % of the minimum in {ours} s. A usual PyTorch PINN (Adam,
-  then L-BFGS) takes {naive} s and stops {naive_above} % above it, DeepXDE takes {deepxde} s and stops
-  {deepxde_above} % above it: {naive_ratio} and {deepxde_ratio} times as long. A whole fit of `method=pinn`
-  takes {pinn} s there, of `method=pinn_adam` {adam} s.
-""")
+@claim
 def engine_time(e: Evidence) -> Said:
+    """- On one core and the very same loss it is within 1 % of the minimum in {ours} s. A usual PyTorch PINN (Adam,
+    then L-BFGS) takes {naive} s and stops {naive_above} % above it, DeepXDE takes {deepxde} s and stops
+    {deepxde_above} % above it: {naive_ratio} and {deepxde_ratio} times as long. A whole fit of `method=pinn`
+    takes {pinn} s there, of `method=pinn_adam` {adam} s.
+    """
     table = e.study("pinn.md", "Time against other inverse PINNs")
     time, above = "seconds a fit", "above the minimum"
     ours, naive, deepxde = "their loss", "naive PyTorch", "DeepXDE"
@@ -52,12 +52,12 @@ def engine_time(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- {fits} random initialisations give the same k/m to {deviation}, relative; from {starts} starting values (k/m
-  0.5 to 40, c/m 0.05 to 2) {same} fits reach the same minimum. So the spread over initialisations, the
-  paper's uncertainty, says next to nothing about the error: see [calibration](results/calibration.md).
-""")
+@claim
 def engine_initialisation(e: Evidence) -> Said:
+    """- {fits} random initialisations give the same k/m to {deviation}, relative; from {starts} starting values
+    (k/m 0.5 to 40, c/m 0.05 to 2) {same} fits reach the same minimum. So the spread over initialisations, the
+    paper's uncertainty, says next to nothing about the error: see [calibration](results/calibration.md).
+    """
     weights, values = e.study("pinn.md", "Different random weights"), e.study("pinn.md", "Different starting values")
     deviation, interval = (_entry(weights, "pinn", name) for name in ("largest deviation", "half the 95"))
     starts, same = (_entry(values, "pinn", name) for name in ("starting values", "the same minimum"))
@@ -73,12 +73,12 @@ def engine_initialisation(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- It reaches the oracle (errors within {near} % of it) up to {cycles} cycles in the record and up to {masses}
-  masses; with {more} masses it ends in another minimum, and so does the spline. The PINN takes {cheaper}
-  times as long as the spline.
-""")
+@claim
 def engine_reach(e: Evidence) -> Said:
+    """- It reaches the oracle (errors within {near} % of it) up to {cycles} cycles in the record and up to {masses}
+    masses; with {more} masses it ends in another minimum, and so does the spline. The PINN takes {cheaper} times
+    as long as the spline.
+    """
     table = e.study("pinn.md", "Cost and reach")
     table["error"], table["seconds"] = _floats(table["largest error / oracle"]), _floats(table["CPU s a fit"])
     table["count"], table["kind"] = _floats(table["size"]), table["size"].str.split().str[-1]
@@ -107,13 +107,13 @@ def engine_reach(e: Evidence) -> Said:
 # ---- by hand, and with many masses
 
 
-@claim("""
-- **Beside `least_squares` around `solve_ivp`**, what one would write by hand
-  ([table](results/handwritten.md)): on the Duffing oscillator as good, in {duffing} times the time of
-  multiple shooting; on five masses it finds the solution in {hand} of {sets} data sets, multiple shooting in
-  {shooting}, the time by hand being {chain} times its.
-""")
+@claim
 def by_hand(e: Evidence) -> Said:
+    """- **Beside `least_squares` around `solve_ivp`**, what one would write by hand
+    ([table](results/handwritten.md)): on the Duffing oscillator as good, in {duffing} times the time of multiple
+    shooting; on five masses it finds the solution in {hand} of {sets} data sets, multiple shooting in {shooting},
+    the time by hand being {chain} times its.
+    """
     table = e.study("handwritten.md")
     time = _floats(table["time, median (s)"])
     found, asked = (table.success.str.extract(r"(\d+)/(\d+)")[i].astype(int) for i in (0, 1))
@@ -139,14 +139,14 @@ def by_hand(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- **How far each method gets with 1 to 20 masses** ([chains](results/chains.md)): from a cold start multiple
-  shooting solves up to {shooting} masses and MCMC up to {mcmc}, ten of them on the bound (displacement
-  {excess} times it) in {seconds} s. The extended Kalman filter stops at {ekf}, NUTS at {nuts}, the spline at
-  {collocation}, the unscented filter at {ukf}, and the PINN at {pinn}, where it takes {pinn_seconds} s;
-  output error finds the right basin by luck. A fit is stopped after two minutes.
-""")
+@claim
 def chains(e: Evidence) -> Said:
+    """- **How far each method gets with 1 to 20 masses** ([chains](results/chains.md)): from a cold start multiple
+    shooting solves up to {shooting} masses and MCMC up to {mcmc}, ten of them on the bound (displacement {excess}
+    times it) in {seconds} s. The extended Kalman filter stops at {ekf}, NUTS at {nuts}, the spline at
+    {collocation}, the unscented filter at {ukf}, and the PINN at {pinn}, where it takes {pinn_seconds} s; output
+    error finds the right basin by luck. A fit is stopped after two minutes.
+    """
     table = e.table("chains")
 
     def reach(method: str) -> int:
@@ -176,14 +176,14 @@ def chains(e: Evidence) -> Said:
 # ---- a measured record
 
 
-@claim("""
-- Root mean square error {multisine} mV on the test multisine, {arrow} mV on the arrow, which goes beyond the
-  training data, {inside} mV on the part of it that does not. Published recurrent networks have
-  {net_multisine}, {net_arrow} and {net_inside} mV.
-- The input between its samples matters: {linear} mV on the test multisine where it is taken to run in lines,
-  in place of a cubic spline.
-""")
+@claim
 def silverbox(e: Evidence) -> Said:
+    """- Root mean square error {multisine} mV on the test multisine, {arrow} mV on the arrow, which goes beyond the
+      training data, {inside} mV on the part of it that does not. Published recurrent networks have {net_multisine},
+      {net_arrow} and {net_inside} mV.
+    - The input between its samples matters: {linear} mV on the test multisine where it is taken to run in lines, in
+      place of a cubic spline.
+    """
     table = e.study("silverbox.md", "Free simulation of the test parts")
     parts = {"multisine": "test multisine", "arrow": "arrow", "inside": "arrow, no extrapolation"}
     nets = table[table.model.isin(("GRU", "LSTM", "OLSTM", "RNN"))]

@@ -14,14 +14,13 @@ NEAR = 1.25
 """An excess above this is named as an exception: 50 replicates tell it from 1."""
 
 
-@claim("""
-- **With a force or a known added mass, m, c and k are all told** and there is no prior: here the mass errors
-  are true errors. From 25 samples at 20 dB, under a multisine or with half a kilogram added, the bound is
-  {bound} % for each of them. With the added mass too, multiple shooting, MCMC, the Kalman filters, the PINN
-  and the spline are on it ({whole} times); finite differences are {differences} times above it at 40, 20 and
-  10 dB.
-""")
+@claim
 def all_told(e: Evidence) -> Said:
+    """- **With a force or a known added mass, m, c and k are all told** and there is no prior: here the mass errors
+    are true errors. From 25 samples at 20 dB, under a multisine or with half a kilogram added, the bound is
+    {bound} % for each of them. With the added mass too, multiple shooting, MCMC, the Kalman filters, the PINN and
+    the spline are on it ({whole} times); finite differences are {differences} times above it at 40, 20 and 10 dB.
+    """
     errors = ("m_error_pct", "c_error_pct", "k_error_pct")
     bounds = e.rows("table6", system=("sdof_forced", "sdof_added_mass"), metric=errors, snr_db=20.0).bound.dropna()
     whole = e.excess("table6", system="sdof_added_mass", method=WHOLE, **TOLD)
@@ -35,13 +34,13 @@ def all_told(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- **The methods that take the equation of motion as a whole are on the bound for nearly every force on one
-  mass**: multiple shooting, MCMC, the Kalman filters, the PINN and spline collocation, from 40 to 10 dB, for
-  multisine, sweep, step and a 0.2 s pulse, have an excess of {usual} in {near} of {cases} cases. The others:
-  {above}.
-""")
+@claim
 def every_force(e: Evidence) -> Said:
+    """- **The methods that take the equation of motion as a whole are on the bound for nearly every force on one
+    mass**: multiple shooting, MCMC, the Kalman filters, the PINN and spline collocation, from 40 to 10 dB, for
+    multisine, sweep, step and a 0.2 s pulse, have an excess of {usual} in {near} of {cases} cases. The others:
+    {above}.
+    """
     found = e.rows("table6", system=FORCES, method=WHOLE, **TOLD)
     lines = [
         (f"{title(one.method)}, {one.system.removeprefix('sdof_').replace('_', ' ')}, {one.snr_db:g} dB", one.excess)
@@ -57,12 +56,12 @@ def every_force(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- A force measured with noise of 30 dB costs all of them the same: {middle} times the bound at 20 dB, {quiet}
-  times at 40 dB, where {coverage} % of their intervals hold the truth, for all take the measured force for
-  the true one, the oracle too ({oracle} times); the bound is that of a force known exactly.
-""")
+@claim
 def noisy_force(e: Evidence) -> Said:
+    """- A force measured with noise of 30 dB costs all of them the same: {middle} times the bound at 20 dB, {quiet}
+    times at 40 dB, where {coverage} % of their intervals hold the truth, for all take the measured force for the
+    true one, the oracle too ({oracle} times); the bound is that of a force known exactly.
+    """
     at = {"system": "sdof_noise", **TOLD}
     middle, quiet = (e.rows("table6", method=WHOLE, snr_db=snr, **at) for snr in (20.0, 40.0))
     oracle = e.value("table6", "excess", method="oracle", snr_db=40.0, **at)
@@ -79,15 +78,16 @@ def noisy_force(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- **One sensor on the first of two masses, start unknown: two chains move it alike** (springs of 12 and 9 N/m,
-  or of 20.25 and 5.33; by hand in `tests/bench/scenario/test_first_mass.py`), and weighing the masses does
-  not decide. Of multiple shooting, MCMC, output error and the Kalman filters {lost} fits of {fits} end at the
-  other at 20 dB, of the PINN {pinn}, of the spline {spline}, which is where they start, not skill; the bound
-  is local and knows of one. With the start known, multiple shooting, MCMC, the PINN and the spline are at
-  {known} times the bound, and the filters and output error at up to {astray}.
-""")
+@claim
 def one_sensor(e: Evidence) -> Said:
+    """- **One sensor on the first of two masses, start unknown: two chains move it alike** (springs of 12 and 9
+    N/m, or of 20.25 and 5.33; by hand in `tests/bench/scenario/test_first_mass.py`), and weighing the masses does
+    not decide. Of multiple shooting, MCMC, output error and the Kalman filters {lost} fits of {fits} end at the
+    other at 20 dB, of the PINN {pinn}, of the spline {spline}, which is where they start, not skill; the bound is
+    local and knows of one. With the start known, multiple shooting, MCMC, the PINN and the spline are at {known}
+    times the bound, and the filters and output error at up to {astray}.
+    """
+
     def lost(label: str) -> tuple[int, int]:
         """Fits nearer to the other chain, whose k1/m1 is 69 % above the true one; and all."""
         (cell,) = e.cells("mdof", label=label, system="chain2_first", initial_state="unknown", snr_db=20.0)
@@ -116,12 +116,12 @@ def one_sensor(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- **Two masses under a force at 10 dB hide a damping**: the likelihood then rises towards c = 0 in some
-  records. Multiple shooting, MCMC and the Kalman filters come to {near} times the bound; the PINN ({pinn}
-  times) and the spline ({spline}) run away in some.
-""")
+@claim
 def hidden_damping(e: Evidence) -> Said:
+    """- **Two masses under a force at 10 dB hide a damping**: the likelihood then rises towards c = 0 in some
+    records. Multiple shooting, MCMC and the Kalman filters come to {near} times the bound; the PINN ({pinn}
+    times) and the spline ({spline}) run away in some.
+    """
     found = e.rows("table6", system="chain2_forced", method=WHOLE, snr_db=10.0, **TOLD)
     excess = found.set_index("method").excess
     near = excess.drop(["pinn", "collocation"])
@@ -136,24 +136,24 @@ def hidden_damping(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- Output error from one cold start fails under most forces: its excess is above 5 in {fails} of the {cases}
-  panels and noise levels of Table 6 that have one.
-""")
+@claim
 def forced_cold_start(e: Evidence) -> Said:
+    """- Output error from one cold start fails under most forces: its excess is above 5 in {fails} of the {cases}
+    panels and noise levels of Table 6 that have one.
+    """
     forced = (*FORCES, "sdof_noise", "chain2_forced", "duffing_forced")
     excess = e.excess("table6", system=forced, method="output_error", **TOLD)
     fails = int((excess > 5).sum())
     return said({"most fail": fails > len(excess) / 2}, fails=str(fails), cases=str(len(excess)))
 
 
-@claim("""
-- **Bouc-Wen has a hidden state**: multiple shooting, output error, MCMC and the Kalman filters carry it, and
-  are at {carried} times the bound at 40 and 20 dB, the oracle at {oracle} (at 10 dB multiple shooting at
-  {loud}). The PINN and the spline carry it as one more path, but no smooth path follows its kinks: at 40 dB
-  they are at {smooth} times the bound, and {coverage} % of their intervals hold the truth.
-""")
+@claim
 def hidden_state(e: Evidence) -> Said:
+    """- **Bouc-Wen has a hidden state**: multiple shooting, output error, MCMC and the Kalman filters carry it, and
+    are at {carried} times the bound at 40 and 20 dB, the oracle at {oracle} (at 10 dB multiple shooting at
+    {loud}). The PINN and the spline carry it as one more path, but no smooth path follows its kinks: at 40 dB
+    they are at {smooth} times the bound, and {coverage} % of their intervals hold the truth.
+    """
     at = {"system": "bouc_wen", **TOLD}
     carriers = ("shooting", "output_error", "mcmc", "ekf", "ukf")
     carried = e.excess("table8", method=carriers, snr_db=(40.0, 20.0), **at)
@@ -168,13 +168,13 @@ def hidden_state(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- **On linear and nonlinear systems alike the bound is reached** ([nearness](results/efficiency.md)): a forced
-  oscillator, two masses, a Duffing oscillator and a pendulum at 40 and 20 dB. Pooled over what the data tell,
-  multiple shooting ({n} replicates) is at {shooting} times it, the PINN and MCMC ({fewer}) at {others} times,
-  and their 95 % intervals hold the truth in {coverage} %.
-""")
+@claim
 def nearness(e: Evidence) -> Said:
+    """- **On linear and nonlinear systems alike the bound is reached** ([nearness](results/efficiency.md)): a
+    forced oscillator, two masses, a Duffing oscillator and a pendulum at 40 and 20 dB. Pooled over what the data
+    tell, multiple shooting ({n} replicates) is at {shooting} times it, the PINN and MCMC ({fewer}) at {others}
+    times, and their 95 % intervals hold the truth in {coverage} %.
+    """
     shooting = e.rows("efficiency", method="shooting", **TOLD)
     others = e.rows("efficiency", method=("pinn", "mcmc"), **TOLD)
     coverage = [*shooting.coverage_95, *others.coverage_95]
@@ -192,16 +192,16 @@ def nearness(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- **At the ends of damping and sampling** ([Table 9](results/table9.md), 20 dB): with 2.2 samples a cycle
-  multiple shooting and MCMC are on the bound ({nyquist} times), at even times the PINN too ({pinn}),
-  regressions at {regressions} times. With 1.6, multiple shooting and MCMC, which scan as far as the prior
-  expects the motion, are on it at irregular times ({irregular}); at even ones an alias goes through nearly
-  the same samples, and {alias} records of {n} end there ({beyond} times the bound). The PINN and regressions
-  end there in {many}. Two modes 1.5 % apart: multiple shooting and MCMC are on the bound ({close}), the
-  eigensystem realisation at {era} times. 500 cycles at 0.1 % damping: output error is at {light} times.
-""")
+@claim
 def ends(e: Evidence) -> Said:
+    """- **At the ends of damping and sampling** ([Table 9](results/table9.md), 20 dB): with 2.2 samples a cycle
+    multiple shooting and MCMC are on the bound ({nyquist} times), at even times the PINN too ({pinn}),
+    regressions at {regressions} times. With 1.6, multiple shooting and MCMC, which scan as far as the prior
+    expects the motion, are on it at irregular times ({irregular}); at even ones an alias goes through nearly the
+    same samples, and {alias} records of {n} end there ({beyond} times the bound). The PINN and regressions end
+    there in {many}. Two modes 1.5 % apart: multiple shooting and MCMC are on the bound ({close}), the eigensystem
+    realisation at {era} times. 500 cycles at 0.1 % damping: output error is at {light} times.
+    """
     two, regression = ("shooting", "mcmc"), ("ls", "ls_spline", "rls", "sindy")
 
     def excess(system: str, *methods: str) -> list[float]:

@@ -22,39 +22,40 @@ def _share_data(e: Evidence, methods: Collection[str]) -> int:
     return max(int(one.groupby(keys).method.nunique().max()) for one in answered)
 
 
-@claim("""
-Which method should an engineer use to identify the mass, damping and stiffness of a vibrating system from
-few, noisy displacement samples, and how much of the answer can be believed? This benchmark runs {methods}
-identification methods, each on data that it can take, up to {shared} on the same, scores them against the
-truth that only the harness knows, and sets each result beside the Cramér-Rao bound: the best that the data
-allow. It starts from the tables of a published study (Karkadakattil 2026,
-[doi:10.25082/RIMA.2026.02.002](https://doi.org/10.25082/RIMA.2026.02.002)) and shows that paper's numbers
-beside its own.
-""")
+@claim
 def compared(e: Evidence) -> Said:
+    """Which method should an engineer use to identify the mass, damping and stiffness of a vibrating system from
+    few, noisy displacement samples, and how much of the answer can be believed? This benchmark runs {methods}
+    identification methods, each on data that it can take, up to {shared} on the same, scores them against the truth
+    that only the harness knows, and sets each result beside the Cramér-Rao bound: the best that the data allow. It
+    starts from the tables of a published study (Karkadakattil 2026,
+    [doi:10.25082/RIMA.2026.02.002](https://doi.org/10.25082/RIMA.2026.02.002)) and shows that paper's numbers
+    beside its own.
+    """
     methods = {name for table in TABLES for name in e.table(table).method} & set(registered())
     shared = _share_data(e, methods)
     return said({"several share a data set": shared > 2}, methods=str(len(methods)), shared=str(shared))
 
 
-@claim("""
-The published results, {cells} cells, come with the clone as [results/archive](results/archive), {size} MB of
-Parquet.
-""")
+@claim
 def archive(e: Evidence) -> Said:
+    """The published results, {cells} cells, come with the clone as [results/archive](results/archive), {size} MB of
+    Parquet.
+    """
     cells = e.archived
     return said({"there is an archive": cells > 0}, cells=f"{cells:,}", size=number(e.archive_size / 1e6, 3))
 
 
-@claim("""
-What it says: jitter of 2 % of a step, a bias and a drift of 5 and 10 % of the signal change the errors of the
-methods on the bound by factors of {small}; outliers cost them factors of {outliers}, the oracle too
-({oracle}), for all of them take the noise for normal. A start told 20 ms too early multiplies the error of
-k/m by {late} for these methods, and by {pencil} for the matrix pencil, which does not use it. At random
-sample times the error of k/m grows by factors of {astray} for finite differences, the smoothing spline and a
-single cold start, and by {shooting} for multiple shooting.
-""")
+@claim
 def broken_assumptions(e: Evidence) -> Said:
+    """What it says: jitter of 2 % of a step, a bias and a drift of 5 and 10 % of the signal change the errors of
+    the methods on the bound by factors of {small}; outliers cost them factors of {outliers}, the oracle too
+    ({oracle}), for all of them take the noise for normal. A start told 20 ms too early multiplies the error of k/m
+    by {late} for these methods, and by {pencil} for the matrix pencil, which does not use it. At random sample
+    times the error of k/m grows by factors of {astray} for finite differences, the smoothing spline and a single
+    cold start, and by {shooting} for multiple shooting.
+    """
+
     def ratios(kinds: str | Sequence[str], methods: str | Sequence[str], metrics: str | Sequence[str]) -> list[float]:
         return list(e.rows("robustness", disturbance=kinds, method=methods, metric=metrics)["ratio"].dropna())
 
@@ -82,11 +83,11 @@ def broken_assumptions(e: Evidence) -> Said:
     )
 
 
-@claim("""
-- Processor time of the fits of Tables 2 to 5 at these replicates, one core: {minutes} minutes, of them
-  {most}.
-""")
+@claim
 def cost(e: Evidence) -> Said:
+    """- Processor time of the fits of Tables 2 to 5 at these replicates, one core: {minutes} minutes, of them
+    {most}.
+    """
     cells = {one.identity: one for table in PAPER_TABLES for one in e.cells(table)}.values()
     minutes: dict[str, float] = {}
     for one in cells:

@@ -1,0 +1,241 @@
+"""What the README says about results is what the results say, and a claim that is false is found out."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from conftest import REPOSITORY
+
+from bench.commands.claims import main
+from bench.errors import InputError
+from bench.reporting.claims import free_decay, systems
+from bench.reporting.claims.claim import Claim, exceptions, fold, listed, number, said, span
+from bench.reporting.claims.document import SECTIONS, check, filled, passages, typed, typed_in_claims
+from bench.reporting.claims.evidence import Evidence
+from bench.store.opening import open_store
+
+README = REPOSITORY / "README.md"
+RESULTS = REPOSITORY / "results"
+
+
+def evidence(folder: Path = RESULTS) -> Evidence:
+    """What is published, or tables of another folder beside the published cells."""
+    return Evidence(folder, open_store(str(folder / "rows"), str(RESULTS / "archive")))
+
+
+def command(document: Path, *more: str) -> int:
+    """The command on a document, with what is published."""
+    places = [f"document={document}", f"results={RESULTS}", f"store={document.parent / 'no'}"]
+    return main([*places, f"archive={RESULTS / 'archive'}", *more])
+
+
+def changed(folder: Path, table: str, lines: str, column: str, value: float) -> Evidence:
+    """The results with one column of some lines (a pandas query) of one table changed."""
+    for path in RESULTS.iterdir():
+        if path.stem != table:
+            (folder / path.name).symlink_to(path)
+    data = pd.read_csv(RESULTS / f"{table}.csv")
+    found = data.query(lines).index
+    assert len(found)
+    data.loc[found, column] = value
+    data.to_csv(folder / f"{table}.csv", index=False)
+    return evidence(folder)
+
+
+def test_the_readme_passes_a_number_changed_by_hand_does_not_and_write_puts_it_right(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document, text = tmp_path / "README.md", README.read_text(encoding="utf-8")
+    document.write_text(text, encoding="utf-8")
+    assert command(document) == 0, capsys.readouterr().out
+    wrong = re.sub(r"(their excess is )[\d.]+", r"\g<1>0.99", text)
+    assert wrong != text
+    document.write_text(wrong, encoding="utf-8")
+    capsys.readouterr()
+    assert command(document) == 1
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "DIFFERS" in line]
+    assert line.startswith("on_the_bound: ")
+    assert document.read_text(encoding="utf-8") == wrong, "without write=true the document is left alone"
+    assert command(document, "write=true") == 0
+    assert document.read_text(encoding="utf-8") == text
+
+
+def test_what_no_claim_wrote_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A number beside the passages, and a line within one that belongs to no claim."""
+    document, text = tmp_path / "README.md", README.read_text(encoding="utf-8")
+    document.write_text(text + "\nThe PINN is 1.8 times above the bound.\n", encoding="utf-8")
+    assert command(document) == 1
+    assert "typed by hand: " in capsys.readouterr().out
+    document.write_text(text.replace("<!-- claims: cost -->\n", "<!-- claims: cost -->\n- More.\n"), encoding="utf-8")
+    assert command(document) == 1
+
+
+def test_every_passage_is_in_the_readme_and_no_two_claims_share_a_name() -> None:
+    assert set(passages(README.read_text(encoding="utf-8"))) == set(SECTIONS)
+    names = [claim.name for claims in SECTIONS.values() for claim in claims]
+    assert len(names) == len(set(names))
+
+
+def test_a_passage_of_an_unknown_name_is_an_error() -> None:
+    with pytest.raises(InputError, match="overview"):
+        passages("<!-- claims: nothing of ours -->\nx\n<!-- /claims -->")
+
+
+# ---- numbers from the files by another way
+
+
+def lines(table: str) -> list[dict[str, str]]:
+    with (RESULTS / f"{table}.csv").open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_the_excess_of_the_methods_on_the_bound_is_that_of_table_5() -> None:
+    found = [
+        float(line["excess"])
+        for line in lines("table5")
+        if line["method"] in {"shooting", "mcmc", "pinn", "collocation"}
+        and line["metric"] in {"k_over_m_error_pct", "c_over_m_error_pct", "rmse"}
+        and float(line["snr_db"]) >= 10
+    ]
+    assert len(found) == 4 * 3 * 4 * 2  # methods, metrics, noise levels, starts
+    assert free_decay.on_the_bound.said(evidence()).numbers["excess"] == f"{min(found):.2f} to {max(found):.2f}"
+
+
+def test_what_is_said_of_finite_differences_beside_an_added_mass_is_in_table_6() -> None:
+    found = {
+        float(line["snr_db"]): float(line["excess"])
+        for line in lines("table6")
+        if (line["system"], line["method"], line["metric"]) == ("sdof_added_mass", "ls", "told_pooled")
+    }
+    said_so = systems.all_told.said(evidence()).numbers["differences"]
+    assert [int(value) for value in re.findall(r"\d+", said_so)] == [round(found[snr]) for snr in (40, 20, 10)]
+
+
+def test_times_are_those_of_the_published_cells() -> None:
+    """A median beside the mean, which the archive states as a sum."""
+    cells = pd.read_parquet(RESULTS / "archive" / "regimes.parquet").query("label == 'era' and system == 'close_modes'")
+    mean = cells.cpu_s.item() / cells.replicates.item()
+    assert mean / 2 < evidence().seconds("regimes", label="era", system="close_modes") < 2 * mean
+
+
+# ---- what makes a claim false
+
+
+@pytest.mark.parametrize(
+    ("claim", "table", "changes", "column", "value"),
+    [
+        (
+            free_decay.on_the_bound, "table5", "method == 'mcmc' and snr_db == 10 and metric == 'rmse'", "excess", 1.6,
+        ),
+        (free_decay.network, "table9", "method == 'pinn' and system == 'sdof_nyquist'", "excess", 40.0),
+        (free_decay.intervals, "calibration", "method == 'shooting' and snr_db == 20", "coverage_95", 0.7),
+        (systems.every_force, "table6", "method == 'ekf' and system == 'sdof_step'", "excess", 9.0),
+        (systems.hidden_state, "table8", "method == 'collocation' and system == 'bouc_wen'", "excess", 1.1),
+    ],
+    ids=lambda value: value.name if isinstance(value, Claim) else "",
+)  # fmt: skip
+def test_results_that_contradict_a_claim_break_it(
+    tmp_path: Path, claim: Claim, table: str, changes: str, column: str, value: float
+) -> None:
+    assert not claim.said(evidence()).broken
+    assert claim.said(changed(tmp_path, table, changes, column, value)).broken
+
+
+def test_what_was_never_measured_cannot_be_claimed() -> None:
+    """NUTS never ran on Bouc-Wen."""
+    there = evidence()
+    with pytest.raises(InputError, match="nuts"):
+        there.rows("table8", system="bouc_wen", method=("shooting", "nuts"))
+    with pytest.raises(InputError, match="not stored"):
+        there.cells("nonlinear", system="bouc_wen", label="nuts")
+    with pytest.raises(InputError, match="no such table"):
+        there.table("table99")
+    with pytest.raises(InputError, match="not one"):
+        there.value("table6", "excess", system="sdof_step", metric="told_pooled")
+
+
+def test_a_claim_without_its_results_is_unknown_and_its_passage_is_left_as_it_is(tmp_path: Path) -> None:
+    text = README.read_text(encoding="utf-8")
+    checked = list(check(text, evidence(tmp_path)))
+    unknown = [one for one in checked if one.said is None]
+    assert any("table5" in one.problem for one in unknown)
+    assert not any(one.passes for one in unknown)
+    before, after = passages(text), passages(filled(text, checked))
+    assert after["free decay"] == before["free decay"]
+
+
+def test_text_and_expression_must_name_the_same_numbers() -> None:
+    for text in ("{low} to {high}", "none"):
+        with pytest.raises(InputError, match="differ"):
+            Claim("a", text, lambda e: said({}, low="1")).said(evidence())
+
+
+# ---- numbers that are typed
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        ("It is 1.3 times the bound at 20 dB, and 95 % intervals hold.", ["1.3"]),
+        ("All eighteen methods; twice.", ["eighteen", "twice"]),
+        ("See [1.5](a/1.5), `x=3` and Table 3.", ["1.5"]),
+        ("<!-- claims: cost -->\n66 minutes\n<!-- /claims -->\n```\n7\n```\nnothing", []),
+        ("A mass weighed to 3 %; a mass weighed to 2 %.", ["3"]),
+    ],
+)
+def test_a_typed_number_is_found_where_nothing_allows_it(text: str, numbers: list[str]) -> None:
+    found = typed(text)
+    assert len(found) == len(numbers)
+    assert all(value in place for value, place in zip(numbers, found, strict=True))
+
+
+def test_no_number_stands_typed_in_the_readme_or_beside_the_numbers_of_a_claim() -> None:
+    assert typed(README.read_text(encoding="utf-8")) == []
+    assert typed_in_claims() == {}
+
+
+# ---- small parts
+
+
+def test_a_passage_fills_lines_of_120_letters_and_keeps_its_points_apart() -> None:
+    words = " ".join(["word"] * 60)
+    text = Claim("a", f"- {{x}} {words}\n- {words}", lambda e: said({}, x="5")).filled(said({}, x="5"))
+    filled_lines = text.split("\n")
+    assert max(map(len, filled_lines)) <= 120
+    assert [line[:3] for line in filled_lines].count("- 5") == 1
+    assert sum(line.startswith("- ") for line in filled_lines) == 2
+    assert text.split() == f"- 5 {words} - {words}".split()
+
+
+def test_the_table_below_a_heading_of_a_page_is_read(tmp_path: Path) -> None:
+    (tmp_path / "study.md").write_text(
+        "# Page\n\n## One\n\n| a | b |\n|---|---|\n| 1 | |\n\n## Two\n\nText.\n\n| c |  d | |\n|---|---|---|\n"
+        "| x y | 1,363 × |\n| z | 2 | late |\n\nafter\n",
+        encoding="utf-8",
+    )
+    there = evidence(tmp_path)
+    assert there.study("study.md", "One").to_dict("list") == {"a": ["1"], "b": [""]}
+    assert there.study("study.md", "Two").to_numpy().tolist() == [["x y", "1,363 ×", ""], ["z", "2", "late"]]
+    with pytest.raises(InputError, match="no table"):
+        there.study("study.md", "Three")
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "written"),
+    [(0.00337, 2, "0.0034"), (0.996, 2, "1.0"), (9.96, 2, "10"), (37.9, 2, "38"), (1362.7, 4, "1,363")],
+)
+def test_significant_digits(value: float, digits: int, written: str) -> None:
+    assert number(value, digits) == written
+
+
+def test_spans_lists_and_exceptions() -> None:
+    assert (fold(0.854), fold(9.997), fold(36737.6)) == ("0.85", "10", "36,738")
+    assert span([1.004, 0.996, 1.0]) == "1.00"
+    assert span([1.5, 0.85]) == "0.85 to 1.50"
+    assert listed([37.8, 25.6, 12.8]) == "38, 26 and 13"
+    assert exceptions([("a", 2.15), ("b", 1.25), ("c", 1.28)], 1.25) == "a (2.15) and c (1.28)"
+    assert exceptions([("a", 1.0)], 1.25) == "none"
