@@ -1,0 +1,82 @@
+"""Captions, notes of tables and the page type definitions only: every measured number in them is filled in."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conftest import REPOSITORY
+
+from bench.reporting.claims.allowed import ALLOWED
+from bench.reporting.claims.document import typed
+
+REPORTING = REPOSITORY / "bench" / "reporting"
+ROOMS = ("figures", "page", "tables")
+MODULES = sorted(path for room in ROOMS for path in (REPORTING / room).glob("*.py"))
+DEFINITIONS = (
+    *ALLOWED,
+    # levels of intervals and tests, and what follows from them
+    r"\b(?:95|80|5) %",
+    r"95 is what a band should have",
+    r"inside in 95 of 100 data sets",
+    r"one case of twenty by chance",
+    r"\b1\.96\b",
+    r"less than (?:2 %|once in 10,000 times)",
+    r"more than 1 %",
+    r"about 0\.67 of it for a normal error",
+    # what a number means
+    r"\b[01]00? % (?:is told )?by\b|\b0 % is told",
+    r"(?:[Aa]t|below|about|line at|from|:|over Cramér-Rao bound:|is better,|over the bound,) 1\b(?! %)",
+    r"mean 0 and standard deviation 1",
+    r"standard deviation of 2 means intervals half as wide",
+    r"half the squared distance",
+    r"at least half of the data sets",
+    r"× ?>1e6",
+    r"± 1 sd",
+    r"twice #",
+    # which record, which figure of the paper
+    r"replicate 0",
+    r"Figure \d+",
+    r"1,000 points in each replicate",
+)
+STYLE = re.compile(r"font-size|transform=")
+
+
+def sentences(path: Path) -> Iterator[str]:
+    """The strings of a module with three words or more, docstrings apart; what is filled in is ``#``."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    apart = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    apart |= {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+    for node in ast.walk(tree):
+        if id(node) in apart:
+            continue
+        if isinstance(node, ast.JoinedStr):
+            text = "".join(str(part.value) if isinstance(part, ast.Constant) else "#" for part in node.values)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            text = node.value
+        else:
+            continue
+        if len(re.findall(r"[A-Za-z]{2,}", text)) >= 3 and not STYLE.search(text):
+            yield text
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_captions_and_notes_type_no_result(path: Path) -> None:
+    assert [place for text in sentences(path) for place in typed(text, DEFINITIONS)] == []
+
+
+def test_the_page_types_no_result() -> None:
+    text = (REPORTING / "page" / "report.html.j2").read_text(encoding="utf-8")
+    text = re.sub(r"<(style|script).*?</\1>", " ", text, flags=re.DOTALL)
+    text = re.sub(r"\{%.*?%\}|\{\{.*?\}\}|\{#.*?#\}", " # ", text, flags=re.DOTALL)
+    assert typed(re.sub(r"<[^>]*>", " ", text), DEFINITIONS) == []
+
+
+def test_a_typed_result_in_a_caption_would_be_found(tmp_path: Path) -> None:
+    module = tmp_path / "caption.py"
+    module.write_text('"""On 7 things said here."""\nn = 5\ncaption = f"The PINN is {n} times off, SINDy 3.4 times."\n')
+    (place,) = [place for text in sentences(module) for place in typed(text, DEFINITIONS)]
+    assert "3.4" in place
