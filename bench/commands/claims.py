@@ -1,6 +1,6 @@
 """``python -m bench.claims``: every claim of README.md beside the results it rests on.
 
-Prints each claim with its numbers, and where the results, the text or a condition disagree. ``write=true`` fills the
+Prints of each claim whether it passes, its numbers, and what must be so for it to be true. ``write=true`` fills the
 numbers in. Exit status 1 where a claim does not hold, the text says something else, or a number is typed by hand.
 """
 
@@ -49,7 +49,7 @@ def _main(arguments: Sequence[str]) -> int:
         text, checked = new, list(check(new, evidence))
     loose = [*typed(text), *(one for found in typed_in_claims().values() for one in found)]
     for one in checked:
-        print(_line(one))
+        print(_lines(one))
     for place in loose:
         print(f"typed by hand: {place}")
     passed = sum(one.passes for one in checked)
@@ -57,14 +57,15 @@ def _main(arguments: Sequence[str]) -> int:
     return 0 if passed == len(checked) and not loose and filled(text, checked) == text else 1
 
 
-def _line(one: Checked) -> str:
-    """A claim, its numbers, and what is wrong with it."""
+def _lines(one: Checked) -> str:
+    """A claim: whether it passes, its numbers, and what must be so for it to be true."""
     if one.said is None:
         return f"{one.claim.name}: UNKNOWN: {one.problem}"
-    numbers = ", ".join(f"{name} {value}" for name, value in one.said.numbers.items())
     wrong = [f"FALSE: {condition}" for condition in one.said.broken]
     wrong += [] if one.agrees else ["THE TEXT DIFFERS: write=true fills it in"]
-    return f"{one.claim.name}: {numbers}; {'; '.join(wrong) or 'holds'}"
+    numbers = ", ".join(f"{name} {value}" for name, value in one.said.numbers.items())
+    conditions = "; ".join(one.said.conditions)
+    return f"{one.claim.name}: {'; '.join(wrong) or 'holds'}\n    {numbers}\n    while {conditions}"
 
 
 if __name__ == "__main__":

@@ -35,6 +35,7 @@ ALLOWED = (
     r"95 % intervals?",
     r"within 1 % of the minimum",
     r"its excess is above 5 in",
+    r"more than 10 % off in k/m",
     r"over the bound \(1 is the best",
     r"1 is the best an unbiased method can do; with 100 replicates it is itself uncertain by about 7 %",
     r"can be below 1 where the noise is large",

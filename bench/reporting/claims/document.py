@@ -31,14 +31,15 @@ SET_ASIDE = (
     re.compile(r"```.*?```", re.DOTALL),
     re.compile(r"`[^`\n]*`"),
     re.compile(r"\]\([^)]*\)"),
+    re.compile(r"^ *\d+\. ", re.MULTILINE),
 )
-"""What of a document is not typed prose: claims, tables, code, addresses."""
+"""What of a document is not typed prose: claims, tables, code, addresses, the numbers of a list's points."""
 WORDS = (
     r"\b(?:eleven|twelve|(?:thir|four|fif|six|seven|eigh|nine)teen|twenty|thirty|forty|fifty|sixty|seventy|eighty|ninety"
     r"|hundreds?|thousands?|dozens?|tenfold|twice|half|thirds?|quarters?)\b"
 )
-NUMBER = re.compile(rf"\d(?:[\d.,]*\d)?|{WORDS}", re.IGNORECASE)
-"""A number in digits, or in one of the words that are not used for anything else."""
+NUMBER = re.compile(rf"(?<![A-Za-z])\d(?:[\d.,]*\d)?|{WORDS}", re.IGNORECASE)
+"""A number in digits, not within a name such as x1, or in one of the words that are not used for anything else."""
 
 
 @dataclass(frozen=True)

@@ -78,11 +78,10 @@ def network(e: Evidence) -> Said:
 
 @claim
 def optimiser(e: Evidence) -> Said:
-    """- **The PINN's optimiser decides.** The same network and loss trained as in the paper (Adam, then L-BFGS,
-    fewer steps) has, with a known start, an excess of {loud} at 10 dB, {middle} at 20 dB and {quiet} at 30 and 40
-    dB: it stops before the minimum of its own loss, and takes {seconds} s. With an unknown start it comes to
-    {unknown}. This is the pattern of the paper's own Table 5, whose displacement error is {paper} times the bound
-    at 40 dB.
+    """- **With a known start the PINN's optimiser decides.** The same network and loss trained as in the paper
+    (Adam, then L-BFGS) has an excess of {loud} at 10 dB, {middle} at 20 dB and {quiet} at 30 and 40 dB: it stops
+    before the minimum of its own loss, and takes {seconds} s. With an unknown start it comes to {unknown}. This
+    is the pattern of the paper's own Table 5, whose displacement error is {paper} times the bound at 40 dB.
     """
 
     def excess(start: str, *levels: float) -> list[float]:
@@ -142,9 +141,9 @@ def modal(e: Evidence) -> Said:
 @claim
 def cold_start(e: Evidence) -> Said:
     """- **Output error from one cold start is as good as multiple shooting until it is not**: with this prior and
-    25 samples {right} % of the fits of a cell find the right k/m, and the others are grossly wrong (excess up to
-    {worst} at 40 dB, start unknown). That is what the starts of shooting are for: {shooting} of its {fits} fits
-    go astray.
+    25 samples {right} % of the fits at one noise level and start find the right k/m, and the others are grossly
+    wrong (excess up to {worst} at 40 dB, start unknown). That is what the starts of shooting are for: {shooting}
+    of its {fits} fits go astray.
     """
 
     def astray(label: str) -> list[tuple[int, int]]:

@@ -80,6 +80,11 @@ def test_every_passage_is_in_the_readme_and_no_two_claims_share_a_name() -> None
     assert len(names) == len(set(names))
 
 
+def test_every_claim_says_what_would_make_it_false() -> None:
+    there = evidence()
+    assert [one.name for claims in SECTIONS.values() for one in claims if not one.said(there).conditions] == []
+
+
 def test_a_passage_of_an_unknown_name_is_an_error() -> None:
     with pytest.raises(InputError, match="overview"):
         passages("<!-- claims: nothing of ours -->\nx\n<!-- /claims -->")

@@ -1,4 +1,4 @@
-"""Captions, notes of tables and the page type definitions only: every measured number in them is filled in."""
+"""Captions, notes of tables, the page and docs type definitions only: measured numbers are filled in or printed."""
 
 from __future__ import annotations
 
@@ -42,6 +42,24 @@ DEFINITIONS = (
     r"Figure \d+",
     r"1,000 points in each replicate",
 )
+ON_CLUSTERS = (
+    *ALLOWED,
+    # what the studies are asked to do
+    r"200 cells, jobs of 5",
+    r"for a worker at 20 %",
+    r"a whole node at 50 %",
+    r"two stores of 20 cells in jobs of 2",
+    r"cells of 20 fits take on one, ten and a hundred nodes",
+    r"At 20 cells a job, a million cells are 50,000 configurations",
+    # defaults and versions of others
+    r"exit status \d",
+    r"\((?:1 if absent|60|0|256)\)",
+    r"\(1001 unless",
+    r"Slurm 22\.05",
+    r"NFS 4",
+    r"90 s by default",
+    r"\(not measured here\) one NFS server takes some 10³ a second and a good parallel file system some 10⁴",
+)
 STYLE = re.compile(r"font-size|transform=")
 
 
@@ -73,6 +91,10 @@ def test_the_page_types_no_result() -> None:
     text = re.sub(r"<(style|script).*?</\1>", " ", text, flags=re.DOTALL)
     text = re.sub(r"\{%.*?%\}|\{\{.*?\}\}|\{#.*?#\}", " # ", text, flags=re.DOTALL)
     assert typed(re.sub(r"<[^>]*>", " ", text), DEFINITIONS) == []
+
+
+def test_the_page_on_clusters_types_no_result() -> None:
+    assert typed((REPOSITORY / "docs" / "clusters.md").read_text(encoding="utf-8"), ON_CLUSTERS) == []
 
 
 def test_a_typed_result_in_a_caption_would_be_found(tmp_path: Path) -> None:
