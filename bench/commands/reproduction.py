@@ -13,7 +13,8 @@ from pathlib import Path
 
 from bench.commands.guard import command, read_fields
 from bench.reporting.frame import Result
-from bench.reporting.reproduction import Place, all_cells, files, verdicts
+from bench.reporting.reproduction import Place, all_cells, ratio_verdicts, verdicts
+from bench.reporting.reproduction_page import files
 from bench.store.cell import Cell
 from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.store import Store
@@ -34,7 +35,8 @@ def _main(arguments: Sequence[str]) -> int:
     store.prepare()
     Store(out).prepare()
     cells = all_cells()
-    for name, text in files(verdicts(_results(cells, store)), next(iter(cells.values()))).items():
+    results = _results(cells, store)
+    for name, text in files(verdicts(results), ratio_verdicts(results), next(iter(cells.values()))).items():
         (out / name).write_text(text, encoding="utf-8")
         print(out / name)
     return 0

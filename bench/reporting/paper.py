@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -29,17 +30,28 @@ class Printed:
 
 
 @cache
+def _lines() -> tuple[dict[str, str], ...]:
+    text = files("bench").joinpath("data", "paper_tables.csv").read_text(encoding="utf-8")
+    return tuple(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+
+
+@cache
 def printed() -> tuple[Printed, ...]:
     """All numbers of the paper, in its order."""
-    text = files("bench").joinpath("data", "paper_tables.csv").read_text(encoding="utf-8")
-    lines = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
     return tuple(
         Printed(table, ROWS.get(table, line["row"]), line["method"], metric, float(line[column]), float(line["snr_db"]))
-        for line in lines
+        for line in _lines()
         for table in [int(line["table"])]
         for metric, column in COLUMNS.items()
         if line[column]
     )
+
+
+def printed_estimate() -> tuple[dict[str, float], dict[str, float]]:
+    """The estimated m, c and k that its Table 2 prints beside the errors, and the true ones."""
+    line = next(line for line in _lines() if line["table"] == "2")
+    found = {name: float(value) for name, value in re.findall(r"\b([mck])=([\d.]+)", line["note"])}
+    return found, {name: float(line[name]) for name in found}
 
 
 @cache

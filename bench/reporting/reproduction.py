@@ -1,31 +1,29 @@
 """Verdicts on the paper's 59 numbers, and what they rest on.
 
 The paper leaves open how long its records are, whether the start is known, what prior it uses and how it defines the
-signal-to-noise ratio. Each number is judged under the reading of the protocol and under every other one declared here;
-a verdict that changes is not firm.
+signal-to-noise ratio. Each number, and what the numbers imply of k/m and c/m, is judged under the reading of the
+protocol and under every other one declared here; a verdict that changes is not firm.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from bench.config.experiment import Experiment, sweep
 from bench.reporting.frame import Result
-from bench.reporting.labels import beside_paper, in_order, title
-from bench.reporting.paper import Printed, own_method, paper_value, printed, row_name
-from bench.reporting.rounding import number
-from bench.reporting.tables.common import markdown_table
-from bench.reporting.tables.paper_tables import HEADINGS, judged
+from bench.reporting.labels import beside_paper, in_order
+from bench.reporting.paper import Printed, printed, row_name
+from bench.reporting.ratios import Bracket, brackets, judged_bracket
+from bench.reporting.tables.paper_tables import judged
 from bench.scenario.scenario import PriorSpec, Scenario
-from bench.scenario.truth import closed_form
-from bench.scoring.comparison import LEVEL, holm
+from bench.scoring.comparison import holm
+from bench.scoring.verdict import decided, mean_p_value
 from bench.store.cell import Cell
 
 
@@ -99,7 +97,7 @@ def all_cells() -> dict[str, dict[Place, Cell]]:
 class Judged:
     """A printed number under one reading: the verdict's text, our median error, and a two-sided p-value.
 
-    ``p_value`` is that of Student's t-test of our mean error against the paper's number, read as a mean of as many.
+    ``p_value`` is that of the paper's number as another mean of as many runs as ours.
     """
 
     text: str
@@ -109,14 +107,19 @@ class Judged:
 
 def judge_number(place: Printed, label: str, stored: Mapping[Place, Result]) -> Judged | None:
     """The verdict of a method of ours on a printed number; None where a cell is missing."""
-    own, oracle = (stored.get((place.table, place.row, name)) for name in (label, "oracle"))
-    if not (own and oracle and own.stored and oracle.stored):
+    found = _own_and_oracle(place, label, stored)
+    if not found:
         return None
-    errors = own.errors(place.metric)
-    text = judged(place.value, own, oracle, place.metric).text
-    finite = errors[np.isfinite(errors)]
-    p = float(stats.ttest_1samp(finite, place.value).pvalue) if finite.size > 1 else 1.0
-    return Judged(text, float(np.median(errors)), p)
+    errors = found[0].errors(place.metric)
+    text = judged(place.value, *found, place.metric).text
+    return Judged(text, float(np.median(errors)), mean_p_value(place.value, errors))
+
+
+def _own_and_oracle(
+    place: Printed | Bracket, label: str, stored: Mapping[Place, Result]
+) -> tuple[Result, Result] | None:  # fmt: skip
+    own, oracle = (stored.get((place.table, place.row, name)) for name in (label, "oracle"))
+    return (own, oracle) if own and oracle and own.stored and oracle.stored else None
 
 
 def verdicts(stored: Mapping[str, Mapping[Place, Result]]) -> pd.DataFrame:
@@ -135,116 +138,33 @@ def verdicts(stored: Mapping[str, Mapping[Place, Result]]) -> pd.DataFrame:
                 line["p"] = found.p_value if found else 1.0
         training = judge_number(place, training_label(place.method), stored[first])
         line["paper's training"] = training.text if training else ""
-        readings = {simple(str(line[name])) for name in ASSUMPTIONS}
-        line["firm"] = len(readings) == 1 and "not run" not in readings
-        lines.append(line)
+        lines.append(line | _standing(line))
     data = pd.DataFrame(lines)
     data["p (Holm)"] = holm(data["p"].tolist())
     return data
 
 
+def ratio_verdicts(stored: Mapping[str, Mapping[Place, Result]]) -> pd.DataFrame:
+    """One line a ratio that a row of the paper implies: the verdicts under every reading, and whether they agree."""
+    first, labels, lines = next(iter(ASSUMPTIONS)), judged_labels(), []
+    for place in brackets():
+        line: dict[str, Any] = vars(place).copy()
+        for name in ASSUMPTIONS:
+            found = _own_and_oracle(place, labels[place.method], stored[name])
+            line[name] = judged_bracket(place, *found).text if found else "not run"
+            if name == first:
+                line["median"] = float(np.median(found[0].errors(place.metric))) if found else math.nan
+        lines.append(line | _standing(line))
+    return pd.DataFrame(lines)
+
+
+def _standing(line: Mapping[str, Any]) -> dict[str, bool]:
+    """Whether a verdict decides anything under the first reading, and if so, whether it is the same under all."""
+    readings = {simple(str(line[name])) for name in ASSUMPTIONS}
+    is_decided = decided(str(line[next(iter(ASSUMPTIONS))])) and "not run" not in readings
+    return {"decided": is_decided, "firm": is_decided and len(readings) == 1}
+
+
 def simple(text: str) -> str:
     """A verdict without its percentage."""
     return text.partition(" (")[0] if text.startswith("not decidable") else text
-
-
-def implied_rmse(scenario: Scenario, errors: Sequence[float]) -> tuple[float, float]:
-    """The least and the largest displacement RMSE (m) that errors of m, c and k (%) of either sign imply."""
-    true, t = dict(scenario.parameters), scenario.dense_times
-    x0, v0 = scenario.initial[0][0], scenario.initial[1][0]
-    right = closed_form(true, x0, v0, t)
-    found = []
-    for signs in itertools.product((-1.0, 1.0), repeat=3):
-        changed = zip("mck", errors, signs, strict=True)
-        p = {name: true[name] * (1.0 + sign * error / 100.0) for name, error, sign in changed}
-        found.append(float(np.sqrt(np.mean((closed_form(p, x0, v0, t) - right) ** 2))))
-    return min(found), max(found)
-
-
-def consistency(base: Mapping[Place, Cell]) -> list[list[str]]:
-    """Rows whose displacement RMSE no signs of its own parameter errors can give."""
-    rows, labels = [], set(judged_labels().values())
-    for (table, row, label), cell in base.items():
-        values = [paper_value(table, row, label, m) for m in ("m_error_pct", "c_error_pct", "k_error_pct", "rmse")]
-        if label not in labels or not np.all(np.isfinite(values)):
-            continue
-        low, high = implied_rmse(cell.scenario, values[:3])
-        if not low <= values[3] <= high:
-            place = f"Table {table}, {row}, {title(label)}"
-            rows.append([place, " / ".join(f"{v:g}" for v in values[:3]), f"{low:.3f} to {high:.3f}", f"{values[3]:g}"])
-    return rows
-
-
-def page(data: pd.DataFrame, base: Mapping[Place, Cell]) -> str:
-    """The page as Markdown."""
-    first, *others = ASSUMPTIONS
-    counts = data[first].map(simple).value_counts()
-    firm = data[data.firm]
-    parts = [
-        "# Reproduction",
-        "Each of the paper's 59 numbers (Karkadakattil 2026, doi:10.25082/RIMA.2026.02.002) against the replicates of "
-        "the same method here: below the 5 % quantile of ours, ours is worse; above the 95 % quantile, ours is better; "
-        "each read as a single run and as a mean of many. *Not decidable*: more than half of our mean square error is "
-        "the prior's. *Incompatible*: below what the oracle's luck allows. The paper's PINN stands beside "
-        f"`{judged_labels()[own_method()]}` "
-        "(Levenberg-Marquardt) and, under the first reading, beside the paper's own training.",
-        "## In short",
-        "\n".join(f"- {n} of {len(data)}: {text}" for text, n in counts.items()),
-        f"{len(firm)} of {len(data)} verdicts are firm: they hold under all {len(ASSUMPTIONS)} readings. "
-        f"Read as means of as many replicates, {int((data['p (Holm)'] < LEVEL).sum())} differ from ours at 5 % after "
-        "Holm's adjustment over the 59 (Student's t, under the first reading). Read as single runs none can: a hundred "
-        "replicates do not resolve a share small enough for 59 comparisons.",
-        "## What is assumed, and how far it moves the numbers",
-        "Declared before they were run. Each entry is our median error under a reading over that of the protocol, the "
-        "median over the numbers of a method, and how many verdicts change.",
-        _moves(data, first, others),
-        "## The numbers",
-        _numbers(data, first),
-        "## The paper against itself",
-        "Its PINN at 20 dB on the reference system has a mass error of 1.1, 2.6 and 3.9 % and an RMSE of 0.016 and "
-        "0.021 m in its Tables 2, 3 and 5: what it calls one value spreads by a factor of three.",
-    ]
-    inconsistent = consistency(base)
-    text = "Errors of m, c and k imply a displacement error, within the range that their unknown signs leave (10 s). "
-    if inconsistent:
-        headers = ["where", "errors of m / c / k (%)", "RMSE they imply (m)", "RMSE printed (m)"]
-        table = markdown_table(inconsistent, headers)
-        parts += [text + "Rows whose printed RMSE lies outside it:", table]
-    else:
-        parts.append(text + "Every printed RMSE lies within it: where errors of k and m cancel it can be next to nil.")
-    parts.append("Regenerate: `python -m bench.reproduction`, after the cells of Tables 2 to 5.")
-    return "\n\n".join(parts) + "\n"
-
-
-def _moves(data: pd.DataFrame, first: str, others: Sequence[str]) -> str:
-    rows = []
-    for name in others:
-        cells = [name]
-        for method in judged_labels():
-            own = data[data.method == method]
-            ratio = float(np.nanmedian(own[f"{name}: median"] / own[f"{first}: median"]))
-            changed = int((own[name].map(simple) != own[first].map(simple)).sum())
-            cells.append(f"×{ratio:.2f}, {changed} of {len(own)}")
-        rows.append(cells)
-    headers = ["reading", *map(title, judged_labels().values())]
-    return markdown_table(rows, headers)
-
-
-def _numbers(data: pd.DataFrame, first: str) -> str:
-    rows = []
-    for _, line in data.iterrows():
-        changes = [name for name in ASSUMPTIONS if simple(line[name]) != simple(line[first])]
-        rows.append(
-            [
-                str(line.table), line.row, title(judged_labels()[line.method]), HEADINGS[line.metric],
-                number(line.paper), number(line[f"{first}: median"]), line[first], line["paper's training"] or "-",
-                "yes" if line.firm else "no: " + ", ".join(changes), f"{line['p (Holm)']:.2g}",
-            ]
-        )  # fmt: skip
-    headers = ["table", "row", "method", "metric", "paper", "ours, median", "verdict", "paper's training"]
-    return markdown_table(rows, [*headers, "firm", "p (Holm)"])
-
-
-def files(data: pd.DataFrame, base: Mapping[Place, Cell]) -> dict[str, str]:
-    """The page and its numbers, by name."""
-    return {"reproduction.md": page(data, base), "reproduction.csv": data.to_csv(index=False, float_format="%.5g")}

@@ -2,22 +2,25 @@
 
 If a belief is calibrated, its distribution function at the truth (the probability integral transform) is uniform over
 replicates (A. P. Dawid, J. R. Stat. Soc. A 147:278, 1984), and its normal score z is standard normal. Too sure shows in
-a spread of z above 1, too wide in one below, a bias in its mean.
+a mean square of z above 1, too wide in one below, a bias in its mean. The mean square is about 0, not about the mean of
+z: an estimate that is always off by much more than it states is too sure, however little it scatters.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
-from bench.scoring.comparison import LEVEL, holm
+from bench.scoring.comparison import LEVEL
 from bench.scoring.summary import wilson_interval
 
 LEVELS = (0.50, 0.80, 0.95)
 EXTREME = 1e-9
-"""Levels nearer to 0 or 1 than this count as being there: z of about 6."""
+"""Levels nearer to 0 or 1 than this count as being there: z of 6, and a mean square that is too low, never too high."""
 
 
 @dataclass(frozen=True)
@@ -32,40 +35,64 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What the levels at the truth (n,) say of a belief. ``uniform`` is the p-value of Kolmogorov and Smirnov."""
+    """What the levels at the truth (n,) say of a belief.
+
+    ``rms_z``: root mean square of z. ``p_values`` of three tests: mean of z against 0 (Student's t), its mean square
+    against 1 (chi-squared of n), uniformity of the levels (Kolmogorov and Smirnov). ``adjusted``: the same for all
+    tests that are judged together, by the method of Y. Benjamini and Y. Hochberg (J. R. Stat. Soc. B 57:289, 1995).
+    """
 
     n: int
     coverage: tuple[Coverage, ...]
     mean_z: float
-    sd_z: float
-    uniform: float
-    verdict: str
+    rms_z: float
+    p_values: tuple[float, float, float]
+    adjusted: tuple[float, float, float]
+
+    @property
+    def uniform(self) -> float:
+        """The p-value of uniformity."""
+        return self.p_values[2]
+
+    @property
+    def verdict(self) -> str:
+        """What the tests find at the 5 % level after adjustment."""
+        biased, width, shape = (p < LEVEL for p in self.adjusted)
+        words = []
+        if width:
+            words.append("too sure" if self.rms_z > 1.0 else "too wide")
+        if biased:
+            words.append("biased upwards" if self.mean_z < 0 else "biased downwards")
+        if shape and not words:
+            words.append("not uniform")
+        return ", ".join(words) or "calibrated"
 
 
 def calibration(levels: np.ndarray) -> Calibration:
-    """Judge the levels at the truth of ``n`` replicates, each in [0, 1]; raises ValueError for fewer than 5.
-
-    The verdict is by three tests with Holm's adjustment at the 5 % level: mean of z against 0 (Student's t), its
-    variance against 1 (chi-squared), and uniformity.
-    """
+    """Judge the levels at the truth of ``n`` replicates, each in [0, 1], alone; raises ValueError for fewer than 5."""
     levels = np.asarray(levels, float)
     if levels.size < 5 or not np.all((levels >= 0) & (levels <= 1)):
         raise ValueError(f"at least 5 levels between 0 and 1 are needed; got {levels.size}")
     n = levels.size
     z = stats.norm.ppf(np.clip(levels, EXTREME, 1.0 - EXTREME))
-    mean, sd = float(z.mean()), float(z.std(ddof=1))
-    tail = stats.chi2.cdf((n - 1) * sd**2, n - 1)
-    uniform = float(stats.kstest(levels, "uniform").pvalue)
-    t = abs(mean) / max(sd / np.sqrt(n), 1e-12)
-    biased, spread, shape = holm([2.0 * stats.t.sf(t, n - 1), 2.0 * min(tail, 1.0 - tail), uniform]) < LEVEL
-    words = []
-    if spread:
-        words.append("too sure" if sd > 1.0 else "too wide")
-    if biased:
-        words.append("biased upwards" if mean < 0 else "biased downwards")
-    if shape and not words:
-        words.append("not uniform")
-    return Calibration(n, _coverages(levels), mean, sd, uniform, ", ".join(words) or "calibrated")
+    mean, square = float(z.mean()), float(np.mean(z**2))
+    t = abs(mean) / max(float(z.std(ddof=1)) / math.sqrt(n), 1e-12)
+    width = 2.0 * min(stats.chi2.cdf(n * square, n), stats.chi2.sf(n * square, n))
+    uniform = stats.kstest(levels, "uniform").pvalue
+    p_values = (float(2.0 * stats.t.sf(t, n - 1)), float(width), float(uniform))
+    found = Calibration(n, _coverages(levels), mean, math.sqrt(square), p_values, p_values)
+    return together([found])[0]
+
+
+def together(found: Sequence[Calibration]) -> list[Calibration]:
+    """The same, adjusted over all their tests: of the findings, one in twenty is expected to be a false alarm.
+
+    Where every belief is calibrated, there is no finding at all with 95 % probability.
+    """
+    if not found:
+        return []
+    rows = stats.false_discovery_control([p for one in found for p in one.p_values]).reshape(-1, 3).tolist()
+    return [replace(one, adjusted=(a, b, c)) for one, (a, b, c) in zip(found, rows, strict=True)]
 
 
 def _coverages(levels: np.ndarray) -> tuple[Coverage, ...]:

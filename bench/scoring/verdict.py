@@ -1,15 +1,27 @@
-"""What our replicates say of a number that the paper prints."""
+"""What our replicates say of a number that the paper prints, read as one run and as a mean of many.
+
+A number under judgement has luck of its own, as large as that of what it is compared with: one more run is placed among
+our runs, and another mean of as many runs beside our mean. So a number from our own method is called reproduced in 90
+cases of 100, under either reading.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtr
+from scipy.stats import binom
 
-from bench.scoring.resampling import shares
-
+UNDECIDED = ("not decidable", "open")
+"""Words of verdicts that decide nothing: the prior decides, or what is printed leaves more than one answer."""
 DECIDED_BY_PRIOR = 0.5
 """A number is not decidable where more than this part of our mean square error is the prior's."""
+OUTSIDE = 0.05
+"""A number that fewer of our own method's runs or means pass, on either side, is not reproduced."""
+LUCK = 0.005
+"""What fewer of the oracle's runs and means come down to is incompatible."""
 
 
 @dataclass(frozen=True)
@@ -24,30 +36,68 @@ class Verdict:
 def judge(paper: float, ours: np.ndarray, oracle: np.ndarray, prior_share: float) -> Verdict:
     """The verdict on one printed number from our errors ``ours`` (n,), failures as infinities, and the oracle's.
 
-    Reproduced: between the 5 % and 95 % quantiles of our replicates (single run), or of the means of as many
-    replicates drawn from them with replacement (mean of many). Below: ours worse. Above: ours better. Not decidable
-    where ``prior_share``, the prior's part of our mean square error, says that the prior decides. Incompatible where it
-    is below the oracle's 0.5 % quantile in both readings.
+    Reproduced: more than 5 % of our runs (single run) or of means of as many (mean of many) would be so small, and more
+    than 5 % so large. Else below: ours worse; above: ours better. Not decidable where ``prior_share``, the prior's part
+    of our mean square error, says that the prior decides. Incompatible where it is below the 0.5 % quantile of the
+    oracle's runs, the least of fewer than 200, and of its means.
     """
     if prior_share > DECIDED_BY_PRIOR:
         text = f"not decidable ({100 * prior_share:.0f} % prior)"
         return Verdict("not decidable", "not decidable", text)
-    single = _place(paper, np.sort(ours))
-    mean = _place(paper, _means(ours))
-    low_single = np.quantile(np.sort(oracle), 0.005, method="inverted_cdf")
-    low_mean = np.quantile(_means(oracle), 0.005, method="inverted_cdf")
-    if paper < low_single and paper < low_mean:
+    single, mean = _side(run_tails(paper, ours)), _side(mean_tails(paper, ours))
+    low_single = np.quantile(oracle, LUCK, method="inverted_cdf")
+    if paper < low_single and mean_tails(paper, oracle)[0] < LUCK:
         return Verdict(single, mean, "incompatible")
-    return Verdict(single, mean, single if single == mean else f"{single} (single run), {mean} (mean)")
+    return Verdict(single, mean, _text(single, mean))
 
 
-def _place(value: float, sample: np.ndarray) -> str:
-    low, high = np.quantile(sample, [0.05, 0.95], method="inverted_cdf")
-    if value < low:
+def between(low: Verdict, high: Verdict) -> Verdict:
+    """The verdict on a number known to lie between two: what both have in common, else open."""
+    if low.text == high.text:
+        return low
+    single, mean = (a if a == b else "open" for a, b in ((low.single, high.single), (low.mean, high.mean)))
+    return Verdict(single, mean, _text(single, mean))
+
+
+def decided(text: str) -> bool:
+    """Whether a verdict's text decides anything, under every reading it has."""
+    return not any(word in text for word in UNDECIDED)
+
+
+def _text(single: str, mean: str) -> str:
+    return single if single == mean else f"{single} (single run), {mean} (mean)"
+
+
+def run_tails(value: float, ours: np.ndarray) -> tuple[float, float]:
+    """How likely one more run beside ours (n,) is so small, and so large: by its rank among n + 1."""
+    below, above = (int(np.sum(side)) for side in (ours <= value, ours >= value))
+    return (1 + below) / (ours.size + 1), (1 + above) / (ours.size + 1)
+
+
+def mean_tails(value: float, ours: np.ndarray) -> tuple[float, float]:
+    """How likely another mean of as many runs of the same method is so small, and so large.
+
+    By Student's t for a new mean: the variance of the difference of the two is that of both. A mean with a failed run
+    is infinite; another n runs have none with the probability that a resample of a resample of ours has none.
+    """
+    n, good = ours.size, ours[np.isfinite(ours)]
+    failed = np.arange(n + 1)
+    spared = float(np.sum(binom.pmf(failed, n, 1.0 - good.size / n) * (1.0 - failed / n) ** n))
+    if good.size < 2:
+        return spared, 1.0
+    error = float(good.std(ddof=1)) * math.sqrt(1.0 / good.size + 1.0 / n)
+    t = (value - float(good.mean())) / max(error, np.finfo(float).tiny)
+    below, above = (float(stdtr(good.size - 1, side)) for side in (t, -t))
+    return spared * below, spared * above + (1.0 - spared)
+
+
+def mean_p_value(value: float, ours: np.ndarray) -> float:
+    """Two-sided p-value of a printed number as another mean of as many runs as ours (n,)."""
+    return min(1.0, 2.0 * min(mean_tails(value, ours)))
+
+
+def _side(tails: tuple[float, float]) -> str:
+    below, above = tails
+    if below <= OUTSIDE:
         return "ours worse"
-    return "ours better" if value > high else "reproduced"
-
-
-def _means(values: np.ndarray) -> np.ndarray:
-    finite, drawn = np.isfinite(values), shares(values.size)
-    return np.asarray(np.where(drawn @ ~finite > 0, np.inf, drawn @ np.where(finite, values, 0.0)))
+    return "ours better" if above <= OUTSIDE else "reproduced"

@@ -15,6 +15,7 @@ import pandas as pd
 from bench.reporting.labels import title
 from bench.reporting.page.reading import disturbed
 from bench.reporting.page.words import number, percent, quantity
+from bench.scoring.verdict import decided
 
 
 @dataclass(frozen=True)
@@ -54,18 +55,19 @@ def reproduction(folder: Path) -> Table | None:
         return None
     counts = data[first].astype(str).str.replace(r" \(\d+ % prior\)", "", regex=True).value_counts()
     firm = int((data["firm"].astype(str) == "True").sum())
+    known = int(data[first].astype(str).map(decided).sum())
     notes = [
         "; ".join(
             f"{n} of {len(data)}: {text}" for text, n in sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))
         )
         + ".",
-        f"{firm} of {len(data)} verdicts hold under every reading of what the paper leaves open.",
+        f"{firm} of the {known} verdicts that decide anything hold under every reading of what the paper leaves open.",
     ]
     rows = tuple(
         (
             str(line["table"]), str(line["row"]), title(str(line["method"])), quantity(str(line["metric"])),
             number(line["paper"]), number(line[f"{first}: median"]), str(line[first]),
-            "yes" if str(line["firm"]) == "True" else "no",
+            "yes" if str(line["firm"]) == "True" else "no" if decided(str(line[first])) else "-",
         )
         for _, line in data.iterrows()
     )  # fmt: skip
@@ -98,7 +100,12 @@ def calibration(path: Path) -> Table | None:
         "Data sets",
         "Verdict",
     )
-    return Table(headers, rows, (f"{good} of the {len(data)} lines below are calibrated, by three tests at 5 %.",))
+    judged = int((data["verdict"] != "-").sum())
+    note = (
+        f"{good} of the {judged} lines below that state an uncertainty are calibrated, by three tests at 5 %, adjusted "
+        "over all lines (Benjamini and Hochberg)."
+    )
+    return Table(headers, rows, (note,))
 
 
 def robustness(folder: Path) -> Table | None:

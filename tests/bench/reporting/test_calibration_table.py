@@ -39,7 +39,7 @@ def test_honest_and_halved_uncertainties_are_told_apart(found: list[Result]) -> 
     assert honest["verdict"] == "calibrated"
     assert honest["coverage_95"] == pytest.approx(0.95)
     assert "too sure" in halved["verdict"]
-    assert halved["sd_z"] == pytest.approx(2.0, rel=0.02)
+    assert halved["rms_z"] == pytest.approx(2.0, rel=0.02)
     # doubled scores beyond 1.96 are scores beyond 0.98: 67 % remain inside
     assert halved["coverage_95"] == pytest.approx(0.67, abs=0.01)
     assert data["pinn", "c_over_m"]["verdict"] == "-"

@@ -1,0 +1,91 @@
+"""What the paper's errors of m, c and k imply of k/m and c/m, by hand and by drawing."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from bench.contract.estimate import Status
+from bench.reporting.frame import Result
+from bench.reporting.ratios import Bracket, brackets, judged_bracket, quotient_error, sizes
+from bench.scoring.row import Row
+from bench.scoring.verdict import Verdict, between, decided
+from bench.store.stored import StoredCell
+
+FOUND = {(b.table, b.row, b.method, b.metric): b for b in brackets()}
+
+
+def test_table_2_prints_an_estimate_whose_ratios_are_known() -> None:
+    """m = 0.989, c = 0.405 and k = 7.896 of 1, 0.4 and 8: k/m is 7.9838 of 8, c/m 0.40950 of 0.4."""
+    stiffness = FOUND[2, "identified", "pinn", "k_over_m_error_pct"]
+    damping = FOUND[2, "identified", "pinn", "c_over_m_error_pct"]
+    assert (stiffness.text, damping.text) == ("-0.20", "+2.38")
+    assert stiffness.low < 0.2022 < stiffness.high < 0.27
+    assert damping.low < 2.3761 < damping.high < 2.57
+    assert stiffness.one_run
+    assert damping.one_run
+
+
+def test_every_row_of_every_table_implies_both() -> None:
+    assert len(FOUND) == 2 * (1 + 4 + 5 + 5)
+    assert not any(b.one_run for b in FOUND.values() if b.table > 2)
+
+
+def test_errors_without_signs_by_hand() -> None:
+    """The paper's PINN in its Table 3, 2.6 % in m and 2.3 % in k: from 1.023/1.026 to 1.023/0.974 but for rounding."""
+    found = FOUND[3, "comparison", "pinn", "k_over_m_error_pct"]
+    assert found.low == pytest.approx(100 * (1 - 1.023 / 1.026), abs=0.11)
+    assert found.high == pytest.approx(100 * (1.023 / 0.974 - 1), abs=0.12)
+
+
+@pytest.mark.parametrize("place", [(3, "comparison", "ls"), (4, "5", "pinn"), (5, "40", "pinn")])
+def test_no_estimate_that_prints_so_lies_outside_a_bracket(place: tuple[int, str, str]) -> None:
+    """Every estimate whose errors round to those printed: of either signs, drawn within the rounding."""
+    printed = {(3, "comparison", "ls"): (18.2, 20.7), (4, "5", "pinn"): (4.3, 5.4), (5, "40", "pinn"): (2.1, 2.5)}
+    mass, stiffness = printed[place]
+    found, rng = FOUND[*place, "k_over_m_error_pct"], np.random.default_rng(0)
+    drawn = []
+    for above, below in itertools.product((-1, 1), repeat=2):
+        k, m = (1 + s * (e + rng.uniform(-0.05, 0.05, 5000)) / 100 for s, e in ((above, stiffness), (below, mass)))
+        drawn.append(np.abs(100 * (k / m - 1)))
+    least, most = np.min(drawn), np.max(drawn)
+    assert found.low <= least <= found.low + 0.03
+    assert found.high - 0.03 <= most <= found.high
+
+
+def test_a_range_about_nil_has_size_nil() -> None:
+    assert sizes([(-1.0, 3.0)]) == (0.0, 3.0)
+    assert sizes([(-4.0, -2.0), (1.0, 3.0)]) == (1.0, 4.0)
+    assert quotient_error((1.0, 1.1), (0.5, 1.0)) == pytest.approx((0.0, 120.0))
+
+
+def test_between_two_verdicts_is_what_they_share() -> None:
+    same, other = Verdict("reproduced", "ours better", "a"), Verdict("ours better", "ours better", "b")
+    assert between(same, same) is same
+    found = between(same, other)
+    assert (found.single, found.mean) == ("open", "ours better")
+    assert found.text == "open (single run), ours better (mean)"
+    assert [decided(text) for text in (found.text, "not decidable (99 % prior)", "ours better")] == [False, False, True]
+
+
+def spread(to: float) -> Result:
+    """A hundred errors of k/m, even from 0 to a size."""
+    rows = tuple(Row(i, Status.OK, scores={"k_over_m_error_pct": to * (i + 0.5) / 100}) for i in range(100))
+    return Result.of_stored(StoredCell("x", {}, rows, {"k_over_m_error_pct": {"excess": 1.0}}, {}, {}, 0.0, {}))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "one_run", "text"),
+    [
+        (0.2, 0.8, False, "reproduced (single run), open (mean)"),
+        (0.2, 0.8, True, "reproduced"),
+        (1.1, 2.0, False, "ours better"),
+        (0.8, 2.0, False, "open (single run), ours better (mean)"),
+        (0.2, 2.0, True, "open"),
+    ],
+)
+def test_a_bracket_is_judged_by_both_its_ends(low: float, high: float, one_run: bool, text: str) -> None:
+    bracket = Bracket(3, "comparison", "pinn", "k_over_m_error_pct", low, high, "", one_run)
+    assert judged_bracket(bracket, spread(1.0), spread(0.1)).text == text
