@@ -22,8 +22,8 @@ from bench.store.cell import Cell
 WEIGHING = 1.96
 """An error of so many standard deviations of the weighing is exceeded in one case of twenty."""
 INTRODUCTION = """Each of the paper's 59 numbers (Karkadakattil 2026, doi:10.25082/RIMA.2026.02.002) against the
-replicates of the same method here, read as a single run and as a mean of many. *Reproduced*: where one more run of
-ours, or another mean of as many runs (its own sampling error counted), lies in 90 cases of 100. Below that, ours is
+replicates of the same method here, read as a single run and as a mean of many. *Reproduced*: the number lies where 90
+in 100 further runs of ours do, or other means of as many runs (their own sampling error counted). Below that, ours is
 worse; above it, ours is better. *Not decidable*: more than half of our mean square error is the prior's.
 *Incompatible*: below what the oracle's luck allows. The paper's PINN stands beside `{own}` (Levenberg-Marquardt) and,
 under the first reading, beside the paper's own training."""

@@ -61,6 +61,17 @@ def test_the_rivals_loss_is_theirs() -> None:
     assert found.losses[-1] < 0.05 * found.losses[0]
 
 
+def test_whole_fits_are_compared_with_whole_fits() -> None:
+    """Ours is near the minimum after 0.1 s and ends after 0.5 s; a rival ends after 50 s, 2 % above, another within."""
+    ours = rivals.Descent([0.05, 0.1, 0.5], [9.0, 1.005, 1.0], 8.0)
+    found = [rivals.Rival("naive PyTorch", 50.0, 1.02), rivals.Rival("DeepXDE", 5.0, 1.001)]
+    own, shipped, naive, other = rivals.lines([ours], [1.0], {"pinn": 2.0}, found)
+    assert own[1:] == ["0.500", "0.100", "0.00", "100 ×", "10 ×"]
+    assert shipped == ["method=pinn", "2.000", "-", "-", "25 ×", "2.5 ×"]
+    assert naive[1:4] == ["50.00", "never reached", "2.0"]
+    assert other[1:4] == ["5.00", "at the end, 1 of 1", "0.1"]
+
+
 def test_growing_scenarios_are_what_they_say() -> None:
     cell = horizon(20)
     assert np.sqrt(cell.parameters["k"] / cell.parameters["m"]) * cell.duration / (2 * np.pi) == pytest.approx(20.0)

@@ -25,7 +25,6 @@ from bench.reporting.tables.common import (
     ranked,
 )
 from bench.scoring.comparison import Standing
-from bench.scoring.resampling import RESAMPLES
 from bench.scoring.verdict import Verdict, judge
 
 COLUMNS = (
@@ -188,6 +187,17 @@ class PaperTable:
             f"probability: from {low.resolved:.3f} ({title(low.a)}) to {high.resolved:.2f} ({title(high.a)})."
         )
 
+    def _paper_legend(self) -> str:
+        """What a verdict says, and which of its assumptions are ours."""
+        durations = ", ".join(dict.fromkeys(f"{result.duration:g} s" for result in self.results))
+        masses = dict.fromkeys(f"{100 * result.prior['mass']:g} %" for result in self.results if result.prior)
+        return (
+            "*Reproduced*: the number lies where 90 in 100 further runs of ours do (single run; known start), and "
+            "other means of as many runs (mean; their own sampling error counted). *Not decidable*: our prior "
+            f"decides. The paper says neither how long its records are nor what its prior is: {durations}, and a mass "
+            f"weighed to {', '.join(masses)}, are ours ([readings](reproduction.md))."
+        )
+
     def _paper_panel(self) -> str:
         lines = [
             line for line in self.lines
@@ -213,11 +223,7 @@ class PaperTable:
         for start, panel in self.panels.items():
             parts += [f"## Initial state {start}", markdown_table(*panel), self._resolved(start)]
         parts.append("## The paper's numbers")
-        parts.append(
-            "A verdict says where the paper's number falls among our replicates (known start): between their 5 % and "
-            f"95 % quantiles as a single run, and likewise among means of as many ({RESAMPLES} resamples)."
-        )
-        parts.append(self._paper_panel())
+        parts += [self._paper_legend(), self._paper_panel()]
         notes = failure_notes(self.results)
         parts += [f"## What failed\n\n{notes}"] if notes else []
         parts.append(f"Regenerate: `{self.command}`")
