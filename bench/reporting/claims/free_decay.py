@@ -253,9 +253,9 @@ def without_physics(e: Evidence) -> Said:
 def mass(e: Evidence) -> Said:
     """- **The mass errors of the paper's table say nothing about the methods.** Displacement in free vibration does
     not contain the mass: at the bound {share} % of what is known of it is the prior's. Here every method reports
-    {mass} %, the weighing's own ({weighing} %), whose uncertainty is our assumption, as is the length of the records. How the
-    paper's baselines come to {paper} % is not explained by their data. Each of its {numbers} numbers has its verdict,
-    and so has what they imply of k/m and c/m, under {readings} readings of what it leaves open:
+    {mass} %, the weighing's own ({weighing} %), whose uncertainty is our assumption, as is the length of the records.
+    How the paper's baselines come to {paper} % is not explained by their data. Each of its {numbers} numbers has its
+    verdict, and so has what they imply of k/m and c/m, under {readings} readings of what it leaves open:
     [reproduction](results/reproduction.md).
     """
     lines = e.rows("table3", metric="m_error_pct", initial_state="known")

@@ -30,8 +30,11 @@ DEFINITIONS = (
     # what a number means
     r"\b[01]00? % (?:is told )?by\b|\b0 % is told",
     r"(?:[Aa]t|below|about|line at|from|:|over Cramér-Rao bound:|is better,|over the bound,) 1\b(?! %)",
-    r"mean 0 and standard deviation 1",
-    r"standard deviation of 2 means intervals half as wide",
+    r"cut at 6: of mean 0 and root mean square \(RMS\) 1",
+    r"an RMS of 2 means intervals half as wide",
+    r"one below 1, too wide",
+    r"one in twenty is expected",
+    r"90 in 100 further runs",
     r"half the squared distance",
     r"at least half of the data sets",
     r"× ?>1e6",
