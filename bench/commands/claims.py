@@ -1,7 +1,8 @@
 """``python -m bench.claims``: every claim of README.md beside the results it rests on.
 
 Prints of each claim whether it passes, its numbers, and what must be so for it to be true. ``write=true`` fills the
-numbers in. Exit status 1 where a claim does not hold, the text says something else, or a number is typed by hand.
+numbers in, and the panel of Table 3 with them. Exit status 1 where a claim does not hold, the text or the panel says
+something else, or a number is typed by hand.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str]) -> int:
-    from bench.reporting.claims.document import check, filled, typed, typed_in_claims
+    from bench.reporting.claims.document import check, filled, typed, typed_in_claims, with_panels
     from bench.reporting.claims.evidence import Evidence
 
     known = {"write": "false", "document": "README.md", "results": "results", "store": DEFAULT_STORE, "archive": ""}
@@ -42,8 +43,8 @@ def _main(arguments: Sequence[str]) -> int:
         raise InputError("document", path, "there is no such file; run the command in a clone")
     text = path.read_text(encoding="utf-8")
     evidence = Evidence(Path(fields["results"]), open_store(fields["store"], fields["archive"]))
-    checked = list(check(text, evidence))
-    if fields["write"] == "true" and (new := filled(text, checked)) != text:
+    checked, results = list(check(text, evidence)), Path(fields["results"])
+    if fields["write"] == "true" and (new := with_panels(filled(text, checked), results)) != text:
         path.write_text(new, encoding="utf-8")
         print(f"{path}: written", file=sys.stderr)
         text, checked = new, list(check(new, evidence))
@@ -54,7 +55,10 @@ def _main(arguments: Sequence[str]) -> int:
         print(f"typed by hand: {place}")
     passed = sum(one.passes for one in checked)
     print(f"{passed} of {len(checked)} claims pass; {len(loose)} numbers are typed by hand")
-    return 0 if passed == len(checked) and not loose and filled(text, checked) == text else 1
+    stale = with_panels(text, results) != text
+    if stale:
+        print("the panel of a table differs: write=true fills it in")
+    return 0 if passed == len(checked) and not loose and not stale and filled(text, checked) == text else 1
 
 
 def _lines(one: Checked) -> str:

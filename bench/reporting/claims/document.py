@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from bench.errors import InputError
 from bench.reporting.claims import free_decay, studies, systems, wider
@@ -25,9 +26,11 @@ SECTIONS: Mapping[str, Sequence[Claim]] = {
 }
 """The passages of README.md by the name in their comment: ``<!-- claims: cost -->`` to ``<!-- /claims -->``."""
 PASSAGE = re.compile(r"(<!-- claims: (?P<name>[\w ]+) -->\n)(?P<text>.*?)(\n<!-- /claims -->)", re.DOTALL)
+PANEL = re.compile(r"(<!-- (?P<table>table \d) -->\n).*?(\n<!-- /(?P=table) -->)", re.DOTALL)
+"""A passage that shows what a table of results has for a known start."""
 SET_ASIDE = (
     re.compile(r"<!-- claims: .*?<!-- /claims -->", re.DOTALL),
-    re.compile(r"<!-- table.*?<!-- /table.*?-->", re.DOTALL),  # written by python -m bench.tables
+    re.compile(r"<!-- table.*?<!-- /table.*?-->", re.DOTALL),  # panels of the tables, see with_panels
     re.compile(r"```.*?```", re.DOTALL),
     re.compile(r"`[^`\n]*`"),
     re.compile(r"\]\([^)]*\)"),
@@ -93,6 +96,19 @@ def filled(document: str, checked: Sequence[Checked]) -> str:
 
     passages(document)
     return PASSAGE.sub(passage, document)
+
+
+def with_panels(document: str, results: Path) -> str:
+    """The document with every panel as the table in the folder of results has it now; raises InputError without one."""
+
+    def panel(found: re.Match[str]) -> str:
+        path = results / f"{found['table'].replace(' ', '')}.md"
+        if not path.is_file():
+            raise InputError("results", path, "there is no such table; write it with python -m bench.tables")
+        known = path.read_text(encoding="utf-8").partition("## Initial state known")[2]
+        return found[1] + known.partition("##")[0].strip() + found[3]
+
+    return PANEL.sub(panel, document)
 
 
 def typed(text: str, allowed: Sequence[str] = ALLOWED) -> list[str]:

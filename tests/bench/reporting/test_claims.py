@@ -244,3 +244,16 @@ def test_spans_lists_and_exceptions() -> None:
     assert listed([37.8, 25.6, 12.8]) == "38, 26 and 13"
     assert exceptions([("a", 2.15), ("b", 1.25), ("c", 1.28)], 1.25) == "a (2.15) and c (1.28)"
     assert exceptions([("a", 1.0)], 1.25) == "none"
+
+
+def test_the_panel_of_a_table_that_is_not_the_generated_one_is_told_and_put_right(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document, text = tmp_path / "README.md", README.read_text(encoding="utf-8")
+    wrong = text.replace("| Multiple shooting ", "| Simple shooting   ")
+    assert wrong != text
+    document.write_text(wrong, encoding="utf-8")
+    assert command(document) == 1
+    assert "the panel of a table differs" in capsys.readouterr().out
+    assert command(document, "write=true") == 0
+    assert document.read_text(encoding="utf-8") == text

@@ -7,11 +7,8 @@ no prior, as one writes it. The starts: what the scan of this benchmark gives, a
 from __future__ import annotations
 
 import importlib.util
-import json
-import resource
 import sys
 import time
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +19,7 @@ from bench import OutputError, Problem
 from bench.config.experiment import expand
 from bench.entrants.registry import make_method
 from methods.starts.candidates import candidates
-from tests.studies.engines.row import METHOD_STREAM, NO_MEMORY, begin, limit_memory
+from tests.studies.engines.row import METHOD_STREAM, answer, begin
 
 STEPS = 4
 """Runge-Kutta steps from one sample to the next, in the multiple shooting."""
@@ -205,20 +202,5 @@ def distance(own: Any, found: dict[str, float]) -> float:
     return float(np.max(off))
 
 
-def main() -> int:
-    """Do what the argument says, as JSON in and out; exit status 3 where the memory does not suffice."""
-    task = json.loads(sys.argv[1])
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    limit_memory(task["memory_mb"])
-    try:
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")
-            found = run(task)
-    except MemoryError:
-        return NO_MEMORY
-    print(json.dumps(found))
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(answer(run))

@@ -168,15 +168,15 @@ def peak_mb() -> float:
         return next(int(line.split()[1]) / 2**10 for line in lines if line.startswith("VmHWM"))
 
 
-def main() -> int:
-    """Do what the argument says; exit status 3 where the memory does not suffice."""
+def answer(run: Callable[[dict[str, Any]], dict[str, Any]]) -> int:
+    """Do what the argument says, as JSON in and out; exit status 3 where the memory does not suffice."""
     task = json.loads(sys.argv[1])
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     limit_memory(task["memory_mb"])
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            found = {"fit": fit, "bound": bound}[task["kind"]](task)
+            found = run(task)
     except MemoryError:
         return NO_MEMORY
     print(json.dumps(found))
@@ -184,4 +184,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(answer(lambda task: {"fit": fit, "bound": bound}[task["kind"]](task)))
