@@ -7,7 +7,8 @@ are the benchmark from Python; they are loaded when they are asked for.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from bench.contract.estimate import Belief, Cost, Draws, Estimate, Marginal, NoEstimate, Normal, Reconstruction, Status
+from bench.contract.belief import Belief, Draws, Marginal, Normal
+from bench.contract.estimate import Cost, Estimate, NoEstimate, Reconstruction, Status
 from bench.contract.method import EVERY_PROBLEM, Card, Identifier, Serves
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record, Units

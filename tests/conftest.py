@@ -23,8 +23,9 @@ import pytest  # noqa: E402
 from bench.commands import benchmark  # noqa: E402
 from bench.entrants import registry  # noqa: E402
 from bench.entrants.registry import load_method  # noqa: E402
-from bench.information.fisher import Bound, bound_identity, load_bounds  # noqa: E402
+from bench.information.fisher import Bound  # noqa: E402
 from bench.scenario.scenario import PriorSpec, Scenario  # noqa: E402
+from bench.store.bounds import bound_identity, load_bounds  # noqa: E402
 from bench.store.store import Store  # noqa: E402
 from bench.store.version import cell_version  # noqa: E402
 from bench.sweep import runner  # noqa: E402

@@ -17,7 +17,7 @@ from tabulate import tabulate
 from bench.commands.guard import command
 from bench.config.experiment import Experiment
 from bench.config.overrides import Overrides, read_overrides
-from bench.information.fisher import bound_identity, load_bounds
+from bench.store.bounds import bound_identity, load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.launch import complete

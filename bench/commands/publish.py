@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import sys
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from bench.commands.guard import command, read_folders
@@ -18,6 +18,7 @@ from bench.config.choices import choices
 from bench.config.experiment import Experiment
 from bench.errors import InputError
 from bench.store.archive.archive import BOUNDS, Archive
+from bench.store.bounds import bound_identity
 from bench.store.opening import DEFAULT_STORE, NONE, default_archive
 from bench.store.store import Store
 
@@ -25,21 +26,27 @@ USAGE = f"usage: python -m bench.publish [store={DEFAULT_STORE}] [archive=result
 OTHER = "other"
 
 
-def experiments_by_identity() -> dict[str, str]:
-    """The file of every cell that an experiment describes."""
+def experiments_by_identity() -> tuple[dict[str, str], set[str]]:
+    """The file of every cell that an experiment describes, and the bounds of them all."""
     numbers = {name: Experiment(name).table.get("number") for name in choices("experiment")}
-    found: dict[str, str] = {}
+    found, bounds = dict[str, str](), set[str]()
     for name in sorted(numbers, key=lambda own: (numbers[own] is None, numbers[own] or 0, own)):
         for cell in Experiment(name).cells():
             found.setdefault(cell.identity, name)
-    return found
+        bounds |= {bound_identity(scenario, seed) for scenario, seed in Experiment(name).scenarios()}
+    return found, bounds
 
 
-def publish(store: Store, archive: Archive, places: Mapping[str, str]) -> list[Path]:
+def publish(store: Store, archive: Archive, places: Mapping[str, str], bounds: Collection[str] = ()) -> list[Path]:
     """Write what has changed of an archive; returns the files that were written or removed.
 
-    ``places``: the file of a cell by identity, ``other`` for the rest. Raises InputError for a damaged cell, ValueError
-    where a cell would not come back as it is, OSError where there is no room.
+    Args:
+        store: Where cells are taken from.
+        archive: What is written.
+        places: The file of a cell by identity, ``other`` for the rest.
+        bounds: Those in use: of the archive's own bounds only these are kept.
+
+    Raises InputError for a damaged cell, ValueError where a cell would not come back as it is, OSError without room.
     """
     from bench.store.archive.part import ENDING, Entry, content_digest, write_part
 
@@ -66,17 +73,18 @@ def publish(store: Store, archive: Archive, places: Mapping[str, str]) -> list[P
         path = archive.folder / f"{name}{ENDING}"
         path.unlink()
         changed.append(path)
-    return changed + _publish_bounds(both, archive)
+    return changed + _publish_bounds(both, archive, bounds)
 
 
-def _publish_bounds(both: Store, archive: Archive) -> list[Path]:
+def _publish_bounds(both: Store, archive: Archive, used: Collection[str]) -> list[Path]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     from bench.store.archive.part import ENDING
 
     known = archive.bounds()
-    texts = known | {path.stem: path.read_text(encoding="utf-8") for path in both.bounds.glob("*.bound")}
+    kept = {name: text for name, text in known.items() if not used or name in used}
+    texts = kept | {path.stem: path.read_text(encoding="utf-8") for path in both.bounds.glob("*.bound")}
     if texts == known:
         return []
     path = archive.folder / f"{BOUNDS}{ENDING}"
@@ -104,7 +112,7 @@ def _main(arguments: Sequence[str]) -> int:
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
     Store(archive.folder).prepare()
     try:
-        changed = publish(store, archive, experiments_by_identity())
+        changed = publish(store, archive, *experiments_by_identity())
     except (OSError, ValueError) as error:
         raise InputError("archive", archive.folder, f"not written whole ({error})") from None
     for path in changed:

@@ -10,11 +10,13 @@ differs the cell is named and stays stale, for a sweep to compute; so does one w
 have been the change. Each cell is dealt with as soon as its replicates are there: a run that is interrupted goes on
 where it was.
 
-Cells that were vouched for on fewer replicates are checked again.
+Cells that were vouched for on fewer replicates are checked again. Where no more than the summary or the bound beside it
+has changed, those are made anew from the stored rows, and nothing is fitted.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import sys
@@ -31,12 +33,16 @@ from bench.commands.reproduce import compare_rows, stored_as_cell
 from bench.config.experiment import Experiment
 from bench.contract.estimate import Status
 from bench.errors import InputError
+from bench.information.fisher import Bound
 from bench.scoring.row import Row
+from bench.scoring.summary import summarise
+from bench.store.bounds import load_bounds
 from bench.store.cell import Cell
 from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.provenance import provenance
 from bench.store.store import Store
 from bench.store.stored import StoredCell
+from bench.store.version import rows_digest
 from bench.sweep.launch import fits_bar, preloaded
 from bench.sweep.plan import FAILURES, Planned, State
 from bench.sweep.runner import run_replicates
@@ -126,16 +132,29 @@ def difference(check: Check, rows: Sequence[Row]) -> float:
     return max(compare_rows(before, rows, check.stored.rows).differences.values(), default=0.0)
 
 
-def vouched(check: Check, commit: str | None, largest: float) -> StoredCell:
-    """The cell as one of the present code, with a note of why."""
+def vouched(check: Check, bound: Bound, commit: str | None, largest: float) -> StoredCell:
+    """The cell as one of the present code, with a note of why, and with the present summary and bound."""
     stored, notes = check.stored, _notes(check.stored)
     computed_by = notes[0]["computed_by"] if notes else stored.version.get("digest")
     note = {
         "replicates": list(check.replicates), "largest_difference": float(f"{largest:.2g}"),
         "missed_5_percent": check.miss, "computed_by": computed_by, "commit": commit,
     }  # fmt: skip
-    version = check.cell.version.as_json()
-    return replace(stored, version=version, provenance={**stored.provenance, "rechecked": [*notes, note]})
+    return replace(
+        _summarised(stored, check.cell, bound), provenance={**stored.provenance, "rechecked": [*notes, note]}
+    )
+
+
+def _summarised(stored: StoredCell, cell: Cell, bound: Bound) -> StoredCell:
+    """The cell with a summary and bound of the present code, its rows as they are."""
+    summary = {name: dict(vars(own)) for name, own in summarise(stored.rows, bound).items()}
+    return replace(
+        stored,
+        summary=summary,
+        version=cell.version.as_json(),
+        prior_share=bound.prior_share,
+        identifiable=bound.identifiable,
+    )
 
 
 def withdrawn(check: Check) -> StoredCell:
@@ -156,16 +175,35 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: Sequence[str]) -> int:
     fields = read_fields(arguments, {"experiment": "", "method": "", "store": DEFAULT_STORE, "archive": ""})
-    store = open_store(fields["store"], fields["archive"])
+    store, wanted = open_store(fields["store"], fields["archive"]), _filter(fields)
     if not store.there():
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
-    found = checks(store, _filter(fields))
-    if not found:
+    summarised = summarise_anew([stored for stored in store if wanted(stored)], store)
+    found = checks(store, wanted)
+    if summarised:
+        print(f"{summarised} cells: rows as they were, summaries and bounds made anew")
+    elif not found:
         print("no cell is stale")
-        return 0
-    confirmed = run(found, store, _limits(found))
-    print("\n".join(closing(found, confirmed)))
+    if found:
+        confirmed = run(found, store, _limits(found))
+        print("\n".join(closing(found, confirmed)))
     return 0
+
+
+def summarise_anew(found: Sequence[StoredCell], store: Store) -> int:
+    """Store the cells whose rows are those of the present code with a summary and bound of it; returns how many."""
+    pairs = []
+    for stored in found:
+        with contextlib.suppress(InputError):  # its configuration means something else now
+            cell, digest = stored_as_cell(stored), str(stored.version.get("digest"))
+            if cell.version.digest != digest and cell.version.of_rows == rows_digest(digest):
+                pairs.append((stored, cell))
+    if pairs:
+        store.prepare()
+    bounds = load_bounds([(cell.scenario, cell.seed) for _, cell in pairs], store.bounds)
+    for (stored, cell), bound in zip(pairs, bounds, strict=True):
+        store.restate(_summarised(stored, cell, bound))
+    return len(pairs)
 
 
 def _filter(fields: Mapping[str, str]) -> Callable[[StoredCell], bool]:
@@ -204,7 +242,8 @@ def run(found: Sequence[Check], store: Store, limits: Limits) -> dict[str, bool]
         confirmed[cell.identity] = largest < SAME
         if confirmed[cell.identity]:
             come = provenance(cell.version, limits.workers, limits.timeout_s, limits.memory_mb, time.time())
-            store.restate(vouched(check, come["commit"], largest))
+            bound = load_bounds([(cell.scenario, cell.seed)], store.bounds)[0]  # there: the fits have seen to it
+            store.restate(vouched(check, bound, come["commit"], largest))
         elif _notes(check.stored):
             store.restate(withdrawn(check))
 

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench.contract.estimate import Cost, Estimate, Normal, Status
+from bench.contract.belief import Normal
+from bench.contract.estimate import Cost, Estimate, Status
 from bench.contract.problem import Problem
 from bench.dynamics.simulate import fitted_start
 from bench.likelihood.output_error import OutputError, Standardised, estimate_at

@@ -5,37 +5,26 @@ log-parameters (and the initial state, where it is not told). With Gaussian nois
 between level and parameters vanish (the expectation of the residual is zero), so estimating the level costs nothing.
 
 Sensitivities are exact for a linear system (:mod:`bench.information.linear_sensitivities`); jax differentiates fine
-Runge-Kutta steps for others (:mod:`bench.information.stepped_sensitivities`), in a process of its own. A bound is
-computed once and kept.
+Runge-Kutta steps for others (:mod:`bench.information.stepped_sensitivities`), in a process of its own
+(:mod:`bench.store.bounds` keeps them).
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-import multiprocessing
-import os
-import sys
-import uuid
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
+from scipy.linalg import qr, solve_triangular
 
-from bench.errors import InputError
 from bench.information.linear_sensitivities import linear_sensitivities
 from bench.information.stepped_sensitivities import stepped_sensitivities
-from bench.isolation.mainless import without_main
 from bench.scenario.scenario import Scenario
 from bench.systems import Quantity
 
-UNWRITABLE = 74
-"""Exit status of the process that computes bounds where it cannot store them."""
 RANK_TOLERANCE = 1e-9
 """Eigenvalues of the Fisher information below this part of the largest count as zero."""
-FORMAT = 1
 
 
 @dataclass(frozen=True)
@@ -81,9 +70,18 @@ class Information:
     precision: np.ndarray
 
     @cached_property
+    def _inverse(self) -> Inverse:
+        return invert(self.data, self.precision)
+
+    @property
+    def factor(self) -> np.ndarray:
+        """A root of the bound on the covariance, which is ``factor @ factor.T``; see ``covariance``."""
+        return self._inverse.factor
+
+    @property
     def covariance(self) -> np.ndarray:
         """The bound on the covariance; on the informed directions only, where some are not."""
-        return _pseudo_inverse(self.data + np.diag(self.precision))
+        return self.factor @ self.factor.T
 
     @cached_property
     def null_space(self) -> np.ndarray:
@@ -92,7 +90,7 @@ class Information:
 
     @cached_property
     def _untold(self) -> np.ndarray:
-        return _null_space(self.data + np.diag(self.precision), len(self.names))
+        return _orthonormal(self._inverse.untold[:, : len(self.names)])
 
     def _exponents(self, quantity: Quantity) -> np.ndarray:
         w = np.zeros(len(self.precision))
@@ -107,14 +105,13 @@ class Information:
         """The bound on the variance of the quantity's logarithm; inf where neither data nor prior tell it."""
         if not _orthogonal(self._untold, quantity.vector(self.names)):
             return float("inf")
-        w = self._exponents(quantity)
-        return float(w @ self.covariance @ w)
+        return float(np.sum((self._exponents(quantity) @ self.factor) ** 2))
 
     def prior_share(self, quantity: Quantity) -> float:
         """The part of that variance that comes from the prior's error; 0 where nothing tells the quantity."""
-        w, variance = self._exponents(quantity), self.variance(quantity)
-        from_prior = self.covariance @ np.diag(self.precision) @ self.covariance
-        return float(w @ from_prior @ w / variance) if 0 < variance < np.inf else 0.0
+        factor, variance = self.factor, self.variance(quantity)
+        from_prior = np.sqrt(self.precision) * (factor @ (self._exponents(quantity) @ factor))
+        return float(np.sum(from_prior**2) / variance) if 0 < variance < np.inf else 0.0
 
     def condition(self, with_prior: bool) -> tuple[float, int]:
         """Condition number of the information scaled to a unit diagonal, and how many directions it leaves out.
@@ -174,8 +171,8 @@ def compute_bound(scenario: Scenario, seed: int = 0) -> Bound:
 
     def rms(at: np.ndarray) -> float:
         g = gradient[list(scenario.measured_dofs)][:, np.searchsorted(times, at), : len(told.precision)]
-        own = told.covariance[: g.shape[2], : g.shape[2]]  # the first record's, which is scored
-        return float(np.sqrt(np.mean(np.einsum("dti,ij,dtj->dt", g, own, g))))
+        own = told.factor[: g.shape[2]]  # the first record's, which is scored
+        return float(np.sqrt(np.mean(np.sum((g @ own) ** 2, axis=-1))))
 
     none = np.inf if scenario.truth_drawn else 1.0
     return Bound(
@@ -196,10 +193,36 @@ def _scaled(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return information / np.outer(scale, scale), scale
 
 
-def _pseudo_inverse(information: np.ndarray) -> np.ndarray:
-    """Inverse on the directions that are informed; a quantity outside them is reported as inf by the caller."""
-    scaled, scale = _scaled(information)
-    return np.asarray(np.linalg.pinv(scaled, rcond=RANK_TOLERANCE, hermitian=True) / np.outer(scale, scale))
+@dataclass(frozen=True, eq=False)
+class Inverse:
+    """``factor @ factor.T`` is the inverse on the informed directions; ``untold``: rows, those nothing tells."""
+
+    factor: np.ndarray
+    untold: np.ndarray
+
+
+def invert(data: np.ndarray, precision: np.ndarray) -> Inverse:
+    """Invert ``data + diag(precision)``, however much more the one tells of some directions than the other.
+
+    The sum is never formed: a prior that is weaker than the rounding of what the data tell elsewhere still counts where
+    the data tell nothing, and likewise. Roots of both stand above each other, and are triangularised by reflections
+    with the largest rows first and pivoted columns, which is stable row by row (N. J. Higham, Accuracy and Stability of
+    Numerical Algorithms, 2nd ed. 2002, section 20.3).
+    """
+    scaled, scale = _scaled(data)
+    values, vectors = np.linalg.eigh(scaled)
+    told = values >= RANK_TOLERANCE * max(float(values[-1]), 1e-300)
+    prior = np.diag(np.sqrt(precision) / scale)
+    open_ = vectors[:, ~told]
+    if open_.size:
+        _, sizes, sides = np.linalg.svd(prior @ open_)
+        open_ = open_ @ sides[sizes <= RANK_TOLERANCE * float(np.max(prior))].T
+    kept = np.linalg.qr(np.concatenate([open_, np.eye(len(data))], axis=1))[0][:, open_.shape[1] :]
+    rows = np.concatenate([np.sqrt(values[told])[:, None] * vectors[:, told].T, prior]) @ kept
+    rows = rows[np.argsort(-np.max(np.abs(rows), axis=1))]
+    triangle, order = qr(rows, mode="r", pivoting=True)
+    inverse = solve_triangular(triangle[: kept.shape[1]], np.eye(kept.shape[1]))
+    return Inverse(kept[:, order] @ inverse / scale[:, None], open_.T / scale)
 
 
 def _null_space(information: np.ndarray, n_parameters: int) -> np.ndarray:
@@ -207,84 +230,11 @@ def _null_space(information: np.ndarray, n_parameters: int) -> np.ndarray:
     own, nuisance = information[:n_parameters, :n_parameters], information[n_parameters:, n_parameters:]
     if nuisance.size:
         cross = information[:n_parameters, n_parameters:]
-        own = own - cross @ _pseudo_inverse(nuisance) @ cross.T
+        own = own - (across := cross @ invert(nuisance, np.zeros(len(nuisance))).factor) @ across.T
     scaled, scale = _scaled(own)
     values, vectors = np.linalg.eigh(scaled)
-    null = (vectors[:, values < RANK_TOLERANCE * max(values[-1], 1e-300)] / scale[:, None]).T
-    return np.linalg.qr(null.T)[0].T if null.size else null
+    return _orthonormal((vectors[:, values < RANK_TOLERANCE * max(values[-1], 1e-300)] / scale[:, None]).T)
 
 
-def bound_identity(scenario: Scenario, seed: int) -> str:
-    """Hash of everything the bound depends on (the seed only where it draws a force)."""
-    identity = {
-        "format": FORMAT,
-        **scenario.undisturbed.data_identity(),
-        **scenario.told_identity(),
-        "dense": scenario.dense,
-        "forecast": scenario.forecast,
-        "seed": seed if scenario.force else None,
-    }
-    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
-
-
-Job = tuple[Scenario, int, Path]
-"""A scenario and seed, and the file that keeps their bound."""
-
-
-def _compute_to_file(job: Job) -> None:
-    scenario, seed, path = job
-    text = json.dumps(asdict(compute_bound(scenario, seed)))
-    temporary = path.with_suffix(f".{uuid.uuid4().hex}.tmp")  # two machines can have the same process ids
-    try:
-        temporary.write_text(text)
-        os.replace(temporary, path)
-    except OSError:
-        raise _unwritable(path.parent) from None
-
-
-def _unwritable(folder: Path) -> InputError:
-    return InputError("store", folder, "the bounds cannot be written; make room, or name another folder")
-
-
-def _compute_all(jobs: Sequence[Job]) -> None:
-    """Main function of the process that computes bounds with jax."""
-    try:
-        for job in jobs:
-            _compute_to_file(job)
-    except InputError:
-        sys.exit(UNWRITABLE)
-
-
-def load_bounds(wanted: Sequence[tuple[Scenario, int]], folder: Path) -> list[Bound]:
-    """The bounds of (scenario, seed) pairs from the cache under ``folder``.
-
-    What is missing is computed first: of linear systems here, of others in one process of its own, so that jax never
-    shares a process with a fit. Raises InputError where ``folder`` cannot be written.
-    """
-    paths = [folder / f"{bound_identity(scenario, seed)}.bound" for scenario, seed in wanted]
-    missing = {path: job for path, job in zip(paths, wanted, strict=True) if not path.exists()}
-    if missing:
-        folder.mkdir(parents=True, exist_ok=True)
-    jobs = [(scenario, seed, path) for path, (scenario, seed) in missing.items()]
-    for job in jobs:
-        if job[0].make_system().linear:
-            _compute_to_file(job)
-    if others := [job for job in jobs if not job[0].make_system().linear]:
-        process = multiprocessing.get_context("spawn").Process(target=_compute_all, args=(others,))
-        with without_main():
-            process.start()
-        process.join()
-        if process.exitcode == UNWRITABLE:
-            raise _unwritable(folder)
-        if process.exitcode != 0:
-            raise RuntimeError(f"the computation of {len(others)} bound(s) failed (exit {process.exitcode})")
-    return [_from_file(path) for path in paths]
-
-
-def _from_file(path: Path) -> Bound:
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-        names, null_space = tuple(values.pop("names")), tuple(map(tuple, values.pop("null_space")))
-        return Bound(names=names, null_space=null_space, **values)
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError("store", path, "not a whole bound; remove it, it is computed anew") from None
+def _orthonormal(rows: np.ndarray) -> np.ndarray:
+    return np.linalg.qr(rows.T)[0].T if rows.size else rows

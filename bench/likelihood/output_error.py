@@ -12,7 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from bench.contract.estimate import Cost, Estimate, Normal
+from bench.contract.belief import Normal
+from bench.contract.estimate import Cost, Estimate
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, InitialState, Problem, Record
 from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurements

@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from bench.contract.estimate import Estimate, Normal, Status
+from bench.contract.belief import Normal
+from bench.contract.estimate import Estimate, Status
 from bench.contract.prior import Prior
 from bench.systems import System
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bench.contract.estimate import Estimate, Marginal, Normal, Status, standard_quantile
+from bench.contract.belief import Marginal, Normal, standard_quantile
+from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
 from bench.dynamics.simulate import fitted_start, simulate
 from bench.scenario.truth import Truth

@@ -57,7 +57,7 @@ class Cell:
     @cached_property
     def bound_identity(self) -> str:
         """Hash of what the bound depends on, which many cells share."""
-        from bench.information.fisher import bound_identity  # loads scipy, which a mere look at cells does without
+        from bench.store.bounds import bound_identity  # loads scipy, which a mere look at cells does without
 
         return bound_identity(self.scenario, self.seed)
 

@@ -26,18 +26,19 @@ SCORING: tuple[Definition, ...] = (
     ("bench.scenario.scenario", "Scenario"),
     ("bench.scoring.combination", "combine_with_prior"),
     ("bench.scoring.score", "score"),
-    ("bench.scoring.summary", "summarise"),
-    ("bench.information.fisher", "compute_bound"),
 )
-"""What every cell's numbers pass through, whatever the method: data, scores, summaries, bounds."""
+"""What the rows of every cell pass through, whatever the method: data and scores."""
+SUMMARY: Definition = ("bench.scoring.summary", "summarise")
+BOUND: Definition = ("bench.information.fisher", "compute_bound")
 
 
 @dataclass(frozen=True)
 class Version:
     """What computes a cell.
 
-    ``digest`` is that of all definitions in use and of the packages, wherever the definitions stand; ``modules`` has a
-    digest of those that each module holds, and serves to say where a change is; ``packages`` their public versions.
+    ``digest`` is that of all definitions in use and of the packages, wherever the definitions stand: of those that make
+    the rows, a dash, of those that summarise them beside the bound. ``modules`` has a digest of those that each module
+    holds, and serves to say where a change is; ``packages`` their public versions.
     """
 
     digest: str
@@ -46,6 +47,11 @@ class Version:
 
     def as_json(self) -> dict[str, Any]:
         return {"digest": self.digest, "modules": dict(self.modules), "packages": dict(self.packages)}
+
+    @property
+    def of_rows(self) -> str:
+        """The part of the digest that the rows hang on; what has the same needs no fit to be brought up to date."""
+        return rows_digest(self.digest)
 
     def changes(self, stored: Mapping[str, Any]) -> list[str]:
         """What differs from a stored version, in words; nothing where nothing does."""
@@ -63,6 +69,11 @@ class Version:
         return ", ".join(self.changes(stored))
 
 
+def rows_digest(digest: str) -> str:
+    """The part of a digest that the rows of a cell hang on."""
+    return digest.partition("-")[0]
+
+
 @cache
 def cell_version(method: str, system: str, disturbance: str = "none") -> Version:
     """The version of what computes the cells of a method, or of a reference row, on a system with a disturbance."""
@@ -74,7 +85,26 @@ def cell_version(method: str, system: str, disturbance: str = "none") -> Version
     disturbing = kinds().get(disturbance)
     if disturbing is not None:
         roots.append((disturbing.__module__, disturbing.__name__))
-    return version_of(roots)
+    rows, summary = version_of(roots), _summary_version(system)
+    own = {name: digest for name, digest in summary.modules.items() if rows.modules.get(name) != digest}
+    modules = {**rows.modules, **{f"{name} (summary)": digest for name, digest in own.items()}}
+    return Version(f"{rows.digest}-{summary.digest}", modules, rows.packages)
+
+
+@cache
+def _summary_version(system: str) -> Version:
+    return version_of([SUMMARY, *_bound_roots(system)])
+
+
+@cache
+def bound_version(system: str) -> str:
+    """The digest of what computes the bounds of a system."""
+    return version_of(_bound_roots(system)).digest
+
+
+def _bound_roots(system: str) -> list[Definition]:
+    point = registered_systems().get(system)
+    return [BOUND, *([(point.module, point.attr)] if point else [])]
 
 
 def version_of(roots: Iterable[Definition]) -> Version:

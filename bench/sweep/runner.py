@@ -10,9 +10,9 @@ from importlib.util import find_spec
 
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import load_method
-from bench.information.fisher import load_bounds
 from bench.isolation.processes import Children
 from bench.scoring.row import Row
+from bench.store.bounds import load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.plan import Planned

@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from bench.contract.estimate import Draws, Estimate, Status
+from bench.contract.belief import Draws, Normal
+from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
 from bench.entrants.reference import REFERENCES
-from bench.information.fisher import Bound, load_bounds
+from bench.information.fisher import Bound
 from bench.isolation.failure import one_line
 from bench.scenario.scenario import METHOD
 from bench.scenario.truth import Truth
@@ -27,6 +28,7 @@ from bench.scoring.combination import combine_with_prior
 from bench.scoring.row import Row
 from bench.scoring.score import score
 from bench.scoring.summary import summarise
+from bench.store.bounds import load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.store.stored import StoredCell
@@ -236,7 +238,7 @@ def kept_arrays(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str,
     if isinstance(belief, Draws):
         step = max(1, len(belief.samples) // KEPT_DRAWS)
         arrays["draws"] = belief.samples[::step][:KEPT_DRAWS]
-    elif belief is not None:
+    elif isinstance(belief, Normal):
         arrays["mean"] = belief.mean
         if belief.covariance is not None:
             arrays["covariance"] = belief.covariance

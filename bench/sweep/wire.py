@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.contract.estimate import Belief, Cost, Draws, Estimate, Normal, Reconstruction, Status
+from bench.contract.belief import Belief, Draws, Normal
+from bench.contract.estimate import Cost, Estimate, Reconstruction, Status
 from bench.contract.problem import InitialState
 from bench.systems import System
 

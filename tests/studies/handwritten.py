@@ -29,7 +29,6 @@ from bench import Estimate, Normal, Problem, Status
 from bench.commands.guard import command, read_fields, whole
 from bench.config.experiment import expand
 from bench.entrants.registry import make_method
-from bench.information.fisher import load_bounds
 from bench.isolation.failure import one_line
 from bench.isolation.processes import single_threaded
 from bench.reporting.rounding import excess_text, number
@@ -38,6 +37,7 @@ from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import score
 from bench.scoring.summary import wilson_interval
+from bench.store.bounds import load_bounds
 from bench.store.store import Store
 
 SEED = 4242

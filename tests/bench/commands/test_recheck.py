@@ -82,6 +82,25 @@ def test_nothing_is_stale(store: Store, capsys: pytest.CaptureFixture[str]) -> N
     assert "no cell is stale" in capsys.readouterr().out
 
 
+def test_where_only_the_summary_is_of_older_code_it_is_made_anew_and_nothing_is_fitted(
+    store: Store, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def older(version: dict[str, Any]) -> dict[str, Any]:
+        return {**version, "digest": version["digest"].partition("-")[0] + "-" + OLD}
+
+    def unbounded(summary: dict[str, Any]) -> dict[str, Any]:
+        return {name: {**one, "bound": "nan"} for name, one in summary.items()}
+
+    before = json.loads(_edit(store, "ls").read_text())
+    path = _edit(store, "ls", version=older, summary=unbounded)
+    monkeypatch.setattr(recheck, "run_replicates", None)
+    assert recheck.main([f"store={store.folder}", "archive=none"]) == 0
+    assert "1 cells: rows as they were" in capsys.readouterr().out
+    after = json.loads(path.read_text())
+    assert after["version"]["digest"] == before["version"]["digest"]
+    assert (after["rows"], after["summary"]) == (before["rows"], before["summary"])
+
+
 def test_a_tenth_is_compared_and_five_at_least() -> None:
     assert [recheck.n_compared(n) for n in (1, 5, 6, 50, 51, 100, 500)] == [1, 5, 5, 5, 6, 10, 50]
 

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.errors import InputError
-from bench.information import fisher as bound_module
-from bench.information.fisher import Bound, bound_identity, compute_bound, load_bounds, sensitivities
+from bench.information import fisher
+from bench.information.fisher import Bound, compute_bound, sensitivities
 from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
 from bench.scenario.truth import reference_response
 from bench.systems import System
@@ -40,7 +39,7 @@ def _share_sensitivities() -> Any:
         return known[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bound_module, "sensitivities", shared)
+        patch.setattr(fisher, "sensitivities", shared)
         yield
 
 
@@ -84,7 +83,7 @@ def test_the_protocols_displacement_bounds(told: str, snr: int) -> None:
 def test_the_sensitivities_are_those_of_the_closed_form() -> None:
     scenario = on_its_samples(SDOF_FREE)
     times = np.unique(np.concatenate([scenario.times, scenario.forecast_times]))
-    response, gradient = bound_module.sensitivities(scenario, 0, times)
+    response, gradient = fisher.sensitivities(scenario, 0, times)
     exact = gradient_of_closed_form(times)
     np.testing.assert_allclose(response[0], np.real(closed_form(np.log([1.0, 0.4, 8.0]), 1.0, 0.0, times)), atol=1e-8)
     np.testing.assert_allclose(gradient[0], exact, atol=1e-7)
@@ -181,7 +180,7 @@ def test_forced_sensitivities_are_finite_differences_of_the_truths_own_response(
     """The truth is made by scipy's matrix exponential, of matrices that are not those of the sensitivities."""
     scenario = on_its_samples(replace(SDOF_FREE, force=MULTISINE))
     times = np.unique(np.concatenate([scenario.times, scenario.forecast_times]))
-    _, gradient = bound_module.sensitivities(scenario, 0, times)
+    _, gradient = fisher.sensitivities(scenario, 0, times)
     system, forces = scenario.make_system(), scenario.forces(0)
     for i, name in enumerate(system.names):
         sides = []
@@ -212,42 +211,22 @@ def test_without_signal_the_bound_is_the_prior() -> None:
         assert bound.prior_share[name] == pytest.approx(1.0, abs=1e-6)
 
 
-SCRIPT = """if __name__ == "__main__":
-    import sys
-    from dataclasses import replace
-    from pathlib import Path
-    from bench.information.fisher import load_bounds
-    from bench.scenario.scenario import Scenario
-    linear = Scenario("sdof", {"m": 1.0, "c": 0.4, "k": 8.0}, ((1.0,), (0.0,)), 20.0, dense=25, forecast=0.5)
-    other = replace(linear, system="duffing", parameters={**linear.parameters, "k3": 5.0})
-    print(repr(load_bounds([(linear, 0), (linear, 1), (other, 0)], Path(sys.argv[1]))))
-    assert "jax" not in sys.modules, "jax is here"
-"""
-
-
-def test_bounds_are_computed_without_jax_here_and_then_read(
-    tmp_path: Path, python: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("snr", [0.0, 40.0, 120.0])
+@pytest.mark.parametrize("told", ["known", "unknown"])
+def test_the_mass_of_a_long_free_record_is_the_priors_however_much_the_data_tell_of_the_rest(
+    snr: float, told: str
 ) -> None:
-    """jax stays out of the process that asks; whoever asks again finds the bound and computes nothing."""
-    (tmp_path / "ask.py").write_text(SCRIPT)
-    asked = python(str(tmp_path / "ask.py"), str(tmp_path / "cache"))
-    assert asked.returncode == 0, asked.stderr
-    assert [path.suffix for path in (tmp_path / "cache").iterdir()] == [".bound", ".bound"]
-    linear = replace(SDOF_FREE, dense=25, forecast=0.5)
-    other = replace(linear, system="duffing", parameters=DUFFING_FREE.parameters)
-    expected = [compute_bound(linear), compute_bound(other)]
-    for name in ("multiprocessing", "compute_bound"):
-        monkeypatch.setattr(bound_module, name, None)
-    assert load_bounds([(linear, 5), (other, 5)], tmp_path / "cache") == expected
-    assert asked.stdout.strip() == repr([expected[0], expected[0], expected[1]])
-
-
-@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder that not even root can write")
-@pytest.mark.parametrize("scenario", [SDOF_FREE, DUFFING_FREE], ids=["here", "in its own process"])
-def test_a_bound_that_cannot_be_written_is_said_in_one_line(scenario: Scenario) -> None:
-    with pytest.raises(InputError, match="store=/proc/self: the bounds cannot be written") as caught:
-        load_bounds([(scenario, 0)], Path("/proc/self"))
-    assert len(str(caught.value).splitlines()) == 1
+    """2,250 cycles tell k/m so much better than the prior tells m that its part is below their rounding."""
+    long = {"duration": 2250.0, "samples": 9000, "dense": 25, "forecast": 1.0, "initial_state": told}
+    p = {"m": 2.0, "c": 0.004, "k": 2.0 * (2 * math.pi) ** 2}
+    bound = compute_bound(replace(SDOF_FREE, parameters=p, snr_db=snr, prior=NOMINAL, **long))
+    weighings = 1 / 0.02**2 + 1 / 1.0**2 + 1 / 0.5**2  # with k/m and c/m known, each prior is one of the mass
+    tells = 1e-6 if snr else 1e-2  # at 0 dB c/m is known to some percent
+    assert bound.relative_sd["m"] == pytest.approx(weighings**-0.5, rel=tells)
+    assert bound.relative_sd["k"] == pytest.approx(weighings**-0.5, rel=tells)
+    assert bound.prior_share["m"] == pytest.approx(1.0, abs=tells)
+    alone = compute_bound(replace(SDOF_FREE, parameters=p, snr_db=snr, **long))
+    assert bound.relative_sd["k_over_m"] == pytest.approx(alone.relative_sd["k_over_m"], rel=1e-3)
 
 
 COMPILE = """import sys
@@ -274,27 +253,3 @@ def test_what_jax_compiles_is_kept_for_the_next_process_where_it_can_be(
     assert [asked.stderr for asked in found] == ["", "", ""]
     assert len({asked.stdout for asked in found}) == 1
     assert list((tmp_path / "cache" / "vibration-bench" / "jax").glob("jit_response-*"))
-
-
-def test_a_bound_is_shared_where_nothing_that_it_depends_on_differs() -> None:
-    scenario = replace(SDOF_FREE, prior=NOMINAL)
-    assert bound_identity(scenario, 0) == bound_identity(replace(scenario, label="other"), 1)
-    different = [
-        replace(scenario, snr_db=21.0),
-        replace(scenario, initial_state="unknown"),
-        replace(scenario, prior=None),
-        replace(scenario, samples=26),
-        replace(scenario, parameters={**SDOF_TRUE, "m": 1.1}),
-        replace(scenario, dense=500),
-        replace(scenario, forecast=5.0),
-    ]
-    assert len({bound_identity(s, 0) for s in [scenario, *different]}) == 1 + len(different)
-    forced = replace(scenario, force=MULTISINE)
-    assert bound_identity(forced, 0) != bound_identity(forced, 1)
-
-
-def test_a_damaged_bound_is_named_in_one_line(tmp_path: Path) -> None:
-    (tmp_path / f"{bound_identity(SDOF_FREE, 0)}.bound").write_text('{"names": ["m"')
-    with pytest.raises(InputError, match=r"store=.*\.bound: ") as caught:
-        load_bounds([(SDOF_FREE, 0)], tmp_path)
-    assert len(str(caught.value).splitlines()) == 1

@@ -15,9 +15,10 @@ from scipy import stats
 
 from bench import InputError
 from bench.config.experiment import expand
-from bench.information.fisher import bound_identity, compute_bound
+from bench.information.fisher import compute_bound
 from bench.scenario.disturbance import Disturbance, kinds
 from bench.scenario.scenario import METHOD, ForceSpec, PriorSpec, Scenario
+from bench.store.bounds import bound_identity
 from bench.store.cell import Cell
 from bench.store.opening import open_store
 

@@ -110,7 +110,7 @@ def test_a_method_hangs_on_its_own_code_and_the_systems_not_on_other_methods_or_
         "bench.scoring.score",
         "bench.scenario.scenario",
         "bench.dynamics.simulate",
-        "bench.information.fisher",
+        "bench.information.fisher (summary)",
         "bench.systems.linear",
     ):
         assert module in shooting.modules

@@ -15,7 +15,7 @@ import pytest
 from bench import InputError
 from bench.commands.main import main
 from bench.config.experiment import expand
-from bench.information.fisher import load_bounds
+from bench.store.bounds import load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep import launch

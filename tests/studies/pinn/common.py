@@ -14,11 +14,11 @@ import numpy as np
 from bench import Identifier
 from bench.config.experiment import expand
 from bench.entrants.reference import oracle_estimate
-from bench.information.fisher import load_bounds
 from bench.scenario.scenario import METHOD, Scenario
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import score
 from bench.scoring.summary import metric_bounds
+from bench.store.bounds import load_bounds
 from bench.store.store import Store
 
 SEED = 31337

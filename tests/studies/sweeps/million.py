@@ -25,8 +25,9 @@ import pyarrow.parquet as pq
 from tabulate import tabulate
 
 from bench.config.experiment import expand
-from bench.information.fisher import compute_bound, load_bounds
+from bench.information.fisher import compute_bound
 from bench.store import index as view
+from bench.store.bounds import load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.store.stored import StoredCell
