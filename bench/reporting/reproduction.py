@@ -27,8 +27,8 @@ from bench.scoring.verdict import decided, mean_p_value
 from bench.store.cell import Cell
 
 
-def _handbook() -> PriorSpec:
-    cell = sweep({"method": ["prior"], "prior": ["handbook"]})[0].cell()
+def _prior(name: str) -> PriorSpec:
+    cell = sweep({"method": ["prior"], "prior": [name]})[0].cell()
     assert cell.scenario.prior is not None
     return cell.scenario.prior
 
@@ -40,12 +40,14 @@ def _peak(scenario: Scenario) -> Scenario:
     return replace(scenario, snr_db=scenario.snr_db - 20.0 * math.log10(peak / float(clean[0])))
 
 
+WIDE_MASS = "mass known to 10 %"
 ASSUMPTIONS: dict[str, Callable[[Scenario], Scenario]] = {
     "as in the protocol": lambda scenario: scenario,
     "records of 5 s": lambda scenario: replace(scenario, duration=5.0),
     "records of 20 s": lambda scenario: replace(scenario, duration=20.0),
     "start unknown": lambda scenario: replace(scenario, initial_state="unknown"),
-    "handbook prior": lambda scenario: replace(scenario, prior=_handbook()),
+    "handbook prior": lambda scenario: replace(scenario, prior=_prior("handbook")),
+    WIDE_MASS: lambda scenario: replace(scenario, prior=_prior("wide_mass")),
     "SNR from the peak": _peak,
 }
 """Readings of what the paper leaves open; the first is the protocol's: 10 s, start known, nominal prior, mean square"""

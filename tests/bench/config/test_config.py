@@ -111,7 +111,8 @@ def test_every_disturbance_in_conf_makes_data(name: str) -> None:
 @pytest.mark.parametrize("name", choices("prior"))
 def test_every_prior_in_conf_is_what_the_protocol_says(name: str) -> None:
     wide = (0.02, 1.0, 0.5)
-    protocol = {"nominal": wide, "wrong": wide, "drawn_truth": wide, "handbook": (0.05, 0.3, 0.05), "none": None}
+    protocol = {"nominal": wide, "wrong": wide, "drawn_truth": wide, "handbook": (0.05, 0.3, 0.05),
+                "wide_mass": (0.1, 1.0, 0.5), "none": None}  # fmt: skip
     (cell,) = cells("method=oracle", f"prior={name}")
     spec = cell.scenario.prior
     found = None if spec is None else tuple(spec.sd_by_kind[kind] for kind in ("mass", "damping", "stiffness"))
