@@ -164,7 +164,8 @@ class Closing:
             if all(np.isinf(own).any() and np.isinf(np.median(own)) for own in values.values()):
                 continue
             excess = {str(n): self.lines[key][0][2][i].get("excess", math.nan) for n, key in enumerate(contest)}
-            ranking = standing(values, excess)
+            bounds = [self.lines[key][0][2][i].get("bound", math.nan) for key in contest]
+            ranking = standing(values, excess, bounds[0])
             found |= {key for n, key in enumerate(contest) if ranking and str(n) in ranking.level}
         return found
 

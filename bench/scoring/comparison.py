@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -24,8 +25,10 @@ RESAMPLES = 1000
 LEVEL = 0.05
 MARGIN = 0.02
 """Errors whose median ratio is closer to 1 than this are a tie for any purpose, however sure the difference is."""
-GROSS = 2.0
-"""A method whose excess is this many times the best's is not level with it: it fails grossly now and then."""
+GROSS = 5.0
+"""An error beyond this many times the bound is a gross one, as is a failure."""
+STEADY = 2.0
+"""A method whose excess is this many times the least is no candidate for the best: it fails grossly now and then."""
 POWER = float(ndtri(0.975) + ndtri(0.8))
 """How many standard errors a difference must be to be found with 80 % probability at the 5 % level."""
 
@@ -153,14 +156,18 @@ def _pair(a: str, b: str, ratios: np.ndarray, resamples: np.ndarray, p: float) -
     return Comparison(a, b, ratio, low, high, p, p, resolved)
 
 
-def against_best(values: Mapping[str, np.ndarray]) -> tuple[str, list[Comparison]]:
+def against_best(
+    values: Mapping[str, np.ndarray], candidates: AbstractSet[str] | None = None
+) -> tuple[str, list[Comparison]]:
     """The best method on one scenario, and every other compared with it on the data sets that both were given.
 
-    ``values[method]`` (n,) are errors on the first n replicates. The best has the least median among the methods with
-    most replicates.
+    ``values[method]`` (n,) are errors on the first n replicates. The best has the least median among the ``candidates``
+    (by default, and where none of them qualifies, all methods) with most replicates.
     """
     most = max(own.size for own in values.values())
-    best = min((m for m, own in values.items() if own.size == most), key=lambda m: float(_median(values[m])))
+    full = [method for method, own in values.items() if own.size == most]
+    eligible = [method for method in full if candidates is None or method in candidates] or full
+    best = min(eligible, key=lambda method: float(_median(values[method])))
     found = []
     for method, own in values.items():
         if method != best:
@@ -169,28 +176,72 @@ def against_best(values: Mapping[str, np.ndarray]) -> tuple[str, list[Comparison
     return best, adjusted(found)
 
 
+def gross(errors: np.ndarray, bound: float) -> np.ndarray:
+    """Which errors (n,) are gross: beyond five times the bound, or those of a failure; without a bound only these."""
+    limit = GROSS * bound if np.isfinite(bound) and bound > 0 else np.inf
+    return np.asarray(~(errors <= limit) | np.isinf(errors))
+
+
+def more_often(a: np.ndarray, b: np.ndarray) -> float:
+    """One-sided p-value that ``a`` is true no more often than ``b`` on the same data sets.
+
+    The exact sign test of the pairs that differ (Q. McNemar, Psychometrika 12:153, 1947).
+    """
+    from scipy.stats import binom
+
+    only_a, only_b = int(np.sum(a & ~b)), int(np.sum(b & ~a))
+    return float(binom.sf(only_a - 1, only_a + only_b, 0.5)) if only_a else 1.0
+
+
+@dataclass(frozen=True)
+class Steadiness:
+    """``steady``: the methods that do not run away. ``p_gross``: by method, the p-value of its gross errors.
+
+    It is that of "no more often than the method whose errors are gross least often", on common data sets.
+    """
+
+    steady: frozenset[str]
+    p_gross: Mapping[str, float]
+
+
+def steadiness(values: Mapping[str, np.ndarray], excess: Mapping[str, float], bound: float) -> Steadiness:
+    """Which methods run away: by an excess beyond :data:`STEADY` times the least, or by gross errors, at 5 %."""
+    runs = {method: gross(own, bound) for method, own in values.items()}
+    most = max(own.size for own in values.values())
+    full = {method for method, own in values.items() if own.size == most}
+    rarest = min(full, key=lambda method: float(np.mean(runs[method])))
+    least = min((excess.get(method, np.nan) for method in full if excess.get(method, np.nan) > 0), default=np.nan)
+    p = {method: more_often(own, runs[rarest][: own.size]) for method, own in runs.items()}
+    sure = {method for method in runs if not excess.get(method, np.nan) > STEADY * least and p[method] > LEVEL}
+    return Steadiness(frozenset(sure), p)
+
+
 @dataclass(frozen=True)
 class Standing:
     """Who is best in one scenario by one metric, and how the others compare with it.
 
-    ``level``: the best, and all that cannot be told from it and make no gross errors, which ranks do not see.
+    ``level``: the best, and all that cannot be told from it and do not run away, which ranks do not see.
     """
 
     best: str
     comparisons: tuple[Comparison, ...]
     level: frozenset[str]
+    steadiness: Steadiness
 
 
-def standing(values: Mapping[str, np.ndarray], excess: Mapping[str, float]) -> Standing | None:
-    """Where methods stand by their errors ``values[method]`` (n,) and their excess; None for fewer than two.
+def standing(values: Mapping[str, np.ndarray], excess: Mapping[str, float], bound: float) -> Standing | None:
+    """Where methods stand by their errors ``values[method]`` (n,), their excess and the bound; None for fewer than two.
 
     It is the one rule of all tables and of the page; they differ in which methods they put in. NaN errors are failures.
+    The best is, of the methods that do not run away, the one of least median error.
     """
     if len(values) < 2:
         return None
-    best, others = against_best({method: np.where(np.isnan(own), np.inf, own) for method, own in values.items()})
-    gross = {method for method in values if excess.get(method, np.nan) > GROSS * excess.get(best, np.nan)}
-    return Standing(best, tuple(others), frozenset({best, *(c.a for c in others if c.tie and c.a not in gross)}))
+    known = {method: np.where(np.isnan(own), np.inf, own) for method, own in values.items()}
+    found = steadiness(known, excess, bound)
+    best, others = against_best(known, found.steady)
+    level = {best, *(c.a for c in others if c.tie and c.a in found.steady)}
+    return Standing(best, tuple(others), frozenset(level), found)
 
 
 def profile(errors: Errors, factors: Sequence[float]) -> dict[str, np.ndarray]:

@@ -14,7 +14,7 @@ from bench.reporting.page.reading import Panel, Reading
 from bench.reporting.page.standing import Ranking, fit_seconds
 from bench.reporting.page.typical import SNR_DB
 from bench.reporting.page.words import joined, number, percent, quantity, seconds
-from bench.scoring.comparison import Comparison
+from bench.scoring.comparison import LEVEL, Comparison
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ class Winner:
 class Answer:
     """What is said of one scenario: ``winners``, fastest first, and those ``undecided``, level on fewer data sets.
 
-    ``behind``: of both, those that the pooled table, over more data, finds behind the best.
+    ``behind``: of both, those that the pooled table, over more data, finds behind the best. ``astray``: level here, but
+    in another scenario of one mass they run away, so that none is recommended; with the scenario.
     """
 
     panel: Panel
@@ -41,6 +42,7 @@ class Answer:
     undecided: tuple[Winner, ...]
     behind: tuple[str, ...]
     real: tuple[str, ...]
+    astray: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -70,8 +72,47 @@ def headline_places(reading: Reading) -> list[int]:
     return list(by_start.values())
 
 
-def answer(place: int, panel: Panel, ranked: Rankings, separated: AbstractSet[str] = frozenset()) -> Answer:
-    """Winners and whether they really are; ``separated``: labels that more data find behind the best."""
+def runaways(panels: Sequence[Panel], ranked: Rankings) -> dict[str, str]:
+    """Methods that make gross errors in some undisturbed scenario of one linear mass, by label, with the first of them.
+
+    More often than the method that makes fewest there, at 5 % over all these scenarios and quantities (Bonferroni). A
+    scenario counts that is one of a table's.
+    """
+    places = [
+        (panel, ranking)
+        for i, panel in enumerate(panels)
+        for metric in panel.ranked
+        if panel.plain and panel.experiments and _one_linear_mass(panel) and (ranking := ranked.get((i, metric)))
+    ]
+    found: dict[str, str] = {}
+    for panel, ranking in places:
+        for label, p in ranking.p_gross.items():
+            if p <= LEVEL / len(places):
+                found.setdefault(label, panel.title())
+    return found
+
+
+def _one_linear_mass(panel: Panel) -> bool:
+    model = panel.facts.known_model
+    return model is not None and model.linear and model.n_dof == 1
+
+
+def answer(
+    place: int,
+    panel: Panel,
+    ranked: Rankings,
+    separated: AbstractSet[str] = frozenset(),
+    astray: Mapping[str, str] | None = None,
+) -> Answer:
+    """Winners and whether they really are.
+
+    Args:
+        place: That of the panel in the page.
+        panel: The scenario.
+        ranked: All rankings.
+        separated: Labels that more data find behind the best.
+        astray: Labels that run away elsewhere, and where (:func:`runaways`): level, but not recommended.
+    """
     own = {metric: ranking for metric in panel.ranked if (ranking := ranked.get((place, metric))) is not None}
     cells = {result.label: result for result in panel.methods}
     level = [label for label in cells if own and all(label in ranking.level for ranking in own.values())]
@@ -87,13 +128,16 @@ def answer(place: int, panel: Panel, ranked: Rankings, separated: AbstractSet[st
         )
         for label in order
     }
+    lost = {label: where for label, where in (astray or {}).items() if label in level}
+    order = [label for label in order if label not in lost]
     sure = [label for label in order if label not in weak]
     behind = tuple(title(label) for label in order if label in separated)
     start = {"unknown": "Start unknown, as on a real rig", "known": "Start known"}
     told = panel.facts.initial_state
     said = start.get(told, f"Start {told}")
     winners, undecided = (tuple(found[label] for label in order if (label in weak) == few) for few in (False, True))
-    return Answer(panel, said, winners, undecided, behind, tuple(_real(sure, weak, own, cells)))
+    real = tuple(_real(sure, weak | set(lost), own, cells))
+    return Answer(panel, said, winners, undecided, behind, real, tuple((title(own), at) for own, at in lost.items()))
 
 
 def _seconds(value: float) -> float:

@@ -120,8 +120,9 @@ def contents(store: Store, out: Path) -> dict[str, Any]:
     places = headline.headline_places(reading)
     results = out.parent
     panels = {i: reading.panels[i] for i in places}
+    astray = headline.runaways(reading.panels, ranked)
     answers = [
-        headline.answer(i, panel, ranked, neighbours.separated(results, panel.facts.initial_state))
+        headline.answer(i, panel, ranked, neighbours.separated(results, panel.facts.initial_state), astray)
         for i, panel in panels.items()
     ]
     lines = leaderboard.leaderboard(reading, ranked)

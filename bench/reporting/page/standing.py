@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -19,12 +19,14 @@ Place = Literal["best", "level", "behind", "alone", "all failed"]
 class Ranking:
     """Of one scenario and metric: every method's place, and its comparison with the best.
 
-    ``weak``: level with the best on fewer replicates than the best has, so that less could have been told.
+    ``weak``: level with the best on fewer replicates than the best has, so that less could have been told. ``p_gross``:
+    how surely each makes gross errors (:class:`bench.scoring.comparison.Steadiness`).
     """
 
     places: Mapping[str, Place]
     comparisons: Mapping[str, Comparison]
     weak: frozenset[str]
+    p_gross: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def level(self) -> list[str]:
@@ -41,7 +43,8 @@ def rank(panel: Panel, metric: str) -> Ranking | None:
     failed = {label for label, values in errors.items() if not np.isfinite(values).any()}
     if failed == set(own):
         return Ranking(dict.fromkeys(own, "all failed"), {}, frozenset())
-    found = standing(errors, {label: result.excess(metric) for label, result in own.items()})
+    bound = next(iter(own.values())).bound(metric)
+    found = standing(errors, {label: result.excess(metric) for label, result in own.items()}, bound)
     if found is None:
         return Ranking(dict.fromkeys(own, "alone"), {}, frozenset())
     places: dict[str, Place] = {
@@ -50,7 +53,7 @@ def rank(panel: Panel, metric: str) -> Ranking | None:
         for label in own
     }  # fmt: skip
     fewer = {label for label in own if places[label] == "level" and own[label].n < own[found.best].n}
-    return Ranking(places, {c.a: c for c in found.comparisons}, frozenset(fewer))
+    return Ranking(places, {c.a: c for c in found.comparisons}, frozenset(fewer), found.steadiness.p_gross)
 
 
 def fit_seconds(result: Result) -> float:

@@ -29,6 +29,7 @@ def ranked(results: Iterable[Result], metric: str) -> Standing | None:
     return standing(
         {label: result.errors(metric) for label, result in own.items()},
         {label: result.excess(metric) for label, result in own.items()},
+        next((result.bound(metric) for result in own.values()), math.nan),
     )
 
 

@@ -116,7 +116,9 @@ class Panel:
             errors = {result.label: (pooled_errors(result, names), result.errors("rmse")) for result in ranked}
             for i in (0, 1):
                 values = {label: both[i] for label, both in errors.items()}
-                found[level, i] = standing(values, {label: self.excesses[label, level][i] for label in errors})
+                bound = ranked[0].bound("rmse") if i else 1.0  # pooled errors are over their bounds
+                excess = {label: self.excesses[label, level][i] for label in errors}
+                found[level, i] = standing(values, excess, bound)
         return found
 
     # ---- the main table of a panel

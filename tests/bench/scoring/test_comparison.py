@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from bench.errors import InputError
-from bench.scoring.comparison import Errors, against_best, compare, differences, holm, log_ratios, profile, signed_rank
+from bench.scoring.comparison import (
+    LEVEL,
+    Errors,
+    against_best,
+    compare,
+    differences,
+    holm,
+    log_ratios,
+    more_often,
+    profile,
+    signed_rank,
+    standing,
+)
 
 ONE = np.zeros(100, int)
 
@@ -64,6 +78,31 @@ def test_the_best_and_its_ties_with_unequal_replicates() -> None:
     best, found = against_best({"a": base, "b": b, "c": 4.0 * base[:20]})
     assert best == "a"
     assert {c.a: c.tie for c in found} == {"b": True, "c": False}
+
+
+def test_a_method_that_runs_away_now_and_then_is_neither_best_nor_level() -> None:
+    """Bound 1, errors half-normal; one method is 10 % better but for eight answers in a hundred, 20 bounds off."""
+    rng = np.random.default_rng(0)
+    base = np.abs(rng.standard_normal(100))
+    wild = np.where(np.arange(100) % 12 == 0, 20.0, 0.9 * base)
+    values = {"wild": wild, "sound": base, "also": base * (1.0 + 1e-3 * rng.standard_normal(100))}
+    excess = {name: float(np.sqrt(np.mean(own**2))) for name, own in values.items()}
+    found = standing(values, excess, 1.0)
+    assert found is not None
+    assert np.median(wild) < np.median(base)
+    assert found.best != "wild"
+    assert found.level == {"sound", "also"}
+    assert found.steadiness.p_gross["wild"] == pytest.approx(0.5**9)  # nine pairs differ, all one way
+    assert found.steadiness.p_gross["also"] == 1.0
+    unbounded = standing({**values, "wild": np.where(wild > 5, np.inf, wild)}, {}, math.nan)
+    assert unbounded is not None
+    assert unbounded.best != "wild"  # failures are gross errors, whatever the bound
+
+
+def test_the_gross_errors_of_equal_methods_are_said_to_differ_at_the_level_of_the_test_at_most() -> None:
+    rng = np.random.default_rng(1)
+    said = [more_often(rng.random(50) < 0.1, rng.random(50) < 0.1) <= LEVEL for _ in range(2000)]
+    assert np.mean(said) <= LEVEL + 3 * math.sqrt(LEVEL / 2000)
 
 
 def test_differences_are_in_units_of_their_scenario() -> None:
