@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from bench.config.drawn import drawn_scenario
+from bench.config.files import file_names
 from bench.config.suggest import did_you_mean
 from bench.entrants.registry import load_method, method_names, registered
 from bench.errors import InputError
@@ -17,14 +18,12 @@ GROUPS = ("method", "system", "prior", "disturbance", "experiment")
 @cache
 def choices(group: str) -> list[str]:
     """What may be chosen for a group: the files of ``conf``, and for methods the registered ones too."""
-    folder = files("conf").joinpath(group)
-    found = [entry.name[: -len(".yaml")] for entry in folder.iterdir() if entry.name.endswith(".yaml")]
-    return sorted({*found, *(method_names() if group == "method" else ())})
+    return sorted({*file_names(group), *(method_names() if group == "method" else ())})
 
 
 def check_choice(group: str, value: Any) -> None:
     """Raise InputError for what cannot be chosen for a group, which includes a method that does not load."""
-    if own_file(group, value):
+    if own_file(group, value) or (group == "system" and drawn_scenario(str(value))):
         return
     if value not in choices(group) and not (group == "experiment" and value is None):
         raise InputError(group, value, f"{did_you_mean(value, choices(group))}known: {', '.join(choices(group))}")

@@ -10,16 +10,14 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from dataclasses import fields
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from bench.config.choices import choices, own_file
+from bench.config.drawn import drawn_scenario
+from bench.config.files import FOLDERS, file_names, file_text, read_yaml
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import default_settings, registered
 from bench.errors import InputError
@@ -46,29 +44,6 @@ def composed(chosen: Mapping[str, Any]) -> dict[str, Any]:
         if own or isinstance(content[group], str):
             content[group] = json.loads(_composed(group, own or ((group, content[group]),)))
     return content
-
-
-def read_yaml(group: str, name: str) -> dict[str, Any]:
-    """The content of a file of ``conf``, by itself."""
-    return deepcopy(_content(group, name))
-
-
-@cache
-def _content(group: str, name: str) -> dict[str, Any]:
-    content = yaml.load(_text(group, name), _Loader)
-    assert isinstance(content, dict)
-    return {str(key): value for key, value in content.items()}
-
-
-_Loader: Any = type("_Loader", (getattr(yaml, "CSafeLoader", yaml.SafeLoader),), {})
-"""YAML as Hydra reads it, in which ``1e-3`` is a number, by the parser in C where there is one."""
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$"), list("-+0123456789")
-)
-
-
-def _text(group: str, name: str) -> str:
-    return files("conf").joinpath(group, f"{name}.yaml").read_text(encoding="utf-8")
 
 
 def _defaults() -> dict[str, str]:
@@ -100,6 +75,17 @@ def _register_file(path: str) -> str:
     return name
 
 
+def _register_system(name: str) -> None:
+    """Give Hydra a scenario that is drawn, or of a folder in which it does not look."""
+    from hydra.core.config_store import ConfigStore
+
+    drawn = drawn_scenario(name)
+    if drawn:
+        ConfigStore.instance().store(group="system", name=name, node=dict(drawn.system))
+    elif file_names("system").get(name) in FOLDERS["system"][1:]:
+        ConfigStore.instance().store(group="system", name=name, node=read_yaml("system", name))
+
+
 @cache
 def _composed(group: str, overrides: tuple[tuple[str, str], ...]) -> str:
     """The composed configuration of a group, or of all of them, as JSON; once for each choice and nested fields."""
@@ -124,9 +110,12 @@ def _whole_file(group: str, name: str) -> dict[str, Any] | None:
     """A file, or the defaults of a method, merged over those it starts from; None where that takes Hydra."""
     if group == "method" and name in (*registered(), *REFERENCES):
         return {"name": name, **default_settings(name)}
-    if group not in COMPOSED or name not in choices(group):
-        return None  # a file of one's own, or a field
-    if "${" in _text(group, name) or "@package" in _text(group, name):
+    if group not in COMPOSED:
+        return None  # a field
+    if name not in choices(group):
+        drawn = drawn_scenario(name) if group == "system" else None
+        return dict(drawn.system) if drawn else None  # None for a file of one's own
+    if "${" in file_text(group, name) or "@package" in file_text(group, name):
         return None
     own = read_yaml(group, name)
     bases = own.pop("defaults", [])
@@ -155,6 +144,7 @@ def _by_hydra(overrides: Sequence[tuple[str, str]]) -> Any:
     from omegaconf.errors import OmegaConfBaseException
 
     register_method(dict(overrides).get("method") or _defaults()["method"])
+    _register_system(dict(overrides).get("system") or "")
     texts = [f"{'++' if _may_be_added(key) else ''}{key}={value}" for key, value in overrides]
     try:
         with initialize_config_module("conf", version_base="1.3"):

@@ -9,7 +9,9 @@ from functools import cached_property
 from typing import Any
 
 from bench.config.choices import GROUPS, check_choice, choices
-from bench.config.composition import composed, read_yaml
+from bench.config.composition import composed
+from bench.config.drawn import drawn_scenarios
+from bench.config.files import read_yaml
 from bench.config.overrides import OF_EXPERIMENTS, Overrides, read_overrides
 from bench.config.schema import Job, config_from
 from bench.errors import InputError
@@ -41,8 +43,13 @@ class Experiment:
 
     @property
     def blocks(self) -> list[dict[str, list[Any]]]:
-        """Its sweeps: the first, and each further one with what it has in common with the first."""
+        """Its sweeps: the first, and each further one with what it has in common with the first.
+
+        Where it draws scenarios, one for each of them.
+        """
         first = self.content.get("sweep", {})
+        if self.content.get("draw"):
+            return [{**drawn.block(), **first} for drawn in drawn_scenarios(self.name)]
         return [dict(first), *({**first, **block} for block in self.content.get("also", []))]
 
     def jobs(self, overrides: Overrides | None = None) -> list[Job]:
@@ -50,9 +57,17 @@ class Experiment:
         own = overrides or {}
         if "experiment" in own:
             raise InputError("experiment", own["experiment"][0], "given twice; give it once")
+        blocks = self._overridden(own)
+        return [job for block in blocks for job in _product(block, self.content, frozenset(own))]
+
+    def _overridden(self, own: Overrides) -> list[dict[str, list[Any]]]:
+        """The sweeps where some fields are overridden; of drawn scenarios those that are named, if any are."""
+        if self.content.get("draw"):
+            rest = {field: values for field, values in own.items() if field != "system"}
+            return [{**b, **rest} for b in self.blocks if b["system"][0] in own.get("system", b["system"])]
         further = self.content.get("also", [])
         kept = [b for b, extra in zip(self.blocks, [{}, *further], strict=True) if not set(extra) & set(own)]
-        return [job for block in kept for job in _product({**block, **own}, self.content, frozenset(own))]
+        return [{**block, **own} for block in kept]
 
     def cells(self, overrides: Overrides | None = None) -> list[Cell]:
         """Its cells in order; one that stands in several of its sweeps stands here as often."""

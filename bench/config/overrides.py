@@ -15,7 +15,7 @@ from bench.config.choices import GROUPS, check_choice, choices
 from bench.config.suggest import did_you_mean
 from bench.errors import InputError
 
-OF_EXPERIMENTS = ("sweep", "also", "replicates_by_method", "table")
+OF_EXPERIMENTS = ("draw", "sweep", "also", "replicates_by_method", "table")
 """Fields that an experiment alone sets."""
 
 Overrides = Mapping[str, list[Any]]

@@ -1,0 +1,137 @@
+"""Scenarios drawn at random from stated ranges, by a seed that names a release: the open split.
+
+An experiment whose file has ``draw`` describes them; ``open_007`` is the seventh of ``conf/experiment/open.yaml``. Each
+is one mass in free or forced vibration. What is drawn of a scenario depends on the release and its number alone, and is
+rounded, so that the last digit of a logarithm does not change which cell it is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from bench.config.files import file_names, read_yaml
+from bench.errors import InputError
+
+DIGITS = 5
+"""Significant digits of what is drawn."""
+SHAPES = ("multisine", "swept_sine", "step", "impulse")
+"""The forces that are drawn from, equally likely."""
+HOLDS = ("zero_order", "linear", "cubic")
+BAND = (0.2, 2.0)
+"""Lowest and highest frequency of a multisine and a sweep, over the natural frequency."""
+PULSE = 0.3
+"""Length of a pulse in natural periods, where it is not more than a quarter of the record."""
+FORCE_SAMPLES = 1000
+"""As many as there are times at which displacement is scored: on one grid the true response costs a tenth."""
+RANGES = ("cycles", "damping_ratio", "samples", "snr", "frequency_hz", "mass", "amplitude")
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One drawn scenario: its ``system`` as a file of ``conf/system`` would write it, and how it is asked."""
+
+    name: str
+    system: Mapping[str, Any]
+    snr: float
+    initial_state: str
+    disturbance: str
+
+    def block(self) -> dict[str, list[Any]]:
+        """The sweep of this scenario alone."""
+        return {
+            "system": [self.name], "snr": [self.snr], "initial_state": [self.initial_state],
+            "disturbance": [self.disturbance],
+        }  # fmt: skip
+
+
+@cache
+def drawn_scenario(name: str) -> Drawn | None:
+    """The drawn scenario of a name such as ``open_007``; None where no experiment draws one of that name."""
+    match = re.fullmatch(r"([a-z]\w*)_(\d{3,})", name)
+    if not match or match[1] not in file_names("experiment"):
+        return None
+    return {one.name: one for one in drawn_scenarios(match[1])}.get(name)
+
+
+@cache
+def drawn_scenarios(experiment: str) -> tuple[Drawn, ...]:
+    """The scenarios that an experiment draws, in order; none where its file has no ``draw``. Raises InputError."""
+    stated = read_yaml("experiment", experiment).get("draw")
+    return draw(experiment, stated) if stated else ()
+
+
+def draw(experiment: str, stated: Mapping[str, Any]) -> tuple[Drawn, ...]:
+    """Draw scenarios.
+
+    Args:
+        experiment: Names them, ``<experiment>_001`` and so on.
+        stated: ``release``, whose name is the seed; ``scenarios``, how many; and of each of :data:`RANGES` its two
+            ends: SNR in dB, uniform; the number of samples, cycles in the record, damping ratio, natural frequency
+            (Hz), mass (kg) and amplitude (m) uniform in the logarithm.
+
+    Raises:
+        InputError: for a range that is missing, unknown or empty.
+    """
+    ranges = {name: ends for name, ends in stated.items() if name not in ("release", "scenarios")}
+    for name in {*RANGES, *ranges}:
+        ends = ranges.get(name, ())
+        if name not in RANGES or len(ends) != 2 or not ends[0] <= ends[1]:
+            raise InputError(f"draw.{name}", ends, f"two ends, the lower first, of each of {', '.join(RANGES)}")
+    digest = hashlib.sha256(str(stated["release"]).encode()).digest()
+    seeds = np.random.SeedSequence(int.from_bytes(digest[:16], "big")).spawn(int(stated["scenarios"]))
+    return tuple(
+        _one(f"{experiment}_{i:03d}", ranges, np.random.default_rng(seed)) for i, seed in enumerate(seeds, 1)
+    )  # fmt: skip
+
+
+def _one(name: str, ranges: Mapping[str, tuple[float, float]], rng: np.random.Generator) -> Drawn:
+    snr = _rounded(rng.uniform(*ranges["snr"]))
+    known, irregular, forced = (bool(rng.random() < 0.5) for _ in range(3))
+    size = {key: float(np.exp(rng.uniform(*np.log(ranges[key])))) for key in RANGES if key != "snr"}
+    rate, phase = 2 * math.pi * size["frequency_hz"], rng.uniform(0.0, 2 * math.pi)
+    mass, damping = size["mass"], size["damping_ratio"]
+    duration = _rounded(size["cycles"] / size["frequency_hz"])
+    stiffness = mass * rate**2
+    start = (0.0, 0.0)
+    if not forced:
+        start = (size["amplitude"] * math.cos(phase), -size["amplitude"] * rate * math.sin(phase))
+    system = {
+        "label": name,
+        "kind": "sdof",
+        "options": {},
+        "parameters": {"m": _rounded(mass), "c": _rounded(2 * damping * mass * rate), "k": _rounded(stiffness)},
+        "initial": {"displacement": [_rounded(start[0])], "velocity": [_rounded(start[1])]},
+        "duration": duration,
+        "samples": round(size["samples"]),
+        "force": _force(size, stiffness, duration, rng) if forced else None,
+        "forecast": duration,
+        **({"default_prior": "none"} if forced else {}),
+    }
+    return Drawn(name, system, snr, "known" if known else "unknown", "irregular" if irregular else "none")
+
+
+def _force(size: Mapping[str, float], stiffness: float, duration: float, rng: np.random.Generator) -> dict[str, Any]:
+    """A known force that would bend the spring by the amplitude; fine enough for its highest frequency."""
+    kind, hold = str(rng.choice(SHAPES)), str(rng.choice(HOLDS))
+    frequency = size["frequency_hz"]
+    own: dict[str, Any] = {}
+    if kind in ("multisine", "swept_sine"):
+        own = {"low_hz": _rounded(BAND[0] * frequency), "high_hz": _rounded(BAND[1] * frequency)}
+    if kind == "impulse":
+        own = {"length_s": _rounded(min(PULSE / frequency, duration / 4))}
+    if kind == "step":
+        hold = "zero_order"
+    amplitude = _rounded(stiffness * size["amplitude"])
+    return {"kind": kind, "amplitude": amplitude, "samples": FORCE_SAMPLES, "hold": hold, "dof": 0, **own}
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
