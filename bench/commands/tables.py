@@ -36,7 +36,7 @@ def _main(arguments: Sequence[str]) -> int:
     if not store.there():
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
     Store(out).prepare()
-    pooled = []
+    pooled, drawn = [], None
     for name in table_experiments():
         frame = experiment_frame(name, store)
         files = table_files(frame, store)
@@ -46,7 +46,8 @@ def _main(arguments: Sequence[str]) -> int:
             print(f"{name}: no cells stored; run python -m bench -m experiment={name}", file=sys.stderr)
         _write(files, out)
         pooled += [frame] if name in EXPERIMENTS else []
-    _write(leaderboard(pooled), out)
+        drawn = frame if frame.table.get("form") == "open" else drawn
+    _write(leaderboard(pooled, drawn), out)
     return 0
 
 

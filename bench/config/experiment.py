@@ -38,8 +38,9 @@ class Experiment:
 
     @property
     def table(self) -> Mapping[str, Any]:
-        """What is said of its table: ``title``, ``number``, ``form``; empty where it describes none."""
-        return self.content.get("table") or {}
+        """What is said of its table: ``title``, ``number``, ``form``, ``release``; empty where it describes none."""
+        release = {"release": drawn["release"]} if (drawn := self.content.get("draw")) else {}
+        return {**table, **release} if (table := self.content.get("table")) else {}
 
     @property
     def blocks(self) -> list[dict[str, list[Any]]]:

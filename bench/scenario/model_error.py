@@ -38,7 +38,9 @@ def _check_free(disturbance: Disturbance, forced: bool) -> None:
 
 def _check_one_mass(disturbance: Disturbance, system: System) -> None:
     if system.name != "sdof":
-        raise InputError("disturbance", disturbance.kind, "one mass with a linear spring only: system=sdof and its like")
+        raise InputError(
+            "disturbance", disturbance.kind, "one mass with a linear spring only: system=sdof and its like"
+        )
 
 
 class AddedFriction(Disturbance):

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 
 from bench.reporting.frame import Frame
 from bench.reporting.tables.calibration import calibration_table
+from bench.reporting.tables.misspecified import misspecified_table
+from bench.reporting.tables.open_split import open_table
 from bench.reporting.tables.paper_tables import paper_table
 from bench.reporting.tables.robustness import robustness_table
 from bench.reporting.tables.systems import system_table
@@ -22,5 +24,7 @@ def table_files(frame: Frame, store: Store) -> Mapping[str, str]:
         "robustness": lambda own: robustness_table(own, store),
         "calibration": calibration_table,
         "systems": system_table,
+        "open": open_table,
+        "misspecified": misspecified_table,
     }
     return forms[str(frame.table.get("form", "paper"))](frame)

@@ -1,5 +1,6 @@
 """All scenarios of Tables 4 and 5 together: how much worse each method is than the best, and how sure that is.
 
+First, where it has run, the open split, on which nothing was tuned (:mod:`bench.reporting.tables.open_split`).
 Every method is compared with the best one on the same data sets, over scenarios as clusters
 (:mod:`bench.scoring.comparison`); performance profiles say on what share of the data sets it is within a factor of the
 least error.
@@ -15,8 +16,9 @@ import numpy as np
 
 from bench.reporting.frame import Frame, Result, group
 from bench.reporting.labels import title
-from bench.reporting.rounding import number
+from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.common import PRIMARY, bold, csv, markdown_table
+from bench.reporting.tables.open_split import Pooled, bounds_of, pooled
 from bench.scoring.comparison import Errors, compare, profile
 
 EXPERIMENTS = ("table4", "table5")
@@ -44,6 +46,19 @@ def collected(results: Iterable[Result], metric: str) -> Errors | None:
     return Errors(joined, np.repeat(np.arange(len(next(iter(by_method.values())))), fewest))
 
 
+OPEN_LEGEND = """Open: on the scenarios of the [open split](open.md) with that initial state, drawn at random and used
+for no setting, the median of error over bound, and the share of gross errors (beyond five times the bound, failures
+included). A dash: the method is not asked there."""
+
+
+def on_open_split(results: Iterable[Result], metric: str) -> dict[str, Pooled]:
+    """By method, its errors over bounds on the scenarios of the open split; none where it has not run."""
+    own = list(results)
+    bounds = bounds_of(own, metric)
+    found = {method: pooled(its, metric, bounds) for method, its in group(own, lambda result: result.label).items()}
+    return {method: one for method, one in found.items() if one.ratios.size}
+
+
 def lines(errors: Errors) -> list[dict[str, Any]]:
     """One line a method, best first."""
     ranks = np.argsort(np.argsort(np.stack(list(errors.values.values())), axis=0), axis=0)
@@ -66,9 +81,13 @@ def lines(errors: Errors) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: row["ratio"])
 
 
-def leaderboard(frames: Sequence[Frame]) -> Mapping[str, str]:
-    """The files by name, from the frames of :data:`EXPERIMENTS`; none where a cell of theirs is missing."""
+def leaderboard(frames: Sequence[Frame], open_split: Frame | None = None) -> Mapping[str, str]:
+    """The files by name, from the frames of :data:`EXPERIMENTS`; none where a cell of theirs is missing.
+
+    ``open_split``: the frame of the open split, for the first columns; None where there is none.
+    """
     results = [result for frame in frames for result in frame]
+    drawn = list(open_split) if open_split and open_split.any_stored else []
     parts, rows = ["# Leaderboard", ""], []
     for start in ("unknown", "known"):
         panel = [result for result in results if result.initial_state == start]
@@ -76,21 +95,38 @@ def leaderboard(frames: Sequence[Frame]) -> Mapping[str, str]:
             errors = collected(panel, metric)
             if errors is None:
                 return {}
-            own = lines(errors)
-            parts[1] = LEGEND.format(n=int(np.sum(errors.scenario == 0)))
+            first = on_open_split([result for result in drawn if result.initial_state == start], metric)
+            own = [{**_open_columns(first.get(line["method"])), **line} for line in lines(errors)]
+            parts[1] = LEGEND.format(n=int(np.sum(errors.scenario == 0))) + (f"\n\n{OPEN_LEGEND}" if drawn else "")
             rows += [{"initial_state": start, "metric": metric, **line} for line in own]
-            parts += [f"## Error of {NAMES[metric]}, initial state {start}", _table(own)]
+            parts += [f"## Error of {NAMES[metric]}, initial state {start}", _table(own, bool(drawn))]
     parts.append("Regenerate: `python -m bench -m experiment=table4,table5 && python -m bench.tables`")
     return {"leaderboard.md": "\n\n".join(parts) + "\n", "leaderboard.csv": csv(rows, 5)}
 
 
-def _table(own: Sequence[dict[str, Any]]) -> str:
+def _open_columns(found: Pooled | None) -> dict[str, float]:
+    if found is None:
+        return {"open_median": math.nan, "open_gross": math.nan, "open_n": 0}
+    return {"open_median": found.median, "open_gross": found.gross[0], "open_n": found.ratios.size}
+
+
+def _table(own: Sequence[dict[str, Any]], with_open: bool) -> str:
     rows = []
     for line in own:
         interval = "" if math.isnan(line["low"]) else f" ({number(line['low'])} to {number(line['high'])})"
         ratio = f"×{line['ratio']:.3g}{interval}"
         p = "" if math.isnan(line["p_holm"]) else f"{line['p_holm']:.2g}"
         shares = [f"{100 * line[f'within_{factor:g}']:.0f} %" for factor in FACTORS]
-        rows.append([bold(title(line["method"]), line["tie"]), ratio, p, *shares])
-    headers = ["method", "error over the best's", "p (Holm)", *(f"within ×{factor:g}" for factor in FACTORS)]
-    return markdown_table(rows, headers)
+        first = _open_cells(line) if with_open else []
+        rows.append([bold(title(line["method"]), line["tie"]), *first, ratio, p, *shares])
+    headers = ["error over the best's", "p (Holm)", *(f"within ×{factor:g}" for factor in FACTORS)]
+    first = ["open: error over bound", "open: gross"] if with_open else []
+    return markdown_table(rows, ["method", *first, *headers])
+
+
+def _open_cells(line: Mapping[str, Any]) -> list[str]:
+    if not line["open_n"]:
+        return ["-", "-"]
+    median = line["open_median"]
+    error = f"×{excess_text(median)}" if math.isfinite(median) else "failed"
+    return [error, f"{100 * line['open_gross']:.0f} % of {line['open_n']}"]

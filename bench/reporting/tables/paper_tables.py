@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
+from bench.reporting.bias import bias_share
 from bench.reporting.frame import ERROR, Frame, Result, group
 from bench.reporting.labels import title, told
 from bench.reporting.paper import paper_value, row_name
@@ -29,7 +30,7 @@ from bench.scoring.verdict import Verdict, judge
 
 COLUMNS = (
     "table", "row", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high",
-    "bound", "prior_share", "excess", "n_ok", "n", "paper", "verdict",
+    "bound", "prior_share", "excess", "bias_share", "n_ok", "n", "paper", "verdict",
 )  # fmt: skip
 HEADINGS = {
     "k_over_m_error_pct": "k/m error %", "c_over_m_error_pct": "c/m error %", "rmse": "RMSE (m)",
@@ -46,7 +47,9 @@ replicate counts as an infinite error in medians; the excess is over the success
 away. Bold: the method of least median error, and all that cannot be told from it on the same data (Wilcoxon's
 signed-rank test, Holm's adjustment, 5 %) or are less than 2 % from it, unless gross errors now and then double its
 excess. Told: what a method uses beyond the data; *start* where it is known, *prior* natively, or *after*, by one step
-that all such methods share."""
+that all such methods share. bias² %: the share of the mean square errors of k/m and c/m that is the square of their
+mean error, what more replicates would not average out (less what chance makes of no bias); the rest is scatter.
+ok: fits that gave an answer, of all."""
 
 
 def judged(paper: float, result: Result, oracle: Result, metric: str) -> Verdict:
@@ -117,6 +120,7 @@ class PaperTable:
             yield {
                 **self._head(result, result.label, metric),
                 **{name: result.statistic(metric, name) for name in statistics},
+                "bias_share": bias_share(result.successful(metric.removesuffix(ERROR) + "_ratio")),
                 "n_ok": result.n_ok,
                 "n": result.n,
                 "paper": paper,
@@ -133,7 +137,7 @@ class PaperTable:
     def panels(self) -> dict[str, Rows]:
         """By reading of the initial state, the rows and headers that Markdown and LaTeX share."""
         first = {4: "set", 5: "SNR (dB)"}.get(self.number)
-        headers = [*([first] if first else []), "method", *HEADINGS.values(), "told", "ok"]
+        headers = [*([first] if first else []), "method", *HEADINGS.values(), "bias² %", "told", "ok"]
         panels: dict[str, Rows] = {start: ([], headers) for start in self.readings}
         for (start, row), own in self.rows.items():
             head = [row] if first else []
@@ -147,20 +151,20 @@ class PaperTable:
             if result.stored and not bounded:
                 bounded = True
                 bounds = {metric: result.bound(metric) for metric in HEADINGS}
-                yield ["bound", *(number(one) if math.isfinite(one) else "-" for one in bounds.values()), "", ""]
+                yield ["bound", *(number(one) if math.isfinite(one) else "-" for one in bounds.values()), "", "", ""]
                 shares = [
                     result.prior_share.get(metric.removesuffix(ERROR), math.nan) if math.isfinite(one) else math.nan
                     for metric, one in bounds.items()
                 ]
                 said = [f"{100 * share:.0f} %" if math.isfinite(share) else "-" for share in shares]
-                yield ["of it from the prior", *said, "", ""]
+                yield ["of it from the prior", *said, "", "", ""]
             cells = []
             for metric in HEADINGS:
                 ranking = self.standings.get((start, row, metric))
                 leads = ranking is not None and result.label in ranking.level
                 cells.append(bold(self._entry(result, metric), leads))
             ok = f"{result.n_ok}/{result.n}" if result.n else "not run"
-            yield [result.title, *cells, told(result.method), ok]
+            yield [result.title, *cells, _bias_shares(result), told(result.method), ok]
 
     def _entry(self, result: Result, metric: str) -> str:
         if result.stored and metric not in result.summary:
@@ -234,6 +238,13 @@ class PaperTable:
         said = "Median, and root mean square error over the Cramér-Rao bound."
         captions = {start: f"{self.heading} (initial state {start}). {said}" for start in self.panels}
         return latex_tables((captions[start], panel) for start, panel in self.panels.items())
+
+
+def _bias_shares(result: Result) -> str:
+    """The share of bias in the mean square errors of k/m and c/m, in percent."""
+    names = [metric.removesuffix(ERROR) for metric in PRIMARY if metric.endswith(ERROR)]
+    shares = [bias_share(result.successful(f"{name}_ratio")) for name in names]
+    return ", ".join("-" if math.isnan(share) else f"{100 * share:.0f}" for share in shares)
 
 
 def _stored(results: Iterable[Result], method: str) -> Result | None:

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from bench.config import composition
+from bench.config import composition, files
 from bench.config.choices import choices
 
 CHOICES = [(group, name) for group in ("system", "prior", "disturbance") for name in choices(group)]
@@ -28,6 +28,7 @@ def test_a_file_that_speaks_hydras_language_is_left_to_hydra(monkeypatch: pytest
     texts = {"one": "kind: sdof\nduration: ${snr}\n", "two": "# @package other\nkind: sdof\n", "three": "a: 1\n"}
     texts |= {"four": "defaults: [_self_, sdof]\n", "five": "defaults:\n  - prior: none\n"}
     monkeypatch.setattr(composition, "choices", lambda _: list(texts))
-    monkeypatch.setattr(composition, "_text", lambda _, name: texts[name])
+    for module in (composition, files):
+        monkeypatch.setattr(module, "file_text", lambda _, name: texts[name])
     found = {name: composition._whole_file("system", name) is None for name in texts}
     assert found == {"one": True, "two": True, "three": False, "four": True, "five": True}
