@@ -33,13 +33,18 @@ times the least of all methods (performance profile); near-ties make small facto
 
 
 def collected(results: Iterable[Result], metric: str) -> Errors | None:
-    """The errors of every method on the replicates that all of them were given; None where a cell is missing."""
+    """The errors of every method on the replicates that all of them were given; None where a cell is missing.
+
+    A method that is asked for some of the scenarios only is left out.
+    """
     # by identity: the reference system at 20 dB stands in two tables
     own = {result.identity: result for result in results if not result.is_reference}
     if not own or not all(result.stored for result in own.values()):
         return None
-    fewest = min(result.n for result in own.values())
-    by_method = group(own.values(), lambda result: result.label)
+    asked = group(own.values(), lambda result: result.label)
+    most = max(map(len, asked.values()))
+    by_method = {method: its for method, its in asked.items() if len(its) == most}
+    fewest = min(result.n for its in by_method.values() for result in its)
     joined = {
         method: np.concatenate([one.errors(metric)[:fewest] for one in its]) for method, its in by_method.items()
     }  # fmt: skip

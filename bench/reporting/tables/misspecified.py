@@ -21,6 +21,8 @@ COLUMNS = (
     "wrong", "system", "initial_state", "snr_db", "method", "quantity", "median_error_pct", "bias_pct", "excess",
     "coverage_95", "low_95", "high_95", "n_ok", "n",
 )  # fmt: skip
+RIGHT = "nothing"
+"""What is wrong where model and prior are right."""
 QUANTITIES = ("k_over_m", "c_over_m", "m")
 LEGEND = """What is fitted is one mass with a viscous damper and a linear spring; the data are of something else, or the
 nominal values are off by three standard deviations. Errors are against what truth and model have in common: the
@@ -36,7 +38,7 @@ def wrong(result: Result) -> str:
     """What is wrong: the kind of disturbance, a wrong prior, or nothing."""
     if result.disturbance:
         return result.disturbance
-    return "wrong_prior" if (result.prior or {}).get("wrong") else "nothing"
+    return "wrong_prior" if (result.prior or {}).get("wrong") else RIGHT
 
 
 def lines(results: Iterable[Result]) -> list[Line]:
@@ -83,8 +85,8 @@ def _coverage(line: Line) -> str:
 
 
 def misspecified_table(frame: Frame) -> Mapping[str, str]:
-    """The files of the table by name; none where the store holds no cell of it."""
-    if not frame.any_stored:
+    """The files of the table by name; none where the store holds no cell of it in which something is wrong."""
+    if not any(result.stored for result in frame if wrong(result) != RIGHT):
         return {}
     parts = [f"# {frame.title}", LEGEND]
     for (what, told), own in group(frame, lambda result: (wrong(result), result.initial_state)).items():

@@ -9,7 +9,7 @@ import pytest
 
 from bench.contract.estimate import Status
 from bench.reporting.frame import Frame, Result
-from bench.reporting.tables.leaderboard import collected, leaderboard, lines
+from bench.reporting.tables.leaderboard import collected, leaderboard, lines, on_open_split
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell
@@ -49,6 +49,27 @@ def test_ratios_ties_and_shares(found: list[Result]) -> None:
     assert own["ddnn"]["tie"]
     assert own["ls"]["within_2"] < 0.2 < own["shooting"]["within_2"]
     assert own["ls"]["within_5"] > 0.8
+
+
+def test_a_method_that_is_asked_for_some_scenarios_only_is_left_out(found: list[Result], reference: Scenario) -> None:
+    some = [*found, result(reference, "nuts", np.ones(20))]
+    errors = collected(some, "rmse")
+    assert errors is not None
+    assert set(errors.values) == {"shooting", "ls", "ddnn"}
+
+
+def test_the_open_split_is_the_median_and_gross_share_of_error_over_bound(reference: Scenario) -> None:
+    """Errors of 0.5, 1, 2 and 10 bounds, and a failure: median 2, two of five beyond five times the bound."""
+    results = []
+    for i, ratio in enumerate((0.5, 1.0, 2.0, 10.0, np.inf)):
+        own = result(replace(reference, snr_db=10.0 + i), "ls", np.array([ratio * (1.0 + i)]))
+        stored = replace(own.stored, summary={"rmse": {"bound": 1.0 + i}})
+        results.append(replace(own, stored=stored))
+    found = on_open_split(results, "rmse")["ls"]
+    assert found.median == pytest.approx(2.0)
+    assert found.gross[0] == pytest.approx(0.4)
+    assert found.gross[1] < 0.4 < found.gross[2]
+    assert found.rms == pytest.approx(np.sqrt((0.25 + 1 + 4 + 100) / 4))
 
 
 def test_a_missing_cell_gives_no_leaderboard(found: list[Result], reference: Scenario) -> None:

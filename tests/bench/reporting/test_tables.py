@@ -198,7 +198,8 @@ def _short_experiments(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def shortened(self: Experiment) -> dict[str, Any]:
         described = original(self)
-        return {**described, "replicates": 30, "sweep": {**described["sweep"], "method": ["prior", "oracle"]}}
+        sweep = {**described["sweep"], "method": ["prior", "oracle"]}
+        return {**described, "replicates": 30, "sweep": sweep, "also": []}
 
     monkeypatch.setattr(Experiment, "content", property(shortened))
 

@@ -27,7 +27,8 @@ X0, V0 = 0.9, 0.3
 DEFAULTS: dict[str, dict[str, float]] = {
     "integrator": {"size": 1e-9}, "jitter": {"size": 0.02}, "irregular": {"size": 1.0}, "coloured": {"size": 0.7},
     "heavy_tails": {"size": 3.0}, "outliers": {"size": 10.0, "share": 0.08}, "bias": {"size": 0.05},
-    "drift": {"size": 0.1}, "late_trigger": {"size": 0.02},
+    "drift": {"size": 0.1}, "late_trigger": {"size": 0.02}, "added_friction": {"size": 0.02},
+    "cubic_spring": {"size": 0.2}, "second_mode": {"size": 0.1},
 }  # fmt: skip
 NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
 BASE = Scenario("sdof", TRUE, ((X0,), (V0,)), 20.0, prior=NOMINAL, dense=50)
