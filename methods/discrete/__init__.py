@@ -1,0 +1,1 @@
+"""Difference equations of sampled motion: autoregression, recursive autoregression, iterated quadratic maximum likelihood."""

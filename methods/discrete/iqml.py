@@ -1,0 +1,157 @@
+"""Iterated quadratic maximum likelihood: the difference equation of a free decay, weighed by what its noise is.
+
+White noise e on the samples stands in ``y_j - a₁ y_(j-1) - a₂ y_(j-2)`` as ``A e``, A the banded matrix of the rows
+``(-a₂, -a₁, 1)``. The likelihood of a, amplitudes eliminated, is that of ``Y a = A y`` with covariance ``σ² A Aᵀ``:
+quadratic in a where that matrix is held. Least squares with it, the matrix made anew from the answer, and so on until
+the answer stays (Y. Bresler, A. Macovski, IEEE Trans. Acoustics, Speech and Signal Processing 34:1081, 1986; the
+iteration of K. Steiglitz, L. E. McBride, IEEE Trans. Automatic Control 10:461, 1965, for a free decay). It starts at
+``A Aᵀ = I``, which is ``ar``; that estimate's bias is what the weight removes. ``A Aᵀ`` has five diagonals: a round
+costs as many operations as there are samples. An offset is a constant among the unknowns.
+
+The iteration holds the weight while it minimises, so that where it stays is not exactly the maximum of the likelihood.
+No step is added that would end there.
+
+The covariance is the bound at the answer, amplitudes and offset eliminated: ``σ² (X̂ᵀ (A Aᵀ)⁻¹ X̂)⁻¹`` for a, with X̂ the
+columns of the response (first order of ``A x = 0``), σ from the residuals. Where that cannot be inverted, it is that of
+a parametric bootstrap.
+
+Even sampling is needed. The start is estimated even where it is told: the amplitudes of the exponentials are eliminated
+as what the coefficients leave open, and a told velocity is no condition on samples that is linear in them. The prior
+and the noise level are not used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from bench import Card, Estimate, Identifier, InputError, Problem, Serves
+from methods.discrete.difference import (
+    coefficient_slopes,
+    coefficients_of,
+    equations,
+    groups_of,
+    sampling_objection,
+    step_of,
+)
+from methods.modal.free_decay import SERVES, Decays, Reading, decay_estimates
+from methods.regression.equation import solve
+
+SETTLED = 1e-4
+"""The iteration has settled when a round moves it by less than this part of a standard error."""
+ROUNDING = 1e-11
+"""Or by less than this: where there is no noise, no standard error is."""
+UNSETTLED = (
+    "its iteration did not settle on the difference equation of an oscillator: "
+    "take a longer record, more samples a cycle or less noise"
+)
+
+
+@dataclass(frozen=True)
+class IQML(Identifier):
+    """At most ``rounds`` rounds of reweighting.
+
+    ``bootstrap`` records are drawn where the bound cannot be computed; with ``bootstrap=0`` there is no uncertainty.
+    """
+
+    rounds: int = 60
+    bootstrap: int = 100
+
+    card: ClassVar[Card] = Card(
+        summary="iterated quadratic maximum likelihood (Steiglitz-McBride) on the difference equation of the free decay",
+        start="estimated always",
+        scale="groups",
+        reconstruction="simulated",
+        uncertainty="inverse Fisher information at the answer, Student t with N - 4 degrees of freedom",
+        settings_source="rounds: more than any development record took that settled",
+        tuning="none; rounds seen on 9 development systems (damping 0.3-80 %, 0.7-40 cycles, 8-300 samples, 40-10 dB)",
+        title="IQML",
+        order=95,
+        colour="#1F6F5C",
+        marker="h",
+    )
+    serves: ClassVar[Serves] = SERVES
+    works_in = "natural units"
+
+    def __post_init__(self) -> None:
+        if self.rounds < 1:
+            raise InputError("method.rounds", self.rounds, "at least 1")
+        if self.bootstrap < 0:
+            raise InputError("method.bootstrap", self.bootstrap, "a number of records, 0 for no uncertainty")
+
+    def objection(self, problem: Problem) -> str | None:
+        return super().objection(problem) or sampling_objection(problem)
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Estimate the groups k/m and c/m; ``diverged`` with a sentence where the iteration does not settle."""
+        return self.estimate_many([problem], [rng])[0]
+
+    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Estimate problems of one layout together."""
+        return decay_estimates(problems, rngs, Reading(self._read, UNSETTLED, self.bootstrap, bound))
+
+    def _read(self, times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
+        columns, target = equations(sets, offset)
+        start = solve(columns, target)
+        found = [reweighted(x, y, a, self.rounds) for x, y, a in zip(columns, target, start, strict=True)]
+        return groups_of(np.stack(found), step_of(times))
+
+
+def reweighted(columns: np.ndarray, target: np.ndarray, start: np.ndarray, rounds: int) -> np.ndarray:
+    """Coefficients (q,) at which the iteration stays, a₁ and a₂ first; NaN where it does not.
+
+    Args:
+        columns: of a₁, a₂ and, with an offset, the constant, (rows, q).
+        target: the newest sample of each row, (rows,).
+        start: coefficients whose covariance weighs the first round, (q,).
+        rounds: at most.
+    """
+    a, left = start, max(target.size - start.size, 1)
+    for _ in range(rounds):
+        try:
+            weighted = whitened(a, np.column_stack([columns, target]))
+            normal = columns.T @ weighted[:, :-1]
+            new = np.linalg.solve(normal, columns.T @ weighted[:, -1])
+        except (np.linalg.LinAlgError, ValueError):
+            break  # coefficients that are not finite, or a record without motion
+        move, noise = new - a, float((target - columns @ new) @ (weighted @ np.append(-new, 1.0))) / left
+        a = new
+        if move @ normal @ move <= SETTLED**2 * noise or np.max(np.abs(move)) <= ROUNDING:
+            return a
+    return np.full(start.size, np.nan)
+
+
+def whitened(a: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """``(A Aᵀ)⁻¹ columns``, shape (rows, q), for the A of coefficients that begin with a₁ and a₂.
+
+    Raises LinAlgError or ValueError where that matrix is singular or not finite.
+    """
+    rows = len(columns)
+    diagonals = np.zeros((3, rows))
+    diagonals[0] = 1.0 + a[0] ** 2 + a[1] ** 2
+    diagonals[1] = a[0] * (a[1] - 1.0)
+    diagonals[2] = -a[1]
+    return np.asarray(solveh_banded(diagonals[: min(3, rows)], columns, lower=True))
+
+
+def bound(decays: Decays) -> np.ndarray:
+    """Covariances (sets, 2, 2) of k/m and c/m by the Fisher information at the answers; NaN where it is singular."""
+    step = step_of(decays.times)
+    found = np.full((len(decays.groups), 2, 2), np.nan)
+    columns, _ = equations(decays.centres, decays.offset)
+    for i, (groups, own, noise) in enumerate(zip(decays.groups, columns, decays.noise, strict=True)):
+        if not (np.all(np.isfinite(own)) and np.all(np.isfinite(groups))):
+            continue
+        try:
+            covariance = np.linalg.inv(own.T @ whitened(coefficients_of(groups, step), own))[:2, :2]
+            back = np.linalg.inv(coefficient_slopes(groups, step))
+        except (np.linalg.LinAlgError, ValueError):
+            continue
+        own_cov = noise**2 * back @ covariance @ back.T
+        if np.all(np.diag(own_cov) > 0):
+            found[i] = own_cov
+    return found

@@ -1,0 +1,158 @@
+"""Simplified refined instrumental variables for continuous time (SRIVC): one mass under a known force, or free.
+
+With ``a₁ = c/m``, ``a₀ = k/m``, ``b = 1/m`` and ``A(s) = s² + a₁ s + a₀`` the motion from displacement x₀ and velocity
+v₀ is ``A(s) X = b F + s x₀ + w₀``, ``w₀ = v₀ + a₁ x₀``. Both sides are passed through 1/A of the parameters at hand
+(the prefilter), which makes of displacement y its filtered ``y_f, y_f', y_f''``, of the force ``f_f``, and of the start
+the free response S from unit velocity and its derivative S':
+
+    y_f'' = -a₁ y_f' - a₀ y_f + b f_f + x₀ S' + w₀ S
+
+This is linear in a₁, a₀, b, and in x₀ and w₀ where they are not told. Where they are, ``x₀ S' + v₀ S`` goes to the left
+and ``a₁ x₀ S`` to the regressor of a₁. Least squares would be biased, y_f being noisy on both sides. The instruments
+are the regressors made of the simulated response (the auxiliary model) in place of y, without noise. The answer gives a
+new filter and a new simulation, until it stays (P. C. Young, A. J. Jakeman, International Journal of Control 31:741,
+1980; H. Garnier, L. Wang, eds., Identification of Continuous-time Models from Sampled Data, 2008, chapter 4).
+
+Where it stays, ``y_f'' + a₁ y_f' + a₀ y_f = y`` at every sample, however y is interpolated between them, and the
+instruments are the derivatives of the response by the parameters: the normal equations of the output-error likelihood
+for white noise. The force is filtered as the problem says that it runs between its samples, y by a cubic spline, the
+simulated response by one through four times as many points. Sampling need not be even. An offset is a constant.
+
+It starts at the regressions of the equation of motion on smooth curves (:mod:`methods.starts.equation_error`), and
+keeps the end of least misfit. Without a force b is left out: k/m and c/m are estimated. The prior and the noise level
+are not used. The covariance is ``σ² (Zᵀ Z)⁻¹``, Z the instruments at the answer, to first order in the logarithms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from bench import (
+    Card,
+    Cost,
+    Estimate,
+    Identifier,
+    InputError,
+    NoEstimate,
+    Problem,
+    Serves,
+    SimulatedResponse,
+)
+from methods.modal.free_decay import GROWS
+from methods.regression.refined import Model
+from methods.starts.equation_error import regression_starts
+
+SETTLED = 1e-4
+"""The iteration has settled when a round moves it by less than this part of a standard error."""
+ROUNDING = 1e-10
+"""Or by less than this part of itself: where there is no noise, no standard error is."""
+MOST_GROWTH = 4.0
+"""A filter of negative damping may grow by e^2 over a record. Beyond, the sign of its damping is turned."""
+UNSETTLED = (
+    "its iteration did not settle from any of its starts: take a longer record, more samples a cycle or less noise"
+)
+
+
+@dataclass(frozen=True)
+class SRIVC(Identifier):
+    """Refined instrumental variables of at most ``rounds`` rounds from each start."""
+
+    rounds: int = 60
+
+    card: ClassVar[Card] = Card(
+        summary="simplified refined instrumental variables for continuous time: prefilter and simulated instruments",
+        start="used when known",
+        scale="groups",
+        reconstruction="own",
+        uncertainty="covariance of the instrumental-variable estimate, Student t with N - p degrees of freedom",
+        settings_source="rounds: more than any development record took that settled",
+        tuning="none; rounds seen on 8 development systems (damping 0.3-80 %, 0.7-40 cycles, 12-300 samples, 40-10 dB)",
+        title="SRIVC",
+        order=155,
+        colour="#3B6FB6",
+        marker="8",
+    )
+    serves: ClassVar[Serves] = Serves(offsets=True, nonlinear=False, max_dof=1)
+    works_in = "natural units"
+
+    def __post_init__(self) -> None:
+        if self.rounds < 1:
+            raise InputError("method.rounds", self.rounds, "at least 1")
+
+    def objection(self, problem: Problem) -> str | None:
+        return super().objection(problem) or _objection(problem)
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Estimate m, c, k under a force, k/m and c/m without; ``diverged`` with a sentence where nothing settles."""
+        model = Model(problem)
+        ends = [self._end(model, ratios) for ratios in _starts(problem)]
+        cost = Cost(evaluations=0, iterations=sum(end.rounds for end in ends))
+        settled = [end for end in ends if np.isfinite(end.noise)]
+        if not settled:
+            raise NoEstimate(UNSETTLED, cost=cost)
+        return _answer(model, min(settled, key=lambda end: end.noise).theta, cost)
+
+    def _end(self, model: Model, ratios: tuple[float, float]) -> _End:
+        """Where the iteration stays from c/m and k/m."""
+        theta = model.completed(*ratios)
+        for count in range(1, self.rounds + 1):
+            if not model.usable(theta):
+                return _End(theta, np.inf, count)
+            equations = model.equations(theta)
+            try:
+                new = equations.solution()
+            except np.linalg.LinAlgError:
+                return _End(theta, np.inf, count)
+            move, noise = new - theta, equations.noise
+            if move @ equations.information @ move <= SETTLED**2 * noise or np.all(
+                np.abs(move) <= ROUNDING * np.max(np.abs(new))
+            ):
+                return _End(theta, noise, count)
+            theta = np.append(abs(new[0]) if new[0] < -MOST_GROWTH else new[0], new[1:])
+        return _End(theta, np.inf, self.rounds)
+
+
+@dataclass(frozen=True, eq=False)
+class _End:
+    """Unknowns where the iteration stays, the variance of the residuals (infinite where it does not), its rounds."""
+
+    theta: np.ndarray
+    noise: float
+    rounds: int
+
+
+def _starts(problem: Problem) -> list[tuple[float, float]]:
+    """c/m and k/m of the regressions on smooth curves."""
+    by_kind = {p.kind: p.name for p in problem.system.parameters}
+    found = regression_starts(replace(problem, prior=None))
+    return [(p[by_kind["damping"]] / p[by_kind["mass"]], p[by_kind["stiffness"]] / p[by_kind["mass"]]) for p in found]
+
+
+def _answer(model: Model, theta: np.ndarray, cost: Cost) -> Estimate:
+    system, record = model.problem.system, model.problem.records[0]
+    belief, start = model.belief(theta), model.start_of(theta)
+    forced = model.problem.forced
+    p = model.parameters(*theta[:2], mass=1.0 / theta[2] if forced else 1.0)
+    return Estimate(
+        system,
+        parameters=belief if forced else None,
+        groups=None if forced else belief,
+        reconstructions=(SimulatedResponse(system, p, start, record.forces),),
+        initial_states=(start,),
+        offsets=(model.offset_of(theta),),
+        message=GROWS if theta[0] <= 0 else "",
+        cost=cost,
+    )
+
+
+def _objection(problem: Problem) -> str | None:
+    if sorted(p.kind for p in problem.system.parameters) != ["damping", "mass", "stiffness"]:
+        return "it needs one mass, one damping and one stiffness"
+    if any(set(g.exponents) == {problem.system.gauge} for g in problem.system.groups):
+        return "it needs groups that are ratios to the mass"
+    if problem.records[0].n <= Model(problem).size:
+        return f"it needs more than {Model(problem).size} samples, one an unknown; sample it faster"
+    return None
