@@ -1,1 +1,1 @@
-"""Difference equations of sampled motion: autoregression, recursive autoregression, iterated quadratic maximum likelihood."""
+"""Difference equations of sampled motion: autoregression, at once or recursive, and its maximum likelihood."""

@@ -22,7 +22,14 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card, Estimate, Identifier, InputError, Problem, Serves
-from methods.discrete.difference import NO_OSCILLATOR, equations, groups_of, sampling_objection, step_of
+from methods.discrete.difference import (
+    NO_OSCILLATOR,
+    equations,
+    groups_of,
+    sampling_objection,
+    step_of,
+    unlike_the_record,
+)
 from methods.modal.free_decay import SERVES, Reading, decay_estimates
 from methods.regression.equation import solve
 
@@ -62,7 +69,8 @@ class AR(Identifier):
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
         """Estimate problems of one layout together."""
-        return decay_estimates(problems, rngs, Reading(_read, NO_OSCILLATOR, self.bootstrap))
+        answers = decay_estimates(problems, rngs, Reading(_read, NO_OSCILLATOR, self.bootstrap))
+        return [unlike_the_record(problem, answer) for problem, answer in zip(problems, answers, strict=True)]
 
 
 def _read(times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:

@@ -20,7 +20,14 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card, Dimension, Estimate, Identifier, InputError, Problem, Serves, Status
-from methods.discrete.difference import NO_OSCILLATOR, equations, groups_of, sampling_objection, step_of
+from methods.discrete.difference import (
+    NO_OSCILLATOR,
+    equations,
+    groups_of,
+    sampling_objection,
+    step_of,
+    unlike_the_record,
+)
 from methods.modal.free_decay import SERVES, Reading, decay_estimates, has_offset
 from methods.regression.rls import recursive_least_squares
 
@@ -70,7 +77,10 @@ class ARRecursive(Identifier):
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
         """Estimate problems of one layout together."""
         answers = decay_estimates(problems, rngs, Reading(self._read, NO_OSCILLATOR, self.bootstrap))
-        return [self._with_trace(problem, answer) for problem, answer in zip(problems, answers, strict=True)]
+        return [
+            self._with_trace(problem, unlike_the_record(problem, answer))
+            for problem, answer in zip(problems, answers, strict=True)
+        ]
 
     def _read(self, times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
         return self._path(times, sets, offset)[-1]

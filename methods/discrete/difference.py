@@ -3,15 +3,17 @@
 At even steps h a free decay is a sum of two exponentials ``z₁^j, z₂^j``, ``z = e^(sh)``, so that its samples obey
 ``x_j = a₁ x_(j-1) + a₂ x_(j-2)`` with ``z² - a₁ z - a₂ = 0``. A sensor's offset d adds the constant
 ``(1 - a₁ - a₂) d``. From the roots, ``k/m = s₁ s₂`` and ``c/m = -(s₁ + s₂)``, ``s = log(z)/h``: for a complex pair
-and for two positive roots, that is for a damping ratio below and above 1 (L. Ljung, System Identification: Theory for
-the User, 2nd ed. 1999, section 4.2, for the form; S. M. Kay, Modern Spectral Estimation, 1988, chapter 11, for Prony's).
+and for two positive roots, that is for a damping ratio below and above 1 (G. R. B. de Prony's method: S. M. Kay, Modern
+Spectral Estimation, 1988, section 11.4).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from bench import Problem
+from bench import Estimate, Problem, Status, simulate
 from methods.modal.free_decay import decay_objection, has_offset
 
 UNEVEN = 1e-3
@@ -19,6 +21,13 @@ UNEVEN = 1e-3
 NO_OSCILLATOR = (
     "the roots of its difference equation are not those of a sampled oscillator (one is negative, or one decays and "
     "one grows): take more samples a cycle, a longer record or less noise"
+)
+
+POOR = 0.5
+"""A response that leaves more than this part of the mean square of the data unexplained is said to be poor."""
+POOR_FIT = (
+    "the best response of its k/m and c/m leaves more than half of the record unexplained: do not trust them; "
+    "take a record with less noise"
 )
 
 
@@ -35,6 +44,36 @@ def sampling_objection(problem: Problem) -> str | None:
     if np.max(np.abs(times - even)) > UNEVEN * (even[1] - even[0]):
         return "it needs samples at even steps of time; resample them"
     return None
+
+
+def unlike_the_record(problem: Problem, answer: Estimate) -> Estimate:
+    """The answer, with a sentence where the best response of its k/m and c/m is far from the record.
+
+    Raises nothing: how it fits is for the reader to judge.
+    """
+    if answer.status is not Status.OK or answer.message:
+        return answer
+    channel, p = problem.records[0].channels[0], _parameters(problem, answer)
+    basis = simulate(problem.system, p, (np.eye(2)[:1], np.eye(2)[1:]), channel.times).displacement[0].T
+    columns = np.column_stack([basis, np.ones((channel.n, int(channel.offset)))])
+    size = np.max(np.abs(columns), axis=0)
+    if not np.all(np.isfinite(size)):
+        return replace(answer, message=POOR_FIT)
+    found = np.linalg.lstsq(columns / size, channel.values, rcond=None)[0]
+    left = channel.values - columns / size @ found
+    level = np.mean(channel.values) if channel.offset else 0.0
+    poor = np.sum(left**2) > POOR * np.sum((channel.values - level) ** 2)
+    return replace(answer, message=POOR_FIT) if poor else answer
+
+
+def _parameters(problem: Problem, answer: Estimate) -> dict[str, float]:
+    """Parameters of mass 1 with the k/m and c/m of the answer."""
+    assert answer.groups is not None
+    found = {"mass": 1.0}
+    kinds = {p.name: p.kind for p in problem.system.parameters}
+    for group, value in zip(problem.system.groups, answer.groups.mean, strict=True):
+        found |= {kinds[name]: float(value) for name in group.exponents if kinds[name] != "mass"}
+    return {name: found[kind] for name, kind in kinds.items()}
 
 
 def step_of(times: np.ndarray) -> float:

@@ -37,6 +37,7 @@ from methods.discrete.difference import (
     groups_of,
     sampling_objection,
     step_of,
+    unlike_the_record,
 )
 from methods.modal.free_decay import SERVES, Decays, Reading, decay_estimates
 from methods.regression.equation import solve
@@ -62,7 +63,7 @@ class IQML(Identifier):
     bootstrap: int = 100
 
     card: ClassVar[Card] = Card(
-        summary="iterated quadratic maximum likelihood (Steiglitz-McBride) on the difference equation of the free decay",
+        summary="iterated quadratic maximum likelihood (Steiglitz-McBride) of the free decay's difference equation",
         start="estimated always",
         scale="groups",
         reconstruction="simulated",
@@ -92,7 +93,8 @@ class IQML(Identifier):
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
         """Estimate problems of one layout together."""
-        return decay_estimates(problems, rngs, Reading(self._read, UNSETTLED, self.bootstrap, bound))
+        answers = decay_estimates(problems, rngs, Reading(self._read, UNSETTLED, self.bootstrap, bound))
+        return [unlike_the_record(problem, answer) for problem, answer in zip(problems, answers, strict=True)]
 
     def _read(self, times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
         columns, target = equations(sets, offset)

@@ -1,4 +1,4 @@
-"""The regression that SRIVC repeats (:mod:`methods.regression.srivc`): regressors, target and instruments at parameters.
+"""The regression that SRIVC repeats (:mod:`methods.regression.srivc`): regressors, target, instruments.
 
 The unknowns are, in this order, those that there are of: ``c/m, k/m`` (always), ``1/m`` (under a force), ``x₀, w₀``
 (an untold start), the offset. Everything is in the natural units of the problem.
@@ -13,7 +13,7 @@ import numpy as np
 
 from bench import Force, InitialState, NoEstimate, Normal, Problem, Quantity, Record, System, simulate
 
-FINER = 4
+FINER = 2
 """Points of the simulated response a step of the samples: its spline makes the instruments."""
 FASTEST = 1e4
 """Rates beyond this many a record are no answer, and their simulation would overflow."""
@@ -111,15 +111,20 @@ class Model:
         start = self._record.initial_state
         return (0.0, 0.0) if start is None else (float(start.displacement[0]), float(start.velocity[0]))
 
-    def completed(self, damping: float, stiffness: float) -> np.ndarray:
-        """Unknowns (q,) at c/m and k/m: the rest by least squares on the response; NaN where it has none."""
+    def completed(self, damping: float, stiffness: float) -> tuple[np.ndarray, float]:
+        """Unknowns (q,) at c/m and k/m, the rest by least squares on the response, and the sum of its squares.
+
+        NaN and infinite where there is no response.
+        """
         motions = self._motions(damping, stiffness)
         if not np.all(np.isfinite(motions)):
-            return np.full(self.size, np.nan)
+            return np.full(self.size, np.nan), np.inf
         pushed, slope, free = (own[self._samples] for own in motions)
         x0, v0 = self._start
         left = self._values - x0 * slope - (v0 + damping * x0) * free
-        return np.append([damping, stiffness], np.linalg.lstsq(self._columns(pushed, slope, free), left, rcond=None)[0])
+        columns = self._columns(pushed, slope, free)
+        rest = np.linalg.lstsq(columns, left, rcond=None)[0]
+        return np.append([damping, stiffness], rest), float(np.sum((left - columns @ rest) ** 2))
 
     def usable(self, theta: np.ndarray) -> bool:
         """Whether unknowns (q,) are those of an oscillator to filter with."""

@@ -16,11 +16,12 @@ new filter and a new simulation, until it stays (P. C. Young, A. J. Jakeman, Int
 Where it stays, ``y_f'' + a₁ y_f' + a₀ y_f = y`` at every sample, however y is interpolated between them, and the
 instruments are the derivatives of the response by the parameters: the normal equations of the output-error likelihood
 for white noise. The force is filtered as the problem says that it runs between its samples, y by a cubic spline, the
-simulated response by one through four times as many points. Sampling need not be even. An offset is a constant.
+simulated response by one through twice as many points. Sampling need not be even. An offset is a constant.
 
-It starts at the regressions of the equation of motion on smooth curves (:mod:`methods.starts.equation_error`), and
-keeps the end of least misfit. Without a force b is left out: k/m and c/m are estimated. The prior and the noise level
-are not used. The covariance is ``σ² (Zᵀ Z)⁻¹``, Z the instruments at the answer, to first order in the logarithms.
+It starts at regressions of the equation of motion on smooth curves (:mod:`methods.starts.equation_error`), at the one
+whose response has the least misfit; at the next where the iteration does not stay. Without a force b is left out: k/m
+and c/m are estimated. The prior and the noise level are not used. The covariance is ``σ² (Zᵀ Z)⁻¹``, Z the instruments
+at the answer, to first order in the logarithms.
 """
 
 from __future__ import annotations
@@ -87,48 +88,41 @@ class SRIVC(Identifier):
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate m, c, k under a force, k/m and c/m without; ``diverged`` with a sentence where nothing settles."""
-        model = Model(problem)
-        ends = [self._end(model, ratios) for ratios in _starts(problem)]
-        cost = Cost(evaluations=0, iterations=sum(end.rounds for end in ends))
-        settled = [end for end in ends if np.isfinite(end.noise)]
-        if not settled:
-            raise NoEstimate(UNSETTLED, cost=cost)
-        return _answer(model, min(settled, key=lambda end: end.noise).theta, cost)
+        model, rounds = Model(problem), 0
+        for theta in _starts(model):
+            end, spent = self._end(model, theta)
+            rounds += spent
+            if end is not None:
+                return _answer(model, end, Cost(iterations=rounds))
+        raise NoEstimate(UNSETTLED, cost=Cost(iterations=rounds))
 
-    def _end(self, model: Model, ratios: tuple[float, float]) -> _End:
-        """Where the iteration stays from c/m and k/m."""
-        theta = model.completed(*ratios)
+    def _end(self, model: Model, theta: np.ndarray) -> tuple[np.ndarray | None, int]:
+        """Unknowns (q,) at which the iteration stays, None where it does not, and its rounds."""
         for count in range(1, self.rounds + 1):
             if not model.usable(theta):
-                return _End(theta, np.inf, count)
+                return None, count
             equations = model.equations(theta)
             try:
                 new = equations.solution()
             except np.linalg.LinAlgError:
-                return _End(theta, np.inf, count)
-            move, noise = new - theta, equations.noise
-            if move @ equations.information @ move <= SETTLED**2 * noise or np.all(
-                np.abs(move) <= ROUNDING * np.max(np.abs(new))
-            ):
-                return _End(theta, noise, count)
+                return None, count
+            move = new - theta
+            settled = move @ equations.information @ move <= SETTLED**2 * equations.noise
+            if settled or np.max(np.abs(move)) <= ROUNDING * np.max(np.abs(new)):
+                return theta, count
             theta = np.append(abs(new[0]) if new[0] < -MOST_GROWTH else new[0], new[1:])
-        return _End(theta, np.inf, self.rounds)
+        return None, self.rounds
 
 
-@dataclass(frozen=True, eq=False)
-class _End:
-    """Unknowns where the iteration stays, the variance of the residuals (infinite where it does not), its rounds."""
-
-    theta: np.ndarray
-    noise: float
-    rounds: int
-
-
-def _starts(problem: Problem) -> list[tuple[float, float]]:
-    """c/m and k/m of the regressions on smooth curves."""
+def _starts(model: Model) -> list[np.ndarray]:
+    """Unknowns (q,) at the regressions on smooth curves, that of least misfit first."""
+    problem = model.problem
     by_kind = {p.kind: p.name for p in problem.system.parameters}
-    found = regression_starts(replace(problem, prior=None))
-    return [(p[by_kind["damping"]] / p[by_kind["mass"]], p[by_kind["stiffness"]] / p[by_kind["mass"]]) for p in found]
+    found = []
+    for p in regression_starts(replace(problem, prior=None)):
+        mass, damping, stiffness = (p[by_kind[kind]] for kind in ("mass", "damping", "stiffness"))
+        found.append(model.completed(damping / mass, stiffness / mass))
+    return [theta for theta, _ in sorted(found, key=lambda start: start[1])]
 
 
 def _answer(model: Model, theta: np.ndarray, cost: Cost) -> Estimate:
