@@ -157,6 +157,10 @@ class Model:
         motion = simulate(self.problem.system, p, REST, self._times, (spline,))
         return motion.displacement[0], motion.velocity[0]
 
+    def unexplained(self, residuals: np.ndarray) -> float:
+        """The part of the variance of the samples that residuals (n,) leave."""
+        return float(np.sum(residuals**2) / np.sum((self._values - np.mean(self._values)) ** 2))
+
     def start_of(self, theta: np.ndarray) -> InitialState:
         """The state at time 0 of unknowns (q,): the told one where it is told."""
         told = self._record.initial_state
@@ -169,10 +173,13 @@ class Model:
         """The sensor's constant of unknowns (q,), 0 where there is none."""
         return float(theta[-1]) if self._offset else 0.0
 
-    def belief(self, theta: np.ndarray) -> Normal:
+    def belief(self, theta: np.ndarray, equations: Equations) -> Normal:
         """The log-parameters under a force, k/m and c/m without; NoEstimate where a parameter is not positive."""
-        equations, system = self.equations(theta), self.problem.system
-        covariance = equations.noise * np.linalg.inv(equations.information)
+        system = self.problem.system
+        try:
+            covariance = equations.noise * np.linalg.inv(equations.information)
+        except np.linalg.LinAlgError:
+            raise NoEstimate("the record does not decide the parameters: take more samples or a richer force") from None
         dof = float(max(1, self._times.size - theta.size))
         if not self.problem.forced:
             order = [0 if _of_damping(system, group) else 1 for group in system.groups]

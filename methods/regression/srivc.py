@@ -42,6 +42,7 @@ from bench import (
     Serves,
     SimulatedResponse,
 )
+from methods.discrete.difference import POOR, POOR_FIT
 from methods.modal.free_decay import GROWS
 from methods.regression.refined import Model
 from methods.starts.equation_error import regression_starts
@@ -127,7 +128,8 @@ def _starts(model: Model) -> list[np.ndarray]:
 
 def _answer(model: Model, theta: np.ndarray, cost: Cost) -> Estimate:
     system, record = model.problem.system, model.problem.records[0]
-    belief, start = model.belief(theta), model.start_of(theta)
+    equations, start = model.equations(theta), model.start_of(theta)
+    belief = model.belief(theta, equations)
     forced = model.problem.forced
     p = model.parameters(*theta[:2], mass=1.0 / theta[2] if forced else 1.0)
     return Estimate(
@@ -137,7 +139,7 @@ def _answer(model: Model, theta: np.ndarray, cost: Cost) -> Estimate:
         reconstructions=(SimulatedResponse(system, p, start, record.forces),),
         initial_states=(start,),
         offsets=(model.offset_of(theta),),
-        message=GROWS if theta[0] <= 0 else "",
+        message=GROWS if theta[0] <= 0 else POOR_FIT if model.unexplained(equations.residuals) > POOR else "",
         cost=cost,
     )
 
