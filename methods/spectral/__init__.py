@@ -1,0 +1,1 @@
+"""Identification on the lines of the discrete Fourier transform (DFT)."""

@@ -1,0 +1,250 @@
+"""Maximum likelihood in the frequency domain: one mass, free or under a known force, on the lines of the DFT.
+
+``Y(k) = G(s_k) U(k) + T(z_k)/A(z_k) + noise``: the response to the force, a transient over the denominator of the
+system, and white noise of unknown level (R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach,
+2nd ed. 2012, chapters 6, 7 and 9). The transient takes leakage, the start and the end of the record without a window;
+the force is taken as it runs between its samples (:mod:`methods.spectral.response`, where nothing is approximate). Free
+vibration is the case without a force: a ratio of polynomials whose numerator is free.
+
+White noise is white on the lines too, and all lines are used, so the likelihood is that of output error with an unknown
+start: both have the same bound. The start is always estimated, by the transient, even where it is told. A sensor's
+offset is the line of frequency zero, which is then free.
+
+The search (:mod:`methods.spectral.fit`) begins at the best minima of the scan over frequency and decay that others
+begin at, too (:mod:`methods.starts.candidates`), without the prior where the vibration is free. The covariance is the
+inverse of the Fisher information with transient and offset projected out, at the noise that the residuals show.
+
+Free vibration gives k/m and c/m, the latter negative where noise makes it so; a force gives m, c and k. The DFT of a
+free vibration is the same for a frequency and for its mirror image beyond half the sampling rate: the lower is meant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from bench import (
+    Card,
+    Cost,
+    Estimate,
+    Identifier,
+    InitialState,
+    InputError,
+    NoEstimate,
+    Normal,
+    OutputError,
+    Problem,
+    Serves,
+    SimulatedResponse,
+    estimate_at,
+    fitted_start,
+)
+from methods.modal.free_decay import GROWS, has_offset, untold
+from methods.spectral.fit import Objective, Trial, search
+from methods.spectral.lines import dft_lines, force_harmonics, real_lines
+from methods.spectral.response import Layout
+from methods.starts.candidates import candidates
+
+UNEVEN = 1e-3
+"""Steps may differ by this part of themselves: what rounding of printed times does."""
+MAX_SAMPLES = 2000
+"""Of the record, and of its force: the harmonics times these are what a fit costs."""
+HARMONICS = 1024
+"""Least number of harmonics of the force; what is left out is below this number squared of the response."""
+PER_SAMPLE = 4
+"""Harmonics for each sample at least."""
+SCREENING = 6
+"""Steps of each search before the best goes on alone."""
+SIGMA_ROUNDS = 6
+"""Fit and noise in turn, at most, where a prior stands beside the data."""
+POOR = 0.5
+"""A response that leaves more than this part of the mean square of the data is said to be poor."""
+NO_VIBRATION = "its best fit has no positive stiffness, so the record shows no vibration: take a longer record"
+NO_RESPONSE = "the search ran to parameters without a response: take more samples, or a force that moves the mass more"
+
+
+@dataclass(frozen=True)
+class Frequency(Identifier):
+    """The best of ``starts`` starts by a few steps each, then a search of at most ``iterations`` steps."""
+
+    starts: int = 3
+    iterations: int = 100
+
+    card: ClassVar[Card] = Card(
+        summary="maximum likelihood on the lines of the DFT, with the transient as a numerator of its own",
+        start="estimated always",
+        scale="native",
+        reconstruction="own",
+        uncertainty="inverse Fisher information, Student t with N - p degrees of freedom",
+        settings_source="only the effort of the search: the best starts of the scan, a few steps each, then the best of them",
+        tuning="none",
+        title="Frequency domain",
+        order=80,
+        colour="#DDCC77",
+        marker="P",
+    )
+    serves: ClassVar[Serves] = Serves(offsets=True, nonlinear=False, max_dof=1)
+    works_in = "natural units"
+
+    def __post_init__(self) -> None:
+        for name in ("starts", "iterations"):
+            if getattr(self, name) < 1:
+                raise InputError(f"method.{name}", getattr(self, name), "at least 1")
+
+    def objection(self, problem: Problem) -> str | None:
+        return super().objection(problem) or _objection(problem)
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Estimate m, c and k where a force tells the scale, else k/m and c/m. Uses no randomness.
+
+        Raises NoEstimate where the fit has no stiffness, or no response.
+        """
+        own = untold(problem if problem.forced else replace(problem, prior=None))
+        objective = _objective(own)
+        starts = [_unknowns(own, p) for p in candidates(OutputError(own), self.starts)[: self.starts]]
+        found = [search(objective, start, min(SCREENING, self.iterations)) for start in starts]
+        best, _ = min(found, key=lambda pair: pair[0].cost)
+        best, evaluations = search(objective, best.unknowns, self.iterations)
+        spent = evaluations + sum(earlier for _, earlier in found)
+        if not np.isfinite(best.cost):
+            raise NoEstimate(NO_RESPONSE, cost=Cost(spent, spent))
+        if own.forced:
+            return self._forced(own, objective, best, spent)
+        return _free(own, objective, best, spent)
+
+    def _forced(self, problem: Problem, objective: Objective, best: Trial, spent: int) -> Estimate:
+        """All parameters; with a prior, fit and noise in turn."""
+        samples, nuisances = objective.y.size, 2 + int(objective.offset)
+        used = best.unknowns.size + nuisances
+        sigma = _noise(best.residuals, samples, used)
+        for _ in range(SIGMA_ROUNDS if problem.prior is not None else 0):
+            assert problem.prior is not None
+            sds = [problem.prior.log_sd[name] for name in _parameters(problem)]
+            nominal = np.log([problem.prior.nominal[name] for name in _parameters(problem)])
+            objective = replace(objective, nominal=nominal, width=np.array(sds) / sigma)
+            best, evaluations = search(objective, best.unknowns, self.iterations)
+            spent, before, sigma = spent + evaluations, sigma, _noise(best.residuals, samples, used)
+            if abs(np.log(sigma / before)) < 1e-3:
+                break
+        model = OutputError(problem)
+        covariance = _covariance(best.slopes, sigma)
+        order = [_parameters(problem).index(name) for name in problem.system.names]
+        if covariance is not None:
+            covariance = covariance[np.ix_(order, order)]
+        p = dict(zip(_parameters(problem), map(float, np.exp(best.unknowns)), strict=True))
+        message = _message(best.residuals[:samples], objective.y, covariance is None)
+        return estimate_at(model, model.vector(p), covariance, float(used), Cost(spent, spent), message)
+
+
+def _free(problem: Problem, objective: Objective, best: Trial, spent: int) -> Estimate:
+    """The groups k/m and c/m, of the lower of the frequencies that the lines cannot tell apart."""
+    r, g = _lowest(best.unknowns, objective.layout.step)
+    if not r > 0:
+        raise NoEstimate(NO_VIBRATION, cost=Cost(spent, spent))
+    best = objective.at(np.array([r, g]))
+    used = 4 + int(objective.offset)
+    covariance = _covariance(best.slopes, _noise(best.residuals, objective.y.size, used))
+    order = [0 if _stiffness(problem) in group.exponents else 1 for group in problem.system.groups]
+    if covariance is not None:
+        covariance = covariance[np.ix_(order, order)]
+    mass, damping, stiffness = _parameters(problem)
+    p = {mass: 1.0, damping: g, stiffness: r}
+    start = fitted_start(problem.system, p, problem.records[0])
+    return Estimate(
+        problem.system,
+        groups=Normal(
+            tuple(group.name for group in problem.system.groups),
+            best.unknowns[order],
+            covariance,
+            log=False,
+            dof=max(float(objective.y.size - used), 1.0),
+        ),
+        reconstructions=(SimulatedResponse(problem.system, p, start),),
+        initial_states=(InitialState(start.displacement, start.velocity),),
+        message=GROWS if g <= 0 else _message(best.residuals, objective.y, covariance is None),
+        cost=Cost(spent, spent),
+    )
+
+
+def _lowest(unknowns: np.ndarray, step: float) -> tuple[float, float]:
+    """k/m and c/m with the same poles z and a frequency up to half the sampling rate."""
+    r, g = map(float, unknowns)
+    if r - 0.25 * g**2 <= 0:
+        return r, g
+    turns = np.sqrt(r - 0.25 * g**2) * step / (2 * np.pi)
+    omega = 2 * np.pi * abs(turns - np.round(turns)) / step
+    return float(omega**2 + 0.25 * g**2), g
+
+
+def _objective(problem: Problem) -> Objective:
+    record = problem.records[0]
+    channel = record.channels[0]
+    step = float(channel.times[-1] - channel.times[0]) / (channel.n - 1)
+    harmonics = np.zeros(0, complex)
+    if problem.forced:
+        count = channel.n * -(-max(HARMONICS, PER_SAMPLE * channel.n) // channel.n)
+        first, last = float(channel.times[0]), float(channel.times[-1])
+        harmonics = force_harmonics(record.forces, first, last, channel.n * step, count)
+    return Objective(
+        Layout(channel.n, step, harmonics), real_lines(dft_lines(channel.values), channel.n), has_offset(problem)
+    )
+
+
+def _parameters(problem: Problem) -> list[str]:
+    """The names of mass, damping and stiffness."""
+    kinds = {p.kind: p.name for p in problem.system.parameters}
+    return [kinds["mass"], kinds["damping"], kinds["stiffness"]]
+
+
+def _stiffness(problem: Problem) -> str:
+    return _parameters(problem)[2]
+
+
+def _unknowns(problem: Problem, p: dict[str, float]) -> np.ndarray:
+    m, c, k = (p[name] for name in _parameters(problem))
+    return np.log([m, c, k]) if problem.forced else np.array([k / m, c / m])
+
+
+def _noise(residuals: np.ndarray, samples: int, used: int) -> float:
+    """Standard deviation of the noise; never zero."""
+    rss = float(residuals[:samples] @ residuals[:samples])
+    return max(float(np.sqrt(rss / max(samples - used, 1))), 1e-12)
+
+
+def _covariance(slopes: np.ndarray, sigma: float) -> np.ndarray | None:
+    """Inverse of the Fisher information; None where it leaves a direction open."""
+    sizes = np.linalg.norm(slopes, axis=0)
+    if np.any(sizes == 0):
+        return None
+    _, values, axes = np.linalg.svd(slopes / sizes, full_matrices=False)
+    if values[-1] < 1e-9 * values[0]:
+        return None
+    root = axes.T / values / sizes[:, None] * sigma
+    return np.asarray(root @ root.T)
+
+
+def _message(residuals: np.ndarray, y: np.ndarray, open_direction: bool) -> str:
+    left, said = float(residuals @ residuals) / float(y @ y), []
+    if left > POOR:
+        said.append(f"the response leaves {left:.0%} of the data's mean square: a wrong minimum, or mostly noise")
+    if open_direction:
+        said.append("the data leave a parameter open here, so there is no uncertainty")
+    return "; ".join(said)
+
+
+def _objection(problem: Problem) -> str | None:
+    if sorted(p.kind for p in problem.system.parameters) != ["damping", "mass", "stiffness"]:
+        return "it needs one mass, one damping and one stiffness"
+    record = problem.records[0]
+    times = record.channels[0].times
+    least = 5 + int(problem.forced) + int(has_offset(problem))
+    if not least <= times.size <= MAX_SAMPLES:
+        return f"it takes {least} to {MAX_SAMPLES} samples a record; thin a longer one"
+    if problem.forced and max(force.times.size for force in record.forces) > 10 * MAX_SAMPLES:
+        return f"it takes a force of at most {10 * MAX_SAMPLES} samples; thin it"
+    even = np.linspace(times[0], times[-1], times.size)
+    if np.max(np.abs(times - even)) > UNEVEN * (even[1] - even[0]):
+        return "it needs samples at even steps of time; resample them"
+    return None
