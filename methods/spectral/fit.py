@@ -25,7 +25,7 @@ LIMIT = 40.0
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """Unknowns (p,), residuals (n,) with transient and offset fitted, and their derivatives (n, p); a prior adds rows."""
+    """Unknowns (p,), residuals (n,) and their derivatives (n, p), transient and offset fitted; a prior adds rows."""
 
     unknowns: np.ndarray
     residuals: np.ndarray

@@ -78,7 +78,7 @@ class Frequency(Identifier):
         scale="native",
         reconstruction="own",
         uncertainty="inverse Fisher information, Student t with N - p degrees of freedom",
-        settings_source="only the effort of the search: the best starts of the scan, a few steps each, then the best of them",
+        settings_source="only the effort of the search: a few steps from each start of the scan, then the best",
         tuning="none",
         title="Frequency domain",
         order=80,

@@ -1,0 +1,119 @@
+"""The network: what is shown of a record to a mixture of normals over frequency and decay (a mixture density network).
+
+C. M. Bishop, Mixture density networks, Aston University NCRG/94/004, 1994; for the inference of simulator parameters
+G. Papamakarios, I. Murray, NeurIPS 2016, arXiv:1605.06376.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from methods.amortised.mixture import Mixture
+from methods.amortised.simulations import Layout, Shown, shown, simulated
+
+CENTRE, WIDTH = 0.5, 1.5
+"""Of the logarithm of the decay rate times the record: what the network counts it from and in."""
+LEAST_LOG_SD = -8.0
+SMALLEST = 1e-3
+"""Added to the spread of a feature, which may be constant."""
+POOL = 20_000
+"""Records simulated at once."""
+
+
+class Density(nn.Module):
+    """A residual network of ``depth`` blocks of ``width``, and a head for ``components`` normals of two dimensions."""
+
+    mean: Tensor
+    scale: Tensor
+
+    def __init__(self, inputs: int, width: int, depth: int, components: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(inputs))
+        self.register_buffer("scale", torch.ones(inputs))
+        self.first = nn.Linear(inputs, width)
+        self.blocks = nn.ModuleList(nn.Linear(width, width) for _ in range(depth))
+        self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(depth))
+        self.head = nn.Linear(width, 6 * components)
+        self.components = components
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Log-weights (n, K), means (n, K, 2), and inverse Cholesky factors as (log d1, log d2, below) (n, K, 3)."""
+        scaled = (features - self.mean) / self.scale
+        h = nn.functional.silu(self.first(scaled))
+        for block, norm in zip(self.blocks, self.norms, strict=True):
+            h = h + nn.functional.silu(block(norm(h)))
+        raw = self.head(h).reshape(len(h), self.components, 6)
+        factors = torch.cat([raw[..., 3:5].clamp(-4.0, -LEAST_LOG_SD), raw[..., 5:]], dim=-1)
+        return torch.log_softmax(raw[..., 0], dim=-1), raw[..., 1:3], factors
+
+    def loss(self, features: Tensor, target: Tensor) -> Tensor:
+        """Mean negative log-density of the targets (n, 2)."""
+        weights, means, factors = self(features)
+        away = target[:, None] - means
+        first = torch.exp(factors[..., 0]) * away[..., 0]
+        second = torch.exp(factors[..., 1]) * away[..., 1] + factors[..., 2] * first
+        logs = weights - 0.5 * (first**2 + second**2) + factors[..., 0] + factors[..., 1] - math.log(2 * math.pi)
+        return -torch.logsumexp(logs, dim=-1).mean()
+
+
+def targets(logs: np.ndarray, own: Shown) -> np.ndarray:
+    """What the network finds of (log frequency, log damping ratio) (n, 2): float32 (n, 2)."""
+    frequency = (logs[:, 0] - own.anchor) / own.step
+    decay = (logs.sum(axis=1) - CENTRE) / WIDTH
+    return np.stack([frequency, decay], axis=1).astype(np.float32)
+
+
+def mixture_of(network: Density, own: Shown) -> Mixture:
+    """The mixture over log frequency and log decay rate that the network sees in one record."""
+    with torch.no_grad():
+        weights, means, factors = (part[0].double().numpy() for part in network(torch.as_tensor(own.features)))
+    inverse = np.zeros((len(weights), 2, 2))
+    inverse[:, 0, 0], inverse[:, 1, 1] = np.exp(factors[:, 0]), np.exp(factors[:, 1])
+    inverse[:, 1, 0] = factors[:, 2] * inverse[:, 0, 0]
+    scale = np.array([float(own.step[0]), WIDTH])
+    roots = np.linalg.inv(inverse) * scale[:, None]
+    centre = np.array([float(own.anchor[0]), CENTRE])
+    return Mixture(weights, centre + scale * means, roots @ roots.swapaxes(1, 2))
+
+
+def trained(layout: Layout, settings: dict[str, int], rate: float) -> Density:
+    """Train a network for a layout: Adam with a rate that falls as a cosine, on records that are never seen twice.
+
+    Args:
+        layout: Times, and whether the start is told.
+        settings: ``width``, ``depth``, ``components``, ``steps``, ``batch`` and ``seed``.
+        rate: The largest learning rate, after a warm-up of a twentieth of the steps.
+    """
+    rng = np.random.default_rng(settings["seed"])
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(settings["seed"])
+        features, target = _pool(layout, rng)
+        network = Density(features.shape[1], settings["width"], settings["depth"], settings["components"])
+    network.mean.copy_(features.mean(0))
+    network.scale.copy_(features.std(0) + SMALLEST)
+    optimiser = torch.optim.Adam(network.parameters(), lr=rate)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=settings["steps"], pct_start=0.05)
+    at = 0
+    for _ in range(settings["steps"]):
+        if at + settings["batch"] > len(features):
+            features, target = _pool(layout, rng)
+            at = 0
+        part = slice(at, at + settings["batch"])
+        at += settings["batch"]
+        loss = network.loss(features[part], target[part])
+        optimiser.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimiser.step()
+        schedule.step()
+    return network.eval()
+
+
+def _pool(layout: Layout, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+    logs, values, starts = simulated(layout, POOL, rng)
+    own = shown(layout, values, starts if layout.told else None)
+    return torch.as_tensor(own.features), torch.as_tensor(targets(logs, own))

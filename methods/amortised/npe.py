@@ -1,0 +1,291 @@
+"""Neural posterior estimation: the posterior of a record read off a network that was trained on simulations.
+
+For the free decay of one mass with displacements at even times. A mixture density network
+(:mod:`methods.amortised.density`) is trained once for a layout, the number of samples and whether the start is told, on
+records simulated over a wide box of frequency, damping ratio, phase and noise (:mod:`methods.amortised.simulations`),
+none of which comes from the problem; its training is the maximum likelihood of the true frequency and decay given the
+record, which the posterior under the box attains (G. Papamakarios, I. Murray, NeurIPS 2016, arXiv:1605.06376; K.
+Cranmer, J. Brehmer, G. Louppe, PNAS 117:30055, 2020). Every record of that layout is then answered by one pass.
+
+The box is uniform in the logarithms, so the posterior under the prior of a problem is the network's mixture times that
+prior: again a mixture, in closed form (Papamakarios and Murray). So one network serves every prior and every noise
+level. The data tell k/m and c/m alone; m given these is drawn from what the prior says of it, which is exact.
+
+What the network does not know it cannot tell: the answer is as good as the training, and at little noise, where the
+posterior is narrow beside what a network resolves, it is wider than the data allow. ``corrected`` weighs the draws by
+the exact likelihood over the network's density and draws from them again (importance sampling: M. Dax et al., Physical
+Review Letters 130:171403, 2023): the network is then but the proposal, and too few effective draws are a failure.
+
+An answer is not trusted, and is a failure with a sentence, where the draws leave the box that was trained on, or where
+the response at their median leaves more of the record than the largest noise that was trained on.
+
+Trained networks are kept in ``folder`` (else ``vibration-bench/npe`` in the user's cache). Training is the same for the
+same seed; a network trained by another build of torch differs by rounding that training makes larger.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from bench import (
+    Card,
+    Cost,
+    Draws,
+    Estimate,
+    Identifier,
+    InputError,
+    NoEstimate,
+    Normal,
+    Prior,
+    Problem,
+    Serves,
+    SimulatedResponse,
+    fitted_start,
+)
+from methods.amortised.cache import Arrays, cache_folder, cached
+from methods.amortised.likelihood import log_likelihood
+from methods.amortised.mixture import Mixture
+from methods.amortised.simulations import DECIBELS, RATIOS, Layout, shown
+
+if TYPE_CHECKING:
+    from methods.amortised.density import Density
+
+UNEVEN = 1e-3
+"""Steps may differ by this part of themselves: what rounding of printed times does."""
+SAMPLES = (8, 300)
+RATE = 2e-3
+"""Largest learning rate."""
+TRIES = 4
+"""Times the draws: how many are made at most for so many within the box."""
+LEAST_INSIDE = 0.05
+"""Share of the draws within the box below which the network was not trained on such a record."""
+MARGIN = 1.15
+"""Times the noise of the noisiest records trained on: what the median response may leave."""
+PROPOSALS = 5
+"""Times the draws: how many are weighed where they are corrected."""
+LEAST_EFFECTIVE = 50.0
+"""Effective draws below which the network is no proposal."""
+
+
+@dataclass(frozen=True)
+class NPE(Identifier):
+    """Training of ``steps`` steps on ``batch`` records each; the network has ``depth`` blocks of ``width``.
+
+    ``components`` normals make the mixture; ``draws`` draws are the answer. ``seed`` is that of the training.
+    """
+
+    steps: int = 4000
+    batch: int = 256
+    width: int = 192
+    depth: int = 3
+    components: int = 6
+    draws: int = 4000
+    corrected: bool = False
+    seed: int = 0
+    folder: str = ""
+
+    card: ClassVar[Card] = Card(
+        summary="neural posterior estimation: a mixture density network trained once a layout on simulations",
+        start="used when known",
+        scale="native",
+        reconstruction="own",
+        uncertainty="quantiles of the draws (without a prior: their covariance); wider than the data allow at little "
+        "noise, where the network does not resolve the posterior",
+        settings_source="a network that trains in one to three minutes of one core, once a layout; none from a table",
+        tuning="none: the first size and learning rate that were tried; calibration looked at on development systems",
+        title="Neural posterior",
+        order=35,
+        colour="#DDAA33",
+        marker="X",
+        variants={
+            "npe_corrected": {
+                "title": "Neural posterior, corrected",
+                "summary": "the same, its draws weighed by the exact likelihood (importance sampling)",
+                "uncertainty": "quantiles of the draws (without a prior: their covariance)",
+                "order": 36,
+                "colour": "#997700",
+                "marker": "D",
+            }
+        },
+    )
+    serves: ClassVar[Serves] = Serves(forced=False, nonlinear=False, max_dof=1)
+    requires: ClassVar[tuple[str, ...]] = ("torch",)
+    extra: ClassVar[str] = "torch"
+    works_in = "natural units"
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch", "width", "depth", "components"):
+            if getattr(self, name) < 1:
+                raise InputError(f"method.{name}", getattr(self, name), "at least 1")
+        if self.draws < 100:
+            raise InputError("method.draws", self.draws, "at least 100")
+        if self.seed < 0:
+            raise InputError("method.seed", self.seed, "a number from 0")
+
+    def objection(self, problem: Problem) -> str | None:
+        return super().objection(problem) or _objection(problem)
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Draw from the posterior; raises NoEstimate where the answer should not be trusted. Trains where it must."""
+        import torch
+
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            seen, spent = self._seen(problem)
+        finally:
+            torch.set_num_threads(threads)
+        posterior = seen if problem.prior is None else seen.times(*_group_prior(problem, problem.prior))
+        logs = _inside(_layout(problem), posterior, (PROPOSALS if self.corrected else 1) * self.draws, rng)
+        effective = float(len(logs))
+        if self.corrected:
+            logs, effective = _corrected(problem, posterior, logs, self.draws, rng)
+        found = _estimate(problem, logs, rng)
+        traces = {"training_seconds": np.array([spent]), "effective_draws": np.array([effective])}
+        return replace(found, traces=traces, cost=Cost(evaluations=1, iterations=self.steps))
+
+    def _seen(self, problem: Problem) -> tuple[Mixture, float]:
+        """What the network sees of the logarithms of k/m and c/m, and the processor time (s) of its training."""
+        from methods.amortised.density import mixture_of
+
+        layout, record = _layout(problem), problem.records[0]
+        names = ("steps", "batch", "width", "depth", "components", "seed")
+        network, spent = _loaded(layout, tuple((name, getattr(self, name)) for name in names), self.folder)
+        start = record.initial_state
+        told = None if start is None else np.array([[start.displacement[0], start.velocity[0]]])
+        seen = mixture_of(network, shown(layout, record.channels[0].values[None], told))
+        # log k/m = 2 log frequency and log c/m = log 2 + log decay rate
+        return seen.mapped(np.diag([2.0, 1.0]), np.array([0.0, np.log(2.0)])), spent
+
+
+@lru_cache(maxsize=8)
+def _loaded(layout: Layout, settings: tuple[tuple[str, int], ...], folder: str) -> tuple[Density, float]:
+    """The network of a layout, and the processor time (s) that its training took, whenever that was."""
+    from methods.amortised.training import as_arrays, definition, network_from
+
+    identity = {
+        "definition": definition(),
+        "samples": layout.samples,
+        "first": layout.first,
+        "told": layout.told,
+        **dict(settings),
+    }
+
+    def make() -> Arrays:
+        return as_arrays(layout, dict(settings), RATE)
+
+    return network_from(cached(cache_folder(folder), identity, make), dict(settings))
+
+
+def _layout(problem: Problem) -> Layout:
+    record = problem.records[0]
+    times = record.channels[0].times
+    return Layout(times.size, round(float(times[0] / times[-1]), 6), record.initial_state is not None)
+
+
+def _parameters(problem: Problem) -> list[str]:
+    """The names of mass, damping and stiffness."""
+    kinds = {p.kind: p.name for p in problem.system.parameters}
+    return [kinds["mass"], kinds["damping"], kinds["stiffness"]]
+
+
+def _group_prior(problem: Problem, prior: Prior) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance of the logarithms of k/m and c/m."""
+    mass, damping, stiffness = _parameters(problem)
+    log = {name: float(np.log(value)) for name, value in prior.nominal.items()}
+    square = {name: sd**2 for name, sd in prior.log_sd.items()}
+    mean = np.array([log[stiffness] - log[mass], log[damping] - log[mass]])
+    return mean, np.diag([square[stiffness], square[damping]]) + square[mass]
+
+
+def _inside(layout: Layout, posterior: Mixture, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Draws of the logarithms of k/m and c/m within the box that was trained on, at most ``n``."""
+    logs = posterior.draw(TRIES * n, rng)
+    frequency, ratio = 0.5 * logs[:, 0], logs[:, 1] - np.log(2.0) - 0.5 * logs[:, 0]
+    place = np.stack([frequency, ratio], axis=1)
+    low, high = layout.box
+    within = np.all((place >= low) & (place <= high), axis=1)
+    if np.mean(within) < LEAST_INSIDE:
+        cycles = " to ".join(f"{value:.3g}" for value in layout.cycles)
+        raise NoEstimate(
+            f"the record is outside what the network was trained on, {cycles} cycles a record "
+            f"and damping ratios of {RATIOS[0]:g} to {RATIOS[1]:g}: take another method, or more samples"
+        )
+    return logs[within][:n]
+
+
+def _corrected(
+    problem: Problem, posterior: Mixture, logs: np.ndarray, n: int, rng: np.random.Generator
+) -> tuple[np.ndarray, float]:
+    """Draws again, by the exact posterior over the mixture; and the number of effective draws."""
+    target = log_likelihood(problem, logs)
+    if problem.prior is not None:
+        mean, covariance = _group_prior(problem, problem.prior)
+        away = logs - mean
+        target = target - 0.5 * np.sum(away * np.linalg.solve(covariance, away.T).T, axis=1)
+    excess = target - posterior.log_density(logs)
+    weights = np.exp(excess - np.max(excess))
+    weights /= weights.sum()
+    effective = float(1.0 / np.sum(weights**2))
+    if effective < LEAST_EFFECTIVE:
+        raise NoEstimate(
+            f"only {effective:.0f} of {len(logs)} draws count by the exact likelihood, so the network does not know "
+            "such a record: take another method, or a longer training"
+        )
+    return logs[rng.choice(len(logs), n, p=weights)], effective
+
+
+def _estimate(problem: Problem, logs: np.ndarray, rng: np.random.Generator) -> Estimate:
+    """The answer that draws of the logarithms of k/m and c/m are; raises NoEstimate where it should not be trusted."""
+    system, record = problem.system, problem.records[0]
+    mass, damping, stiffness = _parameters(problem)
+    middle = np.exp(np.median(logs, axis=0))
+    p = {mass: 1.0, damping: float(middle[1]), stiffness: float(middle[0])}
+    start = fitted_start(system, p, record)
+    response = SimulatedResponse(system, p, start)
+    y = record.channels[0].values
+    left = float(np.mean((y - response(record.channels[0].times)[0]) ** 2) / np.mean(y**2))
+    noisiest = 1.0 / (1.0 + 10 ** (DECIBELS[0] / 10))
+    if not left <= MARGIN * noisiest:
+        raise NoEstimate(
+            f"the response at the median of the draws leaves {left:.0%} of the record's mean square, more than the "
+            f"noise that the network was trained on: take another method, or less noise"
+        )
+    parameters, groups = None, None
+    if problem.prior is None:
+        names = [next(name for name in g.exponents if name != mass) for g in system.groups]
+        values = np.exp(logs[:, [0 if name == stiffness else 1 for name in names]])
+        centre = np.array([middle[0 if name == stiffness else 1] for name in names])
+        groups = Normal(tuple(g.name for g in system.groups), centre, np.cov(values.T), log=False)
+    else:
+        m = _masses(problem, problem.prior, logs, rng)
+        columns = {mass: m, damping: m * np.exp(logs[:, 1]), stiffness: m * np.exp(logs[:, 0])}
+        parameters = Draws(system.names, np.stack([columns[name] for name in system.names], axis=1))
+    return Estimate(system, parameters, groups, reconstructions=(response,), initial_states=(start,))
+
+
+def _masses(problem: Problem, prior: Prior, logs: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The mass given k/m and c/m, as the prior has it: what is stated of m, of c and of k, each weighed by its width."""
+    mass, damping, stiffness = _parameters(problem)
+    log = {name: float(np.log(value)) for name, value in prior.nominal.items()}
+    weight = {name: sd**-2.0 for name, sd in prior.log_sd.items()}
+    total = sum(weight.values())
+    said = weight[mass] * log[mass] + weight[damping] * (log[damping] - logs[:, 1])
+    said = said + weight[stiffness] * (log[stiffness] - logs[:, 0])
+    return np.asarray(np.exp(said / total + rng.standard_normal(len(logs)) / np.sqrt(total)))
+
+
+def _objection(problem: Problem) -> str | None:
+    if sorted(p.kind for p in problem.system.parameters) != ["damping", "mass", "stiffness"]:
+        return "it needs one mass, one damping and one stiffness"
+    times = problem.records[0].channels[0].times
+    if not SAMPLES[0] <= times.size <= SAMPLES[1]:
+        return f"it takes {SAMPLES[0]} to {SAMPLES[1]} samples a record, since a network is trained for each number"
+    even = np.linspace(times[0], times[-1], times.size)
+    if np.max(np.abs(times - even)) > UNEVEN * (even[1] - even[0]):
+        return "it needs samples at even steps of time, since a network is trained for a layout; resample them"
+    return None

@@ -1,0 +1,151 @@
+"""Simulated records of one mass in free decay, and what the network is shown of a record, simulated or measured.
+
+Time is counted in records (the last sample is at 1) and displacement in root mean squares of the record, so that one
+network serves every size and every duration. The motion is drawn from a wide box, not from anybody's prior: frequency
+and damping ratio log-uniform, the phase of the start uniform, the signal-to-noise ratio uniform in decibels.
+
+A record is shown as its samples and as a bank of damped waves, as the scan of the other methods has it
+(:mod:`methods.starts.scan`): the share of the record that the best wave of each frequency and decay leaves, of all
+starts or of the told one. The frequency where least is left is the anchor: the network finds the frequency relative to
+it, in steps of the bank.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+CYCLES = 0.25
+"""Least number of cycles in a record."""
+MOST_CYCLES = 40.0
+NYQUIST = 0.95
+"""Largest frequency, over half the sampling rate."""
+RATIOS = (1e-3, 2.0)
+"""Damping ratios."""
+DECIBELS = (0.0, 50.0)
+"""Signal-to-noise ratios."""
+FREQUENCIES = 64
+"""Of the bank."""
+DECAYS = (0.2, 1.0, 3.0, 8.0)
+"""Of the bank, decay rates times the record."""
+NEIGHBOURS = 3
+"""Frequencies on either side of the anchor that are shown by their place relative to it."""
+LEAST_LEFT = 1e-6
+"""Shares of the record below this are shown as this."""
+CRITICAL = 1e-6
+"""Damping ratios squared nearer to 1 than this are moved away from it."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Even times: ``samples`` from ``first`` to 1; and whether the start is told."""
+
+    samples: int
+    first: float
+    told: bool
+
+    @cached_property
+    def times(self) -> np.ndarray:
+        """Shape (samples,)."""
+        return np.linspace(self.first, 1.0, self.samples)
+
+    @cached_property
+    def cycles(self) -> tuple[float, float]:
+        """Least and largest number of cycles in a record."""
+        half_rate = 0.5 * (self.samples - 1) / (1.0 - self.first)
+        return CYCLES, min(MOST_CYCLES, NYQUIST * half_rate)
+
+    @cached_property
+    def box(self) -> np.ndarray:
+        """Limits (2, 2) of the logarithms of angular frequency and damping ratio: rows lowest, highest."""
+        omegas = 2 * np.pi * np.array(self.cycles)
+        return np.log(np.stack([omegas, np.array(RATIOS)], axis=1))
+
+    @cached_property
+    def bank(self) -> np.ndarray:
+        """Angular frequencies of the bank, evenly spaced, (FREQUENCIES,)."""
+        return np.asarray(2 * np.pi * np.linspace(*self.cycles, FREQUENCIES))
+
+    @cached_property
+    def waves(self) -> np.ndarray:
+        """Responses of the bank to a unit displacement and to a unit velocity, (FREQUENCIES, decays, 2, samples)."""
+        omega, decay = self.bank[:, None], np.array(DECAYS)
+        return np.stack(unit_responses(np.hypot(omega, decay), decay / np.hypot(omega, decay), self.times), axis=2)
+
+    @cached_property
+    def bases(self) -> np.ndarray:
+        """An orthonormal basis of each of these pairs, (FREQUENCIES * decays * 2, samples)."""
+        q = np.linalg.qr(np.swapaxes(self.waves, -1, -2))[0]
+        return np.ascontiguousarray(np.swapaxes(q, -1, -2).reshape(-1, self.samples))
+
+
+def unit_responses(omega: np.ndarray, ratio: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Free responses to a unit displacement and to a unit velocity at time 0, each of shape (*sets, n_times).
+
+    ``e^(-d t) (cosh(w t) + d/w sinh(w t))`` and ``e^(-d t) sinh(w t) / w`` with ``d = ratio omega`` and
+    ``w = omega sqrt(ratio² - 1)``, imaginary below critical damping.
+    """
+    square = ratio**2 - 1.0
+    square = np.where(np.abs(square) < CRITICAL, -CRITICAL, square)
+    d, w = (ratio * omega)[..., None], (omega * np.sqrt(np.abs(square)))[..., None]
+    over = (square > 0)[..., None]
+    slow, fast = np.exp(-(d - np.where(over, w, 0.0)) * times), np.exp(-(d + np.where(over, w, 0.0)) * times)
+    even = np.where(over, 0.5 * (slow + fast), slow * np.cos(w * times))
+    odd = np.where(over, 0.5 * (slow - fast), slow * np.sin(w * times)) / w
+    return even + d * odd, odd
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What the network sees of records: ``features`` (sets, n), and the ``anchor`` of each (sets,), log-frequency.
+
+    ``step`` (sets,) is the step of the bank there, in log-frequency.
+    """
+
+    features: np.ndarray
+    anchor: np.ndarray
+    step: np.ndarray
+
+
+def shown(layout: Layout, values: np.ndarray, starts: np.ndarray | None) -> Shown:
+    """Show records: ``values`` (sets, samples), and told ``starts`` (sets, 2), displacement and velocity, or None."""
+    size = np.sqrt(np.mean(values**2, axis=1, keepdims=True))
+    y = values / size
+    shape = (len(y), FREQUENCIES, len(DECAYS))
+    features = [y]
+    if starts is None:
+        caught = (y @ layout.bases.T).reshape(*shape, 2)
+        left = layout.samples - np.sum(caught**2, axis=-1)
+    else:
+        own = starts / size
+        predicted = np.einsum("bi,fdit->bfdt", own, layout.waves)
+        left = np.sum((y[:, None, None] - predicted) ** 2, axis=-1)
+        features.append(np.arcsinh(own))
+    logs = np.log(np.clip(left / layout.samples, LEAST_LEFT, 1.0 / LEAST_LEFT))
+    best = logs.min(axis=2).argmin(axis=1)
+    places = best[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1)
+    inside = (places >= 0) & (places < FREQUENCIES)
+    near = np.where(inside[..., None], logs[np.arange(len(y))[:, None], np.clip(places, 0, FREQUENCIES - 1)], 0.0)
+    omega = layout.bank[best]
+    # the samples turned back at the anchor: what the phase does along the record, whatever the frequency
+    turned = y * np.exp(-1j * omega[:, None] * layout.times)
+    anchor, step = np.log(omega), (layout.bank[1] - layout.bank[0]) / omega
+    features += [near.reshape(len(y), -1), logs.min(axis=2), turned.real, turned.imag]
+    features += [anchor[:, None] - layout.box[0, 0], inside[:, [0, -1]], near.min(axis=(1, 2))[:, None]]
+    return Shown(np.concatenate(features, axis=1).astype(np.float32), anchor, step)
+
+
+def simulated(layout: Layout, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Draw ``n`` records: log angular frequency and log damping ratio (n, 2), values (n, samples), starts (n, 2)."""
+    low, high = layout.box
+    logs = low + (high - low) * rng.random((n, 2))
+    omega, ratio = np.exp(logs).T
+    phase = 2 * np.pi * rng.random(n)
+    starts = np.stack([np.cos(phase), omega * np.sin(phase)], axis=1)
+    even, odd = unit_responses(omega, ratio, layout.times)
+    clean = starts[:, :1] * even + starts[:, 1:] * odd
+    decibels = DECIBELS[0] + (DECIBELS[1] - DECIBELS[0]) * rng.random((n, 1))
+    sigma = np.sqrt(np.mean(clean**2, axis=1, keepdims=True)) * 10 ** (-decibels / 20)
+    return logs, clean + sigma * rng.standard_normal(clean.shape), starts
