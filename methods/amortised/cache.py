@@ -46,7 +46,7 @@ def cached(folder: Path, identity: Mapping[str, object], make: Callable[[], Arra
 def _read(path: Path) -> Arrays | None:
     """The arrays of a file; None where there is none, or one that cannot be read."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
         return None

@@ -100,7 +100,7 @@ class NPE(Identifier):
         title="Neural posterior",
         order=35,
         colour="#DDAA33",
-        marker="X",
+        marker=(7, 1, 0.0),
         variants={
             "npe_corrected": {
                 "title": "Neural posterior, corrected",
@@ -108,7 +108,7 @@ class NPE(Identifier):
                 "uncertainty": "quantiles of the draws (without a prior: their covariance)",
                 "order": 36,
                 "colour": "#997700",
-                "marker": "D",
+                "marker": (7, 2, 0.0),
             }
         },
     )
@@ -269,7 +269,7 @@ def _estimate(problem: Problem, logs: np.ndarray, rng: np.random.Generator) -> E
 
 
 def _masses(problem: Problem, prior: Prior, logs: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """The mass given k/m and c/m, as the prior has it: what is stated of m, of c and of k, each weighed by its width."""
+    """The mass given k/m and c/m, as the prior has it: what is stated of m, c and k, each weighed by its width."""
     mass, damping, stiffness = _parameters(problem)
     log = {name: float(np.log(value)) for name, value in prior.nominal.items()}
     weight = {name: sd**-2.0 for name, sd in prior.log_sd.items()}

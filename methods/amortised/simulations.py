@@ -75,6 +75,12 @@ class Layout:
         return np.stack(unit_responses(np.hypot(omega, decay), decay / np.hypot(omega, decay), self.times), axis=2)
 
     @cached_property
+    def products(self) -> np.ndarray:
+        """Inner products of each pair, of the first with itself, of both, of the second with itself: (3, pairs)."""
+        even, odd = np.moveaxis(self.waves.reshape(-1, 2, self.samples), 1, 0)
+        return np.stack([np.sum(a * b, axis=1) for a, b in ((even, even), (even, odd), (odd, odd))])
+
+    @cached_property
     def bases(self) -> np.ndarray:
         """An orthonormal basis of each of these pairs, (FREQUENCIES * decays * 2, samples)."""
         q = np.linalg.qr(np.swapaxes(self.waves, -1, -2))[0]
@@ -120,8 +126,11 @@ def shown(layout: Layout, values: np.ndarray, starts: np.ndarray | None) -> Show
         left = layout.samples - np.sum(caught**2, axis=-1)
     else:
         own = starts / size
-        predicted = np.einsum("bi,fdit->bfdt", own, layout.waves)
-        left = np.sum((y[:, None, None] - predicted) ** 2, axis=-1)
+        # the sum of squares of y less the told start's response, by inner products
+        on = (y @ layout.waves.reshape(-1, layout.samples).T).reshape(*shape, 2)
+        both = np.stack([own[:, 0] ** 2, 2 * own[:, 0] * own[:, 1], own[:, 1] ** 2], axis=1)
+        energy = (both @ layout.products).reshape(shape)
+        left = layout.samples - 2 * np.einsum("bi,bfdi->bfd", own, on) + energy
         features.append(np.arcsinh(own))
     logs = np.log(np.clip(left / layout.samples, LEAST_LEFT, 1.0 / LEAST_LEFT))
     best = logs.min(axis=2).argmin(axis=1)

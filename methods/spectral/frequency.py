@@ -83,7 +83,7 @@ class Frequency(Identifier):
         title="Frequency domain",
         order=80,
         colour="#DDCC77",
-        marker="P",
+        marker=(8, 1, 0.0),
     )
     serves: ClassVar[Serves] = Serves(offsets=True, nonlinear=False, max_dof=1)
     works_in = "natural units"

@@ -22,6 +22,7 @@ from bench.systems import SDOF
 VARIANTS: dict[str, dict[str, Any]] = {
     "ddnn": {"name": "ddnn", "iterations": 30, "draws": 30},  # as far as needed: what is asked is not accuracy
     "ls_spline": {"name": "ls", "derivative": "spline"},
+    "npe": {"name": "npe", "steps": 150, "batch": 64, "width": 48, "depth": 2},
     "pinn_adam": {"name": "pinn", "optimizer": "adam_lbfgs", "slack": 0.5, "adam_steps": 200, "lbfgs_steps": 300},
 }
 NAMES = sorted({*registered(), *VARIANTS})

@@ -1,0 +1,67 @@
+"""Trained networks on disk: trained once by many at a time, whole files only, and no need of a disk."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+from methods.amortised.cache import Arrays, cache_folder, cached
+
+IDENTITY = {"samples": 25}
+
+
+class Maker:
+    """Makes arrays, slowly, and counts how often."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self) -> Arrays:
+        self.calls += 1
+        time.sleep(0.1)
+        return {"weight": np.arange(6.0).reshape(2, 3)}
+
+
+def test_many_at_a_time_train_once(tmp_path: Path) -> None:
+    make, found = Maker(), list[Arrays]()
+    threads = [threading.Thread(target=lambda: found.append(cached(tmp_path, IDENTITY, make))) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert make.calls == 1
+    assert len(found) == 4
+    for own in found:
+        np.testing.assert_array_equal(own["weight"], np.arange(6.0).reshape(2, 3))
+    assert len(list(tmp_path.glob("*.npz"))) == 1
+    assert not list(tmp_path.glob("*.tmp"))
+
+
+def test_another_identity_is_another_network(tmp_path: Path) -> None:
+    make = Maker()
+    cached(tmp_path, IDENTITY, make)
+    cached(tmp_path, {"samples": 26}, make)
+    assert make.calls == 2
+
+
+def test_a_torn_file_is_made_anew(tmp_path: Path) -> None:
+    make = Maker()
+    cached(tmp_path, IDENTITY, make)
+    file = next(tmp_path.glob("*.npz"))
+    file.write_bytes(file.read_bytes()[:100])
+    cached(tmp_path, IDENTITY, make)
+    cached(tmp_path, IDENTITY, make)
+    assert make.calls == 2
+
+
+def test_where_nothing_can_be_written_it_is_trained_all_the_same(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    found = cached(tmp_path / "file", IDENTITY, Maker())
+    assert found["weight"].shape == (2, 3)
+
+
+def test_a_stated_folder_is_taken(tmp_path: Path) -> None:
+    assert cache_folder(str(tmp_path)) == tmp_path
