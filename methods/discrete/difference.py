@@ -47,10 +47,7 @@ def sampling_objection(problem: Problem) -> str | None:
 
 
 def unlike_the_record(problem: Problem, answer: Estimate) -> Estimate:
-    """The answer, with a sentence where the best response of its k/m and c/m is far from the record.
-
-    Raises nothing: how it fits is for the reader to judge.
-    """
+    """The answer, with a sentence where the best response of its k/m and c/m is far from the record."""
     if answer.status is not Status.OK or answer.message:
         return answer
     channel, p = problem.records[0].channels[0], _parameters(problem, answer)

@@ -71,7 +71,7 @@ class SRIVC(Identifier):
         reconstruction="own",
         uncertainty="covariance of the instrumental-variable estimate, Student t with N - p degrees of freedom",
         settings_source="rounds: more than any development record took that settled",
-        tuning="none; rounds seen on 8 development systems (damping 0.3-80 %, 0.7-40 cycles, 12-300 samples, 40-10 dB)",
+        tuning="none; rounds seen on 9 development systems (damping 0.3-80 %, 0.7-40 cycles, 12-300 samples, 40-10 dB)",
         title="SRIVC",
         order=155,
         colour="#3B6FB6",
@@ -131,7 +131,8 @@ def _answer(model: Model, theta: np.ndarray, cost: Cost) -> Estimate:
     equations, start = model.equations(theta), model.start_of(theta)
     belief = model.belief(theta, equations)
     forced = model.problem.forced
-    p = model.parameters(*theta[:2], mass=1.0 / theta[2] if forced else 1.0)
+    mass = 1.0 / float(theta[2]) if forced else 1.0
+    p = model.parameters(float(theta[0]), float(theta[1]), mass)
     return Estimate(
         system,
         parameters=belief if forced else None,
