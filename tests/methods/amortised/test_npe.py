@@ -66,7 +66,7 @@ def test_corrected_draws_are_the_posterior_by_quadrature(folder: Path) -> None:
     problem = record()
     found = answer(folder, problem, corrected=True)
     assert isinstance(found.parameters, Draws), found.message
-    a, b = np.meshgrid(np.linspace(-0.15, 0.15, 121), np.linspace(-1.6, 1.2, 121), indexing="ij")
+    a, b = np.meshgrid(np.linspace(-0.15, 0.15, 51), np.linspace(-1.6, 1.2, 51), indexing="ij")
     a, b = a + np.log(11.0 / 1.4), b + np.log(0.5)
     y = problem.records[0].channels[0].values
     rss = [
