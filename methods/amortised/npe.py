@@ -12,9 +12,10 @@ prior: again a mixture, in closed form (Papamakarios and Murray). So one network
 level. The data tell k/m and c/m alone; m given these is drawn from what the prior says of it, which is exact.
 
 What the network does not know it cannot tell: the answer is as good as the training, and at little noise, where the
-posterior is narrow beside what a network resolves, it is wider than the data allow. ``corrected`` weighs the draws by
-the exact likelihood over the network's density and draws from them again (importance sampling: M. Dax et al., Physical
-Review Letters 130:171403, 2023): the network is then but the proposal, and too few effective draws are a failure.
+posterior is narrow beside what a network resolves, it is wider than the data allow; for some systems it is too
+narrow. ``corrected`` weighs the draws by the exact likelihood over the network's density and draws
+from them again (importance sampling: M. Dax et al., Physical Review Letters 130:171403, 2023): the network is then but
+the proposal, and too few effective draws are a failure.
 
 An answer is not trusted, and is a failure with a sentence, where the draws leave the box that was trained on, or where
 the response at their median leaves more of the record than the largest noise that was trained on.
@@ -93,14 +94,14 @@ class NPE(Identifier):
         start="used when known",
         scale="native",
         reconstruction="own",
-        uncertainty="quantiles of the draws (without a prior: their covariance); wider than the data allow at little "
-        "noise, where the network does not resolve the posterior",
+        uncertainty="quantiles of the draws (without a prior: their covariance); too wide at little noise, where "
+        "the network does not resolve the posterior, and too narrow for some systems; corrected, neither",
         settings_source="a network that trains in one to three minutes of one core, once a layout; none from a table",
         tuning="none: the first size and learning rate that were tried; calibration looked at on development systems",
         title="Neural posterior",
         order=35,
-        colour="#DDAA33",
-        marker=(7, 1, 0.0),
+        colour="#B8860B",
+        marker=(9, 1, 0.0),
         variants={
             "npe_corrected": {
                 "title": "Neural posterior, corrected",
@@ -108,7 +109,7 @@ class NPE(Identifier):
                 "uncertainty": "quantiles of the draws (without a prior: their covariance)",
                 "order": 36,
                 "colour": "#997700",
-                "marker": (7, 2, 0.0),
+                "marker": (9, 2, 0.0),
             }
         },
     )
