@@ -28,6 +28,10 @@ Spread = Callable[["Decays"], np.ndarray]
 
 SERVES = Serves(offsets=True, forced=False, nonlinear=False, max_dof=1)
 GROWS = "the vibration grows: c/m came out negative; take a record with more decay above its noise"
+UNTOLD = (
+    "most synthetic records of this noise could not be read, so there is no uncertainty: do not trust the value; "
+    "take a longer record or less noise"
+)
 
 
 @dataclass(frozen=True)
@@ -93,20 +97,21 @@ def _decays(
     decays = _world(first, Decays(times, groups, y[0], np.zeros(len(groups)), offset), order)
     covariances = _covariances(reading, decays, rngs)
     return [
-        partial(
-            _estimate, regression, reading.unreadable, own[order], None if cov is None else cov[np.ix_(order, order)]
-        )
+        partial(_estimate, regression, reading, own[order], None if cov is None else cov[np.ix_(order, order)])
         for regression, own, cov in zip(regressions, groups, covariances, strict=True)
     ]
 
 
-def _estimate(regression: Regression, unreadable: str, unknowns: np.ndarray, covariance: np.ndarray | None) -> Estimate:
+def _estimate(
+    regression: Regression, reading: Reading, unknowns: np.ndarray, covariance: np.ndarray | None
+) -> Estimate:
     if not np.all(np.isfinite(unknowns)):
-        raise NoEstimate(unreadable)
+        raise NoEstimate(reading.unreadable)
     # the resting level is found too, and costs a degree of freedom
     found = np.append(unknowns, np.zeros(int(regression.records[0].channels[0].offset)))
     damping = unknowns[_order(regression)][1]
-    return answer(regression, found, covariance, GROWS if damping <= 0 else "")
+    said = [GROWS] * bool(damping <= 0) + [UNTOLD] * (covariance is None and reading.bootstrap > 0)
+    return answer(regression, found, covariance, "; ".join(said))
 
 
 def untold(problem: Problem) -> Problem:

@@ -79,7 +79,8 @@ class LogDecrement(Identifier):
         """Estimate problems of one layout together."""
         sentence = (
             f"fewer than {MIN_CROSSINGS} zero crossings or {MIN_EXTREMES} extremes above {self.smallest:g} of the "
-            "largest sample: take a longer record, more samples a cycle or less noise"
+            "largest sample: take a longer record, more samples a cycle or less noise; a mass that returns to rest "
+            "without swinging, damped near or above critically, has no decrement: take matrix_pencil or output_error"
         )
         return decay_estimates(problems, rngs, Reading(self._read, sentence, self.bootstrap))
 

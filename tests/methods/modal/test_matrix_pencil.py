@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 
 from bench import Channel, Estimate, InputError, Normal, Problem, Record, Status
 from bench.information.fisher import compute_bound
@@ -15,6 +16,12 @@ from methods.modal.perturbation import Pair
 
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
 TIMES = np.linspace(0.0, 10.0, 25)
+# the measured values of MGH17 (NIST Statistical Reference Datasets), every 10 from 0
+MGH17 = [
+    0.844, 0.908, 0.932, 0.936, 0.925, 0.908, 0.881, 0.850, 0.818, 0.784, 0.751, 0.718, 0.685, 0.658, 0.628, 0.603,
+    0.580, 0.558, 0.538, 0.522, 0.506, 0.490, 0.478, 0.467, 0.457, 0.448, 0.438, 0.431, 0.424, 0.420, 0.414, 0.411,
+    0.406,
+]  # fmt: skip
 
 
 def record(p: dict[str, float], times: np.ndarray = TIMES, noise: float = 0.0) -> Problem:
@@ -148,10 +155,55 @@ def test_large_noise_is_left_to_the_bootstrap() -> None:
         assert np.array_equal(found[0].covariance, found[1].covariance) is same
 
 
-def test_poles_that_are_no_pair_are_a_sentence() -> None:
-    overdamped = fit(record({"m": 1.0, "c": 9.0, "k": 9.0}))
-    assert overdamped.status is Status.DIVERGED
-    assert "complex pair" in overdamped.message
+@pytest.mark.parametrize("ratio", [0.9, 0.999, 1.001, 1.1, 1.3, 4.0])
+def test_above_critical_damping_two_real_poles_give_the_groups(ratio: float) -> None:
+    """From two decays of known rates: ``s² + (c/m) s + k/m`` has the product k/m and the sum -c/m of its roots."""
+    root = np.sqrt(complex(ratio**2 - 1.0))
+    rates = 3.0 * np.array([-ratio - root, -ratio + root])
+    times = np.linspace(0.0, 2.0, 25)
+    amplitude = np.array([1.0, 1.0]) if ratio < 1 else np.array([-0.4, 1.4])
+    y = (np.exp(rates * times[:, None]) @ amplitude).real
+    found = groups(Problem(SDOF(), (Record((Channel(times, y),)),))).mean
+    np.testing.assert_allclose(found, [9.0, 6.0 * ratio], rtol=1e-5)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.3])
+def test_intervals_of_an_overdamped_mass_cover(ratio: float) -> None:
+    """Of 60 intervals of 95 % some 57 hold the truth; binomially fewer than 51 or a coverage by width is a fault."""
+    plant = {"m": 2.0, "c": 2.0 * ratio * np.sqrt(60.0), "k": 30.0}
+    scenario = Scenario("sdof", plant, ((1.0,), (0.0,)), 40.0, initial_state="unknown", duration=4.0, samples=50)
+    bound = compute_bound(scenario).relative_sd
+    fits = [groups(problem, bootstrap=100) for problem, _ in scenario.replicates(31, 60)]
+    truth = np.array([15.0, plant["c"] / 2.0])
+    sds = np.array([np.sqrt(np.diag(f.covariance)) for f in fits if f.covariance is not None])
+    assert len(sds) == 60
+    inside = np.abs(np.array([f.mean for f in fits]) - truth) <= stdtrit(50 - 4, 0.975) * sds
+    assert np.all(np.sum(inside, axis=0) >= 51), np.sum(inside, axis=0)
+    assert np.all(np.median(sds, axis=0) / truth < 1.5 * np.array([bound["k_over_m"], bound["c_over_m"]]))
+
+
+def test_nist_mgh17_is_an_overdamped_mass_seen_with_an_offset() -> None:
+    """Certified: NIST Statistical Reference Datasets, MGH17, ``y = b1 + b2 exp(-b4 x) + b3 exp(-b5 x)``.
+
+    So k/m = b4 b5 and c/m = b4 + b5; within a certified standard deviation of theirs, its own no smaller.
+    """
+    times = np.arange(0.0, 330.0, 10.0)
+    estimate = fit(Problem(SDOF(), (Record((Channel(times, np.array(MGH17), offset=True),)),)))
+    assert estimate.groups is not None
+    assert estimate.groups.covariance is not None
+    certified = np.array([2.846646042e-4, 0.034990234302])
+    sds = np.array([2.43706e-6, 4.5936e-4])
+    assert np.all(np.abs(estimate.groups.mean - certified) < sds)
+    ratio = np.sqrt(np.diag(estimate.groups.covariance)) / sds
+    assert np.all((ratio > 0.8) & (ratio < 2.0)), ratio
+
+
+def test_a_negative_real_pole_is_a_sentence() -> None:
+    """The alternating part of ``0.9^j + (-0.5)^j`` belongs to no mass on a spring."""
+    j = np.arange(25)
+    alternating = fit(Problem(SDOF(), (Record((Channel(0.1 * j, 0.9**j + (-0.5) ** j),)),)))
+    assert alternating.status is Status.DIVERGED
+    assert "negative" in alternating.message
 
 
 def test_a_growing_vibration_is_said_to_grow() -> None:
