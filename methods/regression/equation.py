@@ -128,13 +128,14 @@ class Regression:
         return self.system.names if self.scale_told else tuple(g.name for g in self.system.groups)
 
     @cached_property
-    def _unknown(self) -> tuple[str, ...]:
+    def numerators(self) -> tuple[str, ...]:
+        """The parameter of each of these, beside the gauge mass that a group is over."""
         return self.system.names if self.scale_told else tuple(_numerator(g.exponents) for g in self.system.groups)
 
     def parameters(self, unknowns: np.ndarray) -> dict[str, np.ndarray]:
         """Parameters, each (...), from unknowns (..., q); the gauge mass is 1 where nothing tells it."""
         values = {self.system.gauge: np.ones(unknowns.shape[:-1])}
-        values |= {name: unknowns[..., i] for i, name in enumerate(self._unknown)}
+        values |= {name: unknowns[..., i] for i, name in enumerate(self.numerators)}
         return {name: values[name] for name in self.system.names}
 
     def equations(self, motions: Sequence[Motion]) -> tuple[np.ndarray, np.ndarray]:
@@ -155,7 +156,7 @@ class Regression:
             if with_offset[i]:
                 first = n * sum(with_offset[:i])
                 nuisance[..., first : first + n] = np.tile(np.eye(n), (rows, 1))
-            at = [self.system.names.index(name) for name in self._unknown]
+            at = [self.system.names.index(name) for name in self.numerators]
             gauge = 0.0 if self.scale_told else a_matrix[..., self.system.names.index(self.system.gauge)]
             columns.append(np.concatenate([a_matrix[..., at], nuisance], axis=-1))
             targets.append(-offset - gauge)

@@ -18,7 +18,8 @@ Told: the equations, the samples, the known force. A told start is used in choos
 level of the bootstrap, not in the regression: the finite-difference estimate itself does not depend on it. The prior is
 not used: the harness combines groups with it. There is no own reconstruction: the harness simulates the response. The
 uncertainty is a parametric bootstrap's spread; it does not hold the bias, so the intervals of the finite-difference
-variant miss the truth where its bias matters.
+variant miss the truth where its bias matters. The message says so where the record itself tells it, and a k/m that is
+of the noise alone, as many samples a cycle give, is refused (:mod:`methods.regression.hausman`).
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from bench import Card, Estimate, Identifier, Problem, Serves
 from methods.regression.bootstrap import TRIED, TRIED_ANEW, bootstrap_covariances, spline_fits, spline_refit
 from methods.regression.company import Finish, answers_together
 from methods.regression.equation import Regression, Values, answer, layout_objection, solve
+from methods.regression.hausman import doubt, most_likely
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class LS(Identifier):
         start="used when known",
         scale="groups",
         reconstruction="simulated",
-        uncertainty="covariance of a parametric bootstrap: spread only, not the bias of differentiation",
+        uncertainty="covariance of a parametric bootstrap: spread only; a bias beyond it (Hausman's test) is said in the message",
         settings_source="finite: the paper's baseline; spline: smoothing by the likelihood of the simulated response",
         tuning="finite: none; spline: on 3 development systems (damping 3-26 %, 2.7-5.4 cycles) at 40-5 dB tried "
         "penalty orders 2-4, 0-3 samples left out, weight by restricted likelihood or by simulation",
@@ -96,4 +98,11 @@ class LS(Identifier):
         spline = self.derivative == "spline"
         unknowns = [fit.unknowns for fit in fits] if spline else solve(*joined.finite(joined.values))
         covariances = bootstrap_covariances(fits, fitter, rngs, self.bootstrap)
-        return [partial(answer, *own) for own in zip(regressions, unknowns, covariances, strict=True)]
+        likely = most_likely(joined, fits)
+        return [partial(_answer, *own) for own in zip(regressions, unknowns, covariances, likely, strict=True)]
+
+
+def _answer(
+    regression: Regression, unknowns: np.ndarray, covariance: np.ndarray | None, likely: np.ndarray
+) -> Estimate:
+    return answer(regression, unknowns, covariance, doubt(regression, unknowns, covariance, likely))

@@ -14,7 +14,7 @@ forgetting factor is a textbook value for parameters that hardly move; since the
 costs something: ``forgetting=1`` is the batch LS.
 
 Told: the equations, the samples, the known force. A told start is used in the bootstrap's noise level only. It has the
-bias of finite differences (see LS). No own reconstruction. The uncertainty is a parametric bootstrap's spread. The
+bias of finite differences, and says so as LS does. No own reconstruction. The uncertainty is a parametric bootstrap's spread. The
 trace ``trajectory`` keeps the estimate after each sample (n_samples, n_identified), ``trajectory_times`` its times (s).
 """
 
@@ -31,6 +31,7 @@ from bench import Card, Dimension, Estimate, Identifier, InputError, Problem, Se
 from methods.regression.bootstrap import TRIED, bootstrap_covariances, spline_fits
 from methods.regression.company import Finish, answers_together
 from methods.regression.equation import Regression, answer, layout_objection
+from methods.regression.hausman import doubt, most_likely
 
 
 def recursive_least_squares(
@@ -66,7 +67,7 @@ class RLS(Identifier):
         start="used when known",
         scale="groups",
         reconstruction="simulated",
-        uncertainty="covariance of a parametric bootstrap: spread only, not the bias of differentiation",
+        uncertainty="covariance of a parametric bootstrap: spread only; a bias beyond it (Hausman's test) is said in the message",
         settings_source="forgetting: Ljung, System Identification Toolbox user's guide (typically 0.97 to 0.995)",
         tuning="none",
         title="RLS",
@@ -109,15 +110,17 @@ class RLS(Identifier):
             fits, lambda values: self._path(joined, *joined.finite(values))[-1], rngs, self.bootstrap
         )
         return [
-            partial(_answer, regression, path[:, i], covariance)
-            for i, (regression, covariance) in enumerate(zip(regressions, covariances, strict=True))
+            partial(_answer, regression, path[:, i], covariance, likely)
+            for i, (regression, covariance, likely) in enumerate(
+                zip(regressions, covariances, most_likely(joined, fits), strict=True)
+            )
         ]
 
     def _path(self, regression: Regression, columns: np.ndarray, target: np.ndarray) -> np.ndarray:
         return recursive_least_squares(columns, target, self.forgetting, self.diffuse, regression.system.n_dof)
 
 
-def _answer(regression: Regression, path: np.ndarray, covariance: np.ndarray | None) -> Estimate:
+def _answer(regression: Regression, path: np.ndarray, covariance: np.ndarray | None, likely: np.ndarray) -> Estimate:
     """The last of the estimates (n_samples, q), with all of them as a trace."""
     system = regression.system
     traces = {
@@ -128,4 +131,5 @@ def _answer(regression: Regression, path: np.ndarray, covariance: np.ndarray | N
         "trajectory": [system.dimension(system.quantity(name)) for name in regression.names],
         "trajectory_times": [Dimension(time=1.0)],
     }
-    return answer(regression, path[-1], covariance, "", traces, dimensions)
+    message = doubt(regression, path[-1], covariance, likely)
+    return answer(regression, path[-1], covariance, message, traces, dimensions)

@@ -37,6 +37,7 @@ from bench import Card, Dimension, Estimate, Identifier, InputError, NoEstimate,
 from methods.regression.bootstrap import SplineFit, bootstrap_covariances, smoothings, spline_fits
 from methods.regression.derivatives import Motion
 from methods.regression.equation import Regression, Values, answer, layout_objection, solve
+from methods.regression.hausman import doubt, most_likely
 
 RADIANS_A_STEP = 0.35
 """Step of the fourth-order integrator: its error, a phase of some 4e-5 radians a step, is far below the noise."""
@@ -60,7 +61,7 @@ class SINDy(Identifier):
         start="used when known",
         scale="groups",
         reconstruction="simulated",
-        uncertainty="covariance of a parametric bootstrap, terms chosen anew: spread only, not bias",
+        uncertainty="covariance of a parametric bootstrap, terms chosen anew: spread only; a bias beyond it is said in the message",
         settings_source="number of terms: least AICc of the simulated model; smoothing: as ls with derivative=spline",
         tuning="on 3 development systems (damping 3-26 %, 2.7-5.4 cycles) at 40-5 dB tried STLSQ and FROLS, and BIC of "
         "the simulated response (start fixed or fitted), BIC of the regression, AICc of the simulated response",
@@ -100,7 +101,8 @@ class SINDy(Identifier):
         covariance = bootstrap_covariances([fit], fitter, [rng], self.bootstrap)[0]
         traces = {"coefficients": best[0], "powers": library.powers.astype(float)}
         dimensions = {"coefficients": library.dimensions()}
-        return answer(regression, unknowns, covariance, library.told(best[0]), traces, dimensions)
+        said = [library.told(best[0]), doubt(regression, unknowns, covariance, most_likely(regression, [fit])[0])]
+        return answer(regression, unknowns, covariance, ". ".join(filter(None, said)), traces, dimensions)
 
 
 @dataclass(frozen=True, eq=False)
