@@ -213,10 +213,10 @@ def bootstrap_covariances(
     The parametric bootstrap (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, section 6.5): records are
     drawn from the response of a fit plus white noise of its misfit, and fitted like the data.
     ``fitter`` maps displacements (n_dof, fits * count, n) a record, fit by fit, to unknowns (fits * count, q). It
-    measures spread, not bias. None where too few can be fitted.
+    measures spread, not bias. None where too few can be fitted, or none are drawn.
     """
-    if not fits:
-        return []
+    if not fits or not count:
+        return [None] * len(fits)
     drawn = [_drawn(fit, rng, count) for fit, rng in zip(fits, rngs, strict=True)]
     found = fitter([np.concatenate(own, axis=1) for own in zip(*drawn, strict=True)])
     return [_covariance(own) for own in found.reshape(len(fits), count, -1)]

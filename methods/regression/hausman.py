@@ -2,10 +2,10 @@
 
 A regression on differentiated samples has a bias that its bootstrap's spread does not hold: of coarse sampling, of
 noise that differentiation amplifies (at a step h its part of a second difference grows as 1/h², so a fast sampler makes
-it worse), of smoothing a fast decay away. The record can tell. The response simulated from the parameters that explain
-it best has the bias of none of these; where this efficient estimate lies outside the regression's own interval, the
-regression is biased (J. A. Hausman, Econometrica 46:1251, 1978). The answer stays the regression's own, with a sentence;
-where it is not even of the right order of magnitude it is no estimate.
+it worse), of smoothing a fast decay away. The record can tell. The parameters whose simulated response
+explains it best have none of these biases; where this efficient estimate lies outside the regression's own interval,
+the regression is biased (J. A. Hausman, Econometrica 46:1251, 1978). The answer stays the regression's own, with a
+sentence; where it is not even of the right order of magnitude it is no estimate.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from bench import NoEstimate
 from methods.regression.bootstrap import SplineFit
 from methods.regression.equation import Regression, responses
 
-ROUNDS = 8
-"""Levenberg-Marquardt steps, from the estimate on splines, which is near."""
+ROUNDS, NONLINEAR_ROUNDS = 8, 3
+"""Levenberg-Marquardt steps, from the estimate on splines, which is near; fewer where each is integrated."""
 RELATIVE_STEP = 1e-4
 """Of a group's own size, to differentiate the response by it."""
 LEVEL = 0.975
@@ -39,7 +39,7 @@ def most_likely(regression: Regression, fits: Sequence[SplineFit]) -> np.ndarray
     theta[[not fit.explained for fit in fits]] = np.nan
     misfit, slopes = _linearised(regression, fits, theta)
     damping = np.full(len(theta), 1e-3)
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS if regression.system.linear else NONLINEAR_ROUNDS):
         products = np.einsum("srk,srl->skl", slopes, slopes)
         size = np.einsum("skk->sk", products)
         damped = products + np.eye(d) * (damping[:, None] * size + 1e-300)[..., None]
@@ -104,6 +104,6 @@ def doubt(regression: Regression, unknowns: np.ndarray, covariance: np.ndarray |
         )
     i = int(np.argmax(away))
     return (
-        f"do not trust it: {regression.names[i]} is {found[i] / likely[i]:.3g} times the value whose response explains "
+        f"do not trust it: {regression.names[i]} is {found[i] / likely[i]:.2f} times the value whose response explains "
         f"the record best, {away[i]:.1f} of its own standard errors away; differentiation is biased here"
     )

@@ -50,7 +50,7 @@ class LS(Identifier):
         start="used when known",
         scale="groups",
         reconstruction="simulated",
-        uncertainty="covariance of a parametric bootstrap: spread only; a bias beyond it (Hausman's test) is said in the message",
+        uncertainty="covariance of a parametric bootstrap: spread only; a bias beyond it (Hausman's test) is said",
         settings_source="finite: the paper's baseline; spline: smoothing by the likelihood of the simulated response",
         tuning="finite: none; spline: on 3 development systems (damping 3-26 %, 2.7-5.4 cycles) at 40-5 dB tried "
         "penalty orders 2-4, 0-3 samples left out, weight by restricted likelihood or by simulation",

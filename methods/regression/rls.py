@@ -14,8 +14,9 @@ forgetting factor is a textbook value for parameters that hardly move; since the
 costs something: ``forgetting=1`` is the batch LS.
 
 Told: the equations, the samples, the known force. A told start is used in the bootstrap's noise level only. It has the
-bias of finite differences, and says so as LS does. No own reconstruction. The uncertainty is a parametric bootstrap's spread. The
-trace ``trajectory`` keeps the estimate after each sample (n_samples, n_identified), ``trajectory_times`` its times (s).
+bias of finite differences, and says so as LS does. No own reconstruction. The uncertainty is a parametric bootstrap's
+spread. The trace ``trajectory`` keeps the estimate after each sample (n_samples, n_identified), ``trajectory_times``
+its times (s).
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ class RLS(Identifier):
         start="used when known",
         scale="groups",
         reconstruction="simulated",
-        uncertainty="covariance of a parametric bootstrap: spread only; a bias beyond it (Hausman's test) is said in the message",
+        uncertainty="covariance of a parametric bootstrap: spread only; a bias beyond it (Hausman's test) is said",
         settings_source="forgetting: Ljung, System Identification Toolbox user's guide (typically 0.97 to 0.995)",
         tuning="none",
         title="RLS",

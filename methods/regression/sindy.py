@@ -61,7 +61,7 @@ class SINDy(Identifier):
         start="used when known",
         scale="groups",
         reconstruction="simulated",
-        uncertainty="covariance of a parametric bootstrap, terms chosen anew: spread only; a bias beyond it is said in the message",
+        uncertainty="covariance of a parametric bootstrap, terms chosen anew: spread only; a bias beyond it is said",
         settings_source="number of terms: least AICc of the simulated model; smoothing: as ls with derivative=spline",
         tuning="on 3 development systems (damping 3-26 %, 2.7-5.4 cycles) at 40-5 dB tried STLSQ and FROLS, and BIC of "
         "the simulated response (start fixed or fitted), BIC of the regression, AICc of the simulated response",
@@ -101,8 +101,8 @@ class SINDy(Identifier):
         covariance = bootstrap_covariances([fit], fitter, [rng], self.bootstrap)[0]
         traces = {"coefficients": best[0], "powers": library.powers.astype(float)}
         dimensions = {"coefficients": library.dimensions()}
-        said = [library.told(best[0]), doubt(regression, unknowns, covariance, most_likely(regression, [fit])[0])]
-        return answer(regression, unknowns, covariance, ". ".join(filter(None, said)), traces, dimensions)
+        said = [doubt(regression, unknowns, covariance, most_likely(regression, [fit])[0]), library.told(best[0])]
+        return answer(regression, unknowns, covariance, "; ".join(filter(None, said)), traces, dimensions)
 
 
 @dataclass(frozen=True, eq=False)
