@@ -1,0 +1,141 @@
+"""The equation of motion in weak form: no sample is differentiated, and its noise is weighed as it enters.
+
+Multiplied with a test function φ that vanishes with its slope at both ends of its support, and integrated by parts,
+``m x'' + c x' + k x = f`` becomes ``m ∫φ'' x - c ∫φ' x + k ∫φ x = ∫φ f``: derivatives stand on φ alone. One equation
+comes of each of many overlapping φ, ``(1 - s²)^6`` with s from -1 to 1 over the support (D. A. Messenger, D. M. Bortz,
+Multiscale Modeling and Simulation 19:1474, 2021), integrated by the trapezoidal rule over the samples, which is
+accurate to high order for what vanishes smoothly at both ends.
+
+The noise of a sample enters all integrals about it, so least squares alone is badly biased. The residual at parameters
+p is linear in the noise, of covariance ``S(p) = L(p) L(p)ᵀ`` with the rows ``m φ'' - c φ' + k φ`` of L: generalised
+least squares with S(p), p taken anew a few times (WENDy: D. M. Bortz, D. A. Messenger, V. Dukic, Bulletin of
+Mathematical Biology 85:110, 2023), from the estimate on splines.
+
+Linear systems only. Nothing is learnt of the ends of a record, where every φ is small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench import NoEstimate, Status
+from methods.regression.bootstrap import SplineFit
+from methods.regression.derivatives import Motion
+from methods.regression.equation import Regression, Values, solve
+
+POWER = 6
+"""Of the test function: its fifth derivative still vanishes at the ends, so the trapezoidal rule errs little."""
+WIDTH = 0.35
+"""Support, as part of the record. Of several widths together the functions depend on each other, and round badly."""
+MOST_FUNCTIONS = 60
+"""Test functions; more overlap so much that they tell nothing new."""
+REWEIGHTED = 4
+"""Rounds of generalised least squares."""
+RIDGE = 1e-9
+"""Of the mean variance, added to the covariance: overlapping test functions may be dependent to rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Kernels:
+    """Test functions and their first two derivatives times the weights of the quadrature, each (functions, n)."""
+
+    centres: np.ndarray
+    value: np.ndarray
+    slope: np.ndarray
+    curvature: np.ndarray
+
+    @staticmethod
+    def of(times: np.ndarray) -> Kernels:
+        """Test functions for samples at increasing times (n,), with unit integrals."""
+        n, length = times.size, float(times[-1] - times[0])
+        gaps = np.diff(times)
+        weights = 0.5 * (np.append(gaps, 0.0) + np.append(0.0, gaps))
+        count = int(np.clip(n // 2, 4, MOST_FUNCTIONS))
+        centres = times[0] + np.linspace(WIDTH / 2, 1.0 - WIDTH / 2, count) * length
+        rate = 2.0 / (WIDTH * length)
+        s = (times - centres[:, None]) * rate
+        u = np.clip(1.0 - s**2, 0.0, None)
+        value = u**POWER
+        slope = -2.0 * POWER * rate * s * u ** (POWER - 1)
+        curvature = 2.0 * POWER * rate**2 * u ** (POWER - 2) * (2.0 * (POWER - 1) * s**2 - u)
+        scale = weights / np.sum(value * weights, axis=1, keepdims=True)
+        return Kernels(centres, value * scale, slope * scale, curvature * scale)
+
+    def motion(self, y: np.ndarray, force: np.ndarray) -> Motion:
+        """What takes the place of displacement, velocity, acceleration and force, of displacements (n_dof, sets, n)."""
+        return Motion(
+            self.centres,
+            y @ self.value.T,
+            -(y @ self.slope.T),
+            y @ self.curvature.T,
+            np.broadcast_to((force @ self.value.T)[:, None], (*y.shape[:2], self.centres.size)),
+        )
+
+
+def weak_fit(regression: Regression, fits: Sequence[SplineFit], values: Values) -> np.ndarray:
+    """Unknowns (sets, q) of displacements (n_dof, sets, n) a record, by generalised least squares of the weak form.
+
+    The sets are like the data of the regression's problems, as many of each, problem by problem; ``fits`` are those
+    problems', which give the first estimate and the noise of each channel. Raises NoEstimate for nonlinear systems.
+    """
+    if not regression.system.linear:
+        raise NoEstimate("its weak form is that of a linear system; take derivative=spline", Status.UNSUPPORTED)
+    kernels = [Kernels.of(times) for times in regression.times]
+    forces = [
+        np.array(record.force(times, regression.system.n_dof))
+        for record, times in zip(regression.records, regression.times, strict=True)
+    ]
+    motions = [t.motion(y, f) for t, y, f in zip(kernels, values, forces, strict=True)]
+    columns, target = regression.equations(motions)
+    own = [fit for fit in fits for _ in range(values[0].shape[1] // len(fits))]
+    unknowns = np.array([fit.unknowns for fit in own])
+    for _ in range(REWEIGHTED):
+        parts, at = [], 0
+        for i, functions in enumerate(kernels):
+            noise = np.array([fit.noise[i] for fit in own])
+            rows = functions.centres.size * regression.system.n_dof
+            root = _root(_covariance(_matrices(regression, unknowns, i), functions, noise))
+            part = np.concatenate([columns, target[..., None]], axis=2)[:, at : at + rows]
+            parts.append(np.linalg.solve(root, part))
+            at += rows
+        whitened = np.concatenate(parts, axis=1)
+        unknowns = solve(whitened[..., :-1], whitened[..., -1])
+    return unknowns
+
+
+def _matrices(regression: Regression, unknowns: np.ndarray, number: int) -> np.ndarray:
+    """Stiffness, damping and mass beside each other, (sets, n, 3n), of a record's rig at unknowns (sets, q)."""
+    n = regression.system.n_dof
+    units = np.eye(3 * n)[:, None]
+    unit = Motion(np.zeros(3 * n), units[:n], units[n : 2 * n], units[2 * n :], np.zeros((n, 1, 3 * n)))
+    columns, target = regression.equations([unit] * len(regression.records))
+    d = len(regression.names)
+    residual = unknowns[:, :d] @ columns[0, :, :d].T - target[0]
+    one = residual[:, number * 3 * n * n : (number + 1) * 3 * n * n]
+    return np.asarray(one.reshape(-1, 3 * n, n).swapaxes(1, 2))
+
+
+def _covariance(matrices: np.ndarray, functions: Kernels, noise: np.ndarray) -> np.ndarray:
+    """Covariance (sets, rows, rows) of the residuals, function by function and DOF by DOF, at noise (sets, n_dof)."""
+    n = matrices.shape[1]
+    stiffness, damping, mass = matrices[..., :n], matrices[..., n : 2 * n], matrices[..., 2 * n :]
+    shapes = np.stack([functions.value, -functions.slope, functions.curvature])
+    gram = np.einsum("afn,bgn->abfg", shapes, shapes)
+    scaled = np.stack([stiffness, damping, mass]) * noise[:, None]
+    both = np.einsum("asij,bskj->sabik", scaled, scaled)
+    covariance = np.einsum("abfg,sabik->sfigk", gram, both, optimize=True)
+    rows = functions.centres.size * n
+    return np.asarray(covariance.reshape(-1, rows, rows))
+
+
+def _root(covariance: np.ndarray) -> np.ndarray:
+    """Lower triangular roots (sets, rows, rows); the identity where a set has none."""
+    size = np.trace(covariance, axis1=1, axis2=2)[:, None, None] / covariance.shape[1]
+    eye = np.eye(covariance.shape[1])
+    with np.errstate(all="ignore"):
+        scaled = covariance / size
+    scaled = np.where(np.all(np.isfinite(scaled), axis=(1, 2), keepdims=True), scaled, eye)
+    return np.asarray(np.linalg.cholesky(scaled + RIDGE * eye))
