@@ -75,7 +75,7 @@ class LS(Identifier):
                 "summary": "weak form of the equation of motion, generalised least squares with its noise (WENDy)",
                 "settings_source": "test functions (1 - s²)^6, reweighting: Messenger and Bortz (2021), Bortz (2023)",
                 "tuning": "on 5 development systems (damping 3-52 %, 2-4 cycles) at 20-5 dB tried supports of 20-70 % "
-                "of the record alone and together, powers 4-8, weights by the noise of the curvature or of the whole residual",
+                "of the record alone and together, powers 4-8, weights by the noise of the whole residual or a part",
                 "title": "LS, weak form",
                 "order": 135,
                 "colour": "#777777",
