@@ -34,7 +34,6 @@ import numpy as np
 from bench import (
     EVERY_PROBLEM,
     Card,
-    Channel,
     Cost,
     Estimate,
     Identifier,
@@ -46,9 +45,10 @@ from bench import (
     Serves,
     estimate_at,
 )
-from methods.starts.candidates import candidates, screened, screening
-from methods.starts.open_parameters import left_open, very_wide
+from methods.starts.candidates import candidates, screening
+from methods.starts.open_parameters import very_wide
 from methods.trajectory.fineness import Fineness
+from methods.trajectory.held import HELD, held, opened
 from methods.trajectory.programme import (
     Layout,
     Plan,
@@ -59,9 +59,9 @@ from methods.trajectory.programme import (
     misfit_scale,
     reduced,
 )
-from methods.trajectory.together import SCREENED, Rules, Solution, solve_from, solve_together
+from methods.trajectory.screened import Screening, head, screened_alone
+from methods.trajectory.together import Rules, Solution, solve_from, solve_together
 
-HELD = "the likelihood has no maximum at positive parameters: held by a prior of a factor of 20 about the data's start"
 POLISH = 3
 """Gauss-Newton steps in the reduced space after IPOPT, at most: they make the answer free of its tolerance."""
 
@@ -106,9 +106,7 @@ class Shooting(Identifier):
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
         """Estimate all problems together, where that ends at the same maximum; the others by shooting, one by one."""
         models = [OutputError(problem) for problem in problems]
-        rules = Rules(
-            self.starts, self.screen_iterations, self.margin, self.sigma_rounds, self.sigma_tolerance, self._fineness
-        )
+        rules = Rules(self._screening, self.sigma_rounds, self.sigma_tolerance, self._fineness)
         answers = [
             _answer(model, found, rules) if found is not None else None
             for model, found in zip(models, solve_together(models, rules), strict=True)
@@ -121,14 +119,13 @@ class Shooting(Identifier):
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate all parameters, or the groups where nothing tells the scale, by shooting. Uses no randomness."""
         model = OutputError(problem)
-        found = screened(_head(model), self.starts, rounds=1, iterations=self.screen_iterations)
-        if not found:
+        used = screened_alone(model, self._screening)
+        if not used:
             raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
-        used = [theta for value, theta in found if value <= found[0][0] + self.margin]
         good, message = self._fits(model, used), ""
         if model.prior is None and model.problem.scale_told and not _closed(model, good):
             # the likelihood rises towards a parameter of zero or without limit: the data say that it is small or large
-            prior = very_wide(candidates(_head(model), self.starts + 1)[0])
+            prior = very_wide(candidates(head(model), self.starts + 1)[0])
             model = OutputError(replace(model.problem, prior=prior))
             good, message = self._fits(model, [_within(prior, theta) for theta in used], exact=True), HELD
         iterations = sum(fit.iterations for fit in good)
@@ -178,6 +175,10 @@ class Shooting(Identifier):
         return int(self._fineness.substeps(model, longest, theta[None], states, sigma[None], model.rms[None])[0])
 
     @property
+    def _screening(self) -> Screening:
+        return Screening(self.starts, self.screen_iterations, self.margin)
+
+    @property
     def _fineness(self) -> Fineness:
         return Fineness(self.integration_error, self.noise_share)
 
@@ -204,35 +205,17 @@ def _answer(model: OutputError, found: Solution, rules: Rules) -> Estimate | Non
     None where no maximum is found so, or the data leave a parameter open all the same.
     """
     covariance, message = model.covariance(found.slopes, found.sigma), ""
-    if model.prior is None and model.problem.scale_told and covariance is not None and _open(model, covariance):
-        held = _held(model, found, left_open(np.diag(covariance)[: len(model.free)]), rules)
-        if held is None:
+    if covariance is not None and np.any(which := opened(model, covariance)):
+        model, start = held(model, found.theta, found.first, which)
+        again = solve_from(model, start[None], rules)
+        if again is None:
             return None
-        (model, found), message = held, HELD
+        found, message = again, HELD
         covariance = model.covariance(found.slopes, found.sigma)
     if covariance is None:
         return None
     cost = Cost(found.iterations, found.iterations)
     return estimate_at(model, found.theta, covariance, found.used, cost, message)
-
-
-def _held(model: OutputError, found: Solution, opened: np.ndarray, rules: Rules) -> tuple[OutputError, Solution] | None:
-    """The same problem with a very wide prior, and its solution from where the open parameters started.
-
-    The prior is about the data's start where a parameter is open, and about what was found where it is not: there it
-    says next to nothing.
-    """
-    theta, k = found.theta.copy(), len(model.free)
-    theta[:k] = np.where(opened, found.first[:k], theta[:k])
-    prior = very_wide({name: float(value) for name, value in model.parameters(theta).items()})
-    held = OutputError(replace(model.problem, prior=prior))
-    solution = solve_from(held, theta[None], rules)
-    return None if solution is None else (held, solution)
-
-
-def _open(model: OutputError, covariance: np.ndarray) -> bool:
-    """Whether any parameter is left more open than the very wide prior would."""
-    return bool(np.any(left_open(np.diag(covariance)[: len(model.free)])))
 
 
 def _closed(model: OutputError, fits: Sequence[_Fit]) -> bool:
@@ -241,7 +224,7 @@ def _closed(model: OutputError, fits: Sequence[_Fit]) -> bool:
         return False
     best = min(fits, key=lambda fit: fit.profile)
     covariance = model.covariance(best.slopes, best.sigma)
-    return covariance is not None and not _open(model, covariance)
+    return covariance is not None and not np.any(opened(model, covariance))
 
 
 def _within(prior: Prior, theta: np.ndarray) -> np.ndarray:
@@ -249,21 +232,6 @@ def _within(prior: Prior, theta: np.ndarray) -> np.ndarray:
     k = prior.log_mean.size
     logs = np.clip(theta[:k], prior.log_mean - prior.log_sds, prior.log_mean + prior.log_sds)
     return np.concatenate([logs, theta[k:]])
-
-
-def _head(model: OutputError) -> OutputError:
-    """The first samples of long records of a nonlinear system, for the screening: ``theta`` means the same for them.
-
-    Its step-by-step simulations would outlast the shooting; linear responses are quick at any length.
-    """
-    if model.system.linear or all(c.n <= SCREENED for _, c in model.channels):
-        return model
-
-    def short(c: Channel) -> Channel:
-        return replace(c, times=c.times[:SCREENED], values=c.values[:SCREENED])
-
-    records = tuple(replace(r, channels=tuple(short(c) for c in r.channels)) for r in model.problem.records)
-    return OutputError(replace(model.problem, records=records))
 
 
 def _shoot(

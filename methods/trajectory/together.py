@@ -17,16 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench import SIGMA_FLOOR, Batch, OutputError, Point, layout, used_of
-from methods.starts.candidates import candidates
-from methods.starts.separate import separate
 from methods.trajectory.fineness import Fineness
+from methods.trajectory.screened import LONGEST, Screening, Starts, screened_together
 from methods.trajectory.stepped import Stepped
 
 MOST_ITERATIONS = 60
 MOST_AT_ONCE = 1_000_000
 """Derivatives of predictions that are held together, of one start a problem."""
-SCREENED = 300
-"""Samples of each channel on which the starts of a nonlinear system are compared; a longer record is shooting's."""
 LEFT = 1e-6
 """What a search may still gain where it counts as ended at a maximum, in minus twice the log-posterior."""
 LEFT_AT_KINKS = 1e-3
@@ -37,9 +34,7 @@ LEFT_AT_KINKS = 1e-3
 class Rules:
     """How starts are chosen and when fit and noise have settled: the settings of shooting by the same names."""
 
-    starts: int
-    screen_iterations: int
-    margin: float
+    screening: Screening
     sigma_rounds: int
     sigma_tolerance: float
     fineness: Fineness
@@ -63,7 +58,7 @@ def solve_together(models: Sequence[OutputError], rules: Rules) -> list[Solution
     """The solutions of problems in natural units, in order; None where shooting is to find it."""
     groups: dict[object, list[int]] = {}
     for i, model in enumerate(models):
-        if model.system.linear or all(c.n <= SCREENED for _, c in model.channels):
+        if model.system.linear or all(c.n <= LONGEST for _, c in model.channels):
             groups.setdefault(layout(model.problem), []).append(i)
     found: list[Solution | None] = [None] * len(models)
     for places in groups.values():
@@ -83,26 +78,17 @@ def _batch(models: Sequence[OutputError], rules: Rules) -> Batch:
 
 def _solve(batch: Batch, rules: Rules) -> list[Solution | None]:
     """The solutions of problems of one layout."""
-    starts = _screened(batch, rules)
+    starts = screened_together(batch, rules.screening)
     return _fitted(batch, starts, rules) if starts.cases.size else [None] * len(batch.models)
 
 
 def solve_from(model: OutputError, starts: np.ndarray, rules: Rules) -> Solution | None:
     """The solution of one problem from given vectors (starts, size); None where shooting is to find it."""
-    own = _Starts(np.zeros(len(starts), int), starts, starts[:1])
+    own = Starts(np.zeros(len(starts), int), starts, starts[:1])
     return _fitted(_batch([model], rules), own, rules)[0]
 
 
-@dataclass(frozen=True, eq=False)
-class _Starts:
-    """What is worth a fit: cases and their vectors, and by problem the first start as the data gave it."""
-
-    cases: np.ndarray
-    thetas: np.ndarray
-    first: np.ndarray
-
-
-def _fitted(batch: Batch, starts: _Starts, rules: Rules) -> list[Solution | None]:
+def _fitted(batch: Batch, starts: Starts, rules: Rules) -> list[Solution | None]:
     """The best maximum of each problem, where all of its fits end at one."""
     cases, found = starts.cases, list[Solution | None]()
     fits = _settled(batch, cases, starts.thetas, rules)
@@ -131,40 +117,6 @@ def _ended(batch: Batch, fits: _Fits, own: np.ndarray) -> bool:
         return False
     wanted = own if batch.first.system.linear else own[[np.argmin(fits.profile[own])]]
     return bool(np.all(fits.good[wanted]))
-
-
-def _screened(batch: Batch, rules: Rules) -> _Starts:
-    """The starts that are worth a fit after a few output-error steps."""
-    found = [candidates(model, rules.starts + 1) for model in batch.models]
-    cases = np.repeat(np.arange(len(found)), [len(own) for own in found])
-    vectors = _vectors(batch, cases, [p for own in found for p in own])
-    batch = batch.for_screening(cases, vectors)
-    vectors = batch.with_starts(cases, vectors) if isinstance(batch, Stepped) else vectors
-    start = batch.point(cases, vectors)
-    residuals = batch.data[cases] - start.predicted
-    good = np.flatnonzero(np.all(np.isfinite(residuals), axis=1))
-    cases = cases[good]
-    sigma = batch.noise(cases, residuals[good], np.zeros(good.size), SIGMA_FLOOR)
-    settled = batch.search(cases, start.at(good), sigma, rules.screen_iterations).point
-    values = batch.profile(cases, settled.theta, batch.data[cases] - settled.predicted)
-    kept: list[int] = []
-    for problem, model in enumerate(batch.models):
-        own = np.flatnonzero(cases == problem)
-        best = own[separate(model, values[own], settled.theta[own])[: rules.starts]]
-        kept += [i for i in best if values[i] <= values[best[0]] + rules.margin]
-    # of a problem without a start that of another: it has no fit that would use it
-    heads = np.searchsorted(np.repeat(np.arange(len(found)), [len(own) for own in found]), np.arange(len(found)))
-    return _Starts(cases[kept], settled.theta[kept], vectors[np.minimum(heads, max(len(vectors) - 1, 0))])
-
-
-def _vectors(batch: Batch, cases: np.ndarray, starts: Sequence[dict[str, float]]) -> np.ndarray:
-    """A vector of unknowns of each start, with initial states and offsets where these are found one by one."""
-    if not isinstance(batch, Stepped):
-        vectors = [batch.models[i].vector(p) for i, p in zip(cases, starts, strict=True)]
-        return np.array(vectors).reshape(-1, batch.first.size)
-    free, theta = batch.first.free, np.zeros((len(starts), batch.first.size))
-    theta[:, : len(free)] = np.log([[p[name] for name in free] for p in starts]).reshape(-1, len(free))
-    return theta
 
 
 @dataclass(frozen=True, eq=False)

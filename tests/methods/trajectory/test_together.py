@@ -14,12 +14,11 @@ from bench.contract.estimate import Status
 pytest.importorskip("casadi")
 from methods.trajectory import together
 from methods.trajectory.fineness import Fineness
+from methods.trajectory.screened import Screening
 from methods.trajectory.shooting import Shooting
 from methods.trajectory.together import Rules, solve_together
 
-RULES = Rules(
-    starts=3, screen_iterations=5, margin=15.0, sigma_rounds=4, sigma_tolerance=0.01, fineness=Fineness(1e-8, 0.05)
-)
+RULES = Rules(Screening(3, 5, 15.0), sigma_rounds=4, sigma_tolerance=0.01, fineness=Fineness(1e-8, 0.05))
 
 
 def problems(arguments: Sequence[str], n: int) -> list[Problem]:
