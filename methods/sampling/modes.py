@@ -9,6 +9,7 @@ import numpy as np
 from bench import SIGMA_FLOOR, Batch, NoEstimate, OutputError, layout
 from methods.starts.candidates import candidates, screened
 from methods.starts.separate import separate
+from methods.trajectory.student import student_fit
 from methods.trajectory.together import MOST_AT_ONCE
 
 MODES, ROUNDS, ITERATIONS = 3, 3, 12
@@ -35,6 +36,13 @@ def modes_of(models: Sequence[OutputError]) -> list[Modes]:
             for i, modes in zip(own, _linear_modes(Batch(tuple(models[i] for i in own))), strict=True):
                 found[i] = modes
     return found
+
+
+def student_modes(model: OutputError, modes: Modes) -> Modes:
+    """The modes with Student t errors near those with normal ones, best first; apart, as those are."""
+    fits = [student_fit(model, model.jacobian, theta) for _, theta in modes]
+    values, thetas = np.array([fit.value for fit in fits]), np.stack([fit.theta for fit in fits])
+    return [(float(values[i]), thetas[i]) for i in separate(model, values, thetas)]
 
 
 def modes_or_failure(model: OutputError) -> Modes:

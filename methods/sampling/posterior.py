@@ -4,7 +4,8 @@ Sampled together: the log-parameters, the initial states and offsets that are no
 channel's noise. Likelihood: independent normal errors about the simulated response. Priors, all proper but one: the
 problem's nominal prior on the log-parameters (without one, a normal of standard deviation 3, a factor of 20, about the
 best fit to the data); ``log sigma ~ Normal(log(rms of the channel / 10), 3²)``, its two standard deviations reach from
-70 dB to -30 dB; flat on initial states and offsets, which the data fix.
+70 dB to -30 dB; flat on initial states and offsets, which the data fix. The errors may be Student's t in place of
+normal (:mod:`methods.trajectory.errors`); sigma is then their scale.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from bench import LOG_LIMIT, OutputError, Start
 from methods.starts.open_parameters import PRIORLESS_SD
+from methods.trajectory.errors import NORMAL, NormalErrors, StudentErrors
 
 NOISE_CENTRE = float(np.log(0.1))
 NOISE_SD = 3.0
@@ -25,8 +27,8 @@ MOST_AT_ONCE = 2**16
 class Posterior:
     """What belongs to one posterior over ``phi = [theta, log sigma by channel]``; ``calls`` counts responses."""
 
-    def __init__(self, model: OutputError, mode: np.ndarray) -> None:
-        self.model, self.mode, self.calls = model, mode, 0
+    def __init__(self, model: OutputError, mode: np.ndarray, errors: NormalErrors | StudentErrors = NORMAL) -> None:
+        self.model, self.mode, self.errors, self.calls = model, mode, errors, 0
         self.noise_centre = NOISE_CENTRE + np.log(model.rms)
         k = len(model.free)
         self.centre = mode[:k] if model.prior is None else model.prior.log_mean
@@ -42,13 +44,13 @@ class Posterior:
 
 
 class Target:
-    """Of posteriors of one layout and a linear system, or of a single posterior of any system.
+    """Of posteriors of one layout and a linear system, with errors of one law, or of a single one of any system.
 
     A *case* is one posterior with one vector phi; a case's value does not depend on the others.
     """
 
     def __init__(self, posteriors: Sequence[Posterior]) -> None:
-        self.posteriors, self.model = list(posteriors), posteriors[0].model
+        self.posteriors, self.model, self.errors = list(posteriors), posteriors[0].model, posteriors[0].errors
         self.data = np.stack([own.model.data for own in posteriors])
         self.centre = np.stack([own.centre for own in posteriors])
         self.sds = np.stack([own.sds for own in posteriors])
@@ -73,7 +75,7 @@ class Target:
         with np.errstate(all="ignore"):
             r = self.data[which] - self._predicted(which, np.where(inside[:, None], theta, 0.0))
             r *= np.exp(-log_sigma)[:, model.channel_of]
-            value = -0.5 * np.einsum("ni,ni->n", r, r) - log_sigma @ model.counts
+            value = self.errors.log_likelihood(r) - log_sigma @ model.counts
             value -= 0.5 * np.sum(((theta[:, :k] - self.centre[which]) / self.sds[which]) ** 2, axis=1)
             value -= 0.5 * np.sum(((log_sigma - self.noise_centre[which]) / NOISE_SD) ** 2, axis=1)
         return np.where(inside & np.isfinite(value), value, -np.inf)

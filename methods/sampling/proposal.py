@@ -38,19 +38,22 @@ class Proposal:
         Raises:
             NoEstimate: None of the approximations is proper.
         """
-        model, found = posterior.model, []
+        model, errors, found = posterior.model, posterior.errors, []
         n_channels = len(model.channels)
         for theta in [theta for value, theta in modes if value < modes[0][0] + MODE_MARGIN]:
             predicted, slopes = model.jacobian(theta)
             left = max(model.data.size - theta.size, 1)
-            sigma = np.maximum(model.noise(model.data - predicted, float(theta.size), floor=0.0), 1e-8 * model.rms)
-            covariance = model.covariance(slopes, sigma, PRIORLESS_SD)
+            scales = errors.scales(model, model.data - predicted, float(theta.size))
+            sigma = np.maximum(scales, 1e-8 * model.rms)
+            covariance = model.covariance(slopes, sigma / np.sqrt(errors.location), PRIORLESS_SD)
             if covariance is None:
                 continue
             whole = np.zeros((posterior.size, posterior.size))
             whole[: theta.size, : theta.size] = covariance
             share = np.maximum(model.counts * left / model.data.size, 0.5)
-            whole[theta.size :, theta.size :] = np.diag(1.0 / (2.0 * share + NOISE_SD**-2)).reshape(n_channels, -1)
+            whole[theta.size :, theta.size :] = np.diag(1.0 / (errors.scale * share + NOISE_SD**-2)).reshape(
+                n_channels, -1
+            )
             scale = np.sqrt(np.diag(whole))
             root = scale[:, None] * np.linalg.cholesky(whole / np.outer(scale, scale) + 1e-10 * np.eye(len(scale)))
             centre = np.concatenate([theta, np.log(sigma)])

@@ -21,6 +21,9 @@ The same maximum can be had without cuts, where the search gets there: problems 
 where a search there does not end at a maximum, or where the record of a nonlinear system is long.
 The covariance is the inverse of the Hessian reduced to the space that satisfies the constraints, with Student's t at
 ``N - p`` degrees of freedom. The programme itself is :mod:`methods.trajectory.programme`.
+
+Errors are taken to be normal; with ``likelihood="student"``, from the answer so found on, to be Student's t with four
+degrees of freedom, so that outliers count for little (:mod:`methods.trajectory.student`).
 """
 
 from __future__ import annotations
@@ -43,12 +46,13 @@ from bench import (
     Prior,
     Problem,
     Serves,
-    estimate_at,
 )
 from methods.starts.candidates import candidates, screening
 from methods.starts.open_parameters import very_wide
+from methods.trajectory.errors import Likelihood
 from methods.trajectory.fineness import Fineness
 from methods.trajectory.held import HELD, held, opened
+from methods.trajectory.maximum import Maximum, with_student_errors
 from methods.trajectory.programme import (
     Layout,
     Plan,
@@ -74,6 +78,7 @@ class Shooting(Identifier):
     if minus twice its log-posterior is within ``margin`` of the best. The integration may err by ``integration_error``
     of the motion, or by ``noise_share`` of the standard error that the data allow, whichever is larger.
     Fit and noise alternate at most ``sigma_rounds`` times, until the noise changes by less than ``sigma_tolerance``.
+    ``likelihood="student"`` takes the answer on to the maximum with Student t errors, which expect outliers.
     """
 
     starts: int = 3
@@ -84,6 +89,7 @@ class Shooting(Identifier):
     sigma_rounds: int = 4
     sigma_tolerance: float = 0.01
     max_iterations: int = 60
+    likelihood: Likelihood = "normal"
 
     card: ClassVar[Card] = Card(
         summary="Direct multiple shooting, Gauss-Newton, maximum a posteriori with the noise estimated",
@@ -97,6 +103,18 @@ class Shooting(Identifier):
         order=10,
         colour="#0072B2",
         marker="o",
+        variants={
+            "shooting_student": {
+                "summary": "multiple shooting, then Student t errors in place of normal ones",
+                "uncertainty": "expected information of the t errors in the log-parameters, Student t with N - p "
+                "degrees of freedom",
+                "tuning": "none beyond shooting's; 4 degrees of freedom of the errors are the literature's",
+                "title": "Multiple shooting, t errors",
+                "order": 15,
+                "colour": "#6BAED6",
+                "marker": "8",
+            },
+        },
     )
     serves: ClassVar[Serves] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("casadi",)
@@ -107,17 +125,26 @@ class Shooting(Identifier):
         """Estimate all problems together, where that ends at the same maximum; the others by shooting, one by one."""
         models = [OutputError(problem) for problem in problems]
         rules = Rules(self._screening, self.sigma_rounds, self.sigma_tolerance, self._fineness)
-        answers = [
-            _answer(model, found, rules) if found is not None else None
+        maxima = [
+            _maximum(model, found, rules) if found is not None else None
             for model, found in zip(models, solve_together(models, rules), strict=True)
         ]
-        return [
-            self._estimate_or_failure(problem, rng) if answer is None else answer
-            for problem, rng, answer in zip(problems, rngs, answers, strict=True)
-        ]
+        return [self._answer(problem, found) for problem, found in zip(problems, maxima, strict=True)]
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate all parameters, or the groups where nothing tells the scale, by shooting. Uses no randomness."""
+        return self._answer(problem, None)
+
+    def _answer(self, problem: Problem, found: Maximum | None) -> Estimate:
+        """The answer of what was found together with others or else is found by shooting; a failure as a sentence."""
+        try:
+            found = self._shot(problem) if found is None else found
+            return (found if self.likelihood == "normal" else with_student_errors(found, self._fineness)).estimate()
+        except NoEstimate as reason:
+            return Estimate.failed(problem.system, reason.status, str(reason), reason.cost)
+
+    def _shot(self, problem: Problem) -> Maximum:
+        """The maximum with normal errors, by shooting."""
         model = OutputError(problem)
         used = screened_alone(model, self._screening)
         if not used:
@@ -132,11 +159,8 @@ class Shooting(Identifier):
         if not good:
             sentence = "IPOPT found no solution from any start; raise max_iterations or give a prior"
             raise NoEstimate(sentence, cost=Cost(iterations=iterations))
-        best, cost = min(good, key=lambda fit: fit.profile), Cost(iterations, iterations)
-        covariance = model.covariance(best.slopes, best.sigma)
-        if covariance is None:
-            raise NoEstimate("the data leave a parameter open; give more samples, a known force or a prior", cost=cost)
-        return estimate_at(model, best.theta, covariance, best.used, cost, message)
+        best = min(good, key=lambda fit: fit.profile)
+        return Maximum(model, best.theta, best.slopes, best.sigma, best.used, iterations, message)
 
     def _fits(self, model: OutputError, starts: Sequence[np.ndarray], exact: bool = False) -> list[_Fit]:
         """The solutions from these starts."""
@@ -199,8 +223,8 @@ class _Fit:
     profile: float = np.inf
 
 
-def _answer(model: OutputError, found: Solution, rules: Rules) -> Estimate | None:
-    """The estimate of a solution, or of that with a very wide prior where it leaves a parameter open.
+def _maximum(model: OutputError, found: Solution, rules: Rules) -> Maximum | None:
+    """A solution, or that with a very wide prior where it leaves a parameter open.
 
     None where no maximum is found so, or the data leave a parameter open all the same.
     """
@@ -214,8 +238,7 @@ def _answer(model: OutputError, found: Solution, rules: Rules) -> Estimate | Non
         covariance = model.covariance(found.slopes, found.sigma)
     if covariance is None:
         return None
-    cost = Cost(found.iterations, found.iterations)
-    return estimate_at(model, found.theta, covariance, found.used, cost, message)
+    return Maximum(model, found.theta, found.slopes, found.sigma, found.used, found.iterations, message)
 
 
 def _closed(model: OutputError, fits: Sequence[_Fit]) -> bool:
