@@ -52,8 +52,8 @@ from methods.sampling.answer import estimate_from_draws
 from methods.sampling.compiled import compiled
 from methods.sampling.diagnostics import Health
 from methods.sampling.ensembles import Ensemble, Lockstep
-from methods.sampling.modes import Modes, found_or_failure, modes_of, student_modes
-from methods.sampling.posterior import Posterior, Target
+from methods.sampling.modes import Modes, found_or_failure, modes_of, sharpened, student_modes
+from methods.sampling.posterior import NOISE_LEAST, Posterior, Target
 from methods.sampling.proposal import Proposal
 from methods.starts.candidates import as_fine_as_noise
 from methods.trajectory.errors import ERRORS, Likelihood
@@ -209,6 +209,8 @@ class _Fit:
     def of(place: int, model: OutputError, modes: Modes, rng: np.random.Generator, likelihood: Likelihood) -> _Fit:
         """Prepare a problem with its modes. Raises NoEstimate where the data leave a parameter open."""
         fine = compiled(as_fine_as_noise(model, modes[0][1]))
+        errors = ERRORS[likelihood]
         modes = student_modes(fine, modes) if likelihood == "student" else modes
-        posterior = Posterior(fine, modes[0][1], ERRORS[likelihood])
+        modes = sharpened(fine, modes, errors, NOISE_LEAST)
+        posterior = Posterior(fine, modes[0][1], errors)
         return _Fit(place, model.problem, posterior, Proposal.around(posterior, modes), rng)

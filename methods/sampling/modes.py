@@ -9,7 +9,8 @@ import numpy as np
 from bench import SIGMA_FLOOR, Batch, NoEstimate, OutputError, layout
 from methods.starts.candidates import candidates, screened
 from methods.starts.separate import separate
-from methods.trajectory.student import student_fit
+from methods.trajectory.errors import NormalErrors, StudentErrors
+from methods.trajectory.student import searched, student_fit
 from methods.trajectory.together import MOST_AT_ONCE
 
 MODES, ROUNDS, ITERATIONS = 3, 3, 12
@@ -43,6 +44,21 @@ def student_modes(model: OutputError, modes: Modes) -> Modes:
     fits = [student_fit(model, model.jacobian, theta) for _, theta in modes]
     values, thetas = np.array([fit.value for fit in fits]), np.stack([fit.theta for fit in fits])
     return [(float(values[i]), thetas[i]) for i in separate(model, values, thetas)]
+
+
+def sharpened(model: OutputError, modes: Modes, errors: NormalErrors | StudentErrors, least: float) -> Modes:
+    """Where data fit better than the noise that a search assumes: the modes at the noise that the residuals show.
+
+    That is at least the part ``least`` of a channel's size. The prior pulls a mode aside by less there.
+    """
+    found = []
+    for value, theta in modes:
+        residuals = model.data - model.predict(theta)
+        sigma = np.maximum(errors.scales(model, residuals, float(theta.size)), least * model.rms)
+        if np.any(sigma < SIGMA_FLOOR * model.rms):
+            theta = searched(model, model.jacobian, theta, sigma, errors)
+        found.append((value, theta))
+    return found
 
 
 def modes_or_failure(model: OutputError) -> Modes:

@@ -4,8 +4,9 @@ Sampled together: the log-parameters, the initial states and offsets that are no
 channel's noise. Likelihood: independent normal errors about the simulated response. Priors, all proper but one: the
 problem's nominal prior on the log-parameters (without one, a normal of standard deviation 3, a factor of 20, about the
 best fit to the data); ``log sigma ~ Normal(log(rms of the channel / 10), 3²)``, its two standard deviations reach from
-70 dB to -30 dB; flat on initial states and offsets, which the data fix. The errors may be Student's t in place of
-normal (:mod:`methods.trajectory.errors`); sigma is then their scale.
+70 dB to -30 dB, and it is nil below ``NOISE_LEAST`` of a channel's size; flat on initial states and offsets, which the
+data fix. The errors may be Student's t in place of normal (:mod:`methods.trajectory.errors`); sigma is then their
+scale.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from methods.trajectory.errors import NORMAL, NormalErrors, StudentErrors
 
 NOISE_CENTRE = float(np.log(0.1))
 NOISE_SD = 3.0
+NOISE_LEAST = 1e-8
+"""The least noise, as a part of a channel's size: rounding errors of simulation and sampling are well below it."""
 MOST_AT_ONCE = 2**16
 """Predictions that are formed at a time: more would leave the processor's cache."""
 
@@ -55,6 +58,7 @@ class Target:
         self.centre = np.stack([own.centre for own in posteriors])
         self.sds = np.stack([own.sds for own in posteriors])
         self.noise_centre = np.stack([own.noise_centre for own in posteriors])
+        self.least = np.log(NOISE_LEAST) + np.log(np.stack([own.model.rms for own in posteriors]))
         self.told = [
             None if isinstance(starts[0], tuple) else np.stack([[s.displacement, s.velocity] for s in starts], -1)
             for starts in zip(*(own.model.starts(own.mode) for own in posteriors), strict=True)
@@ -72,6 +76,7 @@ class Target:
         model, d, k = self.model, self.model.size, len(self.model.free)
         theta, log_sigma = phi[:, :d], phi[:, d:]
         inside = np.all(np.abs(theta[:, :k]) < LOG_LIMIT, axis=1) & np.all(np.abs(log_sigma) < LOG_LIMIT, axis=1)
+        inside &= np.all(log_sigma >= self.least[which], axis=1)
         with np.errstate(all="ignore"):
             r = self.data[which] - self._predicted(which, np.where(inside[:, None], theta, 0.0))
             r *= np.exp(-log_sigma)[:, model.channel_of]

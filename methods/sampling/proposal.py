@@ -11,11 +11,16 @@ import numpy as np
 from scipy.special import gammaln, logsumexp
 
 from bench import NoEstimate
-from methods.sampling.posterior import NOISE_SD, Posterior
+from methods.sampling.posterior import NOISE_LEAST, NOISE_SD, Posterior
 from methods.starts.open_parameters import PRIORLESS_SD
 
 MODE_MARGIN = 25.0
 """A mode joins the proposal while minus twice its log-posterior is within this of the best."""
+
+ABOVE_LEAST = 1.2
+"""A proposal is centred on noise at least so many times the least one, or much of it would lie outside."""
+NARROW, NARROWEST = 1e-8, 1e-15
+"""The least eigenvalue of a correlation that is factored as it stands; and what double precision resolves."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,7 @@ class Proposal:
             predicted, slopes = model.jacobian(theta)
             left = max(model.data.size - theta.size, 1)
             scales = errors.scales(model, model.data - predicted, float(theta.size))
-            sigma = np.maximum(scales, 1e-8 * model.rms)
+            sigma = np.maximum(scales, ABOVE_LEAST * NOISE_LEAST * model.rms)
             covariance = model.covariance(slopes, sigma / np.sqrt(errors.location), PRIORLESS_SD)
             if covariance is None:
                 continue
@@ -55,7 +60,7 @@ class Proposal:
                 n_channels, -1
             )
             scale = np.sqrt(np.diag(whole))
-            root = scale[:, None] * np.linalg.cholesky(whole / np.outer(scale, scale) + 1e-10 * np.eye(len(scale)))
+            root = scale[:, None] * _root(whole / np.outer(scale, scale))
             centre = np.concatenate([theta, np.log(sigma)])
             mass = float(posterior(centre[None])[0] + np.sum(np.log(np.diag(root))))
             found.append((mass, centre, 1.1 * root))
@@ -87,3 +92,12 @@ class Proposal:
         parts = tails - log_det + np.log(self.weights)
         largest = parts.max(axis=1)
         return np.asarray(largest + np.log(np.sum(np.exp(parts - largest[:, None]), axis=1)) + constant)
+
+
+def _root(correlation: np.ndarray) -> np.ndarray:
+    """A lower triangular root of a correlation (d, d), also where it is so narrow that rounding made it singular."""
+    values, axes = np.linalg.eigh(correlation)
+    if values[0] > NARROW:
+        return np.asarray(np.linalg.cholesky(correlation + 1e-10 * np.eye(len(values))))
+    upper = np.linalg.qr((axes * np.sqrt(np.maximum(values, NARROWEST))).T, mode="r")
+    return np.asarray((upper * np.sign(np.diag(upper))[:, None]).T)

@@ -30,6 +30,10 @@ class NormalErrors:
         """Of errors (n, N) over their scales, shape (n,), without the scales' own term, up to a constant."""
         return np.asarray(-0.5 * np.einsum("ni,ni->n", z, z))
 
+    def weights(self, z: np.ndarray) -> np.ndarray:
+        """All samples count the same."""
+        return np.ones_like(z)
+
     def scales(self, model: OutputError, residuals: np.ndarray, used: float) -> np.ndarray:
         """The scale of each channel that residuals (N,) tell, with ``used`` degrees of freedom spent."""
         return model.noise(residuals, used, floor=0.0)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench import LOG_LIMIT, SIGMA_FLOOR, OutputError, used_of
-from methods.trajectory.errors import STUDENT
+from methods.trajectory.errors import STUDENT, NormalErrors, StudentErrors
 
 ROUNDS, TOLERANCE = 12, 1e-4
 """Of fit and scale in turn, and the relative change of the scale at which they have settled."""
@@ -53,7 +53,7 @@ def student_fit(model: OutputError, look: Look, theta: np.ndarray) -> StudentFit
     free = STUDENT.scales(model, model.data - now.predicted, used)
     scales = np.maximum(free, floor)
     for _ in range(ROUNDS):
-        now, steps, ended = _searched(model, look, now, scales)
+        now, steps, ended = _searched(model, look, now, scales, STUDENT)
         iterations += steps
         rows = np.concatenate(
             [np.sqrt(STUDENT.location) * now.slopes / scales[model.channel_of][:, None], _prior_rows(model)]
@@ -64,7 +64,7 @@ def student_fit(model: OutputError, look: Look, theta: np.ndarray) -> StudentFit
         settled = ended and bool(np.max(np.abs(np.log(scales / before))) < TOLERANCE)
         if settled:
             break
-    value = _misfit(model, now, scales) + float(2.0 * model.counts @ np.log(scales))
+    value = _misfit(model, now, scales, STUDENT) + float(2.0 * model.counts @ np.log(scales))
     return StudentFit(now.theta, now.slopes, free, used, value, iterations, settled)
 
 
@@ -79,12 +79,21 @@ class _Point:
         return _Point(theta, *look(theta))
 
 
-def _searched(model: OutputError, look: Look, now: _Point, scales: np.ndarray) -> tuple[_Point, int, bool]:
+def searched(
+    model: OutputError, look: Look, theta: np.ndarray, scales: np.ndarray, errors: NormalErrors | StudentErrors
+) -> np.ndarray:
+    """The vector of unknowns at the maximum near ``theta`` at given scales of the channels."""
+    return _searched(model, look, _Point.at(look, theta), scales, errors)[0].theta
+
+
+def _searched(
+    model: OutputError, look: Look, now: _Point, scales: np.ndarray, errors: NormalErrors | StudentErrors
+) -> tuple[_Point, int, bool]:
     """The maximum at given scales; the steps that it took, and whether it was reached."""
-    value, damping, k = _misfit(model, now, scales), 0.0, len(model.free)
+    value, damping, k = _misfit(model, now, scales, errors), 0.0, len(model.free)
     for number in range(STEPS):
         z = (model.data - now.predicted) / scales[model.channel_of]
-        roots = np.sqrt(STUDENT.weights(z))
+        roots = np.sqrt(errors.weights(z))
         rows = np.concatenate([(roots / scales[model.channel_of])[:, None] * now.slopes, _prior_rows(model)])
         right = np.concatenate([roots * z, -model.penalty(now.theta)])
         sizes = np.linalg.norm(rows, axis=0)
@@ -98,7 +107,7 @@ def _searched(model: OutputError, look: Look, now: _Point, scales: np.ndarray) -
         theta = now.theta + step
         theta[:k] = np.clip(theta[:k], -LOG_LIMIT, LOG_LIMIT)
         trial = _Point.at(look, theta)
-        new = _misfit(model, trial, scales)
+        new = _misfit(model, trial, scales, errors)
         if new < value:
             now, value, damping = trial, new, 0.1 * damping if damping > 1e-6 else 0.0
         else:
@@ -108,12 +117,12 @@ def _searched(model: OutputError, look: Look, now: _Point, scales: np.ndarray) -
     return now, STEPS, False
 
 
-def _misfit(model: OutputError, at: _Point, scales: np.ndarray) -> float:
+def _misfit(model: OutputError, at: _Point, scales: np.ndarray, errors: NormalErrors | StudentErrors) -> float:
     """Minus twice the log-posterior at given scales, up to a constant; infinite without a response or slopes."""
     if not (np.all(np.isfinite(at.predicted)) and np.all(np.isfinite(at.slopes))):
         return float("inf")
     z = (model.data - at.predicted) / scales[model.channel_of]
-    return float(-2.0 * STUDENT.log_likelihood(z) + np.sum(model.penalty(at.theta) ** 2))
+    return float(-2.0 * errors.log_likelihood(z[None])[0] + np.sum(model.penalty(at.theta) ** 2))
 
 
 def _prior_rows(model: OutputError) -> np.ndarray:

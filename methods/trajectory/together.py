@@ -139,6 +139,7 @@ def _settled(batch: Batch, cases: np.ndarray, thetas: np.ndarray, rules: Rules) 
     used, iterations = np.full(n, float(batch.first.size)), np.zeros(n, int)
     residuals = batch.data[cases] - point.predicted
     sigma, good = batch.noise(cases, residuals, used, SIGMA_FLOOR), np.ones(n, bool)
+    searched_at = sigma.copy()
     going = np.arange(n)
     for _ in range(rules.sigma_rounds):
         free = batch.noise(cases[going], residuals[going], used[going], 0.0)
@@ -155,7 +156,7 @@ def _settled(batch: Batch, cases: np.ndarray, thetas: np.ndarray, rules: Rules) 
         good[going] &= finite
         used[going[finite]] = used_of(rows[finite], batch.first.data.size)
         residuals[going] = batch.data[cases[going]] - search.predicted
-        before = sigma[going]
+        before = searched_at[going] = sigma[going]
         sigma[going] = batch.noise(cases[going], residuals[going], used[going], SIGMA_FLOOR)
         moved = np.max(np.abs(np.log(sigma[going] / before)), axis=1)
         # where the answer moves faster than its start did, or fits better, the steps were too long
@@ -164,8 +165,25 @@ def _settled(batch: Batch, cases: np.ndarray, thetas: np.ndarray, rules: Rules) 
         going = going[good[going] & unsettled]
         if not going.size:
             break
+    if batch.first.system.linear:
+        residuals = _polished(batch, cases, point, searched_at, np.flatnonzero(good))
     free = batch.noise(cases, residuals, used, 0.0)
     return _Fits(point, free, used, batch.profile(cases, point.theta, residuals), iterations, good)
+
+
+def _polished(batch: Batch, cases: np.ndarray, point: Point, sigma: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Take one more Gauss-Newton step in the ``good`` cases, kept where it gains; returns the residuals of all.
+
+    The search ends where nothing is left to gain; the square of what is left in the unknowns is that little.
+    """
+    rights, rows = batch.rows(cases[good], point.at(good), sigma[good])
+    steps = [np.linalg.lstsq(row, right, rcond=1e-12)[0] for row, right in zip(rows, rights, strict=True)]
+    trial = batch.point(cases[good], point.theta[good] + np.array(steps).reshape(-1, batch.first.size))
+    with np.errstate(all="ignore"):
+        new = np.sum(batch.rows(cases[good], trial, sigma[good])[0] ** 2, axis=1)
+        better = (new <= np.sum(rights**2, axis=1)) & np.all(np.isfinite(trial.slopes), axis=(1, 2))
+    _put(point, good[better], trial.at(np.flatnonzero(better)))
+    return np.asarray(batch.data[cases] - point.predicted)
 
 
 def _put(point: Point, cases: np.ndarray, new: Point) -> None:
