@@ -6,6 +6,7 @@ import pickle
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from bench import Channel, Draws, Force, InitialState, Normal, Problem, Record, Units, measurements
 from bench.config.experiment import expand
@@ -306,3 +307,47 @@ def test_a_dead_channel_is_a_sentence() -> None:
     estimate = sample(Problem(SDOF(), (Record((Channel(times, np.zeros(25)),)),)))
     assert estimate.status is Status.DIVERGED
     assert "motion" in estimate.message
+
+
+@pytest.mark.parametrize("told", ["known", "unknown"])
+@pytest.mark.parametrize("likelihood", ["normal", "student"])
+def test_data_of_twenty_digits_have_an_answer(told: str, likelihood: str) -> None:
+    """At 200 dB double precision is the limit: k/m to nine digits, in an interval that holds the truth."""
+    problem, _ = scenario(200.0, initial_state=told).replicates(3, 1)[0]
+    estimate = sample(problem, likelihood=likelihood)
+    assert estimate.status is Status.OK, estimate.message
+    marginal = estimate.marginal(problem.system.quantity("k_over_m"))
+    assert marginal is not None
+    low, high = marginal.interval(0.95)
+    assert low <= 9.0 / 1.3 <= high
+    assert high - low < 1e-7
+    assert marginal.value == pytest.approx(9.0 / 1.3, rel=1e-9)
+
+
+def test_student_draws_agree_with_quadrature() -> None:
+    """Mean and spread of k with the other unknowns summed over a grid, by scipy's own t density."""
+    problem, _ = scenario(15.0).replicates(6, 1)[0]
+    record, prior = problem.records[0], problem.prior
+    assert prior is not None
+    assert record.initial_state is not None
+    values = record.channels[0].values.copy()
+    values[8] += 1.5
+    record = Record((Channel(record.channels[0].times, values),), initial_state=record.initial_state)
+    problem = Problem(problem.system, (record,), prior)
+    estimate = sample(problem, likelihood="student", effective=1500.0)
+    grids = [np.log(TRUE["m"]) + np.linspace(-0.09, 0.09, 9), np.log(TRUE["c"]) + np.linspace(-2.0, 1.2, 21)]
+    grids.append(np.log(TRUE["k"]) + np.linspace(-0.3, 0.3, 41))
+    points = np.stack([g.ravel() for g in np.meshgrid(*grids, indexing="ij")], axis=-1)
+    p = dict(zip(problem.system.names, np.exp(points).T, strict=True))
+    r = simulate(problem.system, p, record.initial_state, record.channels[0].times).displacement[0] - values
+    logs = np.linspace(-4.5, 0.0, 25)
+    centre = np.log(0.1 * np.sqrt(np.mean(values**2)))
+    density = np.stack([stats.t.logpdf(r, 4, scale=np.exp(own)).sum(axis=-1) for own in logs], axis=-1)
+    density += -0.5 * ((logs - centre) / NOISE_SD) ** 2 - 0.5 * np.sum(prior.residuals(points) ** 2, axis=-1)[:, None]
+    weights = np.exp(density - density.max()).sum(axis=1)
+    mean = float(p["k"] @ weights / weights.sum())
+    sd = float(np.sqrt((p["k"] - mean) ** 2 @ weights / weights.sum()))
+    assert isinstance(estimate.parameters, Draws)
+    draws = estimate.parameters.samples[:, 2]
+    assert np.mean(draws) == pytest.approx(mean, abs=0.1 * sd)
+    assert np.std(draws) == pytest.approx(sd, rel=0.1)
