@@ -7,6 +7,7 @@ import pickle
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.special import logsumexp
 
 from bench import Channel, Draws, Force, InitialState, Normal, Problem, Record, Units, measurements
 from bench.config.experiment import expand
@@ -335,18 +336,23 @@ def test_student_draws_agree_with_quadrature() -> None:
     record = Record((Channel(record.channels[0].times, values),), initial_state=record.initial_state)
     problem = Problem(problem.system, (record,), prior)
     estimate = sample(problem, likelihood="student", effective=1500.0)
-    grids = [np.log(TRUE["m"]) + np.linspace(-0.09, 0.09, 9), np.log(TRUE["c"]) + np.linspace(-2.0, 1.2, 21)]
-    grids.append(np.log(TRUE["k"]) + np.linspace(-0.3, 0.3, 41))
-    points = np.stack([g.ravel() for g in np.meshgrid(*grids, indexing="ij")], axis=-1)
-    p = dict(zip(problem.system.names, np.exp(points).T, strict=True))
+    # the response is that of k/m and c/m; the prior decides the mass
+    shapes = [
+        np.log(TRUE["c"] / TRUE["m"]) + np.linspace(-2.5, 1.2, 61),
+        np.log(9.0 / 1.3) + np.linspace(-0.2, 0.2, 81),
+    ]
+    c, k = (g.ravel() for g in np.meshgrid(*shapes, indexing="ij"))
+    p = {"m": np.ones(c.size), "c": np.exp(c), "k": np.exp(k)}
     r = simulate(problem.system, p, record.initial_state, record.channels[0].times).displacement[0] - values
-    logs = np.linspace(-4.5, 0.0, 25)
-    centre = np.log(0.1 * np.sqrt(np.mean(values**2)))
-    density = np.stack([stats.t.logpdf(r, 4, scale=np.exp(own)).sum(axis=-1) for own in logs], axis=-1)
-    density += -0.5 * ((logs - centre) / NOISE_SD) ** 2 - 0.5 * np.sum(prior.residuals(points) ** 2, axis=-1)[:, None]
-    weights = np.exp(density - density.max()).sum(axis=1)
-    mean = float(p["k"] @ weights / weights.sum())
-    sd = float(np.sqrt((p["k"] - mean) ** 2 @ weights / weights.sum()))
+    scales, centre = np.linspace(-4.5, 0.0, 40), np.log(0.1 * np.sqrt(np.mean(values**2)))
+    terms = [stats.t.logpdf(r, 4, scale=np.exp(own)).sum(axis=-1) for own in scales]
+    fit = logsumexp(np.array(terms) - 0.5 * ((scales - centre) / NOISE_SD)[:, None] ** 2, axis=0)
+    m = np.log(TRUE["m"]) + np.linspace(-0.12, 0.12, 61)[:, None]
+    logs = np.stack(np.broadcast_arrays(m, c + m, k + m), axis=-1)
+    density = fit - 0.5 * np.sum(prior.residuals(logs) ** 2, axis=-1)
+    weights, stiffness = np.exp(density - density.max()), np.exp(logs[..., 2])
+    mean = float(np.sum(weights * stiffness) / np.sum(weights))
+    sd = float(np.sqrt(np.sum(weights * (stiffness - mean) ** 2) / np.sum(weights)))
     assert isinstance(estimate.parameters, Draws)
     draws = estimate.parameters.samples[:, 2]
     assert np.mean(draws) == pytest.approx(mean, abs=0.1 * sd)
