@@ -17,7 +17,8 @@ from typing import ClassVar
 import numpy as np
 
 from bench import EVERY_PROBLEM, Card, Estimate, Identifier, Problem, Serves
-from methods.kalman.filtering import Affine, Map, Settings, estimate
+from methods.kalman.filtering import Affine, Map
+from methods.kalman.iteration import Settings, estimate
 
 SMALL = 1e-5
 """Step of the differences, in natural units and in log-parameters."""
@@ -34,7 +35,7 @@ class EKF(Identifier):
     passes: int = 30
     tolerance: float = 1e-4
     drift: float = 0.0
-    open_sd: float = 1.0
+    open_sd: float = 3.0
 
     card: ClassVar[Card] = Card(
         summary="extended Kalman filter and smoother for state and log-parameters, iterated over the record",

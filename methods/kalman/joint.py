@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from bench import (
     LOG_LIMIT,
+    InitialState,
     NoEstimate,
     OutputError,
     Record,
@@ -31,12 +32,13 @@ from methods.starts.candidates import candidates
 
 START = 3.0
 """Standard deviation of an untold start, in largest displacements of the data (and fastest rates)."""
-STEP = 0.15
-"""Integration step in radians of the fastest rate: the natural frequency is then off by 4 parts in a million."""
 DIFFERENCE = 1e-5
 """Step of the differences from which the fastest rate follows, over the size of the data."""
 MAX_STEPS = 400
 """Steps between two samples beyond which a motion counts as too fast to follow."""
+
+STARTS = 3
+"""Separate starts of a filter, at most."""
 
 
 OfRig = Callable[[System, np.ndarray, np.ndarray], np.ndarray]
@@ -48,7 +50,8 @@ class Joint:
     """The joint state ``[x, v, z, log-parameters, offsets]`` and the belief in it before any sample.
 
     ``logs`` and ``log_sds`` (k,): log-parameters at first; ``log_walk`` (k,): variance that they gain a unit of time.
-    ``speed``: the fastest rate (radians a unit of time) at them.
+    ``speed``: the rate (radians a unit of time) by which a velocity that is not told is thought to be larger than a
+    displacement.
     """
 
     model: OutputError
@@ -65,11 +68,6 @@ class Joint:
     def size(self) -> int:
         return self.states + len(self.model.free) + len(self.model.offset_channels)
 
-    @property
-    def spread(self) -> float:
-        """Width of the belief about the fastest stiffness: how much faster the motion may come out."""
-        return float(np.max(self.log_sds, initial=0.0))
-
     @cached_property
     def constants(self) -> np.ndarray:
         """Where the constants stand in the joint state: log-parameters, then offsets."""
@@ -79,11 +77,6 @@ class Joint:
         """The parameters of joint states (..., d), each of shape (...)."""
         logs = points[..., self.states : self.states + len(self.model.free)]
         return self.model.parameters(np.clip(logs, -LOG_LIMIT, LOG_LIMIT))
-
-    def at(self, theta: np.ndarray) -> Joint:
-        """The same, with its rate taken at ``theta``; raises NoEstimate where that is not finite."""
-        logs = theta[: self.logs.size]
-        return replace(self, speed=fastest_rate(self.model, logs))
 
     def start(self, record: Record) -> tuple[np.ndarray, np.ndarray]:
         """Mean and variances of the motion ``[x, v, z]`` at time 0 of a record; hidden states start at zero."""
@@ -103,25 +96,29 @@ class Joint:
         return np.concatenate([mean, self.logs, np.zeros(offsets.size)]), np.diag(all_variances)
 
     def theta(self, means: np.ndarray, chain: Chain) -> np.ndarray:
-        """The model's vector at smoothed means (K, d): constants and the starts that were not told."""
+        """The model's vector at smoothed means (K, d): constants at the end, and the starts that were not told.
+
+        The last mean is the filter's own; those before it, where constants are the same, are known less exactly.
+        """
         k, n = len(self.model.free), self.model.system.n_dof
         starts = [means[chain.first_of[i], : 2 * n] for i in self.model.unknown_starts]
-        constants = means[0, self.constants]
+        constants = means[-1, self.constants]
         return np.concatenate([np.clip(constants[:k], -LOG_LIMIT, LOG_LIMIT), *starts, constants[k:]])
 
 
-def first_belief(model: OutputError, drift: float, open_sd: float) -> Joint:
-    """The belief before any sample: the prior, or the best start of the data's scan and ``open_sd`` about it.
+def first_belief(model: OutputError, theta: np.ndarray, drift: float, open_sd: float) -> Joint:
+    """The belief before any sample: the prior, or ``open_sd`` about the first of the candidates.
 
-    ``drift``: standard deviation of the random walk of each log-parameter over a unit of time, the longest record.
+    ``theta``: the best start, whose fastest rate says how fast an untold start may be. ``drift``: standard deviation
+    of the random walk of a log-parameter over a unit of time, the longest record.
     """
     k = len(model.free)
     if model.prior is not None:
         logs, sds = model.prior.log_mean, model.prior.log_sds
     else:
-        starts = [model.vector(p) for p in candidates(model, 3)]
-        logs, sds = min(starts, key=model.profile)[:k], np.full(k, open_sd)
-    return Joint(model, logs, sds, np.full(k, drift**2), fastest_rate(model, logs))
+        nominal = candidates(model, STARTS)[0]
+        logs, sds = np.log([nominal[name] for name in model.free]), np.full(k, open_sd)
+    return Joint(model, logs, sds, np.full(k, drift**2), fastest_rate(model, theta[:k]))
 
 
 def fastest_rate(model: OutputError, logs: np.ndarray) -> float:
@@ -163,7 +160,7 @@ class Chain:
     """The nodes, record after record: each time 0 and each time of a sample, and the steps that lead to them.
 
     ``values`` (K, C): what each channel gave at a node, NaN where nothing; ``forces`` (K, n_dof) there.
-    ``steps`` (K, J): integration steps from the node before, padded with steps of no length; ``pushes``
+    ``longest``: the longest step. ``steps`` (K, J): integration steps from the node before, padded with steps of no length; ``pushes``
     (K, J, 3, n_dof): forces at the start, middle and end of each. ``first_of``: the first node of each record.
     """
 
@@ -173,11 +170,12 @@ class Chain:
     steps: np.ndarray
     pushes: np.ndarray
     first_of: tuple[int, ...]
+    longest: float
 
     @staticmethod
-    def of(joint: Joint, margin: float) -> Chain:
-        """With steps that resolve ``margin`` times the fastest rate; raises NoEstimate where that takes too many."""
-        model, longest = joint.model, STEP / max(margin * joint.speed, 1e-9)
+    def of(joint: Joint, longest: float) -> Chain:
+        """With steps of at most ``longest``; raises NoEstimate where that takes too many."""
+        model = joint.model
         n, values, forces, first_of = model.system.n_dof, [], [], []
         pieces: list[tuple[np.ndarray, np.ndarray]] = []
         for i, record in enumerate(model.problem.records):
@@ -195,7 +193,7 @@ class Chain:
         steps, pushes = np.zeros((len(pieces), most)), np.zeros((len(pieces), most, 3, n))
         for row, (h, push) in enumerate(pieces):
             steps[row, : h.size], pushes[row, : h.size] = h, push
-        return Chain(joint, np.concatenate(values), np.concatenate(forces), steps, pushes, tuple(first_of))
+        return Chain(joint, np.concatenate(values), np.concatenate(forces), steps, pushes, tuple(first_of), longest)
 
     @property
     def nodes(self) -> int:
@@ -239,6 +237,24 @@ class Chain:
             f = [[pushes[:, j, part, i, None] for i in range(system.n_dof)] for part in range(3)]
             state = rk4_step(system, p, state, steps[:, j, None], (f[0], f[1], f[2]), nan_ops)
         return np.concatenate([np.stack(state, axis=-1), points[..., joint.states :]], axis=-1)
+
+    def trajectories(self, thetas: np.ndarray) -> np.ndarray:
+        """The joint states (B, K, d) that the model's vectors (B, size) give at all nodes."""
+        joint, model = self.joint, self.joint.model
+        k, offsets = len(model.free), len(model.offset_channels)
+        constants = np.concatenate([thetas[:, :k], thetas[:, thetas.shape[1] - offsets :]], axis=1)
+        path = np.empty((len(thetas), self.nodes, joint.size))
+        first = dict(zip(self.first_of, model.starts(thetas), strict=True))
+        for node in range(self.nodes):
+            if node not in first:
+                path[:, node] = self.advance(path[None, :, node - 1], np.array([node]))[0]
+                continue
+            start = first[node]
+            x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
+            at_rest = np.zeros((len(thetas), model.system.n_hidden))
+            moving = np.broadcast_to(np.concatenate([x, v]).T, (len(thetas), 2 * model.system.n_dof))
+            path[:, node] = np.concatenate([moving, at_rest, constants], axis=1)
+        return path
 
     def observe(self, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         """What every channel would give, (L, S, C), at joint states (L, S, d) of the nodes (L,) or (1,)."""

@@ -24,7 +24,8 @@ from typing import ClassVar
 import numpy as np
 
 from bench import EVERY_PROBLEM, Card, Estimate, Identifier, InputError, Problem, Serves
-from methods.kalman.filtering import Affine, Map, Settings, estimate
+from methods.kalman.filtering import Affine, Map
+from methods.kalman.iteration import Settings, estimate
 
 CERTAIN = 1e-5
 """Least standard deviation of a direction, in natural units and in log-parameters."""
@@ -42,7 +43,7 @@ class UKF(Identifier):
     passes: int = 30
     tolerance: float = 1e-4
     drift: float = 0.0
-    open_sd: float = 1.0
+    open_sd: float = 3.0
     kappa: float = 0.0
 
     card: ClassVar[Card] = Card(

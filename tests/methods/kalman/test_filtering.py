@@ -29,7 +29,7 @@ from bench.scenario.truth import closed_form
 from bench.scoring.combination import combine_with_prior
 from bench.systems import SDOF, Chain, Dimension, Duffing, Parameter
 from methods.kalman.ekf import EKF, tangent
-from methods.kalman.filtering import _inverse, filtered
+from methods.kalman.filtering import _inverses, filtered
 from methods.kalman.joint import Chain as Nodes
 from methods.kalman.joint import first_belief
 from methods.kalman.ukf import UKF, regression
@@ -87,13 +87,19 @@ def test_with_known_parameters_it_is_least_squares(rule, times: np.ndarray) -> N
     p = {"m": 1.0, "c": 4.0, "k": 900.0}
     y = closed_form(p, 1.0, 3.0, times) + 0.2 * np.random.default_rng(2).standard_normal(times.size)
     sure = Prior(p, dict.fromkeys(p, 1e-9))
-    joint = first_belief(OutputError(Problem(SDOF(), (Record((Channel(times, y),)),), sure)), 0.0, 1.0)
-    found = filtered(joint, Nodes.of(joint, 3.0), rule, np.array([[0.2]]))
+    joint = first_belief(
+        OutputError(Problem(SDOF(), (Record((Channel(times, y),)),), sure)), np.log(list(p.values())), 0.0, 1.0
+    )
+    nodes = Nodes.of(joint, 0.002)
+    about = nodes.trajectories(np.array([[*np.log(list(p.values())), 0.3, -2.0]]))  # any other start
+    found = filtered(joint, nodes, rule, np.array([[0.2]]), about, np.zeros((*about.shape, joint.size)))
     columns = np.stack([closed_form(p, 1.0, 0.0, times), closed_form(p, 0.0, 1.0, times)], axis=1)
     inverse = np.linalg.inv(columns.T @ columns / 0.2**2 + np.diag(1.0 / np.diag(joint.first()[1])[:2]))
     expected, sd = inverse @ columns.T @ y / 0.2**2, np.sqrt(np.diag(inverse))
-    np.testing.assert_allclose(found.means[0, :2] / sd, expected / sd, atol=1e-3)
-    np.testing.assert_allclose(found.covariances[0, :2, :2] / np.outer(sd, sd), inverse / np.outer(sd, sd), atol=1e-3)
+    np.testing.assert_allclose(found.means[0, 0, :2] / sd, expected / sd, atol=1e-3)
+    np.testing.assert_allclose(
+        found.covariances[0, 0, :2, :2] / np.outer(sd, sd), inverse / np.outer(sd, sd), atol=1e-3
+    )
 
 
 def bend(points: np.ndarray) -> np.ndarray:
@@ -289,9 +295,8 @@ def test_settings_out_of_range_are_refused(setting: dict[str, float]) -> None:
         UKF(kappa=-1.0)
 
 
-def test_a_level_without_an_inverse_is_lost_alone() -> None:
-    """The innovations' covariance of a runaway level may be singular; the others must go on."""
-    inverses = [_inverse(np.array(m)) for m in ([[1.0, 1.0], [1.0, 1.0]], [[2.0, 0.0], [0.0, 4.0]], [[np.inf]])]
-    assert np.all(np.isnan(inverses[0]))
+def test_a_trajectory_without_an_inverse_is_lost_alone() -> None:
+    """The innovations' covariance on a runaway trajectory may be singular; the others must go on."""
+    inverses = _inverses(np.array([[[1.0, 1.0], [1.0, 1.0]], [[2.0, 0.0], [0.0, 4.0]], [[np.inf, 0.0], [0.0, 1.0]]]))
+    assert np.all(np.isnan(inverses[[0, 2]]))
     np.testing.assert_allclose(inverses[1], [[0.5, 0.0], [0.0, 0.25]])
-    assert np.all(np.isnan(inverses[2]))

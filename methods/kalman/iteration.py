@@ -1,0 +1,206 @@
+"""Joint estimation of state and parameters by Kalman filters: what the extended and the unscented filter share.
+
+**Joint state.** Displacements, velocities and hidden states, then the log-parameters, then the offsets of sensors:
+constants that the measurements of the motion tell of, once the equation of motion carries the state from sample to
+sample (R. E. Kopp, R. J. Orford, AIAA J. 1:2300, 1963). The equation is the system's residual and nothing else
+(:func:`bench.rk4_step`), so any system, known force and irregular times are served alike. Several records are one
+chain: between two of them the motion starts anew and the constants carry over.
+
+**Iteration.** The record is passed again and again, each time from the original belief, with the maps taken about the
+smoothed trajectory of the pass before: the iterated extended Kalman smoother (B. M. Bell, SIAM J. Optimization 4:626,
+1994), which without process noise is a Gauss-Newton method for the most probable parameters, or its counterpart with
+sigma points (A. F. Garcia-Fernandez, L. Svensson, S. Sarkka, IEEE Trans. Automatic Control 62:2056, 2017). Nothing is
+counted twice, as it would be if a pass began at the end of the one before.
+
+**Starts.** The misfit has a minimum for each half-cycle that the phase may slip over the record, and a filter from a
+wrong one stays there. So the first maps are taken about the trajectories that the starts of
+:mod:`methods.starts.candidates` give, a few separate ones side by side. They are where the maps are taken and no more:
+the belief that each pass begins with is the prior. Of their ends the one is kept under which the innovations are most
+likely, as in a bank of filters (D. T. Magill, IEEE Trans. Automatic Control 10:434, 1965). The ends that are nearly as
+likely widen its covariance, as components of a Gaussian sum do (D. L. Alspach, H. W. Sorenson, IEEE Trans. Automatic
+Control 17:439, 1972), and the answer says so.
+
+**Noise.** Not told. At first what the trajectory of a start leaves; from then on each channel's variance is its
+residual sum of squares over N less the part of them that was fitted, ``sum H P H' / R``: the fixed point of the EM step
+of R. H. Shumway, D. S. Stoffer (J. Time Series Analysis 3:253, 1982). Parameters are constants, so their process noise,
+``drift``, is zero unless it is asked for.
+
+**First belief.** Log-parameters: the prior. Without one: ``open_sd`` about the first candidate, which says next to
+nothing; where nothing tells the scale the gauge mass is 1 and the answer is the groups. A start that is not told: rest,
+with a standard deviation of :data:`methods.kalman.joint.START` times the largest displacement (times the fastest rate
+for velocities).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from bench import SIGMA_FLOOR, Cost, Estimate, InputError, NoEstimate, OutputError, Problem, estimate_at
+from methods.kalman.filtering import Rule, filtered, noise
+from methods.kalman.joint import STARTS, Chain, Joint, fastest_rate, first_belief
+from methods.starts.candidates import NOISE_SHARE, screened
+from methods.starts.rough import RADIANS_A_STEP, radians_a_step
+
+SCREENING = 5
+"""Output-error steps that each start is given before the best are taken: as many as shooting gives."""
+MARGIN = 15.0
+"""A start is followed if minus twice its log-posterior is within this of the best."""
+APART = 1.0
+"""Ends are two if a log-parameter differs by more than this many standard deviations,"""
+RIVAL = 0.05
+"""and the less likely one counts if its odds are above this: a 95 % interval has to hold it."""
+POOR = 0.5
+"""A response that leaves more than this part of the mean square of the data is said to be poor."""
+SPARE = 1.15
+"""A chain's steps are made for a motion so much faster than the one at hand, and serve while it stays so."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """At most ``passes``, until the log-parameters move by less than ``tolerance`` of their standard deviations.
+
+    ``drift``: standard deviation of the random walk of each log-parameter over the longest record. ``open_sd``: that
+    of a log-parameter at first, where there is no prior.
+    """
+
+    passes: int
+    tolerance: float
+    drift: float
+    open_sd: float
+
+    def __post_init__(self) -> None:
+        if self.passes < 1:
+            raise InputError("method.passes", self.passes, "at least 1")
+        if not (np.isfinite(self.drift) and self.drift >= 0):
+            raise InputError("method.drift", self.drift, "a standard deviation, 0 for constant parameters")
+        for name in ("tolerance", "open_sd"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise InputError(f"method.{name}", getattr(self, name), "a positive number")
+
+
+def estimate(problem: Problem, rule: Rule, settings: Settings) -> Estimate:
+    """Estimate parameters (or groups) by passes of the filter that ``rule`` makes; a problem in natural units."""
+    model = OutputError(problem)
+    starts = screened(model, STARTS, rounds=1, iterations=SCREENING)
+    if not starts:
+        raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
+    thetas = np.stack([theta for value, theta in starts if value <= starts[0][0] + MARGIN])
+    joint = first_belief(model, thetas[0], settings.drift, settings.open_sd)
+    chain = Chain.of(joint, longest_step(model, thetas, np.ones((1, 1))))
+    bank = started(joint, chain, thetas)
+    passes = 0
+    while passes < settings.passes and np.any(bank.moved > settings.tolerance):
+        thetas = np.stack([joint.theta(own, chain) for own in bank.means])
+        longest = longest_step(model, thetas, bank.sigma / model.rms)
+        if not longest / SPARE**2 <= chain.longest <= longest:
+            chain = Chain.of(joint, longest / SPARE)
+        bank = passed(joint, chain, rule, bank)
+        passes += 1
+    return answer(joint, chain, bank, passes, settings)
+
+
+# --------------------------------------------------------------------------------------------- filters side by side
+
+
+@dataclass(frozen=True, eq=False)
+class Bank:
+    """Filters from B starts, side by side, after a pass: means (B, K, d), covariances (B, K, d, d), noise (B, C).
+
+    ``likelihood`` (B,) of the innovations; ``used`` (B,): degrees of freedom that the data spent; ``moved`` (B,): how
+    far the constants came in the pass, in their standard deviations.
+    """
+
+    means: np.ndarray
+    covariances: np.ndarray
+    sigma: np.ndarray
+    likelihood: np.ndarray
+    used: np.ndarray
+    moved: np.ndarray
+
+
+def started(joint: Joint, chain: Chain, thetas: np.ndarray) -> Bank:
+    """The trajectories of starts (B, size), known exactly so far as the maps are concerned, and what they leave."""
+    model, count = joint.model, len(thetas)
+    means = chain.trajectories(thetas)
+    seen = chain.observe(means.swapaxes(0, 1), np.arange(chain.nodes)).swapaxes(0, 1)
+    here = np.isfinite(chain.values)
+    rss = np.sum(np.where(here, chain.values - seen, 0.0) ** 2, axis=1)
+    share = max(1.0 - model.size / model.data.size, 1.0 / model.data.size)
+    sigma = np.maximum(np.sqrt(rss / (np.maximum(model.counts, 1) * share)), SIGMA_FLOOR * model.rms)
+    covariances = np.zeros((*means.shape, joint.size))
+    finite = np.all(np.isfinite(means), axis=(1, 2)) & np.all(np.isfinite(sigma), axis=1)
+    nothing = np.where(finite, 0.0, -np.inf)
+    return _alive(Bank(means, covariances, sigma, nothing, np.zeros(count), np.full(count, np.inf)))
+
+
+def passed(joint: Joint, chain: Chain, rule: Rule, bank: Bank) -> Bank:
+    """The bank after one more pass; filters that do not stay finite are left out."""
+    found = filtered(joint, chain, rule, bank.sigma, bank.means, bank.covariances)
+    sigma, used = noise(joint, chain, found)
+    shift = (found.means - bank.means)[:, -1, joint.constants]
+    variances = np.diagonal(found.covariances[:, -1], axis1=1, axis2=2)[:, joint.constants]
+    moved = np.max(np.abs(shift) / np.sqrt(np.maximum(variances, 1e-24)), axis=1)
+    return _alive(Bank(found.means, found.covariances, sigma, found.likelihood, used, moved))
+
+
+def _alive(bank: Bank) -> Bank:
+    """Those that are finite. Raises NoEstimate where none is."""
+    alive = np.isfinite(bank.likelihood) & np.all(np.isfinite(bank.sigma), axis=1)
+    if not np.any(alive):
+        raise NoEstimate("the filter lost the motion: its state did not stay finite; give a prior nearer to the system")
+    return Bank(*(getattr(bank, part.name)[alive] for part in fields(bank)))
+
+
+def longest_step(model: OutputError, thetas: np.ndarray, noise_share: np.ndarray) -> float:
+    """The integration step that serves the motions at ``thetas``, in natural units: the longest record is 1.
+
+    Its error is ``NOISE_SHARE`` of the standard error that noise of ``noise_share`` (B, C) of the data allows.
+    """
+    rate = max(fastest_rate(model, theta) for theta in thetas)
+    allowed = NOISE_SHARE * float(np.min(noise_share)) / np.sqrt(model.data.size)
+    return min(RADIANS_A_STEP, radians_a_step(allowed, rate)) / max(rate, 1e-9)
+
+
+# ------------------------------------------------------------------------------------------------------- the answer
+
+
+def answer(joint: Joint, chain: Chain, bank: Bank, passes: int, settings: Settings) -> Estimate:
+    """The end under which the innovations are most likely, with what the others say against it."""
+    model, settled = joint.model, bank.moved <= settings.tolerance
+    cost = Cost(passes * len(settled) * (2 * joint.size + 1), passes)
+    best = int(np.argmax(bank.likelihood - np.where(settled, 0.0, 0.5 * MARGIN)))
+    theta = joint.theta(bank.means[best], chain)
+    left = float(np.mean(((model.data - model.predict(theta)) / model.rms[model.channel_of]) ** 2))
+    unsettled = settings.passes > 1 and not settled[best]
+    if unsettled and not left < POOR:
+        lost = f"the filter lost the motion: its passes do not settle, and its response leaves {left:.0%} of the data"
+        raise NoEstimate(lost, cost=cost)
+    covariance, said = _combined(joint, bank, best)
+    if not left < POOR:
+        said.append(f"the response leaves {left:.0%} of the data's mean square: motion lost, or noise")
+    if unsettled:
+        said.append("the passes had not settled: raise passes")
+    if np.any(bank.sigma[best] <= SIGMA_FLOOR * model.rms):
+        said.append(f"the noise is taken to be {SIGMA_FLOOR:g} of the data, the least that the filter resolves")
+    return estimate_at(model, theta, covariance, float(bank.used[best]), cost, "; ".join(said))
+
+
+def _combined(joint: Joint, bank: Bank, best: int) -> tuple[np.ndarray, list[str]]:
+    """Covariance of the log-parameters about the best end, with the rivals that are nearly as likely; and a sentence."""
+    constants = joint.constants[: len(joint.model.free)]
+    means, covariances = bank.means[:, -1, constants], bank.covariances[:, -1][:, constants][:, :, constants]
+    away, own = means - means[best], covariances[best]
+    apart = np.max(np.abs(away) / np.sqrt(np.maximum(np.diag(own), 1e-24)), axis=1) > APART
+    odds = np.exp(np.minimum(bank.likelihood - bank.likelihood[best], 0.0))
+    rivals = apart & (odds > RIVAL)
+    if not np.any(rivals):
+        return own, []
+    weights = np.where(rivals, odds, 0.0)
+    weights[best] = 1.0
+    weights /= weights.sum()
+    spread = covariances + away[:, :, None] * away[:, None, :]
+    chance = f"{1.0 - weights[best]:.0%}"
+    said = f"another motion may have made the data (a chance of {chance}); the interval is widened to hold it"
+    return np.einsum("b,bij->ij", weights, spread), [said]
