@@ -95,7 +95,7 @@ def filtered(
 
 def _mapped(
     rule: Rule,
-    function: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    function: Callable[..., np.ndarray],
     nodes: np.ndarray,
     means: np.ndarray,
     covariances: np.ndarray,

@@ -53,6 +53,8 @@ RIVAL = 0.05
 """and the less likely one counts if its odds are above this: a 95 % interval has to hold it."""
 POOR = 0.5
 """A response that leaves more than this part of the mean square of the data is said to be poor."""
+FINEST = 0.02
+"""The shortest integration step, in radians of the fastest rate."""
 SPARE = 1.15
 """A chain's steps are made for a motion so much faster than the one at hand, and serve while it stays so."""
 
@@ -160,7 +162,7 @@ def longest_step(model: OutputError, thetas: np.ndarray, noise_share: np.ndarray
     """
     rate = max(fastest_rate(model, theta) for theta in thetas)
     allowed = NOISE_SHARE * float(np.min(noise_share)) / np.sqrt(model.data.size)
-    return min(RADIANS_A_STEP, radians_a_step(allowed, rate)) / max(rate, 1e-9)
+    return float(np.clip(radians_a_step(allowed, rate), FINEST, RADIANS_A_STEP)) / max(rate, 1e-9)
 
 
 # ------------------------------------------------------------------------------------------------------- the answer
@@ -188,7 +190,7 @@ def answer(joint: Joint, chain: Chain, bank: Bank, passes: int, settings: Settin
 
 
 def _combined(joint: Joint, bank: Bank, best: int) -> tuple[np.ndarray, list[str]]:
-    """Covariance of the log-parameters about the best end, with the rivals that are nearly as likely; and a sentence."""
+    """Covariance of the log-parameters about the best end, widened by rivals nearly as likely; and what to say."""
     constants = joint.constants[: len(joint.model.free)]
     means, covariances = bank.means[:, -1, constants], bank.covariances[:, -1][:, constants][:, :, constants]
     away, own = means - means[best], covariances[best]

@@ -34,7 +34,7 @@ START = 3.0
 """Standard deviation of an untold start, in largest displacements of the data (and fastest rates)."""
 DIFFERENCE = 1e-5
 """Step of the differences from which the fastest rate follows, over the size of the data."""
-MAX_STEPS = 400
+MAX_STEPS = 3000
 """Steps between two samples beyond which a motion counts as too fast to follow."""
 
 STARTS = 3
@@ -160,8 +160,9 @@ class Chain:
     """The nodes, record after record: each time 0 and each time of a sample, and the steps that lead to them.
 
     ``values`` (K, C): what each channel gave at a node, NaN where nothing; ``forces`` (K, n_dof) there.
-    ``longest``: the longest step. ``steps`` (K, J): integration steps from the node before, padded with steps of no length; ``pushes``
-    (K, J, 3, n_dof): forces at the start, middle and end of each. ``first_of``: the first node of each record.
+    ``steps`` (K, J): integration steps from the node before, none above ``longest``, padded with steps of no length;
+    ``pushes`` (K, J, 3, n_dof): forces at the start, middle and end of each. ``first_of``: the first node of each
+    record.
     """
 
     joint: Joint

@@ -11,8 +11,9 @@ which the belief is certain (a known start) get a small spread, which makes the 
 IEEE Trans. Automatic Control 54:1254, 2009); the other usual choice, 3 - d, weighs the centre negatively from four
 unknowns on, and covariances then need not stay positive.
 
-What is common to it and the extended filter (joint state, smoother, iteration, noise) is in
-:mod:`methods.kalman.filtering`. For structural identification: S. Mariani, A. Ghisi, Nonlinear Dynamics 49:131, 2007.
+What is common to it and the extended filter (joint state, starts, iteration, noise) is in
+:mod:`methods.kalman.iteration`; the first pass, about the trajectory of a start, is the extended filter's. For
+structural identification: S. Mariani, A. Ghisi, Nonlinear Dynamics 49:131, 2007.
 """
 
 from __future__ import annotations
@@ -47,13 +48,15 @@ class UKF(Identifier):
     kappa: float = 0.0
 
     card: ClassVar[Card] = Card(
-        summary="unscented Kalman filter and smoother for state and log-parameters, iterated over the record",
+        summary="unscented Kalman filter and smoother for state and log-parameters, iterated from starts of a scan",
         start="used when known",
         scale="native",
         reconstruction="own",
         uncertainty="covariance of the last smoothing pass, Student t with N - p degrees of freedom",
-        settings_source="kappa of the cubature filter; no process noise, since parameters are constants",
-        tuning="none",
+        settings_source="kappa of the cubature filter; starts and screening of multiple shooting; no process noise, "
+        "since parameters are constants; passes until they settle",
+        tuning="none; the starts and the choice among them were checked on development systems at 200 to 0 dB, "
+        "damping ratio 0.6-135 %, 1-13 cycles, 5-45 samples",
         title="Unscented Kalman filter",
         order=180,
         colour="#661100",

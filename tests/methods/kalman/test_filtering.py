@@ -30,6 +30,7 @@ from bench.scoring.combination import combine_with_prior
 from bench.systems import SDOF, Chain, Dimension, Duffing, Parameter
 from methods.kalman.ekf import EKF, tangent
 from methods.kalman.filtering import _inverses, filtered
+from methods.kalman.iteration import Bank, _combined
 from methods.kalman.joint import Chain as Nodes
 from methods.kalman.joint import first_belief
 from methods.kalman.ukf import UKF, regression
@@ -100,6 +101,19 @@ def test_with_known_parameters_it_is_least_squares(rule, times: np.ndarray) -> N
     np.testing.assert_allclose(
         found.covariances[0, 0, :2, :2] / np.outer(sd, sd), inverse / np.outer(sd, sd), atol=1e-3
     )
+
+
+def test_the_trajectory_of_a_start_is_the_closed_form() -> None:
+    """Displacement and velocity from a start of the vector, at irregular times."""
+    times = np.array([0.0, 0.02, 0.11, 0.5, 0.52, 1.0])
+    p = {"m": 1.0, "c": 4.0, "k": 900.0}
+    problem = Problem(SDOF(), (Record((Channel(times, np.ones(times.size)),)),), Prior(p, dict.fromkeys(p, 0.5)))
+    theta = np.array([[*np.log(list(p.values())), 0.3, -2.0], [*np.log(list(p.values())), 1.0, 0.0]])
+    joint = first_belief(OutputError(problem), theta[0], 0.0, 1.0)
+    path = Nodes.of(joint, 0.002).trajectories(theta)
+    np.testing.assert_allclose(path[0, :, 0], closed_form(p, 0.3, -2.0, times), atol=1e-5)
+    np.testing.assert_allclose(path[1, :, 0], closed_form(p, 1.0, 0.0, times), atol=1e-5)
+    np.testing.assert_allclose(path[:, :, 2:], np.broadcast_to(theta[:, None, :3], (2, 6, 3)))
 
 
 def bend(points: np.ndarray) -> np.ndarray:
@@ -254,6 +268,62 @@ def test_the_filter_carries_hidden_states(method: Identifier) -> None:
     sd = np.sqrt(np.diag(estimate.parameters.covariance))
     assert np.all(np.abs(estimate.parameters.mean - np.log(list(p.values()))) < 3.5 * sd)
     assert np.all(sd < 0.2)
+
+
+@BOTH
+@pytest.mark.parametrize("told", ["known", "unknown"])
+def test_a_prior_cycles_away_does_not_lose_the_motion(method: Identifier, told: str) -> None:
+    """Ten cycles, and stiffness stated four times too high: ten cycles too many. The truth lies in the interval."""
+    p = {"m": 1.3, "c": 0.2, "k": 51.0}
+    made = scenario(20.0, parameters=p, samples=60, initial_state=told)
+    for problem, _ in made.replicates(1, 2):
+        assert problem.prior is not None
+        stated = Prior({"m": 1.3, "c": 0.6, "k": 204.0}, {"m": 0.02, "c": 1.0, "k": 1.0})
+        estimate = fit(method, Problem(problem.system, problem.records, stated))
+        marginal = estimate.marginal(problem.system.quantity("k_over_m"))
+        assert marginal is not None, estimate.message
+        low, high = marginal.interval(0.999)
+        assert low < 51.0 / 1.3 < high
+        assert high / low < 1.1
+
+
+@BOTH
+@pytest.mark.parametrize("snr", [90.0, 150.0, 250.0])
+def test_data_without_noise_give_intervals_that_hold_the_truth(method: Identifier, snr: float) -> None:
+    """An interval is never thinner than the integration and the rounding allow, and the answer says where it ends."""
+    made = scenario(snr)
+    for problem, _ in made.replicates(2, 2):
+        estimate = combine_with_prior(fit(method, problem), problem.prior)
+        assert "least that the filter resolves" in estimate.message
+        for name in ("k_over_m", "c_over_m"):
+            marginal = estimate.marginal(problem.system.quantity(name))
+            assert marginal is not None
+            low, high = marginal.interval(0.95)
+            assert low < problem.system.quantity(name).value(PLANT) < high
+            assert high / low < 1.01
+
+
+def test_a_rival_widens_the_interval_as_a_mixture_of_two() -> None:
+    """Two ends at odds of one to one: variance about the first is the mean of the variances and half their distance
+    squared; an end at odds of one to a hundred, or one next to the first, changes nothing.
+    """
+    problem, _ = scenario(20.0).replicates(0, 1)[0]
+    joint = first_belief(OutputError(problem), np.log(list(PLANT.values())), 0.0, 1.0)
+    means, covariances = np.zeros((2, 1, 5)), np.tile(np.eye(5), (2, 1, 1, 1))
+    covariances[1] *= 3.0
+
+    def combined(away: float, odds: float) -> tuple[np.ndarray, list[str]]:
+        means[1, 0, 4] = away
+        none = np.zeros(2)
+        return _combined(joint, Bank(means, covariances, none[:, None], np.log([1.0, odds]), none, none), 0)
+
+    covariance, said = combined(6.0, 1.0)
+    np.testing.assert_allclose(np.diag(covariance), [2.0, 2.0, 2.0 + 0.5 * 36.0])
+    assert "50%" in said[0]
+    for away, odds in ((6.0, 0.01), (0.5, 1.0)):
+        covariance, said = combined(away, odds)
+        np.testing.assert_allclose(covariance, np.eye(3))
+        assert not said
 
 
 @BOTH
