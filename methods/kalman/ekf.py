@@ -33,7 +33,7 @@ class EKF(Identifier):
     """
 
     passes: int = 30
-    tolerance: float = 1e-4
+    tolerance: float = 1e-3
     drift: float = 0.0
     open_sd: float = 3.0
 

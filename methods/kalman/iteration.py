@@ -51,10 +51,14 @@ APART = 1.0
 """Ends are two if a log-parameter differs by more than this many standard deviations,"""
 RIVAL = 0.05
 """and the less likely one counts if its odds are above this: a 95 % interval has to hold it."""
+ADRIFT = 0.1
+"""Standard deviations by which the last pass may move an answer that is poor."""
 POOR = 0.5
 """A response that leaves more than this part of the mean square of the data is said to be poor."""
 FINEST = 0.02
 """The shortest integration step, in radians of the fastest rate."""
+PART = (0.2, 3.0)
+"""The least and the most of a pass's move that is followed."""
 SPARE = 1.15
 """A chain's steps are made for a motion so much faster than the one at hand, and serve while it stays so."""
 
@@ -94,7 +98,7 @@ def estimate(problem: Problem, rule: Rule, settings: Settings) -> Estimate:
     bank = started(joint, chain, thetas)
     passes = 0
     while passes < settings.passes and np.any(bank.moved > settings.tolerance):
-        thetas = np.stack([joint.theta(own, chain) for own in bank.means])
+        thetas = np.stack([joint.theta(own, chain) for own in bank.about])
         longest = longest_step(model, thetas, bank.sigma / model.rms)
         if not longest / SPARE**2 <= chain.longest <= longest:
             chain = Chain.of(joint, longest / SPARE)
@@ -110,16 +114,25 @@ def estimate(problem: Problem, rule: Rule, settings: Settings) -> Estimate:
 class Bank:
     """Filters from B starts, side by side, after a pass: means (B, K, d), covariances (B, K, d, d), noise (B, C).
 
-    ``likelihood`` (B,) of the innovations; ``used`` (B,): degrees of freedom that the data spent; ``moved`` (B,): how
-    far the constants came in the pass, in their standard deviations.
+    ``about``, ``width``: the means and covariances that the maps of the next pass are taken about. ``likelihood`` (B,) of
+    the innovations; ``used`` (B,): degrees of freedom that the data spent; ``shift`` (B, constants): how far the pass
+    took the constants from where its maps were taken, in their standard deviations; ``part`` (B,) of it was followed.
     """
 
     means: np.ndarray
     covariances: np.ndarray
+    about: np.ndarray
+    width: np.ndarray
     sigma: np.ndarray
     likelihood: np.ndarray
     used: np.ndarray
-    moved: np.ndarray
+    shift: np.ndarray
+    part: np.ndarray
+
+    @property
+    def moved(self) -> np.ndarray:
+        """The largest shift of each, (B,)."""
+        return np.asarray(np.max(np.abs(self.shift), axis=1, initial=0.0))
 
 
 def started(joint: Joint, chain: Chain, thetas: np.ndarray) -> Bank:
@@ -133,18 +146,36 @@ def started(joint: Joint, chain: Chain, thetas: np.ndarray) -> Bank:
     sigma = np.maximum(np.sqrt(rss / (np.maximum(model.counts, 1) * share)), SIGMA_FLOOR * model.rms)
     covariances = np.zeros((*means.shape, joint.size))
     finite = np.all(np.isfinite(means), axis=(1, 2)) & np.all(np.isfinite(sigma), axis=1)
-    nothing = np.where(finite, 0.0, -np.inf)
-    return _alive(Bank(means, covariances, sigma, nothing, np.zeros(count), np.full(count, np.inf)))
+    likelihood, far = np.where(finite, 0.0, -np.inf), np.full((count, joint.constants.size), np.inf)
+    none, whole = np.zeros(count), np.ones(count)
+    return _alive(Bank(means, covariances, means, covariances, sigma, likelihood, none, far, whole))
 
 
 def passed(joint: Joint, chain: Chain, rule: Rule, bank: Bank) -> Bank:
     """The bank after one more pass; filters that do not stay finite are left out."""
-    found = filtered(joint, chain, rule, bank.sigma, bank.means, bank.covariances)
+    found = filtered(joint, chain, rule, bank.sigma, bank.about, bank.width)
     sigma, used = noise(joint, chain, found)
-    shift = (found.means - bank.means)[:, -1, joint.constants]
     variances = np.diagonal(found.covariances[:, -1], axis1=1, axis2=2)[:, joint.constants]
-    moved = np.max(np.abs(shift) / np.sqrt(np.maximum(variances, 1e-24)), axis=1)
-    return _alive(Bank(found.means, found.covariances, sigma, found.likelihood, used, moved))
+    shift = (found.means - bank.about)[:, -1, joint.constants] / np.sqrt(np.maximum(variances, 1e-24))
+    part = _part_to_follow(bank, shift)
+    about = bank.about + part[:, None, None] * (found.means - bank.about)
+    width = bank.width + part[:, None, None, None] * (found.covariances - bank.width)
+    sigma = bank.sigma * (sigma / bank.sigma) ** part[:, None]
+    return _alive(Bank(found.means, found.covariances, about, width, sigma, found.likelihood, used, shift, part))
+
+
+def _part_to_follow(bank: Bank, shift: np.ndarray) -> np.ndarray:
+    """How much of a pass's move to take, (B,): less where the passes go to and fro, more where they creep.
+
+    Aitken's relaxation in several dimensions (B. M. Irons, R. C. Tuck, Int. J. Numerical Methods in Engineering 1:275,
+    1969): the part under which the move of this pass, after that of the last one, would have been nothing.
+    """
+    known = np.isfinite(bank.moved)
+    last = np.where(known[:, None], bank.shift, 0.0)
+    change = shift - last
+    part = -bank.part * np.sum(last * change, axis=1) / np.maximum(np.sum(change**2, axis=1), 1e-300)
+    # a move that grows on its way is far from its end yet, and the formula has nothing to say
+    return np.where(known & (part > 0), np.clip(part, *PART), 1.0)
 
 
 def _alive(bank: Bank) -> Bank:
@@ -176,14 +207,15 @@ def answer(joint: Joint, chain: Chain, bank: Bank, passes: int, settings: Settin
     theta = joint.theta(bank.means[best], chain)
     left = float(np.mean(((model.data - model.predict(theta)) / model.rms[model.channel_of]) ** 2))
     unsettled = settings.passes > 1 and not settled[best]
-    if unsettled and not left < POOR:
+    if unsettled and bank.moved[best] > ADRIFT and not left < POOR:
         lost = f"the filter lost the motion: its passes do not settle, and its response leaves {left:.0%} of the data"
         raise NoEstimate(lost, cost=cost)
     covariance, said = _combined(joint, bank, best)
     if not left < POOR:
         said.append(f"the response leaves {left:.0%} of the data's mean square: motion lost, or noise")
     if unsettled:
-        said.append("the passes had not settled: raise passes")
+        moved = f"{bank.moved[best]:.1g} of its standard deviation"
+        said.append(f"the passes had not settled, the last moved the answer by {moved}: raise passes")
     if np.any(bank.sigma[best] <= SIGMA_FLOOR * model.rms):
         said.append(f"the noise is taken to be {SIGMA_FLOOR:g} of the data, the least that the filter resolves")
     return estimate_at(model, theta, covariance, float(bank.used[best]), cost, "; ".join(said))
