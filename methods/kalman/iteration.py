@@ -14,7 +14,7 @@ counted twice, as it would be if a pass began at the end of the one before.
 
 **Starts.** The misfit has a minimum for each half-cycle that the phase may slip over the record, and a filter from a
 wrong one stays there. So the first maps are taken about the trajectories that the starts of
-:mod:`methods.starts.candidates` give, a few separate ones side by side. They are where the maps are taken and no more:
+:mod:`methods.kalman.starts` give, a few separate ones side by side. They are where the maps are taken and no more:
 the belief that each pass begins with is the prior. Of their ends the one is kept under which the innovations are most
 likely, as in a bank of filters (D. T. Magill, IEEE Trans. Automatic Control 10:434, 1965). The ends that are nearly as
 likely widen its covariance, as components of a Gaussian sum do (D. L. Alspach, H. W. Sorenson, IEEE Trans. Automatic
@@ -39,14 +39,11 @@ import numpy as np
 
 from bench import SIGMA_FLOOR, Cost, Estimate, InputError, NoEstimate, OutputError, Problem, estimate_at
 from methods.kalman.filtering import Rule, filtered, noise
-from methods.kalman.joint import STARTS, Chain, Joint, fastest_rate, first_belief
-from methods.starts.candidates import NOISE_SHARE, screened
+from methods.kalman.joint import Chain, Joint, fastest_rate, first_belief
+from methods.kalman.starts import MARGIN, screened_starts
+from methods.starts.candidates import NOISE_SHARE
 from methods.starts.rough import RADIANS_A_STEP, radians_a_step
 
-SCREENING = 5
-"""Output-error steps that each start is given before the best are taken: as many as shooting gives."""
-MARGIN = 15.0
-"""A start is followed if minus twice its log-posterior is within this of the best."""
 APART = 1.0
 """Ends are two if a log-parameter differs by more than this many standard deviations,"""
 RIVAL = 0.05
@@ -89,10 +86,7 @@ class Settings:
 def estimate(problem: Problem, rule: Rule, settings: Settings) -> Estimate:
     """Estimate parameters (or groups) by passes of the filter that ``rule`` makes; a problem in natural units."""
     model = OutputError(problem)
-    starts = screened(model, STARTS, rounds=1, iterations=SCREENING)
-    if not starts:
-        raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
-    thetas = np.stack([theta for value, theta in starts if value <= starts[0][0] + MARGIN])
+    thetas = screened_starts(model)
     joint = first_belief(model, thetas[0], settings.drift, settings.open_sd)
     chain = Chain.of(joint, longest_step(model, thetas, np.ones((1, 1))))
     bank = started(joint, chain, thetas)
@@ -114,9 +108,10 @@ def estimate(problem: Problem, rule: Rule, settings: Settings) -> Estimate:
 class Bank:
     """Filters from B starts, side by side, after a pass: means (B, K, d), covariances (B, K, d, d), noise (B, C).
 
-    ``about``, ``width``: the means and covariances that the maps of the next pass are taken about. ``likelihood`` (B,) of
-    the innovations; ``used`` (B,): degrees of freedom that the data spent; ``shift`` (B, constants): how far the pass
-    took the constants from where its maps were taken, in their standard deviations; ``part`` (B,) of it was followed.
+    ``about``, ``width``: the means and covariances that the maps of the next pass are taken about. ``likelihood`` (B,):
+    that of the innovations; ``used`` (B,): degrees of freedom that the data spent; ``shift`` (B, constants): how far
+    the pass took the constants from where its maps were taken, in their standard deviations; ``part`` (B,) of it was
+    followed.
     """
 
     means: np.ndarray

@@ -28,7 +28,7 @@ from bench import (
     rk4_step,
     step_counts,
 )
-from methods.starts.candidates import candidates
+from methods.kalman.starts import first_candidate
 
 START = 3.0
 """Standard deviation of an untold start, in largest displacements of the data (and fastest rates)."""
@@ -36,9 +36,6 @@ DIFFERENCE = 1e-5
 """Step of the differences from which the fastest rate follows, over the size of the data."""
 MAX_STEPS = 3000
 """Steps between two samples beyond which a motion counts as too fast to follow."""
-
-STARTS = 3
-"""Separate starts of a filter, at most."""
 
 
 OfRig = Callable[[System, np.ndarray, np.ndarray], np.ndarray]
@@ -116,7 +113,7 @@ def first_belief(model: OutputError, theta: np.ndarray, drift: float, open_sd: f
     if model.prior is not None:
         logs, sds = model.prior.log_mean, model.prior.log_sds
     else:
-        nominal = candidates(model, STARTS)[0]
+        nominal = first_candidate(model)
         logs, sds = np.log([nominal[name] for name in model.free]), np.full(k, open_sd)
     return Joint(model, logs, sds, np.full(k, drift**2), fastest_rate(model, theta[:k]))
 
