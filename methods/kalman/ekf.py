@@ -35,7 +35,7 @@ class EKF(Identifier):
     passes: int = 30
     tolerance: float = 1e-3
     drift: float = 0.0
-    open_sd: float = 3.0
+    open_sd: float = 1.0
 
     card: ClassVar[Card] = Card(
         summary="extended Kalman filter and smoother for state and log-parameters, iterated from starts of a scan",

@@ -25,8 +25,8 @@ residual sum of squares over N less the part of them that was fitted, ``sum H P 
 of R. H. Shumway, D. S. Stoffer (J. Time Series Analysis 3:253, 1982). Parameters are constants, so their process noise,
 ``drift``, is zero unless it is asked for.
 
-**First belief.** Log-parameters: the prior. Without one: ``open_sd`` about the first candidate, which says next to
-nothing; where nothing tells the scale the gauge mass is 1 and the answer is the groups. A start that is not told: rest,
+**First belief.** Log-parameters: the prior. Without one: ``open_sd``, a factor of ``e``, about the first candidate as
+the data gave it, moved by no search; where nothing tells the scale the gauge mass is 1 and the answer is the groups. A start that is not told: rest,
 with a standard deviation of :data:`methods.kalman.joint.START` times the largest displacement (times the fastest rate
 for velocities).
 """

@@ -44,7 +44,7 @@ class UKF(Identifier):
     passes: int = 30
     tolerance: float = 1e-3
     drift: float = 0.0
-    open_sd: float = 3.0
+    open_sd: float = 1.0
     kappa: float = 0.0
 
     card: ClassVar[Card] = Card(
