@@ -1,7 +1,7 @@
 """The trajectories about which the first maps are taken: the scan and screening that multiple shooting has, too.
 
 Candidates come from the data alone (:mod:`methods.starts.candidates`); each is given a few output-error steps, and the
-best that are apart are kept.
+best that are apart are kept. Where there is a prior, aliases are kept too: the prior and the innovations weigh them.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from bench import Channel, NoEstimate, OutputError
 from methods.starts.candidates import candidates, screening
-from methods.starts.separate import separate
+from methods.starts.separate import APART, separate
 
 STARTS = 3
 """Separate starts at most."""
@@ -43,10 +43,20 @@ def screened_starts(model: OutputError) -> np.ndarray:
     with np.errstate(all="ignore"):
         residuals = quick.data - quick.predict(thetas)
     values = np.array([quick.profile_of(theta, left) for theta, left in zip(thetas, residuals, strict=True)])
-    best = separate(head, values, thetas)[:STARTS]
+    apart = separate(head, values, thetas) if head.prior is None else _apart(thetas[:, : len(head.free)], values)
+    best = apart[:STARTS]
     if not best:
         raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
     return np.asarray(thetas[[i for i in best if values[i] <= values[best[0]] + MARGIN]])
+
+
+def _apart(logs: np.ndarray, values: np.ndarray) -> list[int]:
+    """Places of the finite ends that are apart, best first; aliases too, since a prior can weigh them."""
+    kept = list[int]()
+    for i in map(int, np.argsort(values)):
+        if np.isfinite(values[i]) and all(np.max(np.abs(logs[i] - logs[other])) >= APART for other in kept):
+            kept.append(i)
+    return kept
 
 
 def _vectors(quick: OutputError, found: Sequence[dict[str, float]]) -> np.ndarray:
