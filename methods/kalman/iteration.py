@@ -26,9 +26,9 @@ of R. H. Shumway, D. S. Stoffer (J. Time Series Analysis 3:253, 1982). Parameter
 ``drift``, is zero unless it is asked for.
 
 **First belief.** Log-parameters: the prior. Without one: ``open_sd``, a factor of ``e``, about the first candidate as
-the data gave it, moved by no search; where nothing tells the scale the gauge mass is 1 and the answer is the groups. A start that is not told: rest,
-with a standard deviation of :data:`methods.kalman.joint.START` times the largest displacement (times the fastest rate
-for velocities).
+the data gave it, moved by no search; where nothing tells the scale the gauge mass is 1 and the answer is the groups. A
+start that is not told: rest, with a standard deviation of :data:`methods.kalman.joint.START` times the largest
+displacement (times the fastest rate for velocities).
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The trajectories about which the first maps are taken: the scan and screening that multiple shooting has, too.
 
 Candidates come from the data alone (:mod:`methods.starts.candidates`); each is given a few output-error steps, and the
-best that are apart are kept. Where there is a prior, aliases are kept too: the prior and the innovations weigh them.
+best that are apart are kept. Where the prior expects one degree of freedom to move faster than the
+sampling resolves, aliases are kept too: prior and innovations weigh them.
 """
 
 from __future__ import annotations
@@ -43,11 +44,21 @@ def screened_starts(model: OutputError) -> np.ndarray:
     with np.errstate(all="ignore"):
         residuals = quick.data - quick.predict(thetas)
     values = np.array([quick.profile_of(theta, left) for theta, left in zip(thetas, residuals, strict=True)])
-    apart = separate(head, values, thetas) if head.prior is None else _apart(thetas[:, : len(head.free)], values)
+    apart = _apart(thetas[:, : len(head.free)], values) if _unresolved(head) else separate(head, values, thetas)
     best = apart[:STARTS]
     if not best:
         raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
     return np.asarray(thetas[[i for i in best if values[i] <= values[best[0]] + MARGIN]])
+
+
+def _unresolved(model: OutputError) -> bool:
+    """Whether the prior expects the oscillation of one degree of freedom above half the sampling rate."""
+    system, prior = model.system, model.prior
+    gaps = [float(np.median(np.diff(c.times))) for _, c in model.channels if c.n > 1]
+    if prior is None or not (system.linear and system.n_dof == 1 and gaps):
+        return False
+    stiffness = next(p.name for p in system.parameters if p.kind == "stiffness")
+    return bool(np.sqrt(prior.nominal[stiffness] / prior.nominal[system.gauge]) * min(gaps) > np.pi)
 
 
 def _apart(logs: np.ndarray, values: np.ndarray) -> list[int]:

@@ -314,8 +314,10 @@ def test_a_rival_widens_the_interval_as_a_mixture_of_two() -> None:
 
     def combined(away: float, odds: float) -> tuple[np.ndarray, list[str]]:
         means[1, 0, 4] = away
-        none = np.zeros(2)
-        return _combined(joint, Bank(means, covariances, none[:, None], np.log([1.0, odds]), none, none), 0)
+        none, likelihood = np.zeros(2), np.log([1.0, odds])
+        flat = none[:, None]
+        bank = Bank(means, covariances, means, covariances, flat, likelihood, none, flat, none)
+        return _combined(joint, bank, 0)
 
     covariance, said = combined(6.0, 1.0)
     np.testing.assert_allclose(np.diag(covariance), [2.0, 2.0, 2.0 + 0.5 * 36.0])
