@@ -139,6 +139,7 @@ class Attempt:
         watch: Watch,
     ) -> None:
         self.problems, self.settings, self.watch = problems, settings, watch
+        self.loud = np.array([guess.loud for guess in guesses])
         first = problems[0]
         self.omega = np.array([guess.omega for guess in guesses])
         self.duration = np.array([max(record.duration for record in p.records) for p in problems])
@@ -159,7 +160,7 @@ class Attempt:
         offsets = np.zeros((len(problems), len(self.residuals.offsets)))
         z = np.concatenate([*weights, logs[:, self.residuals.free], offsets], 1)
         self.walk = Walk.start(torch.as_tensor(z, device=settings.device))
-        self._measure(degrees_of_freedom(first))
+        self._measure(degrees_of_freedom(first), guesses)
 
     def _forced_motions(self, k: int, guesses: Sequence[Guess]) -> list[ForcedMotion]:
         """What the forces of record k alone would do, fit by fit; empty where there are none."""
@@ -187,7 +188,7 @@ class Attempt:
         """Functions that the forces of record k add for each path."""
         return self.forced[k][0].sizes.size if self.forced[k] else 0
 
-    def _measure(self, dof: float) -> None:
+    def _measure(self, dof: float, guesses: Sequence[Guess]) -> None:
         """Sizes of the channels, (B, n_channels), and the first noise."""
         channels = [[c for record in p.records for c in record.channels] for p in self.problems]
         self.n = np.array([c.n for c in channels[0]])
@@ -198,7 +199,8 @@ class Attempt:
         largest = np.max(self.rms * self.to_displacement, axis=1, keepdims=True)
         self.rms = np.maximum(self.rms, 1e-3 * largest / self.to_displacement)
         self.share = dof / self.problems[0].n
-        self.sigmas = FIRST_NOISE * self.rms
+        left = np.array([guess.left if guess.loud else 0.0 for guess in guesses])
+        self.sigmas = np.clip(np.sqrt(left), FIRST_NOISE, 1.0)[:, None] * self.rms
 
     def spread(self, softness: float = 1.0) -> Spread:
         """Standard deviations of the rows at the present noise.
@@ -243,18 +245,36 @@ class Attempt:
         levenberg.minimise(residuals, self.walk, deviations, iterations, self.settings.tolerance, who)
         return self.estimate_noise(residuals, deviations, who) if softness == 1.0 else np.zeros(who.size)
 
+    def respond(self, heads: Residuals, iterations: int, damping: float, who: np.ndarray) -> None:
+        """Fit the response of the fits ``who`` with their parameters held where they are."""
+        own = heads.take(who)
+        held, z = own.held(self.walk.z[who])
+        walk = Walk.start(z, damping)
+        deviations = heads.deviations(self.spread())[who]
+        levenberg.minimise(held, walk, deviations[:, : held.n_rows], iterations, self.settings.tolerance)
+        self.walk.z[who] = own.with_responses(self.walk.z[who], walk.z)
+        self.walk.evaluations[who] += walk.evaluations
+        self.walk.iterations[who] += walk.iterations
+
     def levenberg(self) -> None:
         """The default path: soft physics, then nearly hard, both on the output layer alone; then all coefficients.
 
         With soft physics the loss has one basin where the hard one has many; with the hidden layers fixed an iteration
         is cheap, and their spread features already resolve the motion. The last stage frees all weights.
+
+        Where noise is as large as the motion, soft physics would follow the noise and lose the wave that the scan found:
+        a ``loud`` fit begins with hard physics instead, from the response of that wave's parameters.
         """
         s = self.settings
         far, near, close = DAMPING
         everyone = np.arange(len(self.problems))
         whole = self.walk.z
         heads, self.walk.z = self.residuals.heads(whole)
-        self.run(heads, s.softness, s.output_iterations, far, everyone)
+        quiet, loud = np.flatnonzero(~self.loud), np.flatnonzero(self.loud)
+        if quiet.size:
+            self.run(heads, s.softness, s.output_iterations, far, quiet)
+        if loud.size:
+            self.respond(heads, s.output_iterations, near, loud)
         self.run(heads, 1.0, s.output_iterations, near, everyone)
         self.walk.z = self.residuals.with_heads(whole, self.walk.z)
         who = everyone

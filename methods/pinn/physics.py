@@ -14,7 +14,8 @@ The loss is minus the log posterior, whatever represents x(t):
   likelihood then rises on towards zero; such a record is fitted again with a very wide prior, and the answer says so.
 - **Hidden states** are paths of the ansatz beside the displacements, held to their own rates.
 - **A bad basin** shows in the residuals: the fit leaves more than twice what plain damped waves leave. It is then
-  started again elsewhere, at most ``restarts`` times, and the best kept.
+  started again elsewhere, at most ``restarts`` times, and the best kept. Waves that are nearly as good are fitted in
+  any case; where noise is as large as the motion, from hard physics on (:mod:`methods.pinn.starts`).
 
 Uncertainty (``uncertainty=``): ``laplace``, covariance from the linearisation at the solution with the coefficients
 profiled out; ``ensemble``, spread over ``members`` random initialisations, the paper's way; ``bootstrap``, spread over
@@ -98,7 +99,7 @@ class PhysicsInformed(Settings, Identifier):
         for n in range(1 + self.restarts):
             groups: dict[object, list[Task]] = {}
             for task in tasks:
-                if not task.settled and n < len(task.guesses):
+                if task.wants(n):
                     key = structure(task.scaled), engine.resolution(engine.cycles(task.scaled, task.guesses[n]))
                     groups.setdefault(key, []).append(task)
             for group in groups.values():
@@ -140,7 +141,7 @@ class PhysicsInformed(Settings, Identifier):
         if best is None:
             sentence = "no attempt gave finite numbers; try other restarts, or check the record for outliers"
             return Estimate.failed(problem.system, Status.NONFINITE, sentence, cost)
-        message = best.reason + (f"; {len(task.fits) - 1} restart(s)" if len(task.fits) > 1 else "")
+        message = best.reason + (f"; the best of {len(task.fits)} starts" if len(task.fits) > 1 else "")
         if task.given_up:
             message += "; the data leave a parameter open: held by a very wide prior, a factor of 20"
         if task.scaled.system.n_hidden and not task.scaled.system.smooth:

@@ -156,6 +156,20 @@ class Residuals:
         whole = [a.with_head(p, o) for a, p, o in zip(self.ansatzes, parts, own, strict=True)]
         return torch.cat([*whole, rest], 1)
 
+    def held(self, z: Tensor) -> tuple[Residuals, Tensor]:
+        """The same vectors, without the prior, as a function of coefficients and offsets alone, and these at z."""
+        other = copy.copy(self)
+        parts, logs, offsets = self.split(z)
+        other.log_fixed, other.free, other.prior = logs, [], None
+        other.n_unknowns, other.n_rows = len(self.offsets), sum(block.n_rows for block in self.blocks)
+        other._offset_rows, other.term_rows = other._offset_columns(), other._term_columns()
+        return other, torch.cat([*parts, offsets], 1)
+
+    def with_responses(self, z: Tensor, short: Tensor) -> Tensor:
+        """z with its coefficients and offsets as in the vector ``short`` of :meth:`held`."""
+        n = self.n_coefficients
+        return torch.cat([short[:, :n], z[:, n : n + len(self.free)], short[:, n:]], 1)
+
     def split_flat(self, z: Tensor) -> tuple[list[Tensor], Tensor]:
         """Coefficients of each record's ansatz, and the other unknowns."""
         *parts, rest = z.split([*[a.count for a in self.ansatzes], self.n_unknowns], 1)

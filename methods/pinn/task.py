@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -11,18 +10,17 @@ import numpy as np
 
 from bench import Problem
 from methods.network.response import Function
+from methods.pinn.starts import alias_penalty, starts
 from methods.starts.open_parameters import left_open, very_wide
 from methods.starts.rounding import DIGITS, rounded
 from methods.starts.scan import records_by_load
-from methods.starts.waves import Guess, scan
+from methods.starts.waves import scan
 
 if TYPE_CHECKING:
     from methods.pinn.engine import Fit
 
 SUSPECT = 2.0
 """A fit that leaves this many times what plain damped waves leave is in a bad basin."""
-DETOURS = (1.0, 1.6, 0.625)
-"""Where a system of several modes is started again: the dominant wave may be a high or a low one."""
 
 
 class Task:
@@ -34,8 +32,9 @@ class Task:
     def __init__(self, problem: Problem, rng: np.random.Generator) -> None:
         self.problem, self.rng, self.scaled = problem, rng, rounded(problem)
         loads = records_by_load(self.scaled)
-        waves, self.reference = scan(self.scaled, self.scaled.system.n_dof * len(loads), forced=True)
-        self.guesses = _starts(waves, self.scaled.system.n_dof)
+        waves, self.reference = scan(self.scaled, self.scaled.system.n_dof * len(loads), forced=True, beyond=True)
+        found = starts(self.scaled, waves, self.reference)
+        self.guesses, self.rivals = found.guesses, found.rivals
         self.fits: list[Fit] = []
         self.given_up: list[Fit] = []  # before the parameters that were open were held
         self.members: list[Fit] = []
@@ -54,6 +53,10 @@ class Task:
     @property
     def settled(self) -> bool:
         return any(self.good(fit) for fit in self.fits)
+
+    def wants(self, attempt: int) -> bool:
+        """Whether to start from the guess of this number: a rival of the best, or what is left after a bad fit."""
+        return attempt < len(self.guesses) and (attempt < self.rivals or not self.settled)
 
     @property
     def open(self) -> bool:
@@ -80,12 +83,15 @@ class Task:
             begun = [replace(begun[at], logs=logs)]
         nominal = dict(zip(self.scaled.system.names, np.exp(logs), strict=True))
         self.scaled = replace(self.scaled, prior=very_wide(nominal))
-        self.guesses, self.given_up, self.fits = begun, self.fits, []
+        self.guesses, self.rivals, self.given_up, self.fits = begun, 1, self.fits, []
 
     @property
     def best(self) -> Fit | None:
-        finite = [fit for fit in self.fits if np.isfinite(fit.loss) and np.all(np.isfinite(fit.covariance))]
-        return min(finite, key=lambda fit: fit.loss, default=None)
+        tried = zip(self.fits, self.guesses, strict=False)
+        finite = [(f, g) for f, g in tried if np.isfinite(f.loss) and np.all(np.isfinite(f.covariance))]
+        if not finite:
+            return None
+        return min(finite, key=lambda pair: pair[0].loss + alias_penalty(self.scaled, pair[1]))[0]
 
 
 def simulated(problem: Problem, fit: Fit, rng: np.random.Generator) -> Problem:
@@ -119,10 +125,3 @@ def _measured(response: Function, times: np.ndarray, measures: str, duration: fl
     if measures == "acceleration":
         return np.asarray(acceleration)
     return np.asarray((ahead - behind) / (2.0 * h) + acceleration * (times - inside))
-
-
-def _starts(guesses: Sequence[Guess], n_dof: int) -> list[Guess]:
-    """Where to start, best first: the waves of the scan, or the dominant one and detours from it for several modes."""
-    if n_dof == 1:
-        return [*guesses, *[Guess(guesses[0].omega * d, guesses[0].decay, 1.0) for d in DETOURS[1:]]]
-    return [Guess(guesses[0].omega * d, guesses[0].decay, 1.0) for d in DETOURS]

@@ -14,14 +14,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from bench import LOG_LIMIT, Channel, Force, InitialState, Problem, Record, System, measurements
+from bench import Channel, Force, InitialState, Problem, Record, System, measurements
 from methods.starts.common_rates import CYCLE_STEP, DECAYS, MAX_CYCLES
+from methods.starts.reach import most_cycles
 
 
 def scan(problem: Problem, n: int) -> list[dict[str, float]]:
     """The ``n`` best separate minima of the projected misfit over a grid of frequency and decay.
 
-    The grid goes to half the sampling rate, and on to the rate itself as far as the prior expects the motion there.
+    How far the grid goes: :mod:`methods.starts.reach`.
 
     All stiffnesses are raised together, and all dampings, from the prior's nominal proportions or from equal ones;
     for one degree of freedom that is the whole space.
@@ -35,8 +36,7 @@ def _minima(problem: Problem, n: int, fixed_scale: bool) -> list[tuple[float, di
     misfit: np.ndarray | float = 0.0
     strength: np.ndarray | float = 0.0
     grid = np.zeros((0, 2))
-    resolved = max(_most_cycles(record) for record in problem.records)
-    cycles = max(resolved, min(_expected_cycles(problem), 2 * resolved))
+    cycles = most_cycles(problem, MAX_CYCLES)
     for record in problem.records:
         grid, responses = _grid_responses(problem.system, base, _signature(record), cycles, _told(record))
         rss, scale = _projected(record, responses, fixed_scale)
@@ -116,26 +116,6 @@ def _separate_minima(table: np.ndarray) -> list[tuple[int, int]]:
     padded = np.concatenate([[np.inf], best, [np.inf]])
     rows = np.flatnonzero((best <= padded[:-2]) & (best <= padded[2:]) & np.isfinite(best))
     return [(int(i), int(table[i].argmin())) for i in sorted(rows, key=lambda i: best[i])]
-
-
-def _most_cycles(record: Record) -> float:
-    """Highest frequency of the scan in cycles per unit of time: half the sampling rate of the densest channel."""
-    gaps = [float(np.median(np.diff(c.times))) for c in record.channels if c.n > 1]
-    return float(min(0.5 / min(gaps, default=0.1), MAX_CYCLES))
-
-
-def _expected_cycles(problem: Problem) -> float:
-    """The same for what the prior expects: its frequency two standard deviations up; 0 without a prior.
-
-    Rounded up to whole cycles, so that records with priors much alike share their grid.
-    """
-    if problem.prior is None:
-        return 0.0
-    system, prior = problem.system, problem.prior
-    stiffness = next((p.name for p in system.parameters if p.kind == "stiffness"), system.gauge)
-    log_rate = 0.5 * np.log(prior.nominal[stiffness] / prior.nominal[system.gauge])
-    sd = 0.5 * np.hypot(prior.log_sd[stiffness], prior.log_sd[system.gauge])
-    return float(min(np.ceil(np.exp(min(log_rate + 2 * sd, LOG_LIMIT)) / (2 * np.pi)), MAX_CYCLES))
 
 
 def _by_kind(system: System, base: Sequence[float], frequency: np.ndarray, decay: np.ndarray) -> dict[str, np.ndarray]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from bench import Channel, Force, Problem
+from methods.starts.common_rates import MAX_CYCLES
 from methods.starts.forced_motion import force_by_dof, forced_dofs, forced_motion
+from methods.starts.reach import most_cycles
 
 DECAYS = (0.2, 1.0, 3.0, 8.0)
 """Decay rates tried, times the duration: from nearly undamped to gone within an eighth of the record."""
@@ -27,19 +29,22 @@ class Guess:
 
     ``omega`` (rad per unit of time), ``decay`` (per unit of time); ``left`` is its sum of squared residuals over that
     of the data, with every channel scaled to unit size. ``logs`` are log-parameters known from an earlier fit.
+    ``loud`` says to take that share for noise from the beginning.
     """
 
     omega: float
     decay: float
     left: float
     logs: np.ndarray | None = None
+    loud: bool = False
 
 
-def scan(problem: Problem, waves: int = 1, forced: bool = False) -> tuple[list[Guess], float]:
+def scan(problem: Problem, waves: int = 1, forced: bool = False, beyond: bool = False) -> tuple[list[Guess], float]:
     """The local minima over frequency of the best fit by one damped wave, best first (at least one); and what is left.
 
     A periodogram with decay: for every frequency and decay of a grid, amplitudes (and a constant, where a channel has
-    an unknown one) of every channel by linear least squares. Frequencies end at the mean sampling's Nyquist limit.
+    an unknown one) of every channel by linear least squares. How far the frequencies go: :mod:`methods.starts.reach`,
+    beyond half the sampling rate only where ``beyond`` allows it, and only one linear mode, of which the prior tells.
     ``forced`` adds what an oscillator of that frequency and decay would do under the known forces, so that the first
     wave is free vibration, not their trace; of a long record, where that takes longer than a fit, the force itself,
     which is what a displacement follows under a slow one. The second value is the share of the data that ``waves``
@@ -47,7 +52,9 @@ def scan(problem: Problem, waves: int = 1, forced: bool = False) -> tuple[list[G
     """
     duration = max(record.duration for record in problem.records)
     n = max(channel.n for record in problem.records for channel in record.channels)
-    halves = np.arange(0.5, max(n - 1, 2) + 1e-9, 1.0 / PER_HALF_CYCLE)
+    told = problem if beyond and problem.system.linear and problem.system.n_dof == 1 else replace(problem, prior=None)
+    cycles = duration * most_cycles(told, max(MAX_CYCLES, 0.5 * (n - 1) / duration))
+    halves = np.arange(0.5, max(2.0 * cycles, 2) + 1e-9, 1.0 / PER_HALF_CYCLE)
     omegas, decays = np.pi * halves / duration, np.array(DECAYS) / duration
     series = [
         _Series(c, record.forces if forced else (), omegas.size * decays.size)
