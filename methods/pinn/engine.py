@@ -139,7 +139,7 @@ class Attempt:
         watch: Watch,
     ) -> None:
         self.problems, self.settings, self.watch = problems, settings, watch
-        self.loud = np.array([guess.loud for guess in guesses])
+        self.firm = np.array([guess.firm for guess in guesses])
         first = problems[0]
         self.omega = np.array([guess.omega for guess in guesses])
         self.duration = np.array([max(record.duration for record in p.records) for p in problems])
@@ -199,7 +199,7 @@ class Attempt:
         largest = np.max(self.rms * self.to_displacement, axis=1, keepdims=True)
         self.rms = np.maximum(self.rms, 1e-3 * largest / self.to_displacement)
         self.share = dof / self.problems[0].n
-        left = np.array([guess.left if guess.loud else 0.0 for guess in guesses])
+        left = np.array([guess.left if guess.firm else 0.0 for guess in guesses])
         self.sigmas = np.clip(np.sqrt(left), FIRST_NOISE, 1.0)[:, None] * self.rms
 
     def spread(self, softness: float = 1.0) -> Spread:
@@ -262,19 +262,20 @@ class Attempt:
         With soft physics the loss has one basin where the hard one has many; with the hidden layers fixed an iteration
         is cheap, and their spread features already resolve the motion. The last stage frees all weights.
 
-        Where noise is as large as the motion, soft physics would follow the noise and lose the wave that the scan found:
-        a ``loud`` fit begins with hard physics instead, from the response of that wave's parameters.
+        Where noise is as large as the motion, soft physics follows the noise, and where samples are fewer than two a
+        cycle the smoothest curve through them. A ``firm`` fit keeps to the scan's wave instead: it begins with hard
+        physics, from the response of that wave's parameters.
         """
         s = self.settings
         far, near, close = DAMPING
         everyone = np.arange(len(self.problems))
         whole = self.walk.z
         heads, self.walk.z = self.residuals.heads(whole)
-        quiet, loud = np.flatnonzero(~self.loud), np.flatnonzero(self.loud)
-        if quiet.size:
-            self.run(heads, s.softness, s.output_iterations, far, quiet)
-        if loud.size:
-            self.respond(heads, s.output_iterations, near, loud)
+        free, firm = np.flatnonzero(~self.firm), np.flatnonzero(self.firm)
+        if free.size:
+            self.run(heads, s.softness, s.output_iterations, far, free)
+        if firm.size:
+            self.respond(heads, s.output_iterations, near, firm)
         self.run(heads, 1.0, s.output_iterations, near, everyone)
         self.walk.z = self.residuals.with_heads(whole, self.walk.z)
         who = everyone

@@ -36,14 +36,15 @@ def starts(problem: Problem, waves: Sequence[Guess], left: float) -> Starts:
     """The waves of the scan, which leave ``left`` of the data; or the dominant one and detours for several modes."""
     n_dof, loud = problem.system.n_dof, left > LOUD
     if n_dof > 1:
-        return Starts([replace(waves[0], omega=waves[0].omega * by, left=left, loud=loud) for by in DETOURS])
+        return Starts([replace(waves[0], omega=waves[0].omega * by, left=left, firm=loud) for by in DETOURS])
     values = np.zeros(1)
     if problem.system.linear:
         values = np.array([_minus_log_posterior(problem, wave) for wave in waves])
         order = np.argsort(values, kind="stable")
         waves, values = [waves[i] for i in order], values[order]
     detours = [replace(waves[0], omega=waves[0].omega * by) for by in DETOURS[1:]]
-    return Starts([replace(g, loud=loud) for g in [*waves, *detours]], int(np.sum(values <= values[0] + RIVALS)))
+    guesses = [replace(g, firm=loud or alias(problem, g)) for g in [*waves, *detours]]
+    return Starts(guesses, int(np.sum(values <= values[0] + RIVALS)))
 
 
 def alias(problem: Problem, guess: Guess) -> bool:

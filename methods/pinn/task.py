@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench import Problem
+from bench import OutputError, Problem
 from methods.network.response import Function
 from methods.pinn.starts import alias_penalty, starts
 from methods.starts.open_parameters import left_open, very_wide
@@ -87,11 +87,17 @@ class Task:
 
     @property
     def best(self) -> Fit | None:
-        tried = zip(self.fits, self.guesses, strict=False)
-        finite = [(f, g) for f, g in tried if np.isfinite(f.loss) and np.all(np.isfinite(f.covariance))]
-        if not finite:
-            return None
-        return min(finite, key=lambda pair: pair[0].loss + alias_penalty(self.scaled, pair[1]))[0]
+        finite = [fit for fit in self.fits if np.isfinite(fit.loss) and np.all(np.isfinite(fit.covariance))]
+        return min(finite, key=self._judged if self.rivals > 1 else lambda fit: fit.loss, default=None)
+
+    def _judged(self, fit: Fit) -> float:
+        """Minus the log posterior of a rival's parameters by their simulated response.
+
+        The loss would not do: how closely a function follows the equation of motion hangs on how fast it turns.
+        """
+        model = OutputError(self.scaled)
+        theta = model.vector(dict(zip(self.scaled.system.names, map(float, np.exp(fit.logs)), strict=True)))
+        return 0.5 * model.profile(theta) + alias_penalty(self.scaled, self.guesses[self.fits.index(fit)])
 
 
 def simulated(problem: Problem, fit: Fit, rng: np.random.Generator) -> Problem:

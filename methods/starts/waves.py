@@ -29,14 +29,14 @@ class Guess:
 
     ``omega`` (rad per unit of time), ``decay`` (per unit of time); ``left`` is its sum of squared residuals over that
     of the data, with every channel scaled to unit size. ``logs`` are log-parameters known from an earlier fit.
-    ``loud`` says to take that share for noise from the beginning.
+    ``firm`` says that a fit must keep to it from the beginning, and take that share for noise.
     """
 
     omega: float
     decay: float
     left: float
     logs: np.ndarray | None = None
-    loud: bool = False
+    firm: bool = False
 
 
 def scan(problem: Problem, waves: int = 1, forced: bool = False, beyond: bool = False) -> tuple[list[Guess], float]:
