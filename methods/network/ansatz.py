@@ -37,6 +37,8 @@ class Ansatz(ABC):
     """A function of time at fixed points. ``count`` is the number of its coefficients."""
 
     count: int
+    local: bool = False
+    """Whether a row depends on few of the coefficients, and rows that follow each other on nearly the same."""
 
     @abstractmethod
     def forward(self, theta: Tensor) -> Tape:
@@ -63,7 +65,7 @@ class Ansatz(ABC):
         """The same function for some of the fits."""
 
     @abstractmethod
-    def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
+    def head(self, theta: Tensor) -> tuple[Basis | Local, Tensor]:
         """The last, linear layer as an ansatz of its own, with its coefficients; what comes before it stays."""
 
     @abstractmethod
@@ -107,7 +109,77 @@ class Basis(Ansatz):
     def take(self, who: Tensor) -> Basis:
         return replace(self, functions=self.functions[who])
 
+    def dense(self) -> Basis:
+        """This basis itself."""
+        return self
+
     def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
+        return self, theta
+
+    def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
+        return coefficients
+
+
+@dataclass
+class Local(Ansatz):
+    """A linear combination of ``n_functions`` fixed functions of which few are not zero at a point, as of a B-spline.
+
+    ``values`` (B, 3, n_points, n_local) are the streams of those from number ``first`` (B, n_points) on.
+    """
+
+    values: Tensor
+    first: Tensor
+    n_functions: int
+    n_paths: int
+    local = True
+
+    def __post_init__(self) -> None:
+        self.count = self.n_paths * self.n_functions
+
+    def _places(self, points: Tensor | None) -> Tensor:
+        """Numbers (B, n_rows, n_local) of the functions at points."""
+        first = self.first if points is None else self.first[:, points]
+        return first[..., None] + torch.arange(self.values.shape[-1], device=first.device)
+
+    def forward(self, theta: Tensor) -> Tape:
+        coefficients, places = theta.unflatten(1, (self.n_paths, -1)), self._places(None)
+        own = [path.gather(1, places.flatten(1)).view(places.shape) for path in coefficients.unbind(1)]
+        return Tape([], [], torch.stack([(self.values * part[:, None]).sum(3) for part in own], 3))
+
+    def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
+        return [seeds]
+
+    def _slopes(self, seeds: Tensor, points: Tensor | None) -> Tensor:
+        """Of rows by the coefficients that they depend on, (B, n_rows, n_paths, n_local)."""
+        return torch.einsum("bsro,bsrk->brok", seeds, self.values if points is None else self.values[:, :, points])
+
+    def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
+        j = self.jacobian(tape, adjoints, points)
+        return j @ j.mT
+
+    def pull_back(self, tape: Tape, adjoints: Adjoints, points: Tensor | None, dual: Tensor | None = None) -> Tensor:
+        seeds = adjoints[0] if dual is None else adjoints[0] * dual[:, None, :, None]
+        slopes, places = self._slopes(seeds, points), self._places(points).flatten(1)
+        total = seeds.new_zeros(seeds.shape[0], self.n_paths, self.n_functions)
+        for path in range(self.n_paths):
+            total[:, path].scatter_add_(1, places, slopes[:, :, path].flatten(1))
+        return total.flatten(1)
+
+    def jacobian(self, tape: Tape, adjoints: Adjoints, points: Tensor, rows: slice = slice(None)) -> Tensor:
+        slopes, places = self._slopes(adjoints[0][:, :, rows], points[rows]), self._places(points[rows])
+        j = slopes.new_zeros(*slopes.shape[:3], self.n_functions)
+        return j.scatter_(3, places[:, :, None].expand_as(slopes), slopes).flatten(2)
+
+    def take(self, who: Tensor) -> Local:
+        return replace(self, values=self.values[who], first=self.first[who])
+
+    def dense(self) -> Basis:
+        """The same with the zeros written out."""
+        places = self._places(None)[:, None].expand_as(self.values)
+        whole = self.values.new_zeros(*self.values.shape[:3], self.n_functions).scatter_(3, places, self.values)
+        return Basis(whole, self.n_paths)
+
+    def head(self, theta: Tensor) -> tuple[Local, Tensor]:
         return self, theta
 
     def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
@@ -156,7 +228,8 @@ class Sum(Ansatz):
 
     def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
         own, rest = self._split(theta)
-        basis, coefficients = self.inner.head(own)
+        whole, coefficients = self.inner.head(own)
+        basis = whole.dense()
         both = [part.unflatten(1, (basis.n_paths, -1)) for part in (coefficients, rest)]
         functions = torch.cat([basis.functions, self.fixed.functions], 3)
         return Basis(functions, basis.n_paths), torch.cat(both, 2).flatten(1)

@@ -69,13 +69,16 @@ class Collocation(PhysicsInformed):
     def ansatz(self, block: Block, resolution: int) -> Ansatz:
         import torch
 
-        from methods.network.ansatz import Basis
+        from methods.network.ansatz import Local
 
-        streams = []
-        for times, duration in zip(block.times, block.duration, strict=True):
-            spline = BSpline(self._knots(resolution, duration), np.eye(self._count(resolution)), self.degree)
-            streams.append(np.stack([spline(times, order) for order in range(3)]))
-        return Basis(torch.as_tensor(np.stack(streams), device=block.values.device), block.n_paths)
+        pairs = [
+            local_functions(self._knots(resolution, duration), self.degree, times)
+            for times, duration in zip(block.times, block.duration, strict=True)
+        ]
+        values, first = (
+            torch.as_tensor(np.stack(part), device=block.values.device) for part in zip(*pairs, strict=True)
+        )
+        return Local(values, first, self._count(resolution), block.n_paths)
 
     def first_coefficients(
         self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
@@ -84,3 +87,16 @@ class Collocation(PhysicsInformed):
 
     def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> Function:
         return SplineResponse(self._knots(resolution, duration), coefficients.reshape(n_paths, -1), self.degree)
+
+
+def local_functions(knots: np.ndarray, degree: int, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The B-splines that are not zero at the times: values and two derivatives (3, n, degree + 1), first ones (n,)."""
+    count = knots.size - degree - 1
+    first = np.clip(np.searchsorted(knots, times, "right") - 1 - degree, 0, count - degree - 1)
+    values = np.empty((3, times.size, degree + 1))
+    for phase in range(degree + 1):
+        # of functions that are degree + 1 apart no two meet, so that one curve has each at its own times
+        spline = BSpline(knots, (np.arange(count) % (degree + 1) == phase).astype(float), degree)
+        at = (phase - first) % (degree + 1)
+        values[:, np.arange(times.size), at] = [spline(times, order) for order in range(3)]
+    return values, first

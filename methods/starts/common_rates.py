@@ -76,14 +76,21 @@ def _best(groups: Sequence[_Group], rates: np.ndarray, decays: np.ndarray, omega
 def _gains(group: _Group, rates: np.ndarray, decays: np.ndarray, omegas: np.ndarray) -> np.ndarray:
     """Squares (n_decays, n_omegas) that a wave takes off the values of a group, beside the waves of ``rates``."""
     there = np.linalg.qr(damped_columns(group.times, rates, group.offset))[0].T
-    left = group.values - (group.values @ there.T) @ there
-    phase = np.outer(group.times, omegas)
+    return gains(group.times, group.values, there, decays, omegas)
+
+
+def gains(
+    times: np.ndarray, values: np.ndarray, there: np.ndarray, decays: np.ndarray, omegas: np.ndarray
+) -> np.ndarray:
+    """Squares (n_decays, n_omegas) that a wave takes off values (r, n) beside orthonormal rows ``there`` (k, n)."""
+    left = values - (values @ there.T) @ there
+    phase = np.outer(times, omegas)
     waves = np.stack([np.cos(phase), np.sin(phase)])
-    envelopes = np.exp(-np.outer(decays, group.times))
+    envelopes = np.exp(-np.outer(decays, times))
 
     def products(rows: np.ndarray) -> np.ndarray:
         """Inner products of rows (r, n) with the columns: (2, n_decays, r, n_omegas)."""
-        return np.asarray((envelopes[:, None] * rows).reshape(-1, group.times.size) @ waves).reshape(
+        return np.asarray((envelopes[:, None] * rows).reshape(-1, times.size) @ waves).reshape(
             2, decays.size, len(rows), omegas.size
         )
 

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from bench import Channel, Force, Problem
-from methods.starts.common_rates import MAX_CYCLES
+from methods.starts.common_rates import MAX_CYCLES, gains
 from methods.starts.forced_motion import force_by_dof, forced_dofs, forced_motion
 from methods.starts.reach import most_cycles
 
@@ -19,6 +19,10 @@ PER_HALF_CYCLE = 4
 """Frequencies tried in each step of half a cycle a record."""
 MOST_FORCED = 1_000_000
 """Oscillators times samples, of the channel and of the forces, beyond which the scan takes a response for the force."""
+MOST_SAMPLES = 1000
+"""Of a channel, that waves are sought in; more are thinned."""
+BLOCK = 2**21
+"""Entries of the columns of all waves that stand in memory at a time."""
 ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 """Derivative by time that a sensor measures."""
 
@@ -79,14 +83,16 @@ class _Series:
     """The values of a channel, and the columns that are fitted to them beside a wave: ``fixed`` (n, k)."""
 
     def __init__(self, channel: Channel, forces: Sequence[Force], oscillators: int) -> None:
-        self.times, self.values = channel.times, channel.values
-        self.fixed = np.ones((channel.n, int(channel.offset)))
+        chosen = _thinned(channel.n)
+        self.thinned = chosen.size < channel.n
+        self.times, self.values = channel.times[chosen], channel.values[chosen]
+        self.fixed = np.ones((self.times.size, int(channel.offset)))
         self.order = ORDER[channel.measures]
         self.forces = forces if forced_dofs(forces) else ()
         if oscillators * (channel.n + sum(f.times.size for f in forces)) > MOST_FORCED:
             self.forces = ()
             if forced_dofs(forces) and self.order == 0:
-                self.fixed = np.hstack([self.fixed, force_by_dof(forces, channel.times).T])
+                self.fixed = np.hstack([self.fixed, force_by_dof(forces, self.times).T])
 
     def columns(self, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
         """The columns that a wave adds, (n_omegas, n_decays, n, k): two of its own, and one for each forced DOF."""
@@ -101,6 +107,17 @@ class _Series:
         """Keep the columns of a wave."""
         own = self.columns(np.array([guess.omega]), np.array([guess.decay]))[0, 0]
         self.fixed = np.hstack([self.fixed, own])
+
+
+def _thinned(n: int) -> np.ndarray:
+    """Which of n samples a scan takes: all, or of a long record one of each of ``MOST_SAMPLES`` equal parts.
+
+    Where in its part follows the golden ratio: evenly thinned samples would take a fast motion for a slow one.
+    """
+    if n <= MOST_SAMPLES:
+        return np.arange(n)
+    parts = np.arange(MOST_SAMPLES)
+    return ((parts + parts * 0.5 * (np.sqrt(5.0) - 1.0) % 1.0) * n / MOST_SAMPLES).astype(int)
 
 
 @lru_cache(maxsize=8)
@@ -132,7 +149,27 @@ def _wave(t: np.ndarray, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
 
 def _left(series: _Series, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
     """Shares of the sum of squares (n_omegas, n_decays) that each wave leaves, together with the fixed columns."""
+    if series.thinned:
+        return _left_of_long(series, omegas, decays)
+    if series.forces:  # their oscillators are kept for all frequencies at once
+        return _left_of_block(series, omegas, decays)
+    step = max(1, BLOCK // (decays.size * series.times.size))
+    return np.concatenate(
+        [_left_of_block(series, omegas[at : at + step], decays) for at in range(0, omegas.size, step)]
+    )
+
+
+def _left_of_block(series: _Series, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
     y, added = series.values, series.columns(omegas, decays)
     a = np.concatenate([np.broadcast_to(series.fixed, (*added.shape[:2], *series.fixed.shape)), added], -1)
     q, _ = np.linalg.qr(a)
     return np.asarray(np.maximum(1.0 - np.sum((y @ q) ** 2, -1) / (y @ y), 0.0))
+
+
+def _left_of_long(series: _Series, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
+    """The same from inner products, for the many frequencies of a long record."""
+    y, there = series.values, np.linalg.qr(series.fixed)[0].T
+    beside = 1.0 - np.sum((there @ y) ** 2) / (y @ y)
+    step = max(1, BLOCK // series.times.size)
+    taken = [gains(series.times, y[None], there, decays, omegas[at : at + step]) for at in range(0, omegas.size, step)]
+    return np.asarray(np.maximum(beside - np.concatenate(taken, 1).T / (y @ y), 0.0))
