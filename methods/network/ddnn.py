@@ -74,7 +74,8 @@ class DDNN(Identifier):
         scale="groups",
         reconstruction="own",
         uncertainty="spread of the regression over draws of the weights from the Laplace posterior",
-        settings_source="64-64 tanh: the paper; regularisation and first-layer slopes by the evidence",
+        settings_source="64-64 tanh: the paper; regularisation and first-layer slopes by the evidence, among multiples"
+        " of the data's own frequency, which a scan up to half the sampling rate finds (no prior)",
         tuning="9 ranges of first-layer slopes, 2 starts of the noise, 7 regressions (ends left out, weights), on 9-64"
         " development records at 5-40 dB, judged by displacement and k/m against the truth",
         title="DDNN",

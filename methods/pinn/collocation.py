@@ -39,7 +39,7 @@ class Collocation(PhysicsInformed):
         reconstruction="own",
         uncertainty="Gauss-Newton covariance of the log-parameters, spline coefficients profiled out, Student's t",
         settings_source="those of the PINN; degree and intervals from the spline's resolution",
-        tuning="none of its own",
+        tuning="none of its own; rival starts and reach beyond half the sampling rate: together with the PINN",
         title="Spline collocation",
         order=70,
         colour="#8C564B",

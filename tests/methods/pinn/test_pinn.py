@@ -8,19 +8,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 from scipy.optimize import least_squares, minimize
 
 from bench import Channel, Force, InitialState, InputError, Prior, Problem, Record, Status, System, Units, simulate
 from bench.contract.problem import Measures
 from bench.systems import SDOF, BoucWen, Chain, Duffing
 from methods.pinn import PINN
-from methods.pinn.collocation import Collocation
+from methods.pinn.collocation import Collocation, local_functions
 from methods.pinn.physics import PhysicsInformed
 
 torch = pytest.importorskip("torch")
 
 from methods.network import tanh  # noqa: E402
-from methods.network.ansatz import Ansatz, Basis, Sum  # noqa: E402
+from methods.network.ansatz import Ansatz, Basis, Local, Sum  # noqa: E402
 from methods.network.tanh import Network  # noqa: E402
 from methods.pinn import levenberg  # noqa: E402
 from methods.pinn.block import Block, Spread  # noqa: E402
@@ -480,3 +481,22 @@ def test_a_batch_on_a_gpu_is_the_fits_on_the_processor(kind: type[PhysicsInforme
 def test_a_setting_that_makes_no_sense_is_one_line(kind: type[PhysicsInformed], setting: str, value: float) -> None:
     with pytest.raises(InputError, match=f"method.{setting}"):
         kind(**{setting: value})
+
+
+def test_the_local_functions_of_a_spline_are_those_of_its_full_basis() -> None:
+    knots = np.concatenate([np.zeros(5), np.linspace(0.0, 2.0, 12), np.full(5, 2.0)])
+    times = np.sort(np.concatenate([np.random.default_rng(0).uniform(0.0, 2.0, 40), np.linspace(0.0, 2.0, 12)]))
+    values, first = local_functions(knots, 5, times)
+    local = Local(torch.as_tensor(values[None]), torch.as_tensor(first[None]), 16, 1).dense()
+    for order in range(3):
+        expected = BSpline(knots, np.eye(16), 5)(times, order)
+        np.testing.assert_allclose(local.functions[0, order].numpy(), expected, atol=1e-12)
+
+
+def test_a_held_fit_has_the_same_rows_but_those_of_the_prior() -> None:
+    residuals, z, deviations = small(offset=True, n_fits=2)
+    held, short = residuals.held(z)
+    rows = held.evaluate(short, deviations[:, : held.n_rows]).rows
+    torch.testing.assert_close(rows, residuals.evaluate(z, deviations).rows[:, : held.n_rows])
+    assert short.shape[1] == z.shape[1] - len(residuals.free)
+    torch.testing.assert_close(residuals.with_responses(z, short), z)
