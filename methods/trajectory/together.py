@@ -172,7 +172,7 @@ def _settled(batch: Batch, cases: np.ndarray, thetas: np.ndarray, rules: Rules) 
 
 
 def _polished(batch: Batch, cases: np.ndarray, point: Point, sigma: np.ndarray, good: np.ndarray) -> np.ndarray:
-    """Take one more Gauss-Newton step in the ``good`` cases, kept where it gains; returns the residuals of all.
+    """Take one more Gauss-Newton step in the ``good`` cases, kept where it does not lose; returns the residuals of all.
 
     The search ends where nothing is left to gain; the square of what is left in the unknowns is that little.
     """
@@ -181,7 +181,10 @@ def _polished(batch: Batch, cases: np.ndarray, point: Point, sigma: np.ndarray, 
     trial = batch.point(cases[good], point.theta[good] + np.array(steps).reshape(-1, batch.first.size))
     with np.errstate(all="ignore"):
         new = np.sum(batch.rows(cases[good], trial, sigma[good])[0] ** 2, axis=1)
-        better = (new <= np.sum(rights**2, axis=1)) & np.all(np.isfinite(trial.slopes), axis=(1, 2))
+        # rounding must not decide, or an answer would depend on its company
+        better = (new <= np.sum(rights**2, axis=1) * (1.0 + 1e-9) + 1e-9) & np.all(
+            np.isfinite(trial.slopes), axis=(1, 2)
+        )
     _put(point, good[better], trial.at(np.flatnonzero(better)))
     return np.asarray(batch.data[cases] - point.predicted)
 
