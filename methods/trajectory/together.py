@@ -177,8 +177,12 @@ def _polished(batch: Batch, cases: np.ndarray, point: Point, sigma: np.ndarray, 
     The search ends where nothing is left to gain; the square of what is left in the unknowns is that little.
     """
     rights, rows = batch.rows(cases[good], point.at(good), sigma[good])
-    steps = [np.linalg.lstsq(row, right, rcond=1e-12)[0] for row, right in zip(rows, rights, strict=True)]
-    trial = batch.point(cases[good], point.theta[good] + np.array(steps).reshape(-1, batch.first.size))
+    sizes = np.sqrt(np.sum(rows**2, axis=1)) + 1e-150
+    scaled = rows / sizes[:, None]
+    transposed = np.swapaxes(scaled, 1, 2)
+    hessian = transposed @ scaled + 1e-14 * np.eye(batch.first.size)
+    steps = np.linalg.solve(hessian, transposed @ rights[..., None])[..., 0] / sizes
+    trial = batch.point(cases[good], point.theta[good] + steps)
     with np.errstate(all="ignore"):
         new = np.sum(batch.rows(cases[good], trial, sigma[good])[0] ** 2, axis=1)
         # rounding must not decide, or an answer would depend on its company
