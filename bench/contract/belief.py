@@ -11,6 +11,10 @@ import numpy as np
 from bench.systems import Quantity
 
 
+ROUNDING = 4.0 * float(np.finfo(float).eps)
+"""What a variance may be off by, over that of the parts whose covariances cancel in it."""
+
+
 @dataclass(frozen=True)
 class Marginal:
     """The belief about one quantity: its point value and its quantile function.
@@ -127,7 +131,9 @@ class Normal:
             value = float(np.exp(centre))
         if self.covariance is None:
             return Marginal(value)
-        sd = float(np.sqrt(max(weights @ self.covariance @ weights, 0.0)))
+        terms = np.abs(weights) * np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        rounding = ROUNDING * float(np.sum(terms)) ** 2  # of a ratio that is known far better than its parts
+        sd = float(np.sqrt(max(weights @ self.covariance @ weights, 0.0) + rounding))
         return normal_marginal(value, centre, sd, self.dof, True)
 
     def expressed_in(self, scale: Mapping[str, float]) -> Normal:

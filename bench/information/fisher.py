@@ -207,7 +207,7 @@ def invert(data: np.ndarray, precision: np.ndarray) -> Inverse:
     The sum is never formed: a prior that is weaker than the rounding of what the data tell elsewhere still counts where
     the data tell nothing, and likewise. Roots of both stand above each other, and are triangularised by reflections
     with the largest rows first and pivoted columns, which is stable row by row (N. J. Higham, Accuracy and Stability of
-    Numerical Algorithms, 2nd ed. 2002, section 20.3).
+    Numerical Algorithms, 2nd ed. 2002, section 19.4).
     """
     scaled, scale = _scaled(data)
     values, vectors = np.linalg.eigh(scaled)
@@ -219,10 +219,15 @@ def invert(data: np.ndarray, precision: np.ndarray) -> Inverse:
         open_ = open_ @ sides[sizes <= RANK_TOLERANCE * float(np.max(prior))].T
     kept = np.linalg.qr(np.concatenate([open_, np.eye(len(data))], axis=1))[0][:, open_.shape[1] :]
     rows = np.concatenate([np.sqrt(values[told])[:, None] * vectors[:, told].T, prior]) @ kept
+    return Inverse(kept @ inverse_root(rows) / scale[:, None], open_.T / scale)
+
+
+def inverse_root(rows: np.ndarray) -> np.ndarray:
+    """``F`` with ``F F'`` the inverse of ``rows' rows``, for independent columns, however unlike the rows' sizes."""
     rows = rows[np.argsort(-np.max(np.abs(rows), axis=1))]
     triangle, order = qr(rows, mode="r", pivoting=True)
-    inverse = solve_triangular(triangle[: kept.shape[1]], np.eye(kept.shape[1]))
-    return Inverse(kept[:, order] @ inverse / scale[:, None], open_.T / scale)
+    n = rows.shape[1]
+    return np.eye(n)[:, order] @ solve_triangular(triangle[:n], np.eye(n))
 
 
 def _null_space(information: np.ndarray, n_parameters: int) -> np.ndarray:

@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 from bench.contract.belief import Normal
 from bench.contract.estimate import Estimate, Status
 from bench.contract.prior import Prior
+from bench.information.fisher import inverse_root
 from bench.systems import System
 
 
@@ -40,10 +41,11 @@ def combine_with_prior(estimate: Estimate, prior: Prior | None) -> Estimate:
         return np.vstack([whiten @ (values[:, None] * exponents), np.diag(1.0 / prior.log_sds)])
 
     starts = [prior.log_mean, _start_from_groups(estimate.system, groups, prior)]
-    fits = [least_squares(residuals, start, jacobian, method="lm", max_nfev=500) for start in starts]
+    to_rounding = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-15)  # groups may be known to ten digits
+    fits = [least_squares(residuals, start, jacobian, method="lm", max_nfev=500, **to_rounding) for start in starts]
     best = min(fits, key=lambda fit: fit.cost)
-    gradient = jacobian(best.x)
-    covariance = np.linalg.inv(gradient.T @ gradient)
+    root = inverse_root(jacobian(best.x))
+    covariance = root @ root.T
     return replace(estimate, parameters=Normal(prior.names, best.x, covariance, log=True, dof=groups.dof), groups=None)
 
 

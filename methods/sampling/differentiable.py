@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from bench import System, acceleration, array_ops, rk4_scan, state_rate
-from methods.kalman import joint as joint_model
 from methods.kalman.joint import Chain, Joint, fastest_rate
 from methods.sampling.posterior import NOISE_SD, Posterior
 
@@ -73,7 +72,7 @@ def prepare(posterior: Posterior) -> tuple[Layout, Data]:
     speed = RATE_RATIO ** np.ceil(np.log(fastest_rate(model, logs)) / np.log(RATE_RATIO))
     joint = Joint(model, logs, np.zeros(k), np.zeros(k), speed)
     # a linear system needs steps at the samples of a force only
-    chain = Chain.of(joint, 1e-9 if system.linear else joint_model.STEP / STEP)
+    chain = Chain.of(joint, np.inf if system.linear else STEP / max(speed, 1e-9))
     bounds = [*chain.first_of, chain.nodes]
     tables = [_table(chain, first, last) for first, last in itertools.pairwise(bounds)]
     longest = max(float(np.max(table["gaps"])) for table in tables)
