@@ -55,7 +55,7 @@ BAD: dict[str, tuple[str, str, str]] = {
     "method=oracle system.colour=red": ("system.colour", "red", "no such field"),
     "method=oracle system=beam": ("system", "beam", "known: "),
     "method=oracle prior=flat": ("prior", "flat", "known: "),
-    "method=ls disturbance=foo": ("disturbance", "foo", "known: bias, coloured, drift"),
+    "method=ls disturbance=foo": ("disturbance", "foo", "known: added_friction, bias, coloured"),
     "method=oracle disturbance=jitter disturbance.size=0": ("disturbance.size", "0.0", "above 0, at most 0.25"),
     "method=oracle disturbance=jitter disturbance.size=abc": ("disturbance.size", "abc", "number"),
     "method=oracle disturbance=bias disturbance.size=nan": ("disturbance.size", "nan", "finite"),
