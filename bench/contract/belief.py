@@ -10,7 +10,6 @@ import numpy as np
 
 from bench.systems import Quantity
 
-
 ROUNDING = 4.0 * float(np.finfo(float).eps)
 """What a variance may be off by, over that of the parts whose covariances cancel in it."""
 

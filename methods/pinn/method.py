@@ -63,7 +63,7 @@ class PINN(PhysicsInformed):
         variants={
             "pinn_adam": {"title": "PINN (paper's training)", "order": 50, "colour": "#E69F00", "marker": "P"},
             "pinn_ensemble": {
-                "title": "PINN, ensemble (paper's way)",
+                "title": "PINN, ensemble",
                 "order": 60,
                 "colour": "#CC6677",
                 "marker": "X",

@@ -18,7 +18,7 @@ The loss is minus the log posterior, whatever represents x(t):
   any case; where noise is as large as the motion, from hard physics on (:mod:`methods.pinn.starts`).
 
 Uncertainty (``uncertainty=``): ``laplace``, covariance from the linearisation at the solution with the coefficients
-profiled out; ``ensemble``, spread over ``members`` random initialisations, the paper's way; ``bootstrap``, spread over
+profiled out; ``ensemble``, spread over ``members`` random initialisations, as in the paper; ``bootstrap``, spread over
 fits to ``members`` records simulated from the fitted response with the estimated noise. Intervals use Student's t with
 N - p degrees of freedom, those of the ensemble with ``members`` - 1.
 """

@@ -1,7 +1,7 @@
 """The answer that draws from a posterior are.
 
-The point value of a quantity is that of least expected squared relative error (:class:`bench.Draws`); the
-reconstruction is the mean response over draws: of all curves the one of least expected square error.
+The point value of a quantity is the posterior median (:class:`bench.Draws`); the reconstruction is the mean response
+over draws: of all curves the one of least expected square error.
 """
 
 from __future__ import annotations

@@ -92,7 +92,8 @@ class MCMC(Identifier):
         start="used when known",
         scale="native",
         reconstruction="own",
-        uncertainty="quantiles of the posterior draws (without a prior in free vibration: their covariance)",
+        uncertainty="quantiles of the posterior draws, their median as the value (without a prior in free vibration: "
+        "their covariance)",
         settings_source="convergence criteria from the literature; lengths for a fit in half a second",
         tuning="two shares of moves, three lengths; on development systems (40 to 5 dB, damping 2-20 %, 2-10 cycles)",
         title="Bayesian MCMC",

@@ -61,7 +61,8 @@ class NUTS(Identifier):
         start="used when known",
         scale="native",
         reconstruction="own",
-        uncertainty="quantiles of the posterior draws (without a prior in free vibration: their covariance)",
+        uncertainty="quantiles of the posterior draws, their median as the value (without a prior in free vibration: "
+        "their covariance)",
         settings_source="diagnostics of Vehtari et al. (2021); lengths for some hundred effective draws",
         tuning="none",
         title="Bayesian NUTS",
