@@ -17,6 +17,7 @@ from pathlib import Path
 from statistics import median
 
 from bench.commands.guard import command, read_fields
+from bench.entrants.registry import default_settings
 from bench.errors import InputError
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
@@ -47,7 +48,8 @@ def stored_as_cell(stored: StoredCell) -> Cell:
     """The cell whose description is stored; raises InputError where this version describes it differently."""
     what = stored.cell
     scenario = Scenario.from_dict(what, label=what["system"])
-    cell = Cell(scenario, what["method"], what["settings"], what["replicates"], what["seed"], what["label"])
+    settings = {**default_settings(what["method"]), **what["settings"]}  # what it has got since is at its default
+    cell = Cell(scenario, what["method"], settings, what["replicates"], what["seed"], what["label"])
     if cell.identity != stored.identity:
         raise InputError("cell", stored.identity, "this version describes its configuration differently; run it anew")
     return cell

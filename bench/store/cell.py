@@ -1,7 +1,8 @@
 """A cell: one scenario, one method with its settings, so many replicates of a seed; known by what it computes.
 
-The identity is that of the question: it names the cell's file. What answers it, the code and the packages, is the
-cell's version (:mod:`bench.store.version`): a stored answer of another version is stale.
+The identity is that of the question: it names the cell's file. A setting at its default has no part in it, so that a
+method which gets a new setting keeps its cells. What answers the question, the code with its defaults and the packages,
+is the cell's version (:mod:`bench.store.version`): a stored answer of another version is stale.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from bench.entrants.registry import default_settings
 from bench.scenario.scenario import Scenario
 from bench.store.version import Version, cell_version
 
@@ -32,7 +34,7 @@ class Cell:
     label: str
 
     def description(self) -> dict[str, Any]:
-        """What is computed, by name: this and nothing else decides the identity."""
+        """What is computed, by name."""
         return {
             "format": FORMAT,
             "method": self.method,
@@ -50,8 +52,10 @@ class Cell:
 
     @cached_property
     def identity(self) -> str:
-        """Hash of the description: not of labels, limits, machine or place."""
-        text = json.dumps(self.description(), sort_keys=True, default=str)
+        """Hash of the description, settings at their defaults apart: not of labels, limits, machine or place."""
+        usual = default_settings(self.method)
+        own = {name: value for name, value in self.settings.items() if name not in usual or usual[name] != value}
+        text = json.dumps({**self.description(), "settings": own}, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 
     @cached_property
