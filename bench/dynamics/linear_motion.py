@@ -271,7 +271,7 @@ class _Exponentials:
     def steps(self, lengths: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """The rows of the state of ``exp(M h)`` by h, (sets, 2n, 2n + k), and derivatives (sets, q, 2n, 2n + k)."""
         growth, slopes = list[np.ndarray](), list[np.ndarray]()
-        together = max(1, MOST_AT_ONCE // max(self._derivatives[0].size, self._powers[0].size))
+        together = max(1, MOST_AT_ONCE // max(1, self._derivatives[0].size, self._powers[0].size))
         for at in range(0, lengths.size, together):
             found = self._steps(lengths[at : at + together])
             growth.extend(found[0])

@@ -79,7 +79,7 @@ class PINN(PhysicsInformed):
             "pinn_ensemble_adam": {
                 "title": "PINN, ensemble (paper's training)",
                 "order": 65,
-                "colour": "#882255",
+                "colour": "#661100",
                 "marker": "x",
                 "paper": "",
             },
