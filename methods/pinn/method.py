@@ -79,7 +79,7 @@ class PINN(PhysicsInformed):
             "pinn_ensemble_adam": {
                 "title": "PINN, ensemble (paper's training)",
                 "order": 65,
-                "colour": "#661100",
+                "colour": "#5D4037",
                 "marker": "x",
                 "paper": "",
             },
