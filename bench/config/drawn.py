@@ -121,12 +121,12 @@ def _one(name: str, ranges: Mapping[str, tuple[float, float]], rng: np.random.Ge
 def _force(size: Mapping[str, float], stiffness: float, duration: float, rng: np.random.Generator) -> dict[str, Any]:
     """A known force that would bend the spring by the amplitude; fine enough for its highest frequency."""
     kind, hold = str(rng.choice(SHAPES)), str(rng.choice(HOLDS))
-    frequency = size["frequency_hz"]
+    hertz = size["frequency_hz"]
     own: dict[str, Any] = {}
     if kind in ("multisine", "swept_sine"):
-        own = {"low_hz": _rounded(BAND[0] * frequency), "high_hz": _rounded(BAND[1] * frequency)}
+        own = {"low_hz": _rounded(BAND[0] * hertz), "high_hz": _rounded(BAND[1] * hertz)}
     if kind == "impulse":
-        own = {"length_s": _rounded(min(PULSE / frequency, duration / 4))}
+        own = {"length_s": _rounded(min(PULSE / hertz, duration / 4))}
     if kind == "step":
         hold = "zero_order"
     amplitude = _rounded(stiffness * size["amplitude"])

@@ -203,7 +203,7 @@ def experiment(name: str, **fields: Values) -> list[Cell]:
     [('ls', 'known', 100), ('shooting', 'known', 100), ('ls', 'unknown', 100), ('shooting', 'unknown', 100)]
     >>> bench.experiment("table99")
     Traceback (most recent call last):
-    bench.errors.InputError: experiment=table99: did you mean table5? known: calibration, efficiency, forced, ...
+    bench.errors.InputError: experiment=table99: did you mean table5? known: calibration, development, efficiency, ...
     """
     return Experiment(name).cells(overrides_of(fields))
 

@@ -29,7 +29,7 @@ def draw_band(gallery: Gallery) -> Picture:
         axis.axhline(0.0, color="black", lw=0.8)
         inside = cell.successful("band_inside_95")
         share = f"\n{100 * inside.mean():.0f} % inside (n = {inside.size})" if inside.size else ""
-        axis.set_title(f"{wrapped(look.title, 48.0)}{share}", loc="left")
+        axis.set_title(f"{wrapped(look.title, 44.0)}{share}", loc="left")
         axis.set_ylabel("estimate − truth (mm)")
         reach = 1.1 * float(np.max(np.abs(error) + half))
         axis.set_ylim(-reach, reach) if math.isfinite(reach) and reach > 0 else None
