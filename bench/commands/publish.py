@@ -1,8 +1,9 @@
 """``python -m bench.publish``: write the published archive anew from a store and what the archive holds already.
 
-A cell of the store takes the place of the archive's. A file of the archive holds the cells of one experiment (those of
-several stand with the first: tables by number, then the others by name; those of none, in ``other``), and is written
-only where one of its cells has changed. An interrupt leaves every file whole; run the command again.
+A cell of the store takes the place of the archive's, and a cell of an experiment that of one that asked the same with
+another number of replicates. A file of the archive holds the cells of one experiment (those of several stand with the
+first: tables by number, then the others by name; those of none, in ``other``), and is written only where one of its
+cells has changed. An interrupt leaves every file whole; run the command again.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ import os
 import sys
 import uuid
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from bench.commands.guard import command, read_folders
+from bench.commands.reproduce import stored_as_cell
 from bench.config.choices import choices
 from bench.config.experiment import Experiment
 from bench.errors import InputError
@@ -21,30 +24,49 @@ from bench.store.archive.archive import BOUNDS, Archive
 from bench.store.bounds import bound_identity
 from bench.store.opening import DEFAULT_STORE, NONE, default_archive
 from bench.store.store import Store
+from bench.store.stored import StoredCell
 
 USAGE = f"usage: python -m bench.publish [store={DEFAULT_STORE}] [archive=results/archive]\n\n"
 OTHER = "other"
 
 
-def experiments_by_identity() -> tuple[dict[str, str], set[str]]:
-    """The file of every cell that an experiment describes, and the bounds of them all."""
+@dataclass(frozen=True)
+class Described:
+    """What the experiments describe.
+
+    ``places``: the file of each cell by identity. ``questions``: those identities by the cell's question, whatever its
+    replicates. ``bounds``: the identities of all their bounds.
+    """
+
+    places: Mapping[str, str] = field(default_factory=dict)
+    questions: Mapping[str, str] = field(default_factory=dict)
+    bounds: Collection[str] = ()
+
+
+def described() -> Described:
+    """Read the experiments: tables by number, then the others by name."""
     numbers = {name: Experiment(name).table.get("number") for name in choices("experiment")}
-    found, bounds = dict[str, str](), set[str]()
+    places, questions, bounds = dict[str, str](), dict[str, str](), set[str]()
     for name in sorted(numbers, key=lambda own: (numbers[own] is None, numbers[own] or 0, own)):
         for cell in Experiment(name).cells():
-            found.setdefault(cell.identity, name)
+            places.setdefault(cell.identity, name)
+            questions.setdefault(cell.question, cell.identity)
         bounds |= {bound_identity(scenario, seed) for scenario, seed in Experiment(name).scenarios()}
-    return found, bounds
+    return Described(places, questions, bounds)
 
 
-def publish(store: Store, archive: Archive, places: Mapping[str, str], bounds: Collection[str] = ()) -> list[Path]:
+def superseded(stored: StoredCell, own: Described, both: Store) -> bool:
+    """Whether a cell of no experiment asks what a stored cell of one asks, with another number of replicates."""
+    try:
+        cell = stored_as_cell(stored)
+    except (InputError, KeyError):
+        return False  # its configuration means something else now, or lacks a field: nothing that an experiment asks
+    identity = own.questions.get(cell.question, stored.identity)
+    return identity != stored.identity and both.holds(identity)
+
+
+def publish(store: Store, archive: Archive, own: Described) -> list[Path]:
     """Write what has changed of an archive; returns the files that were written or removed.
-
-    Args:
-        store: Where cells are taken from.
-        archive: What is written.
-        places: The file of a cell by identity, ``other`` for the rest.
-        bounds: Those in use: of the archive's own bounds only these are kept.
 
     Raises InputError for a damaged cell, ValueError where a cell would not come back as it is, OSError without room.
     """
@@ -53,7 +75,10 @@ def publish(store: Store, archive: Archive, places: Mapping[str, str], bounds: C
     both = Store(store.folder, archive)
     files: dict[str, list[str]] = {}
     for identity in both.identities():
-        files.setdefault(places.get(identity, OTHER), []).append(identity)
+        name = own.places.get(identity, OTHER)
+        stored = both.load(identity) if name == OTHER else None
+        if stored is None or not superseded(stored, own, both):
+            files.setdefault(name, []).append(identity)
     changed = []
     before = dict(archive.parts)
     for name, identities in sorted(files.items()):
@@ -73,7 +98,7 @@ def publish(store: Store, archive: Archive, places: Mapping[str, str], bounds: C
         path = archive.folder / f"{name}{ENDING}"
         path.unlink()
         changed.append(path)
-    return changed + _publish_bounds(both, archive, bounds)
+    return changed + _publish_bounds(both, archive, own.bounds)
 
 
 def _publish_bounds(both: Store, archive: Archive, used: Collection[str]) -> list[Path]:
@@ -112,7 +137,7 @@ def _main(arguments: Sequence[str]) -> int:
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
     Store(archive.folder).prepare()
     try:
-        changed = publish(store, archive, *experiments_by_identity())
+        changed = publish(store, archive, described())
     except (OSError, ValueError) as error:
         raise InputError("archive", archive.folder, f"not written whole ({error})") from None
     for path in changed:

@@ -53,9 +53,17 @@ class Cell:
     @cached_property
     def identity(self) -> str:
         """Hash of the description, settings at their defaults apart: not of labels, limits, machine or place."""
+        return self._hash(self.description())
+
+    @cached_property
+    def question(self) -> str:
+        """The same without the number of replicates: cells that differ in it alone have the same data sets first."""
+        return self._hash({**self.description(), "replicates": None})
+
+    def _hash(self, description: dict[str, Any]) -> str:
         usual = default_settings(self.method)
         own = {name: value for name, value in self.settings.items() if name not in usual or usual[name] != value}
-        text = json.dumps({**self.description(), "settings": own}, sort_keys=True, default=str)
+        text = json.dumps({**description, "settings": own}, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 
     @cached_property

@@ -78,10 +78,12 @@ def network(e: Evidence) -> Said:
 
 @claim
 def optimiser(e: Evidence) -> Said:
-    """- **With a known start the PINN's optimiser decides.** The same network and loss trained as in the paper
-    (Adam, then L-BFGS) has an excess of {loud} at 10 dB, {middle} at 20 dB and {quiet} at 30 and 40 dB: it stops
-    before the minimum of its own loss, and takes {seconds} s. With an unknown start it comes to {unknown}. This
-    is the pattern of the paper's own Table 5, whose displacement error is {paper} times the bound at 40 dB.
+    """- **The paper's training costs more than it is given.** The same network and kind of loss trained as in the paper
+    (Adam, then at most 1,000 steps of L-BFGS) ends at its step limit in {ended} of {fits} fits, after {seconds} s
+    each: with a known start at an excess of {loud} at 10 dB, {middle} at 20 dB and {quiet} at 30 and 40 dB, with
+    an unknown one at {unknown}. That is a budget of steps and no limit of the method; Levenberg-Marquardt needs
+    {pinn} s at 20 dB. The pattern is that of the paper's own Table 5, whose displacement error is {paper} times
+    the bound at 40 dB.
     """
 
     def excess(start: str, *levels: float) -> list[float]:
@@ -93,8 +95,11 @@ def optimiser(e: Evidence) -> Said:
     paper = e.value("table5", "paper", method="pinn", **told) / e.value("table5", "bound", method="bound", **told)
     loud, middle, quiet = excess("known", 10.0), excess("known", 20.0), excess("known", 40.0, 30.0)
     slower = e.seconds("table5", label="pinn_adam") / e.seconds("table5", label="pinn")
+    fits = [row.message for one in e.cells("table5", label="pinn_adam") for row in one.rows]
+    ended = sum("number of steps" in message for message in fits)
     return said(
         {
+            "nearly all fits end at their limit": ended > 0.9 * len(fits),
             "on the bound at 10 dB": max(loud) < 1.25,
             "farther from it the less noise there is": max(loud) < max(middle) < min(quiet),
             "slower than method=pinn by far": slower > 5,
@@ -105,6 +110,9 @@ def optimiser(e: Evidence) -> Said:
         quiet=span(quiet),
         seconds=number(e.seconds("table5", label="pinn_adam"), 1),
         unknown=span(excess("unknown", *USUAL)),
+        ended=str(ended),
+        fits=str(len(fits)),
+        pinn=number(e.seconds("table5", label="pinn", snr_db=20.0), 1),
         paper=number(paper),
     )
 
@@ -142,8 +150,8 @@ def modal(e: Evidence) -> Said:
 def cold_start(e: Evidence) -> Said:
     """- **Output error from one cold start is as good as multiple shooting until it is not**: with this prior and
     25 samples {right} % of the fits at one noise level and start find the right k/m, and the others are grossly
-    wrong (excess up to {worst} at 40 dB, start unknown). That is what the starts of shooting are for: {shooting}
-    of its {fits} fits go astray.
+    wrong (excess up to {worst} at 40 dB, start unknown). That is what a scan for starts is for: from the same starts
+    as multiple shooting {screened} of {fits} fits of output error go astray, and {shooting} of as many of shooting.
     """
 
     def astray(label: str) -> list[tuple[int, int]]:
@@ -151,20 +159,51 @@ def cold_start(e: Evidence) -> Said:
         cells = e.cells("table5", label=label, snr_db=USUAL)
         return [(sum(one.errors(PRIMARY[0]) > 10 * one.bound(PRIMARY[0])), one.n) for one in cells]
 
-    cold, scanned = astray("output_error"), astray("shooting")
+    cold, scanned = astray("output_error_cold"), astray("shooting")
     right = [1 - lost / n for lost, n in cold]
-    worst = e.excess("table5", method="output_error", snr_db=40.0, initial_state="unknown", metric=PRIMARY).max()
-    strays = sum(lost for lost, _ in scanned)
+    worst = e.excess("table5", method="output_error_cold", snr_db=40.0, initial_state="unknown", metric=PRIMARY).max()
+    strays, screened = (sum(lost for lost, _ in own) for own in (scanned, astray("output_error")))
     return said(
         {
             "in some cell it never fails": max(right) == 1,
             "in some it does, and grossly": worst > 10,
-            "shooting fails less": strays < sum(lost for lost, _ in cold),
+            "from the scan's starts it fails less": max(strays, screened) < sum(lost for lost, _ in cold),
         },
         right=span(right, percent),
         worst=fold(worst),
         shooting=str(strays),
+        screened=str(screened),
         fits=f"{sum(n for _, n in scanned):,}",
+    )
+
+
+@claim
+def difference_equation(e: Evidence) -> Said:
+    """- **What people run on samples, and its repair.** Least squares on the difference equation (`ar`, and
+    `ar_recursive` sample by sample) takes the noise of its regressors for motion: its excess is {ar} at 40 dB and
+    {loud} at 20 dB. Iterated quadratic maximum likelihood on the same equation (`iqml`) is at {iqml} from 40 to 10
+    dB with an unknown start, maximum likelihood on the Fourier transform (`frequency`) at {frequency}. A neural
+    posterior (`npe`), trained once for all replicates, is at {npe}.
+    """
+
+    def excess(method: tuple[str, ...], *levels: float) -> list[float]:
+        asked = {"metric": PRIMARY, "snr_db": levels, "initial_state": "unknown"}
+        return list(e.excess("table5", method=method, **asked))
+
+    plain = ("ar", "ar_recursive")
+    quiet, loud, iqml = excess(plain, 40.0), excess(plain, 20.0), excess(("iqml",), *USUAL)
+    frequency, npe = excess(("frequency",), *USUAL), excess(("npe",), *USUAL)
+    return said(
+        {
+            "the plain regression is above the bound at 40 dB": min(quiet) > 1.1,
+            "and farther at 20 dB": max(loud) > max(quiet),
+            "the others are within half of the bound": max(*iqml, *frequency, *npe) < 1.5,
+        },
+        ar=span(quiet),
+        loud=span(loud),
+        iqml=span(iqml),
+        frequency=span(frequency),
+        npe=span(npe),
     )
 
 
@@ -286,6 +325,7 @@ CLAIMS = (
     optimiser,
     modal,
     cold_start,
+    difference_equation,
     intervals,
     differences,
     without_physics,

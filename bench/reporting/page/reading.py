@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -134,16 +134,28 @@ class Reading:
 
 
 def read(store: Store) -> Reading:
-    """Read a store; raises InputError where there is none, where it is empty, or for a file that is no cell."""
-    results = stored_results(store)
+    """Read a store; raises InputError where there is none, where it is empty, or for a file that is no cell.
+
+    Scenarios that were drawn, hundreds with one data set each, say something together only: they are left to their
+    table.
+    """
+    drawn, described = _parted(map(_table, table_experiments()))
+    results = [result for result in stored_results(store) if result.question not in drawn]
     grouped = group(results, lambda result: result.question)
-    found = [one for one in map(_table, table_experiments()) if one.scenarios & set(grouped)]
+    found = [one for one in described if one.scenarios & set(grouped)]
     experiments = tuple(sorted(found, key=lambda one: (one.number is None, one.number or 0, one.name)))
     panels = [_panel(own, [one for one in experiments if key in one.scenarios]) for key, own in grouped.items()]
     panels.sort(key=_order(experiments))
     shown = {result for panel in panels for result in panel.results}
     hidden = Counter(f"{one.title} ({Panel((one,), ()).title()})" for one in results if one not in shown)
     return Reading(tuple(panels), tuple(results), experiments, hidden)
+
+
+def _parted(tables: Iterable[Table]) -> tuple[frozenset[str], list[Table]]:
+    """The keys of drawn scenarios, and the experiments whose scenarios were chosen."""
+    every = list(tables)
+    drawn = [one for one in every if Experiment(one.name).content.get("draw")]
+    return frozenset(key for one in drawn for key in one.scenarios), [one for one in every if one not in drawn]
 
 
 def _table(name: str) -> Table:

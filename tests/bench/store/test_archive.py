@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from bench import InputError, Status
-from bench.commands.publish import publish
+from bench.commands.publish import Described, publish
+from bench.config.experiment import expand
 from bench.scoring.row import Row
 from bench.store import index as view
 from bench.store import line
@@ -24,6 +25,8 @@ from bench.store.archive.part import Part
 from bench.store.opening import VARIABLE, open_store
 from bench.store.store import Store
 from bench.store.stored import StoredCell, cell_file
+from bench.sweep.launch import complete
+from bench.sweep.workers import Limits
 
 NAN, INF = math.nan, math.inf
 ODD = ("", "größer", "a\nline", '"quoted"', "\u2028 \U0001f600", "nan", "null", "0")
@@ -115,7 +118,7 @@ PLACES = {f"{seed:020x}": f"table{seed % 3}" for seed in range(12)}
 def archive(store: Store, tmp_path: Path) -> Archive:
     archive = Archive(tmp_path / "archive")
     archive.folder.mkdir()
-    publish(store, archive, PLACES)
+    publish(store, archive, Described(PLACES))
     return Archive(archive.folder)
 
 
@@ -178,11 +181,11 @@ def test_curves_come_back_to_the_last_bit_and_smooth_ones_are_small() -> None:
 def test_the_same_cells_are_the_same_bytes_and_are_not_written_again(store: Store, archive: Archive) -> None:
     before = contents(archive)
     times = {path: path.stat().st_mtime_ns for path in archive.folder.iterdir()}
-    assert publish(store, Archive(archive.folder), PLACES) == []
+    assert publish(store, Archive(archive.folder), Described(PLACES)) == []
     assert times == {path: path.stat().st_mtime_ns for path in archive.folder.iterdir()}
     for path in archive.folder.iterdir():
         path.unlink()
-    publish(store, Archive(archive.folder), PLACES)
+    publish(store, Archive(archive.folder), Described(PLACES))
     assert contents(archive) == before
 
 
@@ -192,7 +195,7 @@ def test_a_changed_cell_changes_its_own_file_alone(store: Store, archive: Archiv
     other.prepare()
     changed = replace(random_cell(4), wall_s=7.0)
     other.save(changed)
-    assert [path.name for path in publish(other, Archive(archive.folder), PLACES)] == ["table1.parquet"]
+    assert [path.name for path in publish(other, Archive(archive.folder), Described(PLACES))] == ["table1.parquet"]
     after = contents(archive)
     assert {name for name in after if after[name] != before[name]} == {"table1.parquet"}
     again = Archive(archive.folder)
@@ -201,7 +204,7 @@ def test_a_changed_cell_changes_its_own_file_alone(store: Store, archive: Archiv
 
 
 def test_what_stands_elsewhere_now_leaves_no_file_behind(store: Store, archive: Archive) -> None:
-    publish(store, Archive(archive.folder), {})
+    publish(store, Archive(archive.folder), Described())
     assert sorted(contents(archive)) == ["bounds.parquet", "other.parquet"]
     assert Archive(archive.folder).identities() == store.identities()
 
@@ -217,7 +220,7 @@ def test_a_write_that_fails_leaves_the_file_of_before(
     wrong = {"arrays": lambda self, line: {}, "table": lambda self, names: read(self, names).slice(1)}
     monkeypatch.setattr(Part, what, wrong[what])
     with pytest.raises(ValueError, match="not come back"):
-        publish(store, Archive(archive.folder), PLACES)
+        publish(store, Archive(archive.folder), Described(PLACES))
     assert contents(archive) == before
 
 
@@ -309,3 +312,18 @@ def test_the_archive_is_named_by_field_or_environment(archive: Archive, monkeypa
     with pytest.raises(InputError, match="no such folder"):
         open_store("x", "nowhere")
     assert pickle.loads(pickle.dumps(Store(Path("x"), archive))).archive.identities() == archive.identities()
+
+
+@pytest.mark.usefixtures("any_bound")
+def test_a_cell_gives_way_to_one_that_asks_the_same_of_more_replicates(tmp_path: Path) -> None:
+    """As soon as that one is stored; settings at their defaults, named or not, ask the same."""
+    store, archive = Store(tmp_path / "rows"), Archive(tmp_path / "archive")
+    store.prepare()
+    archive.folder.mkdir()
+    few, more = (expand(["method=prior", f"replicates={n}"], multirun=False)[0].cell() for n in (3, 4))
+    asked = Described({more.identity: "table1"}, {more.question: more.identity})
+    for cell, kept in ((few, [few.identity]), (more, [more.identity])):
+        complete([cell], store, Limits(1, 60.0))
+        publish(store, archive, asked)
+        archive = Archive(archive.folder)
+        assert archive.identities() == kept
