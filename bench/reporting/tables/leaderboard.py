@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,21 +20,44 @@ from bench.reporting.labels import title
 from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.common import PRIMARY, bold, csv, markdown_table
 from bench.reporting.tables.open_split import Pooled, bounds_of, pooled
-from bench.scoring.comparison import Errors, compare, profile
+from bench.scoring.comparison import Errors, compare, gross, profile, steadiness
 
 EXPERIMENTS = ("table4", "table5")
 FACTORS = (1.1, 1.5, 2.0, 5.0)
 NAMES = {"k_over_m_error_pct": "k/m", "c_over_m_error_pct": "c/m", "rmse": "displacement"}
 LEGEND = """Over the scenarios of Tables 4 and 5, on the first {n} replicates of each, which every method was given.
-Ratio: median over the data sets of a method's error over that of the best (the one of least median rank), with its
-95 % interval from a bootstrap that resamples scenarios as clusters and replicates within them; a failed fit is
-infinitely bad. Bold: cannot be told from the best (Wilcoxon's signed-rank test over the data sets, Holm's
-adjustment, 5 %), or less than 2 % from it. Within: share of the data sets on which the error is within so many
+Ratio: median over the data sets of a method's error over that of the best, with its 95 % interval from a bootstrap that
+resamples scenarios as clusters and replicates within them; a failed fit is infinitely bad. The best has the least
+median of error over bound of the methods that do not run away: whose excess is within twice the least, and whose errors
+are gross (beyond five times the bound, or failures) no more often than those of the method that makes fewest (exact
+test, 5 %). Bold: cannot be told from the best (Wilcoxon's signed-rank test over the data sets, Holm's adjustment, 5 %),
+or less than 2 % from it, and does not run away. Within: share of the data sets on which the error is within so many
 times the least of all methods (performance profile); near-ties make small factors a lottery."""
 
 
-def collected(results: Iterable[Result], metric: str) -> Errors | None:
-    """The errors of every method on the replicates that all of them were given; None where a cell is missing.
+@dataclass(frozen=True)
+class Collected:
+    """The errors of every method on the replicates that all were given, and the bound of each data set (n,)."""
+
+    errors: Errors
+    bounds: np.ndarray
+
+    def over_bounds(self) -> dict[str, np.ndarray]:
+        """By method its errors over the bounds; over the typical error of all methods where there is no bound."""
+        values = self.errors.values
+        every = np.stack(list(values.values()))
+        usable = np.isfinite(self.bounds) & (self.bounds > 0)
+        typical = np.ones(self.bounds.size)
+        for scenario in np.unique(self.errors.scenario):
+            at = self.errors.scenario == scenario
+            finite = every[:, at][np.isfinite(every[:, at])]
+            typical[at] = float(np.median(finite)) if finite.size and np.median(finite) > 0 else 1.0
+        sizes = np.where(usable, self.bounds, typical)
+        return {method: own / sizes for method, own in values.items()}
+
+
+def collected(results: Iterable[Result], metric: str) -> Collected | None:
+    """The errors of every method, and the bounds; None where a cell is missing.
 
     A method that is asked for some of the scenarios only is left out.
     """
@@ -48,7 +72,9 @@ def collected(results: Iterable[Result], metric: str) -> Errors | None:
     joined = {
         method: np.concatenate([one.errors(metric)[:fewest] for one in its]) for method, its in by_method.items()
     }  # fmt: skip
-    return Errors(joined, np.repeat(np.arange(len(next(iter(by_method.values())))), fewest))
+    first = next(iter(by_method.values()))
+    bounds = np.repeat([one.bound(metric) for one in first], fewest)
+    return Collected(Errors(joined, np.repeat(np.arange(len(first)), fewest)), bounds)
 
 
 OPEN_LEGEND = """Open: on the scenarios of the [open split](open.md) with that initial state, drawn at random and used
@@ -64,14 +90,14 @@ def on_open_split(results: Iterable[Result], metric: str) -> dict[str, Pooled]:
     return {method: one for method, one in found.items() if one.ratios.size}
 
 
-def lines(errors: Errors) -> list[dict[str, Any]]:
+def lines(own: Collected) -> list[dict[str, Any]]:
     """One line a method, best first."""
-    ranks = np.argsort(np.argsort(np.stack(list(errors.values.values())), axis=0), axis=0)
-    order = dict(zip(errors.values, np.median(ranks, axis=1) + 1e-3 * ranks.mean(axis=1), strict=True))
-    best = min(order, key=lambda method: order[method])
+    errors, over = own.errors, own.over_bounds()
+    excess = {method: _root_mean_square(ratios) for method, ratios in over.items()}
+    sure = steadiness(over, excess, 1.0).steady
+    best = min(sure, key=lambda method: float(np.median(over[method])))
     within = profile(errors, FACTORS)
-    others = [method for method in errors.values if method != best]
-    found = {c.a: c for c in compare(errors, [(method, best) for method in others])}
+    found = {c.a: c for c in compare(errors, [(method, best) for method in errors.values if method != best])}
     rows: list[dict[str, Any]] = []
     for method in errors.values:
         c = found.get(method)
@@ -79,11 +105,16 @@ def lines(errors: Errors) -> list[dict[str, Any]]:
             {
                 "method": method, "ratio": c.ratio if c else 1.0, "low": c.low if c else math.nan,
                 "high": c.high if c else math.nan, "p_holm": c.adjusted if c else math.nan,
-                "tie": c.tie if c else True,
+                "tie": (c.tie if c else True) and method in sure, "gross": float(np.mean(gross(over[method], 1.0))),
                 **{f"within_{factor:g}": share for factor, share in zip(FACTORS, within[method], strict=True)},
             }
         )  # fmt: skip
     return sorted(rows, key=lambda row: row["ratio"])
+
+
+def _root_mean_square(ratios: np.ndarray) -> float:
+    good = ratios[np.isfinite(ratios)]
+    return float(np.sqrt(np.mean(good**2))) if good.size else math.nan
 
 
 def leaderboard(frames: Sequence[Frame], open_split: Frame | None = None) -> Mapping[str, str]:
@@ -97,12 +128,14 @@ def leaderboard(frames: Sequence[Frame], open_split: Frame | None = None) -> Map
     for start in ("unknown", "known"):
         panel = [result for result in results if result.initial_state == start]
         for metric in PRIMARY:
-            errors = collected(panel, metric)
-            if errors is None:
+            found = collected(panel, metric)
+            if found is None:
                 return {}
             first = on_open_split([result for result in drawn if result.initial_state == start], metric)
-            own = [{**_open_columns(first.get(line["method"])), **line} for line in lines(errors)]
-            parts[1] = LEGEND.format(n=int(np.sum(errors.scenario == 0))) + (f"\n\n{OPEN_LEGEND}" if drawn else "")
+            own = [{**_open_columns(first.get(line["method"])), **line} for line in lines(found)]
+            parts[1] = LEGEND.format(n=int(np.sum(found.errors.scenario == 0))) + (
+                f"\n\n{OPEN_LEGEND}" if drawn else ""
+            )
             rows += [{"initial_state": start, "metric": metric, **line} for line in own]
             parts += [f"## Error of {NAMES[metric]}, initial state {start}", _table(own, bool(drawn))]
     parts.append("Regenerate: `python -m bench -m experiment=table4,table5 && python -m bench.tables`")
@@ -123,8 +156,9 @@ def _table(own: Sequence[dict[str, Any]], with_open: bool) -> str:
         p = "" if math.isnan(line["p_holm"]) else f"{line['p_holm']:.2g}"
         shares = [f"{100 * line[f'within_{factor:g}']:.0f} %" for factor in FACTORS]
         first = _open_cells(line) if with_open else []
-        rows.append([bold(title(line["method"]), line["tie"]), *first, ratio, p, *shares])
-    headers = ["error over the best's", "p (Holm)", *(f"within ×{factor:g}" for factor in FACTORS)]
+        often = f"{100 * line['gross']:.1f} %"
+        rows.append([bold(title(line["method"]), line["tie"]), *first, ratio, p, often, *shares])
+    headers = ["error over the best's", "p (Holm)", "gross", *(f"within ×{factor:g}" for factor in FACTORS)]
     first = ["open: error over bound", "open: gross"] if with_open else []
     return markdown_table(rows, ["method", *first, *headers])
 

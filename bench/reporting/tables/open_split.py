@@ -18,6 +18,7 @@ from bench.reporting.labels import title as title_of
 from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.common import Line, csv, failure_notes, markdown_table
 from bench.reporting.tables.pooling import lower_median
+from bench.scoring.comparison import gross
 from bench.scoring.summary import wilson_interval
 
 COLUMNS = (
@@ -25,8 +26,6 @@ COLUMNS = (
     "gross_high", "n_coverage", "coverage_95", "low_95", "high_95", "median_cpu_s",
 )  # fmt: skip
 METRICS = {"k_over_m_error_pct": "k/m", "c_over_m_error_pct": "c/m", "rmse": "displacement"}
-GROSS = 5.0
-"""An error of more than this many times the bound is gross."""
 UNTOLD = 100.0
 """A bound (%) beyond which data and prior do not tell a quantity: an error over it says nothing."""
 PARTS = ("all", "free", "forced")
@@ -68,8 +67,8 @@ class Pooled:
 
     @property
     def gross(self) -> tuple[float, float, float]:
-        """Share of errors beyond :data:`GROSS` times the bound, failures included, with Wilson's interval."""
-        return _share(int(np.sum(self.ratios > GROSS)), self.ratios.size)
+        """Share of errors beyond :data:`bench.scoring.comparison.GROSS` times the bound, failures included, with Wilson's interval."""
+        return _share(int(np.sum(gross(self.ratios, 1.0))), self.ratios.size)
 
     @property
     def coverage(self) -> tuple[float, float, float]:

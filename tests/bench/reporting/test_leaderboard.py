@@ -39,8 +39,8 @@ def found(reference: Scenario) -> list[Result]:
 def test_ratios_ties_and_shares(found: list[Result]) -> None:
     errors = collected(found, "rmse")
     assert errors is not None
-    assert set(errors.values) == {"shooting", "ls", "ddnn"}  # the oracle sees the truth and is no competitor
-    assert errors.scenario.size == 30  # ten of each scenario, which all were given
+    assert set(errors.errors.values) == {"shooting", "ls", "ddnn"}  # the oracle sees the truth and is no competitor
+    assert errors.errors.scenario.size == 30  # ten of each scenario, which all were given
     own = {line["method"]: line for line in lines(errors)}
     ratio = own["ls"]["ratio"] / own["shooting"]["ratio"]
     assert ratio == pytest.approx(3.0, rel=0.2)
@@ -55,7 +55,7 @@ def test_a_method_that_is_asked_for_some_scenarios_only_is_left_out(found: list[
     some = [*found, result(reference, "nuts", np.ones(20))]
     errors = collected(some, "rmse")
     assert errors is not None
-    assert set(errors.values) == {"shooting", "ls", "ddnn"}
+    assert set(errors.errors.values) == {"shooting", "ls", "ddnn"}
 
 
 def test_the_open_split_is_the_median_and_gross_share_of_error_over_bound(reference: Scenario) -> None:
