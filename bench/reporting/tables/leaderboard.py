@@ -133,9 +133,8 @@ def leaderboard(frames: Sequence[Frame], open_split: Frame | None = None) -> Map
                 return {}
             first = on_open_split([result for result in drawn if result.initial_state == start], metric)
             own = [{**_open_columns(first.get(line["method"])), **line} for line in lines(found)]
-            parts[1] = LEGEND.format(n=int(np.sum(found.errors.scenario == 0))) + (
-                f"\n\n{OPEN_LEGEND}" if drawn else ""
-            )
+            n = int(np.sum(found.errors.scenario == 0))
+            parts[1] = LEGEND.format(n=n) + (f"\n\n{OPEN_LEGEND}" if drawn else "")
             rows += [{"initial_state": start, "metric": metric, **line} for line in own]
             parts += [f"## Error of {NAMES[metric]}, initial state {start}", _table(own, bool(drawn))]
     parts.append("Regenerate: `python -m bench -m experiment=table4,table5 && python -m bench.tables`")

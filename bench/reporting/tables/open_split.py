@@ -67,7 +67,7 @@ class Pooled:
 
     @property
     def gross(self) -> tuple[float, float, float]:
-        """Share of errors beyond :data:`bench.scoring.comparison.GROSS` times the bound, failures included, with Wilson's interval."""
+        """Share of gross errors (:func:`bench.scoring.comparison.gross`), with Wilson's interval."""
         return _share(int(np.sum(gross(self.ratios, 1.0))), self.ratios.size)
 
     @property
