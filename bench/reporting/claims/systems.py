@@ -138,28 +138,29 @@ def hidden_damping(e: Evidence) -> Said:
 
 @claim
 def forced_cold_start(e: Evidence) -> Said:
-    """- Output error from one cold start fails under most forces: its excess is above 5 in {fails} of the {cases}
-    panels and noise levels of Table 6 that have one.
+    """- Output error from one start, the regression's, has an excess above 5 in {fails} of the {cases} panels and noise
+    levels of Table 6 that have a force; from the starts of a scan in {scanned}.
     """
     forced = (*FORCES, "sdof_noise", "chain2_forced", "duffing_forced")
-    excess = e.excess("table6", system=forced, method="output_error", **TOLD)
-    fails = int((excess > 5).sum())
-    return said({"most fail": fails > len(excess) / 2}, fails=str(fails), cases=str(len(excess)))
+    excess, scanned = (
+        e.excess("table6", system=forced, method=method, **TOLD) for method in ("output_error_cold", "output_error")
+    )
+    fails, fewer = int((excess > 5).sum()), int((scanned > 5).sum())
+    return said({"the scan helps": fewer <= fails}, fails=str(fails), cases=str(len(excess)), scanned=str(fewer))
 
 
 @claim
 def hidden_state(e: Evidence) -> Said:
-    """- **Bouc-Wen has a hidden state**: multiple shooting, output error, MCMC and the Kalman filters carry it, and
-    are at {carried} times the bound at 40 and 20 dB, the oracle at {oracle} (at 10 dB multiple shooting at
-    {loud}). The PINN and the spline carry it as one more path, but no smooth path follows its kinks: at 40 dB
+    """- **Bouc-Wen has a hidden state**: multiple shooting, MCMC and the Kalman filters carry it, and are at {carried}
+    times the bound at 40 and 20 dB, the oracle at {oracle} (at 10 dB multiple shooting at {loud}). The PINN and the spline carry it as one more path, but no smooth path follows its kinks: at 40 dB
     they are at {smooth} times the bound, and {coverage} % of their intervals hold the truth.
     """
     at = {"system": "bouc_wen", **TOLD}
-    carriers = ("shooting", "output_error", "mcmc", "ekf", "ukf")
+    carriers = ("shooting", "mcmc", "ekf", "ukf")
     carried = e.excess("table8", method=carriers, snr_db=(40.0, 20.0), **at)
     smooth = e.rows("table8", method=("collocation", "pinn"), snr_db=40.0, **at)
     return said(
-        {"five are near the bound": carried.max() < 1.3, "the smooth ones are not": smooth.excess.min() > 3},
+        {"four are near the bound": carried.max() < 1.3, "the smooth ones are not": smooth.excess.min() > 3},
         carried=span(carried),
         oracle=span(e.excess("table8", method="oracle", snr_db=(40.0, 20.0), **at)),
         loud=fold(e.value("table8", "excess", method="shooting", snr_db=10.0, **at)),
