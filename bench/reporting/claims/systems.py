@@ -152,8 +152,9 @@ def forced_cold_start(e: Evidence) -> Said:
 @claim
 def hidden_state(e: Evidence) -> Said:
     """- **Bouc-Wen has a hidden state**: multiple shooting, MCMC and the Kalman filters carry it, and are at {carried}
-    times the bound at 40 and 20 dB, the oracle at {oracle} (at 10 dB multiple shooting at {loud}). The PINN and the spline carry it as one more path, but no smooth path follows its kinks: at 40 dB
-    they are at {smooth} times the bound, and {coverage} % of their intervals hold the truth.
+    times the bound at 40 and 20 dB, the oracle at {oracle} (at 10 dB multiple shooting at {loud}). The PINN and
+    the spline carry it as one more path, but no smooth path follows its kinks: at 40 dB they are at {smooth} times
+    the bound, and {coverage} % of their intervals hold the truth.
     """
     at = {"system": "bouc_wen", **TOLD}
     carriers = ("shooting", "mcmc", "ekf", "ukf")
