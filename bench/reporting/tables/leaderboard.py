@@ -63,11 +63,11 @@ def collected(results: Iterable[Result], metric: str) -> Collected | None:
     """
     # by identity: the reference system at 20 dB stands in two tables
     own = {result.identity: result for result in results if not result.is_reference}
-    if not own or not all(result.stored for result in own.values()):
-        return None
     asked = group(own.values(), lambda result: result.label)
-    most = max(map(len, asked.values()))
+    most = max(map(len, asked.values()), default=0)
     by_method = {method: its for method, its in asked.items() if len(its) == most}
+    if not by_method or not all(result.stored for its in by_method.values() for result in its):
+        return None
     fewest = min(result.n for its in by_method.values() for result in its)
     joined = {
         method: np.concatenate([one.errors(metric)[:fewest] for one in its]) for method, its in by_method.items()
