@@ -23,7 +23,7 @@ from bench.isolation.processes import single_threaded
 from bench.store.store import Store
 from tests.studies.pinn.common import Part
 
-PARTS = ("rivals", "memory", "accuracy", "systems", "initialisations", "starting_values", "loss", "scaling")
+PARTS = ("rivals", "memory", "accuracy", "systems", "initialisations", "starting_values", "loss", "steps", "scaling")
 USAGE = """usage: python -m tests.studies.pinn [part=<a,b>] [replicates=100] [out=results]
                                         [peers=<folder of rival scripts> [peer_python=<python with DeepXDE>] [seeds=3]]
 parts: """ + ", ".join(PARTS)
@@ -72,6 +72,7 @@ def run(part: str, chosen: dict[str, str]) -> Part:
             "initialisations": (100, lambda: robustness.initialisations(50, bar.update)),
             "starting_values": (400, lambda: robustness.starting_values(bar.update)),
             "loss": (0, lambda: robustness.loss(adam)),
+            "steps": (len(robustness.BUDGETS) * 6, lambda: robustness.steps(adam, bar.update)),
             "scaling": (scaling.COUNT, lambda: scaling.scaling(few, bar.update)),
         }
         bar.total, compute = parts[part]
