@@ -64,18 +64,25 @@ class Evidence:
 
     def cells(self, experiment: str, **wanted: Any) -> list[Result]:
         """The cells of an experiment with these facts of a result; raises InputError unless all are stored."""
-        if experiment not in self._cells:
-            unique = {result.identity: result for result in experiment_frame(experiment, self.store)}
-            self._cells[experiment] = list(unique.values())
         found = [
             one
-            for one in self._cells[experiment]
+            for one in self._of(experiment)
             if all(getattr(one, fact) in _several(values) for fact, values in wanted.items())
         ]
         missing = sum(one.stored is None for one in found)
         if missing or not found:
             raise InputError("claim", experiment, f"{missing or 'all'} of the cells with {wanted} are not stored")
         return found
+
+    def stored(self, experiment: str) -> list[Result]:
+        """The cells of an experiment that are stored: for what is said of these and no others."""
+        return [one for one in self._of(experiment) if one.stored is not None]
+
+    def _of(self, experiment: str) -> list[Result]:
+        if experiment not in self._cells:
+            unique = {result.identity: result for result in experiment_frame(experiment, self.store)}
+            self._cells[experiment] = list(unique.values())
+        return self._cells[experiment]
 
     def seconds(self, experiment: str, **wanted: Any) -> float:
         """Processor time of a fit (s): median over such cells of the median over their fits."""

@@ -100,7 +100,7 @@ def cost(e: Evidence) -> Said:
     """- Processor time of the fits of Tables 2 to 5 at these replicates, one core: {minutes} minutes, of them
     {most}.
     """
-    cells = {one.identity: one for table in PAPER_TABLES for one in e.cells(table)}.values()
+    cells = {one.identity: one for table in PAPER_TABLES for one in e.stored(table)}.values()
     minutes: dict[str, float] = {}
     for one in cells:
         minutes[one.label] = minutes.get(one.label, 0.0) + float(one.cpu_s[one.cpu_s > 0].sum()) / 60
