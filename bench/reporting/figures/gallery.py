@@ -11,6 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bench.entrants.registry import default_settings
+from bench.errors import InputError
 from bench.reporting.figures.style import Look, looks
 from bench.reporting.frame import Result
 from bench.reporting.labels import in_order
@@ -42,7 +44,7 @@ class Gallery:
 
     def __init__(self, store: Store) -> None:
         self.store = store
-        found = [(json.dumps(one.settings, sort_keys=True), one) for one in map(Result.of_stored, store)]
+        found = [(json.dumps(changed_settings(one), sort_keys=True), one) for one in map(Result.of_stored, store)]
         often = Counter((one.label, settings) for settings, one in found)
         found.sort(key=lambda pair: (-often[pair[1].label, pair[0]], -pair[1].n, pair[1].identity))
         best: dict[tuple[Any, ...], Result] = {}
@@ -90,6 +92,15 @@ class Gallery:
         wanted = [one for one in own if one.initial_state == told]
         others = [one for one in own if one.initial_state != told]
         return wanted if 2 * len(wanted) >= len(others) else others
+
+
+def changed_settings(one: Result) -> dict[str, Any]:
+    """The settings of a result that are not at their defaults; all of them where its method is not installed here."""
+    try:
+        usual = default_settings(one.method)
+    except InputError:
+        return dict(one.settings)
+    return {name: value for name, value in one.settings.items() if name not in usual or usual[name] != value}
 
 
 def methods_only(cells: Iterable[Result]) -> list[Result]:
