@@ -24,8 +24,9 @@ UNWRITABLE = 74
 
 def bound_identity(scenario: Scenario, seed: int) -> str:
     """Hash of everything the bound depends on (the seed only where it draws a force)."""
+    system = type(scenario.make_system())
     identity = {
-        "code": bound_version(scenario.system),
+        "code": bound_version((system.__module__, system.__name__)),
         **scenario.undisturbed.data_identity(),
         **scenario.told_identity(),
         "dense": scenario.dense,

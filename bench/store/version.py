@@ -93,18 +93,14 @@ def cell_version(method: str, system: str, disturbance: str = "none") -> Version
 
 @cache
 def _summary_version(system: str) -> Version:
-    return version_of([SUMMARY, *_bound_roots(system)])
+    point = registered_systems().get(system)
+    return version_of([SUMMARY, BOUND, *([(point.module, point.attr)] if point else [])])
 
 
 @cache
-def bound_version(system: str) -> str:
-    """The digest of what computes the bounds of a system."""
-    return version_of(_bound_roots(system)).digest
-
-
-def _bound_roots(system: str) -> list[Definition]:
-    point = registered_systems().get(system)
-    return [BOUND, *([(point.module, point.attr)] if point else [])]
+def bound_version(system: Definition) -> str:
+    """The digest of what computes the bounds of a system, which is named by its class."""
+    return version_of([BOUND, system]).digest
 
 
 def version_of(roots: Iterable[Definition]) -> Version:

@@ -20,7 +20,7 @@ from bench.reporting.labels import title
 from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.common import PRIMARY, bold, csv, markdown_table
 from bench.reporting.tables.open_split import Pooled, bounds_of, pooled
-from bench.scoring.comparison import Errors, compare, gross, profile, steadiness
+from bench.scoring.comparison import GROSS, STEADY, Errors, compare, gross, profile, steadiness
 
 EXPERIMENTS = ("table4", "table5")
 FACTORS = (1.1, 1.5, 2.0, 5.0)
@@ -28,10 +28,10 @@ NAMES = {"k_over_m_error_pct": "k/m", "c_over_m_error_pct": "c/m", "rmse": "disp
 LEGEND = """Over the scenarios of Tables 4 and 5, on the first {n} replicates of each, which every method was given.
 Ratio: median over the data sets of a method's error over that of the best, with its 95 % interval from a bootstrap that
 resamples scenarios as clusters and replicates within them; a failed fit is infinitely bad. The best has the least
-median of error over bound of the methods that do not run away: whose excess is within twice the least, and whose errors
-are gross (beyond five times the bound, or failures) no more often than those of the method that makes fewest (exact
-test, 5 %). Bold: cannot be told from the best (Wilcoxon's signed-rank test over the data sets, Holm's adjustment, 5 %),
-or less than 2 % from it, and does not run away. Within: share of the data sets on which the error is within so many
+median of error over bound of the methods that do not run away: whose excess is within {steady:g} times the least, and
+whose errors are gross (beyond {gross:g} times the bound, or failures) no more often than those of the method that makes
+fewest (exact test, 5 %). Bold: cannot be told from the best (Wilcoxon's signed-rank test over the data sets, Holm's
+adjustment, 5 %), or less than 2 % from it, and does not run away. Within: share of the data sets on which the error is within so many
 times the least of all methods (performance profile); near-ties make small factors a lottery."""
 
 
@@ -134,7 +134,7 @@ def leaderboard(frames: Sequence[Frame], open_split: Frame | None = None) -> Map
             first = on_open_split([result for result in drawn if result.initial_state == start], metric)
             own = [{**_open_columns(first.get(line["method"])), **line} for line in lines(found)]
             n = int(np.sum(found.errors.scenario == 0))
-            parts[1] = LEGEND.format(n=n) + (f"\n\n{OPEN_LEGEND}" if drawn else "")
+            parts[1] = LEGEND.format(n=n, steady=STEADY, gross=GROSS) + (f"\n\n{OPEN_LEGEND}" if drawn else "")
             rows += [{"initial_state": start, "metric": metric, **line} for line in own]
             parts += [f"## Error of {NAMES[metric]}, initial state {start}", _table(own, bool(drawn))]
     parts.append("Regenerate: `python -m bench -m experiment=table4,table5 && python -m bench.tables`")
