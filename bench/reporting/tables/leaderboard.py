@@ -31,8 +31,8 @@ resamples scenarios as clusters and replicates within them; a failed fit is infi
 median of error over bound of the methods that do not run away: whose excess is within {steady:g} times the least, and
 whose errors are gross (beyond {gross:g} times the bound, or failures) no more often than those of the method that makes
 fewest (exact test, 5 %). Bold: cannot be told from the best (Wilcoxon's signed-rank test over the data sets, Holm's
-adjustment, 5 %), or less than 2 % from it, and does not run away. Within: share of the data sets on which the error is within so many
-times the least of all methods (performance profile); near-ties make small factors a lottery."""
+adjustment, 5 %), or less than 2 % from it, and does not run away. Within: share of the data sets on which the error is
+within so many times the least of all methods (performance profile); near-ties make small factors a lottery."""
 
 
 @dataclass(frozen=True)

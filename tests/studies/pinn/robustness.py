@@ -178,11 +178,11 @@ def steps(adam: dict[str, object], advance: Advance) -> Part:
     rows = []
     for snr in (40, 20):
         problems = [problem for problem, _ in scenario(system="sdof", snr=snr).replicates(SEED, 3)]
-        minima = [_k_over_m(make_method("pinn", {"slack": adam["slack"]}), problem)[:2] for problem in problems]
+        minima = [_log_k_over_m(make_method("pinn", {"slack": adam["slack"]}), problem)[:2] for problem in problems]
         for budget in BUDGETS:
             method, off, ended, seconds = make_method("pinn", {**adam, "lbfgs_steps": budget}), [], 0, []
             for problem, (centre, sd) in zip(problems, minima, strict=True):
-                value, _, message, spent = _k_over_m(method, problem)
+                value, _, message, spent = _log_k_over_m(method, problem)
                 off.append(abs(value - centre) / sd)
                 seconds.append(spent)
                 ended += "number of steps" in message
@@ -204,7 +204,7 @@ def steps(adam: dict[str, object], advance: Advance) -> Part:
     return Part("steps", "What the steps of first-order training buy", text, columns, rows)
 
 
-def _k_over_m(method: Identifier, problem: Problem) -> tuple[float, float, str, float]:
+def _log_k_over_m(method: Identifier, problem: Problem) -> tuple[float, float, str, float]:
     """Log of k/m, its standard error, the message and the processor seconds of a fit."""
     started = time.process_time()
     estimate = method.identify(problem, np.random.default_rng(0))
