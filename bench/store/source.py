@@ -3,7 +3,8 @@
 Starting from some names (a method's class, the functions of the scoring), every top-level definition that they mention
 is followed, and what those mention in turn, through the modules of their own distribution and the harness. Nothing is
 imported to find out. A definition counts by its text alone, without comments, docstrings, layout, annotations of
-functions, the sentences of what it raises, and imports from here: so one that moves to another file is still the same.
+functions, the sentences of what it raises, the card of a method, and imports from here: so one that moves to another
+file is still the same.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ EFFECTS = "(statements)"
 """The name of what a module does when it is imported, beside binding names."""
 LAYOUT = frozenset({"ctx", "kind", "type_comment", "returns", "annotation"})
 """Fields of a syntax tree that change no number; the annotations of a class body are kept."""
+CARD = "card"
+"""The class variable that describes a method (``bench.entrants.registry.Card``) to readers."""
 IMPORTS = (ast.ImportFrom, ast.Import)
 
 
@@ -85,7 +88,7 @@ class _Text:
         elif isinstance(node, list):
             self.parts.append("[")
             for item in node:
-                if not _is_text(item):
+                if not _is_text(item) and not _is_card(item):
                     self.add(item, silent)
             self.parts.append("]")
         else:
@@ -234,6 +237,11 @@ def _imports(node: ast.Import | ast.ImportFrom) -> Iterator[tuple[str, Definitio
 def _is_text(node: object) -> bool:
     """Whether a statement is a docstring, or a string that documents the line above it."""
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+
+
+def _is_card(node: object) -> bool:
+    """Whether a statement of a class body is its card, which describes a method and computes nothing."""
+    return isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.target.id == CARD
 
 
 def _is_sentence(node: object) -> bool:

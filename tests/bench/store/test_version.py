@@ -82,6 +82,14 @@ def test_comments_docstrings_layout_types_and_sentences_of_errors_do_not_count(p
     assert changed(package / "shared.py", "VALUE = 1.0\n", "pkg.one", "f") == "pkg.shared changed"
 
 
+def test_the_card_of_a_method_does_not_count(package: Path) -> None:
+    """What is said of a method, or the colour of its line, changes no number."""
+    method = "from pkg.shared import VALUE, UNUSED\n\nclass M:\n    card: ClassVar[Card] = Card({})\n    step = {}\n"
+    (package / "method.py").write_text(method.format("'grey'", "VALUE"))
+    assert changed(package / "method.py", method.format("'red', UNUSED", "VALUE"), "pkg.method", "M") == ""
+    assert changed(package / "method.py", method.format("'red'", "UNUSED"), "pkg.method", "M") != ""
+
+
 def test_a_definition_that_moves_to_another_file_is_still_the_same(package: Path) -> None:
     before = version_of([("pkg.one", "f")])
     (package / "moved.py").write_text(SOURCES["pkg/shared.py"])
