@@ -15,30 +15,22 @@ bootstrap's spread, which does not hold the bias.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Estimate, Identifier, InputError, Problem, Serves
-from methods.discrete.difference import (
-    NO_OSCILLATOR,
-    equations,
-    groups_of,
-    sampling_objection,
-    step_of,
-    unlike_the_record,
-)
-from methods.modal.free_decay import SERVES, Reading, decay_estimates
+from bench import Card
+from methods.discrete.difference import NO_OSCILLATOR, equations, groups_of
+from methods.discrete.sampled_decay import SampledDecay
+from methods.modal.even_steps import step_of
+from methods.modal.free_decay import Reading
 from methods.regression.equation import solve
 
 
 @dataclass(frozen=True)
-class AR(Identifier):
+class AR(SampledDecay):
     """Autoregression of order two by least squares; ``bootstrap`` records are drawn for the covariance, 0 for none."""
-
-    bootstrap: int = 100
 
     card: ClassVar[Card] = Card(
         summary="autoregression of order two: least squares on the difference equation of the sampled free decay",
@@ -53,24 +45,9 @@ class AR(Identifier):
         colour="#8C6D31",
         marker="<",
     )
-    serves: ClassVar[Serves] = SERVES
-    works_in = "natural units"
 
-    def __post_init__(self) -> None:
-        if self.bootstrap < 0:
-            raise InputError("method.bootstrap", self.bootstrap, "a number of records, 0 for no uncertainty")
-
-    def objection(self, problem: Problem) -> str | None:
-        return super().objection(problem) or sampling_objection(problem)
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Estimate the groups k/m and c/m; ``diverged`` with a sentence where the roots are no oscillator's."""
-        return self.estimate_many([problem], [rng])[0]
-
-    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Estimate problems of one layout together."""
-        answers = decay_estimates(problems, rngs, Reading(_read, NO_OSCILLATOR, self.bootstrap))
-        return [unlike_the_record(problem, answer) for problem, answer in zip(problems, answers, strict=True)]
+    def reading(self) -> Reading:
+        return Reading(_read, NO_OSCILLATOR, self.bootstrap)
 
 
 def _read(times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:

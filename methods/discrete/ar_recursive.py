@@ -19,21 +19,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Dimension, Estimate, Identifier, InputError, Problem, Serves, Status
-from methods.discrete.difference import (
-    NO_OSCILLATOR,
-    equations,
-    groups_of,
-    sampling_objection,
-    step_of,
-    unlike_the_record,
-)
-from methods.modal.free_decay import SERVES, Reading, decay_estimates, has_offset
-from methods.regression.rls import recursive_least_squares
+from bench import Card, Dimension, Estimate, Problem, Status
+from methods.discrete.difference import NO_OSCILLATOR, equations, groups_of
+from methods.discrete.sampled_decay import SampledDecay
+from methods.modal.even_steps import step_of
+from methods.modal.free_decay import Reading, has_offset
+from methods.regression.rls import RLS, recursive_least_squares
 
 
 @dataclass(frozen=True)
-class ARRecursive(Identifier):
+class ARRecursive(SampledDecay):
     """The regression of ``ar``, recursively; ``forgetting`` and ``diffuse`` as above.
 
     ``bootstrap`` records are drawn for the covariance, 0 for none.
@@ -41,7 +36,6 @@ class ARRecursive(Identifier):
 
     forgetting: float = 1.0
     diffuse: float = 1e6
-    bootstrap: int = 100
 
     card: ClassVar[Card] = Card(
         summary="autoregression of order two by recursive least squares, sample by sample",
@@ -56,31 +50,18 @@ class ARRecursive(Identifier):
         colour="#BD9E39",
         marker=">",
     )
-    serves: ClassVar[Serves] = SERVES
-    works_in = "natural units"
 
     def __post_init__(self) -> None:
-        if not 0 < self.forgetting <= 1:
-            raise InputError("method.forgetting", self.forgetting, "a number above 0, at most 1")
-        if not (self.diffuse > 0 and np.isfinite(self.diffuse)):
-            raise InputError("method.diffuse", self.diffuse, "a positive number, large against 1")
-        if self.bootstrap < 0:
-            raise InputError("method.bootstrap", self.bootstrap, "a number of records, 0 for no uncertainty")
+        RLS(self.forgetting, self.diffuse)  # which refuses what its recursion does not take
+        super().__post_init__()
 
-    def objection(self, problem: Problem) -> str | None:
-        return super().objection(problem) or sampling_objection(problem)
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Estimate the groups k/m and c/m; ``diverged`` with a sentence where the roots are no oscillator's."""
-        return self.estimate_many([problem], [rng])[0]
+    def reading(self) -> Reading:
+        return Reading(self._read, NO_OSCILLATOR, self.bootstrap)
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Estimate problems of one layout together."""
-        answers = decay_estimates(problems, rngs, Reading(self._read, NO_OSCILLATOR, self.bootstrap))
-        return [
-            self._with_trace(problem, unlike_the_record(problem, answer))
-            for problem, answer in zip(problems, answers, strict=True)
-        ]
+        """Estimate problems of one layout together, with the way to each answer."""
+        answers = super().estimate_many(problems, rngs)
+        return [self._with_trace(problem, answer) for problem, answer in zip(problems, answers, strict=True)]
 
     def _read(self, times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
         return self._path(times, sets, offset)[-1]

@@ -14,10 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from bench import Estimate, Problem, Status, simulate
-from methods.modal.free_decay import decay_objection, has_offset
 
-UNEVEN = 1e-3
-"""Steps may differ by this part of themselves: what rounding of printed times does."""
 NO_OSCILLATOR = (
     "the roots of its difference equation are not those of a sampled oscillator (one is negative, or one decays and "
     "one grows): take more samples a cycle, a longer record or less noise"
@@ -29,21 +26,6 @@ POOR_FIT = (
     "the best response of its k/m and c/m leaves more than half of the record unexplained: do not trust them; "
     "take a record with less noise"
 )
-
-
-def sampling_objection(problem: Problem) -> str | None:
-    """Why the problem is not one free decay of one mass at even steps, in a sentence; None where it is."""
-    if (objection := decay_objection(problem)) is not None:
-        return objection
-    times = problem.records[0].channels[0].times
-    # amplitude and rate of each exponential, and one sample for the noise
-    least = 7 if has_offset(problem) else 5
-    if times.size < least:
-        return f"it needs at least {least} samples a record; sample it faster"
-    even = np.linspace(times[0], times[-1], times.size)
-    if np.max(np.abs(times - even)) > UNEVEN * (even[1] - even[0]):
-        return "it needs samples at even steps of time; resample them"
-    return None
 
 
 def unlike_the_record(problem: Problem, answer: Estimate) -> Estimate:
@@ -71,11 +53,6 @@ def _parameters(problem: Problem, answer: Estimate) -> dict[str, float]:
     for group, value in zip(problem.system.groups, answer.groups.mean, strict=True):
         found |= {kinds[name]: float(value) for name in group.exponents if kinds[name] != "mass"}
     return {name: found[kind] for name, kind in kinds.items()}
-
-
-def step_of(times: np.ndarray) -> float:
-    """The step of even times (n,)."""
-    return float(times[-1] - times[0]) / (times.size - 1)
 
 
 def equations(sets: np.ndarray, offset: bool) -> tuple[np.ndarray, np.ndarray]:

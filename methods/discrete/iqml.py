@@ -22,24 +22,17 @@ and the noise level are not used.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from bench import Card, Estimate, Identifier, InputError, Problem, Serves
-from methods.discrete.difference import (
-    coefficient_slopes,
-    coefficients_of,
-    equations,
-    groups_of,
-    sampling_objection,
-    step_of,
-    unlike_the_record,
-)
-from methods.modal.free_decay import SERVES, Decays, Reading, decay_estimates
+from bench import Card, InputError
+from methods.discrete.difference import coefficient_slopes, coefficients_of, equations, groups_of
+from methods.discrete.sampled_decay import SampledDecay
+from methods.modal.even_steps import step_of
+from methods.modal.free_decay import Decays, Reading
 from methods.regression.equation import solve
 
 SETTLED = 1e-4
@@ -53,14 +46,13 @@ UNSETTLED = (
 
 
 @dataclass(frozen=True)
-class IQML(Identifier):
+class IQML(SampledDecay):
     """At most ``rounds`` rounds of reweighting.
 
     ``bootstrap`` records are drawn where the bound cannot be computed; with ``bootstrap=0`` there is no uncertainty.
     """
 
     rounds: int = 60
-    bootstrap: int = 100
 
     card: ClassVar[Card] = Card(
         summary="iterated quadratic maximum likelihood (Steiglitz-McBride) of the free decay's difference equation",
@@ -75,26 +67,14 @@ class IQML(Identifier):
         colour="#1F6F5C",
         marker="h",
     )
-    serves: ClassVar[Serves] = SERVES
-    works_in = "natural units"
 
     def __post_init__(self) -> None:
         if self.rounds < 1:
             raise InputError("method.rounds", self.rounds, "at least 1")
-        if self.bootstrap < 0:
-            raise InputError("method.bootstrap", self.bootstrap, "a number of records, 0 for no uncertainty")
+        super().__post_init__()
 
-    def objection(self, problem: Problem) -> str | None:
-        return super().objection(problem) or sampling_objection(problem)
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Estimate the groups k/m and c/m; ``diverged`` with a sentence where the iteration does not settle."""
-        return self.estimate_many([problem], [rng])[0]
-
-    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Estimate problems of one layout together."""
-        answers = decay_estimates(problems, rngs, Reading(self._read, UNSETTLED, self.bootstrap, bound))
-        return [unlike_the_record(problem, answer) for problem, answer in zip(problems, answers, strict=True)]
+    def reading(self) -> Reading:
+        return Reading(self._read, UNSETTLED, self.bootstrap, bound)
 
     def _read(self, times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
         columns, target = equations(sets, offset)

@@ -31,8 +31,9 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card, Estimate, Identifier, InputError, NoEstimate, Problem, Serves
+from methods.modal.even_steps import unevenness
 from methods.modal.free_decay import untold
-from methods.modal.matrix_pencil import MAX_SAMPLES, UNEVEN
+from methods.modal.matrix_pencil import MAX_SAMPLES
 from methods.modal.subspace import leading_vectors
 from methods.regression.company import Finish, answers_together
 from methods.regression.derivatives import Motion
@@ -142,9 +143,8 @@ def _sampling_objection(problem: Problem) -> str | None:
         least = 4 * n + 1
         if not least <= times.size <= MAX_SAMPLES:
             return f"it takes {least} to {MAX_SAMPLES} samples a channel; thin a longer record"
-        even = np.linspace(times[0], times[-1], times.size)
-        if np.max(np.abs(times - even)) > UNEVEN * (even[1] - even[0]):
-            return "it needs samples at even steps of time; resample them"
+        if (objection := unevenness(times)) is not None:
+            return objection
     return None
 
 

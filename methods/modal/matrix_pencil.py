@@ -32,12 +32,11 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card, Estimate, Identifier, InputError, Problem, Serves
+from methods.modal.even_steps import step_of, unevenness
 from methods.modal.free_decay import SERVES, Decays, Reading, decay_estimates, decay_objection, has_offset
 from methods.modal.perturbation import small_noise_covariance
 from methods.modal.subspace import leading_vectors
 
-UNEVEN = 1e-3
-"""Steps may differ by this part of themselves: what rounding of printed times does."""
 MAX_SAMPLES = 600
 """The decomposition costs the cube of the samples, and the bootstrap repeats it."""
 BATCH = 2_000_000
@@ -93,7 +92,7 @@ class MatrixPencil(Identifier):
         return decay_estimates(problems, rngs, Reading(self._read, NO_VIBRATION, self.bootstrap, self._spread))
 
     def _read(self, times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
-        return groups_from_poles(poles(sets, self.pencil, about_level=offset), _step(times))
+        return groups_from_poles(poles(sets, self.pencil, about_level=offset), step_of(times))
 
     def _spread(self, decays: Decays) -> np.ndarray:
         if decays.offset:
@@ -101,25 +100,17 @@ class MatrixPencil(Identifier):
             return np.full((len(decays.groups), 2, 2), np.nan)
         samples = decays.times.size
         return small_noise_covariance(
-            decays.groups, decays.centres, decays.noise, _step(decays.times), pencil_length(samples, self.pencil, 2)
+            decays.groups, decays.centres, decays.noise, step_of(decays.times), pencil_length(samples, self.pencil, 2)
         )
 
 
-def _step(times: np.ndarray) -> float:
-    return float(times[-1] - times[0]) / (times.size - 1)
-
-
 def _sampling_objection(problem: Problem) -> str | None:
-    for record in problem.records:
-        times = record.channels[0].times
-        # amplitude and rate of each exponential, and one sample for the noise
-        least = 7 if has_offset(problem) else 5
-        if not least <= times.size <= MAX_SAMPLES:
-            return f"it takes {least} to {MAX_SAMPLES} samples a record; thin a longer one"
-        even = np.linspace(times[0], times[-1], times.size)
-        if np.max(np.abs(times - even)) > UNEVEN * (even[1] - even[0]):
-            return "it needs samples at even steps of time; resample them"
-    return None
+    times = problem.records[0].channels[0].times
+    # amplitude and rate of each exponential, and one sample for the noise
+    least = 7 if has_offset(problem) else 5
+    if not least <= times.size <= MAX_SAMPLES:
+        return f"it takes {least} to {MAX_SAMPLES} samples a record; thin a longer one"
+    return unevenness(times)
 
 
 def pencil_length(samples: int, pencil: float, count: int) -> int:

@@ -41,14 +41,13 @@ from bench import (
     estimate_at,
     fitted_start,
 )
+from methods.modal.even_steps import unevenness
 from methods.modal.free_decay import GROWS, has_offset, untold
 from methods.spectral.fit import Objective, Trial, search
 from methods.spectral.lines import dft_lines, force_harmonics, real_lines
 from methods.spectral.response import Layout
 from methods.starts.candidates import candidates
 
-UNEVEN = 1e-3
-"""Steps may differ by this part of themselves: what rounding of printed times does."""
 MAX_SAMPLES = 2000
 """Of the record, and of its force: the harmonics times these are what a fit costs."""
 HARMONICS = 1024
@@ -244,7 +243,4 @@ def _objection(problem: Problem) -> str | None:
         return f"it takes {least} to {MAX_SAMPLES} samples a record; thin a longer one"
     if problem.forced and max(force.times.size for force in record.forces) > 10 * MAX_SAMPLES:
         return f"it takes a force of at most {10 * MAX_SAMPLES} samples; thin it"
-    even = np.linspace(times[0], times[-1], times.size)
-    if np.max(np.abs(times - even)) > UNEVEN * (even[1] - even[0]):
-        return "it needs samples at even steps of time; resample them"
-    return None
+    return unevenness(times)

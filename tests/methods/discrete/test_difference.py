@@ -8,7 +8,8 @@ import pytest
 from bench import Channel, Problem, Record
 from bench.scenario.truth import closed_form
 from bench.systems import SDOF
-from methods.discrete.difference import coefficient_slopes, coefficients_of, equations, groups_of, sampling_objection
+from methods.discrete.ar import AR
+from methods.discrete.difference import coefficient_slopes, coefficients_of, equations, groups_of
 
 PLANTS = [
     {"m": 1.3, "c": 0.6, "k": 9.0},
@@ -65,9 +66,9 @@ def problem(times: np.ndarray, offset: bool = False) -> Problem:
 
 def test_uneven_and_too_few_samples_are_declined_in_a_sentence() -> None:
     uneven = problem(np.sort(np.random.default_rng(3).uniform(0.0, 8.0, 25)))
-    assert "even" in (sampling_objection(uneven) or "")
-    assert "at least 5" in (sampling_objection(problem(TIMES[:4])) or "")
-    assert "at least 7" in (sampling_objection(problem(TIMES[:6], offset=True)) or "")
-    assert sampling_objection(problem(TIMES[:5])) is None
+    assert "even" in (AR().objection(uneven) or "")
+    assert "at least 5" in (AR().objection(problem(TIMES[:4])) or "")
+    assert "at least 7" in (AR().objection(problem(TIMES[:6], offset=True)) or "")
+    assert AR().objection(problem(TIMES[:5])) is None
     # times printed to a ten-thousandth are even enough
-    assert sampling_objection(problem(np.round(np.linspace(0.0, 10.0, 25), 4))) is None
+    assert AR().objection(problem(np.round(np.linspace(0.0, 10.0, 25), 4))) is None
