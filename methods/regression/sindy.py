@@ -270,6 +270,16 @@ class _Library:
         return found
 
 
+def _solved(square: np.ndarray, moment: np.ndarray) -> np.ndarray:
+    """Coefficients (sets, terms) of normal equations; of least norm in all sets where one is singular to rounding."""
+    try:
+        return np.asarray(np.linalg.solve(square, moment[..., None])[..., 0])
+    except np.linalg.LinAlgError:
+        finite = np.all(np.isfinite(square), axis=(1, 2))
+        inverse = np.linalg.pinv(np.where(finite[:, None, None], square, 0.0), hermitian=True)
+        return np.where(finite[:, None], np.einsum("sjk,sk->sj", inverse, moment), np.nan)
+
+
 def greedy(features: np.ndarray, target: np.ndarray, most: int) -> np.ndarray:
     """Models of 1 to ``most`` terms, (sets, most, terms), of features (sets, rows, terms) and target (sets, rows).
 
@@ -292,6 +302,6 @@ def greedy(features: np.ndarray, target: np.ndarray, most: int) -> np.ndarray:
         taken = left[rows, :, best] / np.sqrt(np.maximum(power[rows, best], 1e-300))[:, None]
         left = left - taken[:, :, None] * np.einsum("sr,srk->sk", taken, left)[:, None]
         square = np.where(kept[:, :, None] & kept[:, None, :], gram, np.eye(norms.shape[1]))
-        solution = np.linalg.solve(square, np.where(kept, moment, 0.0)[..., None])[..., 0]
+        solution = _solved(square, np.where(kept, moment, 0.0))
         models.append(np.where(kept, solution, 0.0) / norms)
     return np.stack(models, axis=1)

@@ -11,7 +11,7 @@ import pytest
 from bench import Channel, InputError, Problem, Record, Status, Units
 from bench.scenario.scenario import ForceSpec, Scenario
 from bench.systems import SDOF
-from methods.regression.sindy import SINDy, greedy
+from methods.regression.sindy import SINDy, _solved, greedy
 
 pysindy = pytest.importorskip("pysindy")
 
@@ -113,3 +113,9 @@ def test_settings_out_of_range_are_refused() -> None:
         SINDy(degree=0)
     with pytest.raises(InputError, match="most_terms"):
         SINDy(most_terms=0)
+
+
+def test_terms_that_are_one_to_rounding_share_their_coefficient_and_stop_no_other_set() -> None:
+    """Two equal columns: of all solutions the one of least norm, by hand; the set beside it has its own."""
+    square = np.array([[[1.0, 1.0], [1.0, 1.0]], [[2.0, 0.0], [0.0, 4.0]]])
+    np.testing.assert_allclose(_solved(square, np.array([[3.0, 3.0], [2.0, 2.0]])), [[1.5, 1.5], [1.0, 0.5]])
