@@ -25,7 +25,7 @@ from bench.entrants import registry  # noqa: E402
 from bench.entrants.registry import load_method  # noqa: E402
 from bench.information.fisher import Bound  # noqa: E402
 from bench.scenario.scenario import PriorSpec, Scenario  # noqa: E402
-from bench.store.bounds import bound_identity, load_bounds  # noqa: E402
+from bench.store.bounds import Replicates, bound_identity, load_bounds  # noqa: E402
 from bench.store.store import Store  # noqa: E402
 from bench.store.version import cell_version  # noqa: E402
 from bench.sweep import runner  # noqa: E402
@@ -53,7 +53,7 @@ def reference() -> Scenario:
 def bounds_folder(reference: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder that holds the bound of the reference scenario, computed once a test run."""
     folder = tmp_path_factory.mktemp("bounds")
-    load_bounds([(reference, 0)], folder)
+    load_bounds([Replicates(reference)], folder)
     return folder
 
 
@@ -97,8 +97,8 @@ def any_bound(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def write(wanted: Any, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        for scenario, seed in wanted:
-            (folder / f"{bound_identity(scenario, seed)}.bound").write_text(json.dumps(asdict(empty)))
+        for one in wanted:
+            (folder / f"{bound_identity(one)}.bound").write_text(json.dumps(asdict(empty)))
 
     for module in (runner, benchmark):
         monkeypatch.setattr(module, "load_bounds", write)

@@ -17,7 +17,7 @@ from tabulate import tabulate
 from bench.commands.guard import command
 from bench.config.experiment import Experiment
 from bench.config.overrides import Overrides, read_overrides
-from bench.store.bounds import bound_identity, load_bounds
+from bench.store.bounds import Replicates, bound_identity, load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.launch import complete
@@ -34,7 +34,7 @@ def _cells(overrides: Overrides) -> list[Cell]:
 
 def _place(cell: Cell) -> tuple[str, str]:
     """The method and scenario of a cell, whatever its number of replicates."""
-    return cell.label, bound_identity(cell.scenario, 0)
+    return cell.label, bound_identity(Replicates(cell.scenario))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -51,7 +51,7 @@ def _main(arguments: Sequence[str]) -> int:
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder))
-        load_bounds([(cell.scenario, cell.seed) for cell in cells], store.bounds)
+        load_bounds(cells, store.bounds)
         for label in dict.fromkeys(cell.label for cell in cells):
             own = [cell for cell in cells if cell.label == label]
             fits = sum(cell.replicates for cell in own)

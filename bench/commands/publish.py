@@ -21,7 +21,6 @@ from bench.config.choices import choices
 from bench.config.experiment import Experiment
 from bench.errors import InputError
 from bench.store.archive.archive import BOUNDS, Archive
-from bench.store.bounds import bound_identity
 from bench.store.opening import DEFAULT_STORE, NONE, default_archive
 from bench.store.store import Store
 from bench.store.stored import StoredCell
@@ -51,7 +50,7 @@ def described() -> Described:
         for cell in Experiment(name).cells():
             places.setdefault(cell.identity, name)
             questions.setdefault(cell.question, cell.identity)
-        bounds |= {bound_identity(scenario, seed) for scenario, seed in Experiment(name).scenarios()}
+            bounds.add(cell.bound_identity)
     return Described(places, questions, bounds)
 
 

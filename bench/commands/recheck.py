@@ -200,7 +200,7 @@ def summarise_anew(found: Sequence[StoredCell], store: Store) -> int:
                 pairs.append((stored, cell))
     if pairs:
         store.prepare()
-    bounds = load_bounds([(cell.scenario, cell.seed) for _, cell in pairs], store.bounds)
+    bounds = load_bounds([cell for _, cell in pairs], store.bounds)
     for (stored, cell), bound in zip(pairs, bounds, strict=True):
         store.restate(_summarised(stored, cell, bound))
     return len(pairs)
@@ -242,7 +242,7 @@ def run(found: Sequence[Check], store: Store, limits: Limits) -> dict[str, bool]
         confirmed[cell.identity] = largest < SAME
         if confirmed[cell.identity]:
             come = provenance(cell.version, limits.workers, limits.timeout_s, limits.memory_mb, time.time())
-            bound = load_bounds([(cell.scenario, cell.seed)], store.bounds)[0]  # there: the fits have seen to it
+            bound = load_bounds([cell], store.bounds)[0]  # there: the fits have seen to it
             store.restate(vouched(check, bound, come["commit"], largest))
         elif _notes(check.stored):
             store.restate(withdrawn(check))

@@ -20,7 +20,7 @@ from scipy.linalg import qr, solve_triangular
 
 from bench.information.linear_sensitivities import linear_sensitivities
 from bench.information.stepped_sensitivities import stepped_sensitivities
-from bench.scenario.scenario import Scenario
+from bench.scenario.scenario import DISTURBANCE, Scenario
 from bench.systems import Quantity
 
 RANK_TOLERANCE = 1e-9
@@ -130,25 +130,24 @@ def _orthogonal(directions: np.ndarray, exponents: Sequence[float]) -> bool:
 def information(scenario: Scenario, seed: int = 0, measured: Sequence[int] | None = None) -> Information:
     """The information in displacements of the ``measured`` DOFs (by default those of the scenario), undisturbed."""
     scenario = scenario.undisturbed
-    _, gradient = sensitivities(scenario, seed, scenario.times)
-    return _information(scenario, seed, gradient, measured)
+    records = range(len(scenario.rigs()))
+    gradients = [sensitivities(scenario, seed, scenario.times, record)[1] for record in records]
+    return _information(scenario, seed, gradients, measured)
 
 
 def _information(
-    scenario: Scenario, seed: int, gradient: np.ndarray, measured: Sequence[int] | None = None
+    scenario: Scenario, seed: int, gradients: Sequence[np.ndarray], measured: Sequence[int] | None = None
 ) -> Information:
-    """From the sensitivities at the samples of the first record, shape (n_dof, n_samples, n_parameters + 2 n_dof).
+    """From the sensitivities at the samples of each record, shape (n_dof, n_samples, n_parameters + 2 n_dof).
 
     Records add up; a start that is not told is each record's own.
     """
     system = scenario.make_system()
     own = 0 if scenario.initial_state == "known" else 2 * system.n_dof
-    n, records = len(system.names), len(scenario.rigs())
+    n, records = len(system.names), len(gradients)
     dofs = list(scenario.measured_dofs if measured is None else measured)
     data, precision = np.zeros((n + own * records, n + own * records)), np.zeros(n + own * records)
-    for record in range(records):
-        if record:
-            _, gradient = sensitivities(scenario, seed, scenario.times, record)
+    for record, gradient in enumerate(gradients):
         scaled = (gradient[..., : n + own] / scenario.sigmas(seed, record)[:, None, None])[dofs]
         at = np.r_[:n, n + own * record : n + own * (record + 1)]
         data[np.ix_(at, at)] += np.einsum("dti,dtj->ij", scaled, scaled)
@@ -158,32 +157,70 @@ def _information(
     return Information(system.names, data, precision)
 
 
-def compute_bound(scenario: Scenario, seed: int = 0) -> Bound:
-    """The bound of a scenario without its disturbance; ``seed`` matters only where it draws a force.
+def compute_bound(scenario: Scenario, seed: int = 0, replicates: int = 1) -> Bound:
+    """The bound of a scenario without its disturbance; ``seed`` matters only where it draws a force or times.
 
-    Where every replicate has a truth of its own there is no one bound: errors are then compared with infinity.
+    Where a disturbance gives every replicate times of its own and states them, the bound is that of these times: over
+    the first ``replicates`` the root mean square, as errors are compared. Where every replicate has a truth of its own
+    there is no one bound: errors are then compared with infinity.
     """
+    drawn = [_told_times(scenario, seed, i) for i in range(replicates if own_times(scenario, seed) else 1)]
     scenario = scenario.undisturbed
-    system = scenario.make_system()
-    times = np.unique(np.concatenate([scenario.times, scenario.dense_times, scenario.forecast_times]))
-    _, gradient = sensitivities(scenario, seed, times)
-    told = _information(scenario, seed, gradient[:, np.searchsorted(times, scenario.times)])
+    scored = np.concatenate([scenario.dense_times, scenario.forecast_times])
+    grids, gradients = [], []
+    for record in range(len(scenario.rigs())):
+        grids.append(np.unique(np.concatenate([scored, *(times[record] for times in drawn)])))
+        gradients.append(sensitivities(scenario, seed, grids[record], record)[1])
+    of_record = list(zip(gradients, grids, strict=True))
+    found = [
+        _information(scenario, seed, [_at(*pair, t) for pair, t in zip(of_record, times, strict=True)])
+        for times in drawn
+    ]
 
-    def rms(at: np.ndarray) -> float:
-        g = gradient[list(scenario.measured_dofs)][:, np.searchsorted(times, at), : len(told.precision)]
-        own = told.factor[: g.shape[2]]  # the first record's, which is scored
-        return float(np.sqrt(np.mean(np.sum((g @ own) ** 2, axis=-1))))
+    def mean_square(at: np.ndarray) -> float:
+        g = _at(*of_record[0], at)[list(scenario.measured_dofs)]
+        # the first record's unknowns, which is scored
+        roots = [(g[..., : len(told.precision)] @ told.factor[: g.shape[2]]) for told in found]
+        return float(np.mean([np.mean(np.sum(root**2, axis=-1)) for root in roots]))
 
-    none = np.inf if scenario.truth_drawn else 1.0
+    none, system = np.inf if scenario.truth_drawn else 1.0, scenario.make_system()
+    variances = {q.name: np.array([told.variance(q) for told in found]) for q in system.quantities}
     return Bound(
         names=system.names,
-        relative_sd={q.name: none * float(np.sqrt(told.variance(q))) for q in system.quantities},
-        identifiable={q.name: told.identifiable(q) for q in system.quantities},
-        prior_share={q.name: told.prior_share(q) for q in system.quantities},
-        rmse=none * rms(scenario.dense_times),
-        rmse_forecast=none * rms(scenario.forecast_times),
-        null_space=tuple(tuple(map(float, row)) for row in told.null_space),
+        relative_sd={name: none * float(np.sqrt(np.mean(variance))) for name, variance in variances.items()},
+        identifiable={q.name: all(told.identifiable(q) for told in found) for q in system.quantities},
+        prior_share={q.name: _share(found, q, variances[q.name]) for q in system.quantities},
+        rmse=none * float(np.sqrt(mean_square(scenario.dense_times))),
+        rmse_forecast=none * float(np.sqrt(mean_square(scenario.forecast_times))),
+        null_space=tuple(tuple(map(float, row)) for row in found[0].null_space),
     )
+
+
+def own_times(scenario: Scenario, seed: int) -> bool:
+    """Whether a disturbance gives every replicate sample times of its own, and states them."""
+    return scenario.disturbance is not None and _told_times(scenario, seed, 0)[0] is not scenario.times
+
+
+def _told_times(scenario: Scenario, seed: int, index: int) -> list[np.ndarray]:
+    """The sample times of each record of a replicate, as they are stated to a method."""
+    if scenario.disturbance is None:
+        return [scenario.times] * len(scenario.rigs())
+    keys = [(record,) if record else () for record in range(len(scenario.rigs()))]  # as the data's streams have them
+    streams = [scenario.stream(DISTURBANCE, seed, index, *key) for key in keys]
+    return [scenario.disturbance.sampling(scenario.times, rng)[0] for rng in streams]
+
+
+def _at(gradient: np.ndarray, times: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Of sensitivities at sorted times those at wanted ones, which are among them."""
+    return gradient[:, np.searchsorted(times, wanted)]
+
+
+def _share(found: Sequence[Information], quantity: Quantity, variances: np.ndarray) -> float:
+    """The prior's part of a mean variance."""
+    if not np.all(np.isfinite(variances)) or not np.any(variances):
+        return 0.0
+    shares = np.array([told.prior_share(quantity) for told in found])
+    return float(np.sum(shares * variances) / np.sum(variances))
 
 
 def _scaled(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,8 @@ replicate, its standard deviation and the nominal values stay those of the undis
 undisturbed results are paired; what a kind draws besides comes from a stream of its own. The bound stays that of the
 undisturbed scenario too: a method is compared with what would be possible without the disturbance.
 
-No method is told of a disturbance, except that the times of ``irregular`` are stated as they are.
+No method is told of a disturbance, except that the times of ``irregular`` are stated as they are. Its bound is that of
+these times.
 """
 
 from __future__ import annotations

@@ -11,9 +11,10 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import NamedTuple, Protocol
 
 from bench.errors import InputError
-from bench.information.fisher import Bound, compute_bound
+from bench.information.fisher import Bound, compute_bound, own_times
 from bench.isolation.mainless import without_main
 from bench.scenario.scenario import Scenario
 from bench.store.version import bound_version
@@ -22,27 +23,52 @@ UNWRITABLE = 74
 """Exit status of the process that computes bounds where it cannot store them."""
 
 
-def bound_identity(scenario: Scenario, seed: int) -> str:
-    """Hash of everything the bound depends on (the seed only where it draws a force)."""
+class Bounded(Protocol):
+    """What has a bound, as a cell: a scenario and seed; the replicates count where each has times of its own."""
+
+    @property
+    def scenario(self) -> Scenario: ...
+
+    @property
+    def seed(self) -> int: ...
+
+    @property
+    def replicates(self) -> int: ...
+
+
+class Replicates(NamedTuple):
+    """Replicates of a scenario, which have a bound without a method."""
+
+    scenario: Scenario
+    seed: int = 0
+    replicates: int = 1
+
+
+def bound_identity(wanted: Bounded) -> str:
+    """Hash of everything the bound depends on: the seed only where it draws a force or times."""
+    scenario, seed = wanted.scenario, wanted.seed
     system = type(scenario.make_system())
+    drawn = own_times(scenario, seed)
     identity = {
         "code": bound_version((system.__module__, system.__name__)),
         **scenario.undisturbed.data_identity(),
         **scenario.told_identity(),
         "dense": scenario.dense,
         "forecast": scenario.forecast,
-        "seed": seed if scenario.force else None,
+        "seed": seed if scenario.force or drawn else None,
     }
+    if drawn and scenario.disturbance is not None:
+        identity |= {"disturbance": scenario.disturbance.to_dict(), "replicates": wanted.replicates}
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
 
-Job = tuple[Scenario, int, Path]
-"""A scenario and seed, and the file that keeps their bound."""
+Job = tuple[Bounded, Path]
+"""A bound, and the file that keeps it."""
 
 
 def _compute_to_file(job: Job) -> None:
-    scenario, seed, path = job
-    text = json.dumps(asdict(compute_bound(scenario, seed)))
+    wanted, path = job
+    text = json.dumps(asdict(compute_bound(wanted.scenario, wanted.seed, wanted.replicates)))
     temporary = path.with_suffix(f".{uuid.uuid4().hex}.tmp")  # two machines can have the same process ids
     try:
         temporary.write_text(text)
@@ -64,21 +90,21 @@ def _compute_all(jobs: Sequence[Job]) -> None:
         sys.exit(UNWRITABLE)
 
 
-def load_bounds(wanted: Sequence[tuple[Scenario, int]], folder: Path) -> list[Bound]:
-    """The bounds of (scenario, seed) pairs from the cache under ``folder``.
+def load_bounds(wanted: Sequence[Bounded], folder: Path) -> list[Bound]:
+    """The bounds from the cache under ``folder``.
 
     What is missing is computed first: of linear systems here, of others in one process of its own, so that jax never
     shares a process with a fit. Raises InputError where ``folder`` cannot be written.
     """
-    paths = [folder / f"{bound_identity(scenario, seed)}.bound" for scenario, seed in wanted]
-    missing = {path: job for path, job in zip(paths, wanted, strict=True) if not path.exists()}
+    paths = [folder / f"{bound_identity(one)}.bound" for one in wanted]
+    missing = {path: one for path, one in zip(paths, wanted, strict=True) if not path.exists()}
     if missing:
         folder.mkdir(parents=True, exist_ok=True)
-    jobs = [(scenario, seed, path) for path, (scenario, seed) in missing.items()]
+    jobs = [(one, path) for path, one in missing.items()]
     for job in jobs:
-        if job[0].make_system().linear:
+        if job[0].scenario.make_system().linear:
             _compute_to_file(job)
-    if others := [job for job in jobs if not job[0].make_system().linear]:
+    if others := [job for job in jobs if not job[0].scenario.make_system().linear]:
         process = multiprocessing.get_context("spawn").Process(target=_compute_all, args=(others,))
         with without_main():
             process.start()

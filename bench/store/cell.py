@@ -71,7 +71,7 @@ class Cell:
         """Hash of what the bound depends on, which many cells share."""
         from bench.store.bounds import bound_identity  # loads scipy, which a mere look at cells does without
 
-        return bound_identity(self.scenario, self.seed)
+        return bound_identity(self)
 
 
 def _stated(scenario: Scenario) -> dict[str, Any]:

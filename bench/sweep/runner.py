@@ -96,7 +96,7 @@ def _make_bounds(wanted: Sequence[Planned], store: Store) -> None:
     different = {one.cell.bound_identity: one.cell for one in wanted}
     try:
         store.fetch_bounds(different.keys())
-        load_bounds([(cell.scenario, cell.seed) for cell in different.values()], store.bounds)
+        load_bounds(list(different.values()), store.bounds)
     except KeyboardInterrupt:
         for child in multiprocessing.active_children():
             child.kill()

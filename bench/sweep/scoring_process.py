@@ -127,7 +127,7 @@ class Scorer:
 
     def _bound(self, cell: Cell, store: Store) -> Bound:
         if cell.bound_identity not in self.bounds:
-            self.bounds = {cell.bound_identity: load_bounds([(cell.scenario, cell.seed)], store.bounds)[0]}
+            self.bounds = {cell.bound_identity: load_bounds([cell], store.bounds)[0]}
         return self.bounds[cell.bound_identity]
 
     def _scored(self, cell: Cell, outcome: Mapping[str, Any]) -> Scored:

@@ -37,7 +37,7 @@ from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import score
 from bench.scoring.summary import wilson_interval
-from bench.store.bounds import load_bounds
+from bench.store.bounds import Replicates, load_bounds
 from bench.store.store import Store
 
 SEED = 4242
@@ -164,7 +164,7 @@ def measure(
     """
     fits, outcomes = contenders(), {name: list[Outcome]() for name in contenders()}
     with tempfile.TemporaryDirectory() as folder:
-        bound = load_bounds([(scenario, SEED)], Store(Path(folder)).bounds)[0].rmse
+        bound = load_bounds([Replicates(scenario, SEED)], Store(Path(folder)).bounds)[0].rmse
     make = scenario.maker(SEED)
     for i in (replicates, *range(replicates)):
         problem, truth = make(i)

@@ -13,6 +13,7 @@ import pytest
 
 from bench.information import fisher
 from bench.information.fisher import Bound, compute_bound, sensitivities
+from bench.scenario.disturbance import Irregular
 from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
 from bench.scenario.truth import reference_response
 from bench.systems import System
@@ -31,9 +32,11 @@ def _share_sensitivities() -> Any:
     """Sensitivities depend on neither noise nor what is told: compute them once for scenarios that differ in those."""
     known: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
-    def shared(scenario: Scenario, seed: int, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def shared(scenario: Scenario, seed: int, times: np.ndarray, record: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        if record or not np.isin(scenario.times, times).all():
+            return sensitivities(scenario, seed, times, record)
         same_data = {**scenario.data_identity(), "force": scenario.forces(seed)[0].values[:3] if scenario.force else 0}
-        key = repr(({k: v for k, v in same_data.items() if k != "snr_db"}, times.size, times[-1]))
+        key = repr(({k: v for k, v in same_data.items() if k != "snr_db"}, times.size, float(np.sum(times))))
         if key not in known:
             known[key] = sensitivities(scenario, seed, times)
         return known[key]
@@ -253,3 +256,37 @@ def test_what_jax_compiles_is_kept_for_the_next_process_where_it_can_be(
     assert [asked.stderr for asked in found] == ["", "", ""]
     assert len({asked.stdout for asked in found}) == 1
     assert list((tmp_path / "cache" / "vibration-bench" / "jax").glob("jit_response-*"))
+
+
+@pytest.mark.parametrize("replicates", [1, 4])
+def test_times_that_each_replicate_has_of_its_own_are_those_of_its_bound(replicates: int) -> None:
+    """The samples as methods are given them, the closed form's derivatives at their times, and normal equations."""
+    scenario = replace(SDOF_FREE, prior=NOMINAL, initial_state="unknown", disturbance=Irregular(1.0))
+    widths = np.array([NOMINAL.sd_by_kind[kind] for kind in ("mass", "damping", "stiffness")] + [np.inf] * 2)
+    variances = []
+    for problem, _ in scenario.replicates(3, replicates):
+        times = problem.records[0].channels[0].times
+        assert np.ptp(np.diff(times)) > 0.1, "not the uniform grid"
+        gradient = gradient_of_closed_form(times) / scenario.sigmas(3)[0]
+        inverse = np.linalg.inv(gradient.T @ gradient + np.diag(widths**-2.0))
+        variances.append([inverse[0, 0], inverse[1, 1], inverse[2, 2]])
+    found = compute_bound(scenario, 3, replicates).relative_sd
+    np.testing.assert_allclose([found[name] for name in "mck"], np.sqrt(np.mean(variances, axis=0)), rtol=1e-6)
+
+
+def test_two_records_at_times_of_their_own_tell_what_both_tell() -> None:
+    """With an added mass each record has its own times; the data streams say which."""
+    scenario = replace(SDOF_FREE, added_mass=(0.5,), disturbance=Irregular(1.0))
+    ((problem, _),) = scenario.replicates(5, 1)
+    total = np.zeros((3, 3))
+    for number, (record, added) in enumerate(zip(problem.records, (0.0, 0.5), strict=True)):
+        times, step, rows = record.channels[0].times, 1e-20j, []
+        for i, name in enumerate("mck"):
+            logs = np.log([SDOF_TRUE[name] for name in "mck"]).astype(complex)
+            logs[i] += step
+            p = np.exp(logs)
+            rows.append(closed_form(np.log([p[0] + added, p[1], p[2]]), 1.0, 0.0, times).imag / step.imag)
+        scaled = np.array(rows) / scenario.sigmas(5, number)[0]
+        total += scaled @ scaled.T
+    found = compute_bound(scenario, 5).relative_sd
+    np.testing.assert_allclose([found[name] for name in "mck"], np.sqrt(np.diag(np.linalg.inv(total))), rtol=1e-6)

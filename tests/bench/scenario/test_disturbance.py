@@ -18,7 +18,7 @@ from bench.config.experiment import expand
 from bench.information.fisher import compute_bound
 from bench.scenario.disturbance import Disturbance, kinds
 from bench.scenario.scenario import METHOD, ForceSpec, PriorSpec, Scenario
-from bench.store.bounds import bound_identity
+from bench.store.bounds import Replicates, bound_identity
 from bench.store.cell import Cell
 from bench.store.opening import open_store
 
@@ -278,7 +278,11 @@ def test_stored_cells_of_before_there_were_disturbances_are_found() -> None:
 
 def test_the_bound_is_that_of_the_undisturbed_scenario() -> None:
     small = replace(BASE, dense=25, forecast=0.5)
-    assert {bound_identity(disturbed(kind, small), 0) for kind in kinds()} == {bound_identity(small, 0)}
+    untold = set(kinds()) - {"irregular"}
+    found = {bound_identity(Replicates(disturbed(kind, small))) for kind in untold}
+    assert found == {bound_identity(Replicates(small))}
+    irregular = disturbed("irregular", small)
+    assert len({bound_identity(Replicates(irregular, seed, n)) for seed, n in ((0, 1), (0, 2), (1, 1))} - found) == 3
     assert compute_bound(disturbed("late_trigger", small, size=1.0)) == compute_bound(small)
 
 

@@ -13,7 +13,7 @@ from bench.errors import InputError
 from bench.information.fisher import compute_bound
 from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
 from bench.store import bounds as bound_module
-from bench.store.bounds import bound_identity, load_bounds
+from bench.store.bounds import Replicates, bound_identity, load_bounds
 
 SDOF_TRUE = {"m": 1.0, "c": 0.4, "k": 8.0}
 SDOF_FREE = Scenario("sdof", SDOF_TRUE, ((1.0,), (0.0,)), 20.0)
@@ -26,11 +26,11 @@ SCRIPT = """if __name__ == "__main__":
     import sys
     from dataclasses import replace
     from pathlib import Path
-    from bench.store.bounds import load_bounds
+    from bench.store.bounds import Replicates, load_bounds
     from bench.scenario.scenario import Scenario
     linear = Scenario("sdof", {"m": 1.0, "c": 0.4, "k": 8.0}, ((1.0,), (0.0,)), 20.0, dense=25, forecast=0.5)
     other = replace(linear, system="duffing", parameters={**linear.parameters, "k3": 5.0})
-    print(repr(load_bounds([(linear, 0), (linear, 1), (other, 0)], Path(sys.argv[1]))))
+    print(repr(load_bounds([Replicates(linear), Replicates(linear, 1), Replicates(other)], Path(sys.argv[1]))))
     assert "jax" not in sys.modules, "jax is here"
 """
 
@@ -48,7 +48,7 @@ def test_bounds_are_computed_without_jax_here_and_then_read(
     expected = [compute_bound(linear), compute_bound(other)]
     for name in ("multiprocessing", "compute_bound"):
         monkeypatch.setattr(bound_module, name, None)
-    assert load_bounds([(linear, 5), (other, 5)], tmp_path / "cache") == expected
+    assert load_bounds([Replicates(linear, 5), Replicates(other, 5)], tmp_path / "cache") == expected
     assert asked.stdout.strip() == repr([expected[0], expected[0], expected[1]])
 
 
@@ -56,13 +56,13 @@ def test_bounds_are_computed_without_jax_here_and_then_read(
 @pytest.mark.parametrize("scenario", [SDOF_FREE, DUFFING_FREE], ids=["here", "in its own process"])
 def test_a_bound_that_cannot_be_written_is_said_in_one_line(scenario: Scenario) -> None:
     with pytest.raises(InputError, match="store=/proc/self: the bounds cannot be written") as caught:
-        load_bounds([(scenario, 0)], Path("/proc/self"))
+        load_bounds([Replicates(scenario)], Path("/proc/self"))
     assert len(str(caught.value).splitlines()) == 1
 
 
 def test_a_bound_is_shared_where_nothing_that_it_depends_on_differs() -> None:
     scenario = replace(SDOF_FREE, prior=NOMINAL)
-    assert bound_identity(scenario, 0) == bound_identity(replace(scenario, label="other"), 1)
+    assert bound_identity(Replicates(scenario, 0)) == bound_identity(Replicates(replace(scenario, label="other"), 1))
     different = [
         replace(scenario, snr_db=21.0),
         replace(scenario, initial_state="unknown"),
@@ -72,13 +72,13 @@ def test_a_bound_is_shared_where_nothing_that_it_depends_on_differs() -> None:
         replace(scenario, dense=500),
         replace(scenario, forecast=5.0),
     ]
-    assert len({bound_identity(s, 0) for s in [scenario, *different]}) == 1 + len(different)
+    assert len({bound_identity(Replicates(s, 0)) for s in [scenario, *different]}) == 1 + len(different)
     forced = replace(scenario, force=MULTISINE)
-    assert bound_identity(forced, 0) != bound_identity(forced, 1)
+    assert bound_identity(Replicates(forced, 0)) != bound_identity(Replicates(forced, 1))
 
 
 def test_a_damaged_bound_is_named_in_one_line(tmp_path: Path) -> None:
-    (tmp_path / f"{bound_identity(SDOF_FREE, 0)}.bound").write_text('{"names": ["m"')
+    (tmp_path / f"{bound_identity(Replicates(SDOF_FREE, 0))}.bound").write_text('{"names": ["m"')
     with pytest.raises(InputError, match=r"store=.*\.bound: ") as caught:
-        load_bounds([(SDOF_FREE, 0)], tmp_path)
+        load_bounds([Replicates(SDOF_FREE)], tmp_path)
     assert len(str(caught.value).splitlines()) == 1

@@ -35,7 +35,7 @@ def cells() -> list[Cell]:
 def make_store(cells: list[Cell], tmp_path_factory: pytest.TempPathFactory) -> Callable[[], Store]:
     """Empty stores with the bounds of the sweep."""
     bounds = tmp_path_factory.mktemp("bounds")
-    load_bounds([(cell.scenario, cell.seed) for cell in cells], bounds)
+    load_bounds(cells, bounds)
 
     def make() -> Store:
         store = Store(tmp_path_factory.mktemp("rows"))

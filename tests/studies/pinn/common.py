@@ -18,7 +18,7 @@ from bench.scenario.scenario import METHOD, Scenario
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import score
 from bench.scoring.summary import metric_bounds
-from bench.store.bounds import load_bounds
+from bench.store.bounds import Replicates, load_bounds
 from bench.store.store import Store
 
 SEED = 31337
@@ -94,5 +94,5 @@ def compare(
 def bound_values(scenario: Scenario, names: Sequence[str]) -> np.ndarray:
     """The bound of each score."""
     with tempfile.TemporaryDirectory() as folder:
-        bounds = metric_bounds(load_bounds([(scenario, SEED)], Store(Path(folder)).bounds)[0])
+        bounds = metric_bounds(load_bounds([Replicates(scenario, SEED)], Store(Path(folder)).bounds)[0])
     return np.array([bounds[name] for name in names])

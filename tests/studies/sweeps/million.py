@@ -27,7 +27,7 @@ from tabulate import tabulate
 from bench.config.experiment import expand
 from bench.information.fisher import compute_bound
 from bench.store import index as view
-from bench.store.bounds import load_bounds
+from bench.store.bounds import Replicates, load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.store.stored import StoredCell
@@ -96,7 +96,7 @@ def measure(folder: Path) -> Costs:
     cells = _cells(COMPUTED // 2)
     store = Store(folder / "computed")
     store.prepare()
-    pairs = list({cell.seed: (cell.scenario, cell.seed) for cell in cells}.values())
+    pairs = list({cell.seed: Replicates(cell.scenario, cell.seed) for cell in cells}.values())
     job_s = _seconds(lambda: load_bounds(pairs[:1], store.bounds))
     compute_bound(*pairs[0])  # the compilation is the process's, not a bound's
     bound_s = _seconds(lambda: [compute_bound(*pair) for pair in pairs[1:]]) / (len(pairs) - 1)
