@@ -130,9 +130,9 @@ def robustness(folder: Path) -> Table | None:
     names = ["undisturbed" if kind == "none" else name for (kind, _), name in columns.items()]
     groups = tuple((f"start {told}", len(list(own))) for told, own in itertools.groupby(told for _, told in columns))
     notes = (
-        f"Root mean square error of {quantity(str(data['metric'].iloc[0]))} over the bound of the undisturbed data, on "
-        "the number of data sets given; the leaderboard may have more of the undisturbed ones, and so other values. "
-        "A star: it differs from the undisturbed value by more than chance (95 %).",
+        f"Root mean square error of {quantity(str(data['metric'].iloc[0]))} over the bound of the undisturbed data "
+        "(of irregular times: their own), on the number of data sets given; the leaderboard may have more of the "
+        "undisturbed ones, and so other values. A star: it differs from the undisturbed value by more than chance (95 %).",
     )
     return Table(("Method", "Data sets", *names), tuple(rows), notes, (("", 2), *groups))
 

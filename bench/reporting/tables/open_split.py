@@ -36,9 +36,9 @@ that failed or gave no answer counting as infinite; at the bound it is about 0.6
 over those that were answered: 1 is the best that an unbiased method can do, and a few gross errors decide it.
 **Gross**: the share of scenarios with an error beyond five times the bound, failures included, with its 95 % interval
 (Wilson's). **95 %**: the share of the stated 95 % intervals that held the truth, likewise. Left out of a quantity are
-scenarios whose bound for it is as large as its value: they do not tell it. The bound is that of evenly spaced samples;
-where times are random it is only near the true one, and knows nothing of aliases: *oracle*, which starts at the truth,
-shows what that does. With fewer than two samples a cycle at even times, {sparse} of the scenarios, the data alone
+scenarios whose bound for it is as large as its value: they do not tell it. The bound is that of the sample times of the
+replicate. It is of first order, and knows nothing of aliases: *oracle*, which starts at the truth, shows how near it
+is. With fewer than two samples a cycle at even times, {sparse} of the scenarios, the data alone
 leave the frequency open to everyone. Time: processor time of the median fit that gave an answer. answered: of the
 scenarios of the panel."""
 

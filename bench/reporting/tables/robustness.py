@@ -31,13 +31,13 @@ PANELS = (
 )
 COVERED = "k_over_m_error_pct"
 LEGEND = """Each entry: root mean square error over the replicates, divided by the Cramér-Rao bound of the *undisturbed*
-scenario: what would be possible without the disturbance (other sample times, and noise that is not white and normal,
-have bounds of their own, which may be lower). The start is unknown to the methods unless the column says otherwise. A
-star marks an entry that differs from the undisturbed one of its reading by more than 1 %, beyond a 95 % interval
-(bootstrap of pairs: both cells have the same base noise). Failed replicates are left out of the entry and counted
-behind it. *oracle* is maximum a posteriori started at the truth, under the same wrong assumptions: what it loses is
-not the optimiser's. No method is told of a disturbance, nor that there is one; the times of *irregular* are told.
-Ratios with their intervals are in the CSV."""
+scenario: what would be possible without the disturbance (noise that is not white and normal has a bound of its own,
+which may be lower); for *irregular* by the bound of its own times, which are told. The start is unknown to the methods
+unless the column says otherwise. A star marks an entry whose error differs from the undisturbed one of its reading by
+more than 1 %, beyond a 95 % interval (bootstrap of pairs: both cells have the same base noise). Failed replicates are
+left out of the entry and counted behind it. *oracle* is maximum a posteriori started at the truth, under the same wrong
+assumptions: what it loses is not the optimiser's. No method is told of a disturbance, nor that there is one. Ratios
+with their intervals are in the CSV."""
 TOLD_APART = 0.01
 """A ratio nearer to 1 than this is no change worth a star, however certain (two integrators differ by rounding)."""
 
