@@ -33,6 +33,7 @@ from bench.store.stored import StoredCell
 from bench.systems import System, make_system
 
 ERROR = "_error_pct"
+Item = TypeVar("Item")
 Key = TypeVar("Key", bound=Hashable)
 
 
@@ -334,11 +335,11 @@ class Frame:
         return f"python -m bench -m experiment={self.experiment} && python -m bench.tables"
 
 
-def group(results: Iterable[Result], key: Callable[[Result], Key]) -> dict[Key, list[Result]]:
-    """Results by what they have in common, in the order in which each comes first."""
-    found: dict[Key, list[Result]] = {}
-    for result in results:
-        found.setdefault(key(result), []).append(result)
+def group(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """Results, or lines, by what they have in common, in the order in which each comes first."""
+    found: dict[Key, list[Item]] = {}
+    for item in items:
+        found.setdefault(key(item), []).append(item)
     return found
 
 

@@ -47,6 +47,12 @@ def title(label: str) -> str:
     return card.title or label if card else label
 
 
+def states_terms(label: str) -> bool:
+    """Whether the messages of a method's estimates name the terms of its model, and warn of nothing."""
+    card = cards().get(label)
+    return card is not None and card.states_terms
+
+
 def in_order(labels: Iterable[str]) -> list[str]:
     """Each label once, in the order that their cards give, all others behind by name."""
     known = {label: card.order for label, card in cards().items()}

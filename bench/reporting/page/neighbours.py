@@ -132,7 +132,8 @@ def robustness(folder: Path) -> Table | None:
     notes = (
         f"Root mean square error of {quantity(str(data['metric'].iloc[0]))} over the bound of the undisturbed data "
         "(of irregular times: their own), on the number of data sets given; the leaderboard may have more of the "
-        "undisturbed ones, and so other values. A star: it differs from the undisturbed value by more than chance (95 %).",
+        "undisturbed ones, and so other values. A star: it differs from the undisturbed value by more than chance "
+        "(95 %).",
     )
     return Table(("Method", "Data sets", *names), tuple(rows), notes, (("", 2), *groups))
 

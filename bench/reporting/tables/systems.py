@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.dynamics.modal import modes
 from bench.reporting.frame import ERROR, Frame, Result, group
-from bench.reporting.labels import cards, in_order, title, told
+from bench.reporting.labels import in_order, states_terms, title, told
 from bench.reporting.rounding import excess_text, number, readable
 from bench.reporting.tables.common import Rows, bold, csv, failure_notes, latex_tables, markdown_table
 from bench.reporting.tables.pooling import (
@@ -218,7 +218,7 @@ class Panel:
         """What sparse models are made of: how often a method found exactly the terms of the equation of motion."""
         parts = []
         for method in self.methods:
-            found = [self.succeeded(method, level) for level in self.levels] if _states_terms(method) else []
+            found = [self.succeeded(method, level) for level in self.levels] if states_terms(method) else []
             sentences = [
                 f"{one.snr_db:g} dB: {terms_found(one.stored, self.scenario)}" for one in found if one and one.stored
             ]
@@ -267,11 +267,6 @@ def _median_and_excess(result: Result, metric: str) -> str:
         return "-"
     excess = result.excess(metric)
     return number(result.statistic(metric, "median")) + (f" ×{excess_text(excess)}" if math.isfinite(excess) else "")
-
-
-def _states_terms(label: str) -> bool:
-    card = cards().get(label)
-    return card is not None and card.states_terms
 
 
 # ------------------------------------------------------------------------------------------------ the tidy table
