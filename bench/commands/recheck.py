@@ -1,11 +1,11 @@
 """``python -m bench.recheck``: which stale cells does a change of the code leave as they are?
 
 A cell is stale when a definition that computes it has changed. Where the change was meant to alter nothing, this runs
-some replicates of each stale cell again and compares them with the stored ones, every score: a tenth of the replicates
-and at least five, drawn over the whole cell. Where all are the same, but for a tenth of what rounding to the three
-digits of a table takes, the cell counts as computed by the present code, and its provenance says by what it was
-computed, which replicates were compared, how far they differ at most, and how likely that misses a change of 5 % of
-them. (Training a network carries the last bits of another processor to the sixth digit of its answer.) Where any
+some replicates of each stale cell again and compares them with the stored ones, every score and what they say: a tenth
+of the replicates and at least five, drawn over the whole cell. Where all are the same, but for a tenth of what rounding
+to the three digits of a table takes, the cell counts as computed by the present code, and its provenance says by what
+it was computed, which replicates were compared, how far they differ at most, and how likely that misses a change of 5 %
+of them. (Training a network carries the last bits of another processor to the sixth digit of its answer.) Where any
 differs the cell is named and stays stale, for a sweep to compute; so does one with a failed replicate, whose repair may
 have been the change. Each cell is dealt with as soon as its replicates are there: a run that is interrupted goes on
 where it was.
@@ -19,6 +19,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 import sys
 import time
 from collections import defaultdict
@@ -55,6 +56,7 @@ ONE_IN, LEAST = 10, 5
 """Of the replicates of a cell, one in so many is compared, and so many at least."""
 SAME = 5e-5
 """Largest relative difference of a score: rounding to three digits takes 5e-4 at least."""
+NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 HIT_ONE_IN = 20
 """The change that may be missed hits one replicate in so many: 5 %."""
 
@@ -124,12 +126,19 @@ def _vouched_on_few(stored: StoredCell) -> bool:
 
 
 def difference(check: Check, rows: Sequence[Row]) -> float:
-    """The largest relative difference of replicates that were computed anew; infinite where one has another status."""
+    """The largest relative difference of replicates that were computed anew.
+
+    Infinite where one has another status or says something else; the numbers in what it says may differ.
+    """
     chosen = set(check.replicates)
     before = [row for row in check.stored.rows if row.replicate in chosen]
-    if [row.status for row in before] != [row.status for row in rows]:
+    if [_said(row) for row in before] != [_said(row) for row in rows]:
         return math.inf
     return max(compare_rows(before, rows, check.stored.rows).differences.values(), default=0.0)
+
+
+def _said(row: Row) -> tuple[Status, str]:
+    return row.status, NUMBER.sub("#", row.message)
 
 
 def vouched(check: Check, bound: Bound, commit: str | None, largest: float) -> StoredCell:

@@ -27,8 +27,9 @@ class Card:
     place in tables and legends, lowest first (else behind those that have one, by name). ``colour`` (``#rrggbb``) and
     ``marker`` (matplotlib's) of its points (else of a palette, by its name). ``paper``: the method of the paper that it
     stands beside, as ``bench/data/paper_tables.csv`` calls it. ``states_terms``: the messages of its estimates name the
-    terms of the equation of motion that it found, after ``terms kept of N:``. ``variants``: by the name of a file of
-    ``conf/method`` that starts from this method, the fields of the card that differ for it.
+    terms of the equation of motion that it found, after ``terms kept of N:``. ``remarks``: its messages say how a fit
+    ended, where those of others are warnings. ``variants``: by the name of a file of ``conf/method`` that starts from
+    this method, the fields of the card that differ for it.
     """
 
     summary: str
@@ -44,6 +45,7 @@ class Card:
     marker: str | tuple[int, int, float] = ""
     paper: str = ""
     states_terms: bool = False
+    remarks: bool = False
     variants: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def variant(self, name: str) -> Card:

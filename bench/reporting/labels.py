@@ -53,6 +53,12 @@ def states_terms(label: str) -> bool:
     return card is not None and card.states_terms
 
 
+def warns(label: str) -> bool:
+    """Whether the message of an answer is a warning: not where it names terms or says how the fit ended."""
+    card = cards().get(label)
+    return card is not None and not (card.states_terms or card.remarks) and label not in REFERENCE_CARDS
+
+
 def in_order(labels: Iterable[str]) -> list[str]:
     """Each label once, in the order that their cards give, all others behind by name."""
     known = {label: card.order for label, card in cards().items()}

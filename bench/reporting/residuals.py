@@ -12,15 +12,20 @@ import numpy as np
 
 from bench.dynamics.linear_response import linear_response
 from bench.reporting.frame import Result, group
-from bench.scoring.whiteness import ljung_box
+from bench.scoring.whiteness import whiteness
 from bench.systems import SDOF
 
 LEVEL = 0.05
 """Of the test: so many of the residuals of a right model look coloured."""
+STEP = 1e-4
+"""Of k/m and c/m, relatively, for the direction in which the response moves with them."""
 
 
 def coloured(results: Sequence[Result]) -> dict[str, np.ndarray]:
-    """By identity, of each replicate that was answered whether its residuals are told from white noise, booleans."""
+    """By identity, of each replicate that was answered whether its residuals are told from white noise, booleans.
+
+    All replicates of a result have the same sample times.
+    """
     found: dict[str, np.ndarray] = {}
     for own in group([result for result in results if result.n], lambda result: result.question).values():
         most, p = max(result.n for result in own), own[0].parameters
@@ -28,26 +33,39 @@ def coloured(results: Sequence[Result]) -> dict[str, np.ndarray]:
         values, true = np.stack([channel.values for channel in channels]), np.array([p["k"], p["c"]]) / p["m"]
         for result in own:
             ratios = np.stack([result.scores("k_over_m_ratio"), result.scores("c_over_m_ratio")], axis=-1)
-            told = np.flatnonzero(result.ok & np.all(np.isfinite(ratios), axis=-1))
-            times = np.stack([channels[i].times for i in told]) if told.size else np.empty((0, 0))
-            left = residuals(times, values[told], ratios[told] * true)
-            found[result.identity] = np.asarray(ljung_box(left) < LEVEL) if told.size else np.empty(0, bool)
+            told = result.ok & np.all(np.isfinite(ratios), axis=-1)
+            found[result.identity] = _coloured(channels[0].times, values[: result.n][told], ratios[told] * true)
     return found
 
 
-def residuals(times: np.ndarray, values: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """What k/m and c/m (sets, 2) leave of values (sets, n) at times (sets, n), from the best start of each set.
+def _coloured(times: np.ndarray, values: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    left, fitted = residuals(times, values, groups)
+    good = np.flatnonzero(np.all(np.isfinite(left), axis=1))
+    if not good.size:
+        return np.ones(len(left), bool)
+    middle = good[np.argsort(groups[good, 0])[good.size // 2]]  # a usual answer, whose tangents serve for all
+    moved = groups[middle] * (1.0 + STEP * np.eye(2))
+    bent = _motions(times, moved) @ fitted[middle] - _motions(times, groups[middle][None])[0] @ fitted[middle]
+    tangents = np.column_stack([_motions(times, groups[middle][None])[0], bent.T / STEP])
+    # a response that is not finite explains nothing
+    return ~(whiteness(left, tangents) >= LEVEL)
+
+
+def residuals(times: np.ndarray, values: np.ndarray, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What k/m and c/m (sets, 2) leave of values (sets, n), and the best displacement and velocity at time 0 (sets, 2).
 
     NaN where the response is not finite.
     """
-    left = np.full(values.shape, np.nan)
-    for which in dict.fromkeys(map(tuple, times)):
-        mine = np.flatnonzero(np.all(times == which, axis=1))
-        p = {"m": np.ones(mine.size), "c": groups[mine, 1], "k": groups[mine, 0]}
-        starts = np.repeat(np.eye(2)[:, None], mine.size, axis=1)
-        basis = [linear_response(SDOF(), p, start, np.array(which), ())[0] for start in starts]
-        columns = np.stack(basis, axis=-1)
-        good = np.all(np.isfinite(columns), axis=(1, 2))
-        columns, y = columns[good], values[mine[good], :, None]
-        left[mine[good]] = (y - columns @ (np.linalg.pinv(columns) @ y))[..., 0]
-    return left
+    columns = _motions(times, groups)
+    good = np.all(np.isfinite(columns), axis=(1, 2))
+    left, start = np.full(values.shape, np.nan), np.full((len(values), 2), np.nan)
+    start[good] = (np.linalg.pinv(columns[good]) @ values[good, :, None])[..., 0]
+    left[good] = values[good] - (columns[good] @ start[good, :, None])[..., 0]
+    return left, start
+
+
+def _motions(times: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """Responses (sets, n, 2) to unit displacement and to unit velocity of mass 1 with k/m and c/m (sets, 2)."""
+    p = {"m": np.ones(len(groups)), "c": groups[:, 1], "k": groups[:, 0]}
+    starts = np.repeat(np.eye(2)[:, None], len(groups), axis=1)
+    return np.stack([linear_response(SDOF(), p, start, times, ())[0] for start in starts], axis=-1)

@@ -82,6 +82,7 @@ class DDNN(Identifier):
         order=160,
         colour="#CC79A7",
         marker="*",
+        remarks=True,
         paper="ddnn",
     )
     serves: ClassVar[Serves] = Serves(several_records=True, several_channels=True, max_dof=None, added_mass=True)

@@ -44,6 +44,7 @@ class Collocation(PhysicsInformed):
         order=70,
         colour="#8C564B",
         marker="h",
+        remarks=True,
         variants={
             "collocation_bootstrap": {
                 "title": "Spline collocation, bootstrap",

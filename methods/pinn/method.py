@@ -59,6 +59,7 @@ class PINN(PhysicsInformed):
         order=40,
         colour="#D55E00",
         marker="s",
+        remarks=True,
         paper="pinn",
         variants={
             "pinn_adam": {"title": "PINN (paper's training)", "order": 50, "colour": "#E69F00", "marker": "P"},

@@ -30,8 +30,8 @@ POWER = 6
 """Of the test function: its fifth derivative still vanishes at the ends, so the trapezoidal rule errs little."""
 WIDTH = 0.35
 """Support, as part of the record. Of several widths together the functions depend on each other, and round badly."""
-MOST_FUNCTIONS = 60
-"""Test functions; more overlap so much that they tell nothing new."""
+SHARE, MOST_FUNCTIONS = 0.5, 60
+"""Test functions, as part of the samples, and at most; more overlap so much that they tell nothing new."""
 REWEIGHTED = 4
 """Rounds of generalised least squares."""
 RIDGE = 1e-9
@@ -48,14 +48,17 @@ class Kernels:
     curvature: np.ndarray
 
     @staticmethod
-    def of(times: np.ndarray) -> Kernels:
-        """Test functions for samples at increasing times (n,), with unit integrals."""
+    def of(times: np.ndarray, width: float = WIDTH, share: float = SHARE) -> Kernels:
+        """Test functions for samples at increasing times (n,), with unit integrals.
+
+        ``width`` is their support, as part of the record; ``share`` how many there are, as part of the samples.
+        """
         n, length = times.size, float(times[-1] - times[0])
         gaps = np.diff(times)
         weights = 0.5 * (np.append(gaps, 0.0) + np.append(0.0, gaps))
-        count = int(np.clip(n // 2, 4, MOST_FUNCTIONS))
-        centres = times[0] + np.linspace(WIDTH / 2, 1.0 - WIDTH / 2, count) * length
-        rate = 2.0 / (WIDTH * length)
+        count = int(np.clip(int(share * n), 4, MOST_FUNCTIONS))
+        centres = times[0] + np.linspace(width / 2, 1.0 - width / 2, count) * length
+        rate = 2.0 / (width * length)
         s = (times - centres[:, None]) * rate
         u = np.clip(1.0 - s**2, 0.0, None)
         value = u**POWER

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bench.reporting.frame import ERROR, Frame, Result, group
-from bench.reporting.labels import states_terms
 from bench.reporting.labels import title as title_of
+from bench.reporting.labels import warns
 from bench.reporting.residuals import coloured
 from bench.reporting.rounding import excess_text, number, readable
 from bench.reporting.tables.common import Line, csv, failure_notes, markdown_table
@@ -33,7 +33,7 @@ and after × the root mean square error over the Cramér-Rao bound of the right 
 mean of estimate over truth, less one, in percent. 95 %: the share of the 95 % intervals that held the truth, with its
 own 95 % interval (Wilson's); below what they claim, a method is wrong and does not say so. Said: the share of the fits
 that gave no answer or one with a warning. Residuals: the share of the answers whose residuals a user can tell from
-white noise (Ljung-Box test at 5 %, of the best response of k/m and c/m; the panel in which nothing is wrong shows its
+white noise (Ljung-Box test at 5 % of the best response of k/m and c/m; the panel in which nothing is wrong shows its
 false alarms). ok: fits that gave an answer, of all; the others count as infinite errors in medians. *oracle* starts at
 the truth, and has the same wrong model. A dash: the method does not tell it."""
 
@@ -70,7 +70,7 @@ def _line(result: Result, quantity: str, noticed: Mapping[str, np.ndarray]) -> L
 
 def _said(result: Result) -> float:
     """The share of the fits that failed or came with a warning; NaN where messages are no warnings."""
-    if not result.n or states_terms(result.label):
+    if not result.n or not warns(result.label):
         return math.nan
     return float(np.mean([not ok or bool(row.message) for ok, row in zip(result.ok, result.rows, strict=True)]))
 

@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -160,6 +161,21 @@ def test_a_changed_replicate_among_those_drawn_is_found(store: Store, capsys: py
     assert "2 cells checked: 1 come out the same" in said
     assert _digest(path) == OLD
     assert _digest(other) != OLD
+
+
+def test_a_replicate_that_says_something_else_is_found_and_one_with_other_digits_is_not(store: Store) -> None:
+    _edit(store, "ls", version=_older)
+    (check,) = recheck.checks(store)
+    before = check.stored.rows
+    drawn = [row for row in before if row.replicate in set(check.replicates)]
+
+    def differs(stored: str, now: str) -> bool:
+        cell = replace(check.stored, rows=[replace(row, message=stored) for row in before])
+        rows = [replace(row, message=now) for row in drawn]
+        return recheck.difference(replace(check, stored=cell), rows) > recheck.SAME
+
+    assert not differs("1.33 times the value", "1.34 times the value")
+    assert differs("", "do not trust it")
 
 
 def test_the_last_bits_of_another_processor_are_no_change_and_their_size_is_noted(store: Store) -> None:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 from bench import Channel, InputError, Problem, Record, Status, Units
 from bench.scenario.scenario import ForceSpec, Scenario
 from bench.systems import SDOF
+from methods.regression.derivatives import Motion
 from methods.regression.sindy import SINDy, _solved, greedy
+from methods.regression.weak import Kernels
+from methods.regression.weak_library import weak_rows
 
 pysindy = pytest.importorskip("pysindy")
 
@@ -119,3 +124,36 @@ def test_terms_that_are_one_to_rounding_share_their_coefficient_and_stop_no_othe
     """Two equal columns: of all solutions the one of least norm, by hand; the set beside it has its own."""
     square = np.array([[[1.0, 1.0], [1.0, 1.0]], [[2.0, 0.0], [0.0, 4.0]]])
     np.testing.assert_allclose(_solved(square, np.array([[3.0, 3.0], [2.0, 2.0]])), [[1.5, 1.5], [1.0, 0.5]])
+
+
+def test_the_weak_form_finds_the_terms_of_a_hardening_spring() -> None:
+    p = {"m": 1.2, "c": 0.3, "k": 5.0, "k3": 6.0}
+    estimate = SINDy(bootstrap=8, form="weak").identify(dense("duffing", p), rng())
+    assert estimate.message == "terms kept of 9: x, v, x^3"
+    assert estimate.groups is not None
+    np.testing.assert_allclose(estimate.groups.mean, [5.0 / 1.2, 0.3 / 1.2, 6.0 / 1.2], rtol=1e-3)
+
+
+def test_rows_of_the_weak_form_are_integrals_by_parts() -> None:
+    """Of x = sin 2t: ``∫φ'' x = ∫φ x''``, ``-∫φ' x = ∫φ v`` and ``∫φ x³``, by adaptive quadrature."""
+    t = np.linspace(0.0, 3 * np.pi, 400, endpoint=False)
+    x, v, a = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
+    motion = Motion(t, *(part[None, None] for part in (x, v, a)))
+    features = np.stack([np.zeros_like(t), np.zeros_like(t), x**3], axis=-1)[None]
+    rows, target = weak_rows(motion, x[None, None], features, np.array([0, 1]))
+    kernels = Kernels.of(t, float(np.pi / t[-1]), share=1.0)  # one period
+    half = np.pi / 2
+    for i in (0, 20, 59):
+        centre = float(kernels.centres[i])
+
+        def integral(of: Callable[[float], float], centre: float = centre) -> float:
+            def phi(s: float) -> float:
+                return max(0.0, 1.0 - ((s - centre) / half) ** 2) ** 6
+
+            low, high = centre - half, centre + half
+            return float(quad(lambda s: phi(s) * of(s), low, high)[0] / quad(phi, low, high)[0])
+
+        assert target[0, 0, i] == pytest.approx(integral(lambda s: -4 * np.sin(2 * s)), abs=1e-4)
+        assert rows[0, i, 0] == pytest.approx(integral(lambda s: np.sin(2 * s)), abs=1e-4)
+        assert rows[0, i, 1] == pytest.approx(integral(lambda s: 2 * np.cos(2 * s)), abs=1e-4)
+        assert rows[0, i, 2] == pytest.approx(integral(lambda s: np.sin(2 * s) ** 3), abs=1e-4)
