@@ -45,7 +45,7 @@ class Settings(ABC):
     softness: float = 30.0
     start: Literal["penalty", "exact"] = "penalty"
     output_iterations: int = 12
-    iterations: int = 60
+    iterations: int = 200
     tolerance: float = 1e-3
     restarts: int = 2
     uncertainty: Literal["laplace", "ensemble", "bootstrap"] = "laplace"
