@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.errors import InputError
-from bench.reporting.claims import free_decay, studies, systems, wider
+from bench.reporting.claims import free_decay, off_table, studies, systems, wider
 from bench.reporting.claims.allowed import ALLOWED
 from bench.reporting.claims.claim import Claim, Said
 from bench.reporting.claims.evidence import Evidence
@@ -19,6 +19,8 @@ SECTIONS: Mapping[str, Sequence[Claim]] = {
     "free decay": free_decay.CLAIMS,
     "cost": wider.COST,
     "broken assumptions": wider.BROKEN,
+    "wrong models": off_table.WRONG,
+    "open split": off_table.OPEN,
     "engine": studies.ENGINE,
     "systems": systems.CLAIMS,
     "reach": studies.REACH,

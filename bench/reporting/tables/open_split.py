@@ -28,7 +28,7 @@ COLUMNS = (
 METRICS = {"k_over_m_error_pct": "k/m", "c_over_m_error_pct": "c/m", "rmse": "displacement"}
 UNTOLD = 100.0
 """A bound (%) beyond which data and prior do not tell a quantity: an error over it says nothing."""
-PARTS = ("all", "free", "forced")
+PARTS = ("all", "free", "free at even times", "forced")
 LEGEND = """One replicate of each of {n} scenarios, drawn at random by the name of the release ({release}) from the
 ranges of `conf/experiment/{name}.yaml`, uniformly or, of what is a size, uniformly in the logarithm. No setting was
 chosen on them. Each error is divided by its scenario's own Cramér-Rao bound. **Median** is over the scenarios, a fit
@@ -107,9 +107,11 @@ def bounds_of(results: Iterable[Result], metric: str) -> dict[str, float]:
 
 
 def parts(results: Sequence[Result]) -> dict[str, list[Result]]:
-    """All scenarios, those in free vibration, and those under a force."""
-    chosen = {"all": lambda _: True, "free": lambda result: not result.forced, "forced": lambda result: result.forced}
-    return {part: [result for result in results if chosen[part](result)] for part in PARTS}
+    """All scenarios, those in free vibration, of these those at even times, and those under a force."""
+    free = [result for result in results if not result.forced]
+    even = [result for result in free if not result.disturbance]
+    forced = [result for result in results if result.forced]
+    return dict(zip(PARTS, (list(results), free, even, forced), strict=True))
 
 
 def lines(results: Sequence[Result]) -> list[Line]:
