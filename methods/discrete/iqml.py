@@ -65,7 +65,7 @@ class IQML(SampledDecay):
         title="IQML",
         order=95,
         colour="#1F6F5C",
-        marker="h",
+        marker=(5, 0, 180.0),
     )
 
     def __post_init__(self) -> None:

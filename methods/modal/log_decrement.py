@@ -57,7 +57,7 @@ class LogDecrement(Identifier):
         title="Logarithmic decrement",
         order=110,
         colour="#44AA99",
-        marker="<",
+        marker="3",
     )
     serves: ClassVar[Serves] = SERVES
     works_in = "natural units"

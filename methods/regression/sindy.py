@@ -86,7 +86,7 @@ class SINDy(Identifier):
                 "title": "SINDy, weak form",
                 "order": 155,
                 "colour": "#66C2A5",
-                "marker": "v",
+                "marker": (3, 1, 180.0),
             }
         },
     )

@@ -75,7 +75,7 @@ class SRIVC(Identifier):
         title="SRIVC",
         order=155,
         colour="#3B6FB6",
-        marker="8",
+        marker=(7, 0, 0.0),
     )
     serves: ClassVar[Serves] = Serves(offsets=True, nonlinear=False, max_dof=1)
     works_in = "natural units"

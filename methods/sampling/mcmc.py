@@ -107,7 +107,7 @@ class MCMC(Identifier):
                 "title": "Bayesian MCMC, t errors",
                 "order": 25,
                 "colour": "#A6CEE3",
-                "marker": "^",
+                "marker": (10, 1, 0.0),
             },
         },
     )

@@ -68,7 +68,7 @@ class NUTS(Identifier):
         title="Bayesian NUTS",
         order=30,
         colour="#332288",
-        marker=">",
+        marker="4",
     )
     serves: ClassVar[Serves] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("blackjax",)

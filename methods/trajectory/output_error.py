@@ -91,7 +91,7 @@ class SingleShooting(Identifier):
                 "title": "Output error, one cold start",
                 "order": 95,
                 "colour": "#9A86A4",
-                "marker": "h",
+                "marker": (6, 2, 0.0),
             },
         },
     )

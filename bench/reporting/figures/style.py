@@ -34,7 +34,7 @@ MORE_COLOURS = (
     "#0077BB", "#EE7733", "#009988", "#EE3377", "#004488", "#DDAA33", "#6A3D9A", "#33BBEE", "#CC3311",
 )  # fmt: skip
 MORE_MARKERS: tuple[Marker, ...] = (
-    (5, 0, 36.0), "3", (7, 1, 0.0), "|", (6, 2, 0.0), "4", (5, 1, 36.0), (3, 1, 60.0),
+    (5, 0, 36.0), "|", (12, 1, 0.0), "_", (8, 2, 0.0), (5, 1, 36.0), (4, 2, 22.5), (3, 1, 60.0),
 )  # fmt: skip
 """Of these are the methods whose card names none; the numbers of colours and of markers have no common factor."""
 FILLED = frozenset("ov^<>8sphHDdPX*")
