@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from bench.config.drawn import drawn_scenario
+from bench.config.drawn import drawn_ranges, drawn_scenario
 from bench.config.files import file_names
 from bench.config.suggest import did_you_mean
 from bench.entrants.registry import load_method, method_names, registered
@@ -26,7 +26,8 @@ def check_choice(group: str, value: Any) -> None:
     if own_file(group, value) or (group == "system" and drawn_scenario(str(value))):
         return
     if value not in choices(group) and not (group == "experiment" and value is None):
-        raise InputError(group, value, f"{did_you_mean(value, choices(group))}known: {', '.join(choices(group))}")
+        known = ", ".join([f"known: {', '.join(choices(group))}", *(drawn_ranges() if group == "system" else ())])
+        raise InputError(group, value, f"{did_you_mean(value, choices(group))}{known}")
     if group == "method" and value in registered():
         load_method(value)  # a broken entry point is said here
 

@@ -68,6 +68,12 @@ def drawn_scenarios(experiment: str) -> tuple[Drawn, ...]:
     return draw(experiment, stated) if stated else ()
 
 
+def drawn_ranges() -> list[str]:
+    """The names of drawn scenarios in words: ``open_001 to open_200``, one an experiment that draws any."""
+    drawn = [drawn_scenarios(experiment) for experiment in file_names("experiment")]
+    return [f"{own[0].name} to {own[-1].name}" for own in drawn if own]
+
+
 def draw(experiment: str, stated: Mapping[str, Any]) -> tuple[Drawn, ...]:
     """Draw scenarios.
 

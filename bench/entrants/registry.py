@@ -68,6 +68,9 @@ def make_method(name: str, settings: dict[str, Any]) -> Identifier:
         return _adapter(load_method(name)).validate_python(settings)  # type: ignore[no-any-return]
     except ValidationError as error:
         first = error.errors()[0]
+        own = first.get("ctx", {}).get("error")
+        if isinstance(own, InputError):  # a method's own check names its field
+            raise own from None
         where = ".".join(str(part) for part in first["loc"])
         raise InputError(f"method.{where}", first["input"], first["msg"]) from None
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from bench.config.choices import check_choice
 from bench.config.drawn import draw, drawn_scenarios
 from bench.config.experiment import Experiment, expand
 from bench.config.files import read_yaml
@@ -91,3 +92,8 @@ def test_development_scenarios_stand_in_no_table() -> None:
     assert len(names) == 12
     for other in ("table3", "forced", "mdof", "nonlinear", "regimes", "robustness", "open", "misspecified"):
         assert not names & {scenario.label for scenario, _ in Experiment(other).scenarios()}
+
+
+def test_a_scenario_beyond_the_last_is_told_which_there_are() -> None:
+    with pytest.raises(InputError, match="open_001 to open_200"):
+        check_choice("system", "open_207")
