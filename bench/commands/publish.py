@@ -12,12 +12,13 @@ import os
 import sys
 import uuid
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from bench.commands.guard import command, read_folders
 from bench.commands.reproduce import stored_as_cell
 from bench.config.choices import choices
+from bench.config.drawn import drawn_scenarios
 from bench.config.experiment import Experiment
 from bench.errors import InputError
 from bench.store.archive.archive import BOUNDS, Archive
@@ -34,12 +35,14 @@ class Described:
     """What the experiments describe.
 
     ``places``: the file of each cell by identity. ``questions``: those identities by the cell's question, whatever its
-    replicates. ``bounds``: the identities of all their bounds.
+    replicates. ``bounds``: the identities of all their bounds. ``drawn``: the experiments that draw their scenarios, of
+    which no curve is shown, and none is published.
     """
 
     places: Mapping[str, str] = field(default_factory=dict)
     questions: Mapping[str, str] = field(default_factory=dict)
     bounds: Collection[str] = ()
+    drawn: Collection[str] = ()
 
 
 def described() -> Described:
@@ -51,7 +54,7 @@ def described() -> Described:
             places.setdefault(cell.identity, name)
             questions.setdefault(cell.question, cell.identity)
             bounds.add(cell.bound_identity)
-    return Described(places, questions, bounds)
+    return Described(places, questions, bounds, [name for name in numbers if drawn_scenarios(name)])
 
 
 def superseded(stored: StoredCell, own: Described, both: Store) -> bool:
@@ -88,7 +91,10 @@ def publish(store: Store, archive: Archive, own: Described) -> list[Path]:
         for identity in identities:
             cell = both.load(identity)
             assert cell is not None
-            entries.append(Entry(cell, both.arrays(cell), both.tracebacks(identity)))
+            if name in own.drawn:
+                entries.append(Entry(replace(cell, arrays=""), {}, both.tracebacks(identity)))
+            else:
+                entries.append(Entry(cell, both.arrays(cell), both.tracebacks(identity)))
         if part is None or part.content != content_digest(entries):
             path = archive.folder / f"{name}{ENDING}"
             write_part(path, entries)
@@ -108,7 +114,8 @@ def _publish_bounds(both: Store, archive: Archive, used: Collection[str]) -> lis
 
     known = archive.bounds()
     kept = {name: text for name, text in known.items() if not used or name in used}
-    texts = kept | {path.stem: path.read_text(encoding="utf-8") for path in both.bounds.glob("*.bound")}
+    own = {path.stem: path for path in both.bounds.glob("*.bound") if not used or path.stem in used}
+    texts = kept | {name: path.read_text(encoding="utf-8") for name, path in own.items()}
     if texts == known:
         return []
     path = archive.folder / f"{BOUNDS}{ENDING}"

@@ -146,6 +146,28 @@ def test_every_cell_comes_back_as_its_file_is(store: Store, archive: Archive) ->
     assert archive.load("nobody") is None
 
 
+def test_of_drawn_scenarios_rows_are_published_and_curves_are_not(store: Store, tmp_path: Path) -> None:
+    folder = tmp_path / "drawn"
+    folder.mkdir()
+    publish(store, Archive(folder), Described(PLACES, drawn=("table1",)))
+    found = Archive(folder)
+    for identity in store.identities():
+        before, after = store.load(identity), found.load(identity)
+        assert before is not None
+        assert after is not None
+        drawn = PLACES.get(identity) == "table1"
+        assert found.arrays(identity).keys() == ({} if drawn else store.arrays(before)).keys()
+        assert cell_file(after) == cell_file(replace(before, arrays="") if drawn else before)
+
+
+def test_bounds_that_no_experiment_uses_are_not_published(store: Store, tmp_path: Path) -> None:
+    folder = tmp_path / "used"
+    folder.mkdir()
+    (store.bounds / "4567.bound").write_text("{}")
+    publish(store, Archive(folder), Described(PLACES, bounds=("0123",)))
+    assert list(Archive(folder).bounds()) == ["0123"]
+
+
 def test_a_cell_that_columns_cannot_hold_is_kept_whole(archive: Archive) -> None:
     whole = archive.parts["other"].line(0, ("whole", "npz"))
     assert json.loads(whole["whole"])["summary"] == {"rmse": {"mean": 1.0, "another": 2.0}}
