@@ -13,12 +13,13 @@ import math
 import zipfile
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, TypeVar
 
 import numpy as np
 
 from bench.config.choices import choices
+from bench.config.drawn import drawn_scenarios
 from bench.config.experiment import Experiment
 from bench.contract.estimate import Status
 from bench.contract.problem import InitialState
@@ -341,6 +342,18 @@ def group(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[I
     for item in items:
         found.setdefault(key(item), []).append(item)
     return found
+
+
+@cache
+def drawn_questions() -> frozenset[str]:
+    """The keys of the scenarios that experiments draw: hundreds with one data set each, which speak together only."""
+    return frozenset().union(*(questions(name) for name in choices("experiment") if drawn_scenarios(name)))
+
+
+def questions(experiment: str) -> frozenset[str]:
+    """The keys of the scenarios of an experiment, whatever the method."""
+    cells = (Cell(scenario, "oracle", {}, 1, seed, "oracle") for scenario, seed in Experiment(experiment).scenarios())
+    return frozenset(Result.of_cell(cell, None).question for cell in cells)
 
 
 def table_experiments() -> list[str]:

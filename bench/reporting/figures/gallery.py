@@ -14,7 +14,7 @@ import numpy as np
 from bench.entrants.registry import default_settings
 from bench.errors import InputError
 from bench.reporting.figures.style import Look, looks
-from bench.reporting.frame import Result
+from bench.reporting.frame import Result, drawn_questions
 from bench.reporting.labels import in_order
 from bench.store.store import Store
 
@@ -36,7 +36,7 @@ class Picture:
 
 
 class Gallery:
-    """All cells of a store, and the look of every method among them.
+    """All cells of a store but those of drawn scenarios, and the look of every method among them.
 
     Of cells that differ in nothing but a method's settings or the number of replicates one is kept: with the settings
     that this method has most often in the store, then of most replicates.
@@ -44,7 +44,8 @@ class Gallery:
 
     def __init__(self, store: Store) -> None:
         self.store = store
-        found = [(json.dumps(changed_settings(one), sort_keys=True), one) for one in map(Result.of_stored, store)]
+        kept = [one for one in map(Result.of_stored, store) if one.question not in drawn_questions()]
+        found = [(json.dumps(changed_settings(one), sort_keys=True), one) for one in kept]
         often = Counter((one.label, settings) for settings, one in found)
         found.sort(key=lambda pair: (-often[pair[1].label, pair[0]], -pair[1].n, pair[1].identity))
         best: dict[tuple[Any, ...], Result] = {}

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from bench.config.drawn import drawn_scenarios
 from bench.config.experiment import Experiment
-from bench.reporting.frame import ERROR, Result, group, stored_results, table_experiments
-from bench.store.cell import Cell
+from bench.reporting.frame import (
+    ERROR,
+    Result,
+    drawn_questions,
+    group,
+    questions,
+    stored_results,
+    table_experiments,
+)
 from bench.store.store import Store
 
 DERIVED = ("natural_frequency", "damping_ratio")
@@ -139,8 +147,8 @@ def read(store: Store) -> Reading:
     Scenarios that were drawn, hundreds with one data set each, say something together only: they are left to their
     table.
     """
-    drawn, described = _parted(map(_table, table_experiments()))
-    results = [result for result in stored_results(store) if result.question not in drawn]
+    described = [_table(name) for name in table_experiments() if not drawn_scenarios(name)]
+    results = [result for result in stored_results(store) if result.question not in drawn_questions()]
     grouped = group(results, lambda result: result.question)
     found = [one for one in described if one.scenarios & set(grouped)]
     experiments = tuple(sorted(found, key=lambda one: (one.number is None, one.number or 0, one.name)))
@@ -151,20 +159,10 @@ def read(store: Store) -> Reading:
     return Reading(tuple(panels), tuple(results), experiments, hidden)
 
 
-def _parted(tables: Iterable[Table]) -> tuple[frozenset[str], list[Table]]:
-    """The keys of drawn scenarios, and the experiments whose scenarios were chosen."""
-    every = list(tables)
-    drawn = [one for one in every if Experiment(one.name).content.get("draw")]
-    return frozenset(key for one in drawn for key in one.scenarios), [one for one in every if one not in drawn]
-
-
 def _table(name: str) -> Table:
     """What an experiment describes."""
-    described = Experiment(name)
-    cells = (Cell(scenario, "oracle", {}, 1, seed, "oracle") for scenario, seed in described.scenarios())
-    number = described.table.get("number")
-    keys = frozenset(Result.of_cell(cell, None).question for cell in cells)
-    return Table(name, None if number is None else int(number), keys)
+    number = Experiment(name).table.get("number")
+    return Table(name, None if number is None else int(number), questions(name))
 
 
 def _panel(results: Sequence[Result], experiments: Sequence[Table]) -> Panel:
