@@ -55,8 +55,9 @@ def oracle_estimate(problem: Problem, truth: Truth) -> Estimate:
         before, sigma = sigma, max(float(np.sqrt(np.sum(left**2) / dof)), 1e-14 * size)
         if abs(sigma / before - 1) < 1e-6:
             break
-    scale = np.linalg.norm(fit.jac, axis=0)
-    covariance = np.linalg.pinv((fit.jac / scale).T @ (fit.jac / scale)) / np.outer(scale, scale)
+    scale, covariance = np.linalg.norm(fit.jac, axis=0), None
+    if np.all(scale > 0) and np.all(np.isfinite(fit.jac)):  # else a parameter ran to zero: no interval of its logarithm
+        covariance = np.linalg.pinv((fit.jac / scale).T @ (fit.jac / scale)) / np.outer(scale, scale)
     found = estimate_at(model, theta, covariance, p_data, Cost(evaluations=evaluations), str(fit.message))
     return replace(found, offsets=None)
 

@@ -227,12 +227,17 @@ class _Library:
             sentence = f"its library of {features.shape[1]} terms needs at least {needed} samples"
             raise NoEstimate(sentence, Status.UNSUPPORTED)
         norms, size = np.linalg.norm(features, axis=0), np.linalg.norm(target, axis=0)
-        most = min(most_terms, features.shape[1] - 1)
+        if not np.all(size > 0):
+            raise NoEstimate("the smoothed motion has no acceleration: take more samples or less noise")
+        there = np.flatnonzero(norms > 0)  # not a force that acts between the samples alone
+        most = min(most_terms, there.size - 1)
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             # columns and target of unit norm: the greedy selection does not depend on them, its rounding does
-            sparse = FROLS(alpha=0.0, max_iter=most, unbias=False).fit(features / norms, target / size)
-        return np.stack(sparse.history_[1 : most + 1]) * size[:, None] / norms
+            sparse = FROLS(alpha=0.0, max_iter=most, unbias=False).fit(features[:, there] / norms[there], target / size)
+        models = np.zeros((most, size.size, norms.size))
+        models[..., there] = np.stack(sparse.history_[1 : most + 1]) * size[:, None] / norms[there]
+        return models
 
     def best(self, models: np.ndarray, motions: Sequence[Motion], values: Values, trim: int) -> np.ndarray:
         """Of models (sets, sizes, n_dof, terms), those (sets, n_dof, terms) of least corrected Akaike criterion."""

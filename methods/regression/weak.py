@@ -64,8 +64,16 @@ class Kernels:
         value = u**POWER
         slope = -2.0 * POWER * rate * s * u ** (POWER - 1)
         curvature = 2.0 * POWER * rate**2 * u ** (POWER - 2) * (2.0 * (POWER - 1) * s**2 - u)
-        scale = weights / np.sum(value * weights, axis=1, keepdims=True)
+        total = np.sum(value * weights, axis=1, keepdims=True)
+        scale = weights / np.where(total > 0, total, 1.0)  # between samples far apart there may be none
         return Kernels(centres, value * scale, slope * scale, curvature * scale)
+
+    def where_sampled(self, least: int) -> Kernels:
+        """Those of which at least so many samples are inside the support; NoEstimate where none is."""
+        kept = np.count_nonzero(self.value > 0, axis=1) >= least
+        if not np.any(kept):
+            raise NoEstimate("no stretch of the record is sampled densely enough for its integrals", Status.UNSUPPORTED)
+        return Kernels(self.centres[kept], self.value[kept], self.slope[kept], self.curvature[kept])
 
     def motion(self, y: np.ndarray, force: np.ndarray) -> Motion:
         """What takes the place of displacement, velocity, acceleration and force, of displacements (n_dof, sets, n)."""

@@ -36,7 +36,7 @@ def weak_rows(
     # as many radians a second as the root mean squares of velocity and acceleration say
     period = 2.0 * np.pi * np.sqrt(np.mean(motion.v**2) / np.mean(motion.a**2))
     width = float(np.clip(PERIODS * period / (times[-1] - times[0]), LEAST_SAMPLES / times.size, WIDTH))
-    kernels = Kernels.of(times, width, share=1.0)
+    kernels = Kernels.of(times, width, share=1.0).where_sampled(LEAST_SAMPLES // 2)
     weak = np.einsum("fn,snk->sfk", kernels.value, features)
     weak[..., linear] = np.moveaxis(np.concatenate([samples @ kernels.value.T, -(samples @ kernels.slope.T)]), 0, -1)
     return weak, samples @ kernels.curvature.T

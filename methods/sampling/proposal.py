@@ -63,7 +63,8 @@ class Proposal:
             root = scale[:, None] * _root(whole / np.outer(scale, scale))
             centre = np.concatenate([theta, np.log(sigma)])
             mass = float(posterior(centre[None])[0] + np.sum(np.log(np.diag(root))))
-            found.append((mass, centre, 1.1 * root))
+            if np.isfinite(mass):
+                found.append((mass, centre, 1.1 * root))
         if not found:
             raise NoEstimate("the data leave a parameter open; give more samples, a known force or a prior")
         masses = np.array([mass for mass, _, _ in found])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from bench import Channel, InputError, Problem, Record, Status, Units
+from bench import Channel, Force, InputError, NoEstimate, Problem, Record, Status, Units
 from bench.scenario.scenario import ForceSpec, Scenario
 from bench.systems import SDOF
 from methods.regression.derivatives import Motion
@@ -157,3 +157,25 @@ def test_rows_of_the_weak_form_are_integrals_by_parts() -> None:
         assert rows[0, i, 0] == pytest.approx(integral(lambda s: np.sin(2 * s)), abs=1e-4)
         assert rows[0, i, 1] == pytest.approx(integral(lambda s: 2 * np.cos(2 * s)), abs=1e-4)
         assert rows[0, i, 2] == pytest.approx(integral(lambda s: np.sin(2 * s) ** 3), abs=1e-4)
+
+
+def test_a_force_that_acts_between_the_samples_alone_is_no_crash() -> None:
+    """Its column of the library is zero, as is what it could tell of the mass."""
+    times = np.linspace(0.0, 10.0, 40)
+    at = np.array([0.0, 0.05, 0.1, 0.15, 10.0])
+    push = Force(at, np.array([0.0, 0.0, 5.0, 0.0, 0.0]))
+    values = np.exp(-0.2 * times) * np.cos(2.5 * times) + 0.01 * rng().standard_normal(40)
+    problem = Problem(SDOF(), (Record((Channel(times, values),), (push,)),))
+    for form in ("strong", "weak"):
+        estimate = SINDy(bootstrap=8, form=form).identify(problem, rng())  # type: ignore[arg-type]
+        assert estimate.status in (Status.DIVERGED, Status.UNSUPPORTED)
+        assert "samples" in estimate.message
+
+
+def test_test_functions_without_samples_are_left_out() -> None:
+    times = np.concatenate([np.linspace(0.0, 1.0, 20), np.linspace(9.0, 10.0, 20)])
+    kernels = Kernels.of(times, 0.1, share=1.0)
+    assert np.all(np.isfinite(kernels.value))
+    assert 0 < kernels.where_sampled(3).centres.size < kernels.centres.size
+    with pytest.raises(NoEstimate, match="densely enough"):
+        kernels.where_sampled(50)
