@@ -14,13 +14,13 @@ EVEN = "free at even times"
 
 @claim
 def wrong_models(e: Evidence) -> Said:
-    """What it says: friction of 2 % of the spring's largest force makes c/m {friction} % too large by maximum
-    likelihood and the filters, at 40 and at 20 dB, and {friction_held} % of their 95 % intervals hold the truth; a
-    spring that is a fifth stiffer at full amplitude puts k/m {spring} % too high ({spring_held} %). None of these
-    methods says so. Residuals show the friction in {seen} % of the records at 40 dB and in {unseen} % at 20 dB, where
+    """What it says: a little friction (`disturbance=added_friction`) makes c/m {friction} % too large by maximum
+    likelihood and the filters, at either noise level, and {friction_held} % of their 95 % intervals hold the truth; a
+    spring that stiffens (`cubic_spring`) puts k/m {spring} % too high ({spring_held} % hold). None of these methods
+    says so. Residuals show the friction in {seen} % of the records at 40 dB and in {unseen} % at 20 dB, where
     {alarms} % would be false alarms, and the spring in at most {spring_seen} %: white residuals do not prove the model.
-    A prior that is three standard deviations off moves k/m and c/m by at most {moved} of the bound, and the mass with
-    it: {mass} % of its intervals hold the truth.
+    A prior that is three standard deviations off moves the excess of k/m and c/m by at most {moved}, and takes the mass
+    with it: {mass} % of its intervals hold the truth.
     """
 
     def rows(wrong: str, quantity: str, **more: object) -> pd.DataFrame:
@@ -67,7 +67,7 @@ def wrong_models(e: Evidence) -> Said:
 
 @claim
 def open_split(e: Evidence) -> Said:
-    """What it says: of {n} scenarios multiple shooting answers {answered}, with an error of k/m beyond five times the
+    """What it says: of the {n} scenarios that tell k/m multiple shooting answers {answered}, with an error beyond five times the
     bound, or none, in {shooting} % (interval {low} to {high} %), the filters and output error from its starts in
     {alike} %, MCMC in {mcmc} %, the PINN in {pinn} %, spline collocation in {spline} %, and output error from one cold
     start in {cold} %. The maximum itself, sought from the truth, is off so far in {oracle} %. The regressions are more
