@@ -67,13 +67,13 @@ def wrong_models(e: Evidence) -> Said:
 
 @claim
 def open_split(e: Evidence) -> Said:
-    """What it says: of the {n} scenarios that tell k/m multiple shooting answers {answered}, with an error beyond five times the
-    bound, or none, in {shooting} % (interval {low} to {high} %), the filters and output error from its starts in
-    {alike} %, MCMC in {mcmc} %, the PINN in {pinn} %, spline collocation in {spline} %, and output error from one cold
-    start in {cold} %. The maximum itself, sought from the truth, is off so far in {oracle} %. The regressions are more
-    often: the smoothing spline in {smooth} %, finite differences in {differences} %. Of the {even} scenarios in free
-    vibration at even times, the only ones that the modal methods take, the matrix pencil is off or silent in
-    {pencil} %, IQML in {iqml} % and shooting in {shooting_even} %.
+    """What it says: of the {n} scenarios that tell k/m multiple shooting answers {answered}, with an error beyond five
+    times the bound, or none, in {shooting} % (interval {low} to {high} %), the filters and output error from its
+    starts in {alike} %, MCMC in {mcmc} %, the PINN in {pinn} %, spline collocation in {spline} %, and output error
+    from one cold start in {cold} %. The maximum itself, sought from the truth, is off so far in {oracle} %. The
+    regressions are more often: the smoothing spline in {smooth} %, finite differences in {differences} %. Of the
+    {even} scenarios in free vibration at even times, the only ones that the modal methods take, the matrix pencil is
+    off or silent in {pencil} %, IQML in {iqml} % and shooting in {shooting_even} %.
     """
 
     def share(method: str, column: str = "gross", part: str = "all") -> float:
