@@ -44,6 +44,8 @@ from methods.kalman.starts import MARGIN, screened_starts
 from methods.starts.candidates import NOISE_SHARE
 from methods.starts.rough import RADIANS_A_STEP, radians_a_step
 
+ROUNDING = 1e-9
+"""Of a noise level, which is at the least that is resolved but for its last bits."""
 APART = 1.0
 """Ends are two if a log-parameter differs by more than this many standard deviations,"""
 RIVAL = 0.05
@@ -211,7 +213,7 @@ def answer(joint: Joint, chain: Chain, bank: Bank, passes: int, settings: Settin
     if unsettled:
         moved = f"{bank.moved[best]:.1g} of its standard deviation"
         said.append(f"the passes had not settled, the last moved the answer by {moved}: raise passes")
-    if np.any(bank.sigma[best] <= SIGMA_FLOOR * model.rms):
+    if np.any(bank.sigma[best] <= SIGMA_FLOOR * model.rms * (1.0 + ROUNDING)):
         said.append(f"the noise is taken to be {SIGMA_FLOOR:g} of the data, the least that the filter resolves")
     return estimate_at(model, theta, covariance, float(bank.used[best]), cost, "; ".join(said))
 

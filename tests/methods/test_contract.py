@@ -123,7 +123,8 @@ def test_same_seed_same_answer_the_input_is_untouched_and_no_trap_where_the_trut
 def test_alone_or_in_company_the_answer_is_the_same(method: Identifier) -> None:
     a, b = problem(), problem(seed=2)
     together = method.identify_many([b, a], [rng(2), rng()])[1]
-    np.testing.assert_array_equal(values(together, a.prior)[0], values(fitted(method), a.prior)[0])
+    # to rounding: a matrix product sums in another order with more rows, on some processors
+    np.testing.assert_allclose(values(together, a.prior)[0], values(fitted(method), a.prior)[0], rtol=1e-12)
 
 
 @pytest.mark.parametrize("units", [Units(length=1e-3), Units(time=0.1)], ids=["displacement x1000", "time x10"])
