@@ -92,9 +92,8 @@ def publish(store: Store, archive: Archive, own: Described) -> list[Path]:
             cell = both.load(identity)
             assert cell is not None
             if name in own.drawn:
-                entries.append(Entry(replace(cell, arrays=""), {}, both.tracebacks(identity)))
-            else:
-                entries.append(Entry(cell, both.arrays(cell), both.tracebacks(identity)))
+                cell = replace(cell, arrays="")
+            entries.append(Entry(cell, both.arrays(cell), both.tracebacks(identity)))
         if part is None or part.content != content_digest(entries):
             path = archive.folder / f"{name}{ENDING}"
             write_part(path, entries)

@@ -57,6 +57,7 @@ ONE_IN, LEAST = 10, 5
 SAME = 5e-5
 """Largest relative difference of a score: rounding to three digits takes 5e-4 at least."""
 NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
+"""In a message: its last digits are a processor's."""
 HIT_ONE_IN = 20
 """The change that may be missed hits one replicate in so many: 5 %."""
 

@@ -5,23 +5,23 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import default_settings, make_method
 from bench.errors import InputError
 from bench.scenario import scenario as declared
+from bench.scenario.declaration import validated
 from bench.scenario.disturbance import Disturbance, kind_of
 from bench.scenario.scenario import PriorSpec, Scenario, config_path
 from bench.store.cell import Cell
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(allow_inf_nan=False, gt=0)]
-Validated = TypeVar("Validated")
 
 
 class Config(BaseModel):
@@ -136,23 +136,3 @@ def _disturbance(content: Mapping[str, Any]) -> Disturbance | None:
     if content["kind"] == "none" and not settings:
         return None
     return validated(kind_of(content["kind"], settings), settings, {name: f"disturbance.{name}" for name in settings})
-
-
-def validated(kind: type[Validated], values: Mapping[str, Any], paths: Mapping[str, str] | None = None) -> Validated:
-    """An instance of a model or dataclass; raises InputError that names the field by its path in the configuration."""
-    try:
-        return _adapter(kind).validate_python(dict(values))  # type: ignore[no-any-return,arg-type]
-    except ValidationError as error:
-        first = error.errors()[0]
-        own = first.get("ctx", {}).get("error")
-        if isinstance(own, InputError):
-            raise own from None
-        where, *below = (str(part) for part in first["loc"])
-        field = ".".join([(paths or {}).get(where, where), *below])
-        raise InputError(field, first["input"], first["msg"].lower()) from None
-
-
-@cache
-def _adapter(kind: type[Any]) -> Any:
-    """pydantic's validation of a class, made once."""
-    return TypeAdapter(kind)

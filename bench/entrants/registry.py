@@ -11,6 +11,7 @@ from typing import Any
 from bench.contract.method import Identifier
 from bench.entrants.reference import REFERENCES
 from bench.errors import InputError
+from bench.scenario.declaration import validated
 
 GROUP = "bench.methods"
 DISTRIBUTION = "vibration-bench"
@@ -58,29 +59,11 @@ def default_settings(name: str) -> dict[str, Any]:
 
 def make_method(name: str, settings: dict[str, Any]) -> Identifier:
     """An instance with validated settings; raises InputError that names the setting."""
-    from pydantic import ValidationError
-
     known = default_settings(name)
     for key in settings:
         if key not in known:
             raise InputError(f"method.{key}", settings[key], f"settings of {name}: {', '.join(known) or 'none'}")
-    try:
-        return _adapter(load_method(name)).validate_python(settings)  # type: ignore[no-any-return]
-    except ValidationError as error:
-        first = error.errors()[0]
-        own = first.get("ctx", {}).get("error")
-        if isinstance(own, InputError):  # a method's own check names its field
-            raise own from None
-        where = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"method.{where}", first["input"], first["msg"]) from None
-
-
-@cache
-def _adapter(method: type[Identifier]) -> Any:
-    """pydantic's validation of a method's settings, made once."""
-    from pydantic import TypeAdapter
-
-    return TypeAdapter(method)
+    return validated(load_method(name), settings, {"": "method", **{key: f"method.{key}" for key in settings}})
 
 
 def missing_package(name: str) -> str | None:

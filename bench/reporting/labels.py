@@ -16,7 +16,10 @@ from bench.errors import InputError
 
 
 def _reference(title: str, order: int, colour: str, marker: str | tuple[int, int, float]) -> Card:
-    return Card("", "not used", "native", "simulated", "", "", title=title, order=order, colour=colour, marker=marker)
+    return Card(
+        "", "not used", "native", "simulated", "", "",
+        title=title, order=order, colour=colour, marker=marker, remarks=True,
+    )  # fmt: skip
 
 
 REFERENCE_CARDS = {
@@ -48,7 +51,7 @@ def title(label: str) -> str:
 
 
 def states_terms(label: str) -> bool:
-    """Whether the messages of a method's estimates name the terms of its model, and warn of nothing."""
+    """Whether the messages of a method's estimates name the terms of its model."""
     card = cards().get(label)
     return card is not None and card.states_terms
 
@@ -56,7 +59,7 @@ def states_terms(label: str) -> bool:
 def warns(label: str) -> bool:
     """Whether the message of an answer is a warning: not where it names terms or says how the fit ended."""
     card = cards().get(label)
-    return card is not None and not (card.states_terms or card.remarks) and label not in REFERENCE_CARDS
+    return card is not None and not (card.states_terms or card.remarks)
 
 
 def in_order(labels: Iterable[str]) -> list[str]:

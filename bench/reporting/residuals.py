@@ -44,9 +44,9 @@ def _coloured(times: np.ndarray, values: np.ndarray, groups: np.ndarray) -> np.n
     if not good.size:
         return np.ones(len(left), bool)
     middle = good[np.argsort(groups[good, 0])[good.size // 2]]  # a usual answer, whose tangents serve for all
-    moved = groups[middle] * (1.0 + STEP * np.eye(2))
-    bent = _motions(times, moved) @ fitted[middle] - _motions(times, groups[middle][None])[0] @ fitted[middle]
-    tangents = np.column_stack([_motions(times, groups[middle][None])[0], bent.T / STEP])
+    here, *moved = _motions(times, groups[middle] * (1.0 + STEP * np.eye(3, 2, -1)))
+    slopes = [(one - here) @ fitted[middle] / STEP for one in moved]
+    tangents = np.column_stack([here, *slopes])
     # a response that is not finite explains nothing
     return ~(whiteness(left, tangents) >= LEVEL)
 

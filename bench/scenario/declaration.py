@@ -1,4 +1,4 @@
-"""What the declaration of a scenario's fields is used for: limits on a command line, and both ways to JSON.
+"""What the declaration of a dataclass's fields is used for: limits on a command line, and both ways to JSON.
 
 A field is declared once, in the dataclass that holds it. Its type says how it is written and read, its default when it
 is left out of an identity, and its metadata where it stands in a configuration and in the identity.
@@ -10,7 +10,11 @@ import types
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from functools import cache
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from bench.errors import InputError
+
+Validated = TypeVar("Validated")
 
 STRICT: Any = {"extra": "forbid", "allow_inf_nan": False}
 """pydantic's configuration of what is read from files and command lines: known fields and finite numbers only."""
@@ -102,3 +106,30 @@ def _parts(hint: Any, n: int) -> list[Any]:
     """The types of the items of a tuple."""
     arguments = get_args(hint)
     return [arguments[0]] * n if arguments[-1:] == (...,) else list(arguments)
+
+
+def validated(kind: type[Validated], values: Mapping[str, Any], paths: Mapping[str, str] | None = None) -> Validated:
+    """An instance of a model or dataclass; raises InputError that names the field by its path in the configuration.
+
+    ``paths`` are by field; that of the empty name stands for the whole, of which a class's own check may complain.
+    """
+    from pydantic import ValidationError
+
+    try:
+        return _adapter(kind).validate_python(dict(values))  # type: ignore[no-any-return,arg-type]
+    except ValidationError as error:
+        first = error.errors()[0]
+        own = first.get("ctx", {}).get("error")
+        if isinstance(own, InputError):
+            raise own from None
+        where, *below = [str(part) for part in first["loc"]] or [""]
+        field = ".".join([(paths or {}).get(where, where), *below])
+        raise InputError(field, first["input"], first["msg"].lower()) from None
+
+
+@cache
+def _adapter(kind: type[Any]) -> Any:
+    """pydantic's validation of a class, made once."""
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(kind)

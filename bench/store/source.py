@@ -25,7 +25,7 @@ EFFECTS = "(statements)"
 LAYOUT = frozenset({"ctx", "kind", "type_comment", "returns", "annotation"})
 """Fields of a syntax tree that change no number; the annotations of a class body are kept."""
 CARD = "card"
-"""The class variable that describes a method (``bench.entrants.registry.Card``) to readers."""
+"""The class variable that describes a method to readers (``bench.contract.method.Card``)."""
 IMPORTS = (ast.ImportFrom, ast.Import)
 
 

@@ -6,10 +6,10 @@ import pandas as pd
 
 from bench.reporting.claims.claim import Said, claim, number, said, span, within
 from bench.reporting.claims.evidence import Evidence
+from bench.reporting.tables.open_split import EVEN
 
 LIKELIHOOD = ("shooting", "mcmc", "output_error", "frequency", "ekf", "ukf")
 """What maximises or samples the likelihood of the response."""
-EVEN = "free at even times"
 
 
 @claim

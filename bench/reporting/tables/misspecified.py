@@ -77,7 +77,7 @@ def _said(result: Result) -> float:
 
 def _panel(data: Sequence[Line]) -> str:
     rows = []
-    for own in (data[i : i + len(QUANTITIES)] for i in range(0, len(data), len(QUANTITIES))):
+    for own in group(data, lambda line: (line["system"], line["snr_db"], line["method"])).values():
         cells = [cell for line in own for cell in (_error(line), number(line["bias_pct"]), _coverage(line))]
         shares = ["-" if math.isnan(own[0][key]) else f"{100 * own[0][key]:.0f}" for key in ("said", "coloured")]
         ok = f"{own[0]['n_ok']}/{own[0]['n']}" if own[0]["n"] else "not run"

@@ -28,7 +28,8 @@ COLUMNS = (
 METRICS = {"k_over_m_error_pct": "k/m", "c_over_m_error_pct": "c/m", "rmse": "displacement"}
 UNTOLD = 100.0
 """A bound (%) beyond which data and prior do not tell a quantity: an error over it says nothing."""
-PARTS = ("all", "free", "free at even times", "forced")
+EVEN = "free at even times"
+PARTS = ("all", "free", EVEN, "forced")
 LEGEND = """One replicate of each of {n} scenarios, drawn at random by the name of the release ({release}) from the
 ranges of `conf/experiment/{name}.yaml`, uniformly or, of what is a size, uniformly in the logarithm. No setting was
 chosen on them. Each error is divided by its scenario's own Cramér-Rao bound. **Median** is over the scenarios, a fit
