@@ -1,0 +1,95 @@
+"""A model fitted to a record by growing windows: from a cycle or so to the whole, each from the answer to the last.
+
+The phase of a nonlinear vibration runs away from any first guess within a few cycles, and the misfit of the whole
+record then has a minimum at every slip. Over a short window it has one, and its answer is near enough for a window
+twice as long (H. G. Bock's multiple shooting serves the same end). No method of the benchmark is used, so that a model
+class is judged by its own best fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from bench.contract.problem import Channel, Problem, Record
+from bench.likelihood.output_error import OutputError, Search
+from bench.measured.linearised import Linearised, at_theta, strongest_frequency
+from bench.systems import System
+
+FIRST_CYCLES = 2.0
+GROWTH = 2.0
+ITERATIONS = 12
+LAST_ITERATIONS = 30
+DAMPING_RATIO = 0.02
+SMALL = 0.03
+"""First size of a further term's force over that of the spring."""
+
+
+def first_guess(system: System, rate: float, size: float) -> dict[str, float]:
+    """Parameters of a vibration of angular frequency ``rate`` and amplitude ``size``, with a mass of 1."""
+    k = rate**2
+    sizes = {
+        "m": 1.0, "k": k, "c": 2 * DAMPING_RATIO * rate, "mu": SMALL * k * size, "c2": SMALL / size,
+        "k3": SMALL * k / size**2, "k3s": SMALL * k / size**2, "l": 3.0 * size, "b": SMALL * k * size,
+    }  # fmt: skip
+    return {name: sizes.get(name, 1.0) for name in system.names}
+
+
+def grown_fit(problem: Problem, system: System, known: Mapping[str, float] | None = None) -> Linearised | None:
+    """The least squares of a system on a problem of one record; None where no window gave a finite response.
+
+    Args:
+        problem: In natural units.
+        system: In the same units.
+        known: Parameters of a system that shares some, from which to start.
+    """
+    record = problem.records[0]
+    channel = max(record.channels, key=lambda c: c.n)
+    frequency = strongest_frequency(channel.times, channel.values)
+    size = float(np.ptp(channel.values)) / 2.0 or 1.0
+    p = first_guess(system, 2 * np.pi * frequency, size) | {n: v for n, v in (known or {}).items() if n in system.names}
+    length, theta = FIRST_CYCLES / frequency, np.zeros(0)
+    while True:
+        last = length >= record.duration
+        model = OutputError(replace(problem, system=system, records=(record if last else window(record, length),)))
+        theta = theta if theta.size == model.size else _first(model, p)
+        theta = searched(model, theta, LAST_ITERATIONS if last else ITERATIONS)
+        if last:
+            return at_theta(model, theta)
+        length *= GROWTH
+
+
+def _first(model: OutputError, p: dict[str, float]) -> np.ndarray:
+    """The vector at first parameters; where the start cannot be fitted there, at rest at the first value."""
+    with np.errstate(all="ignore"):
+        theta = model.vector(p)
+    return np.where(np.isfinite(theta), theta, 0.0)
+
+
+def searched(model: OutputError, theta: np.ndarray, iterations: int) -> np.ndarray:
+    """The minimum near ``theta``, in two rounds of fit and noise."""
+    for _ in range(2):
+        with np.errstate(all="ignore"):
+            residuals = model.data - model.predict(theta)
+            if not np.all(np.isfinite(residuals)):
+                return theta
+            search = Search(model, theta, model.noise(residuals, 0.0), 1e-6)
+            for _ in range(iterations):
+                if search.done:
+                    break
+                search.step(*model.jacobian(search.trial))
+        theta = search.kept
+    return theta
+
+
+def window(record: Record, length: float) -> Record:
+    """The record up to a time, but no shorter than twelve samples a channel."""
+    channels = tuple(_first_part(channel, length) for channel in record.channels)
+    return replace(record, channels=channels)
+
+
+def _first_part(channel: Channel, length: float) -> Channel:
+    n = max(int(np.searchsorted(channel.times, length, side="right")), min(12, channel.n))
+    return replace(channel, times=channel.times[:n], values=channel.values[:n])

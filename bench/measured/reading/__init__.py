@@ -1,0 +1,6 @@
+"""Reading measured records: :func:`read_recording` makes signals of a file, and refuses what it would have to guess."""
+
+from bench.measured.reading.options import ReadOptions
+from bench.measured.reading.recording import Recording, Signal, read_recording
+
+__all__ = ["ReadOptions", "Recording", "Signal", "read_recording"]
