@@ -33,7 +33,13 @@ fields (defaults in brackets):
   format         [table] table, json
   retry          [none] failed, or statuses: try stored replicates again that failed
   dry_run        [false] list the cells, why each would run, and how long it may take
-  data           a CSV with columns t, x and optionally a force
+  data           a measured record, or several of one rig: run1.csv,run2.csv
+                 (text, xlsx, mat, npz, Parquet, UFF 58, TDMS); with it
+                 system may be auto or a sum, sdof+coulomb, and method all
+  columns, units where the file does not say: t:0,x:3 and t:ms,x:mm
+  rate, from, to samples a second without a column of times; the part to use (s)
+  force_gain, hold what the force is multiplied with [1], how it runs [linear]
+  fixed.<p>      a parameter that is told: fixed.l=1
   nominal.<p>    what is stated of a measured system (with prior=)
   start          its displacement and velocity (with initial_state=known)
   experiment     {experiments}
@@ -80,15 +86,13 @@ def _main(arguments: list[str]) -> int:
     overrides = read_overrides([text for text in arguments if text not in {*launcher, *flags}])
     from bench.config.experiment import sweep  # half a second to import: a mistyped name is said before
 
+    if any(value is not None for value in overrides.get("data", [])):
+        return _identify(overrides, show="--cfg" in flags)
     jobs = sweep(overrides, multirun=bool(flags & {"-m", "--multirun"}))
     if "--cfg" in flags:
         for job in jobs:
             print(job.config.model_dump_json(indent=2))
         return 0
-    if jobs[0].config.data is not None:
-        if len(jobs) > 1:
-            raise InputError("data", jobs[0].config.data, "one record and one method at a time")
-        return _identify(jobs[0])
     return _run(jobs, launcher)
 
 
@@ -152,13 +156,25 @@ def _whereabouts(store: Any, cells: Sequence[Any]) -> str:
     return f"full results: {store.folder}{also} (format=json prints them)"
 
 
-def _identify(job: Any) -> int:
+def _identify(overrides: Any, show: bool) -> int:
+    """Measured records: 1 where no method's answer is to be trusted."""
     from bench.face.identification import identification
+    from bench.measured.record import read_measured
+    from bench.measured.request import request_of
+    from bench.reporting.record_page import methods_page
 
-    found = identification(job)
-    if job.config.format == "json":
-        print(json.dumps(found.as_dict(), allow_nan=False))
+    request = request_of(overrides)
+    if show:
+        print(request.job.config.model_dump_json(indent=2, by_alias=True))
         return 0
-    print(found)
-    print("nothing of a measured record is stored: format=json prints all, with residuals")
-    return 0
+    found = identification(request, read_measured(request))
+    if request.job.config.format == "json":
+        for own in found:
+            print(json.dumps(own.as_dict(), allow_nan=False))
+    elif len(found) > 1:
+        names = [name for name in found[0].estimates if any(name in own.estimates for own in found[1:])] or ["k_over_m"]
+        print(methods_page([own._plain() for own in found], names[:3]))
+    else:
+        print(found[0])
+        print("nothing of a measured record is stored: format=json prints all, with residuals")
+    return int(all(own.trust == "do not trust" for own in found))

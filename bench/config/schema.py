@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from bench.contract.problem import Hold
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import default_settings, make_method
 from bench.errors import InputError
@@ -48,7 +49,15 @@ class Config(BaseModel):
     retry: str
     dry_run: bool
     cells_per_job: Annotated[int, Field(ge=1)]
-    data: Path | None
+    data: str | None
+    columns: str | None
+    units: str | None
+    rate: Positive | None
+    first: Annotated[Finite | None, Field(alias="from")]
+    last: Annotated[Finite | None, Field(alias="to")]
+    force_gain: Finite
+    hold: Hold
+    fixed: dict[str, Annotated[float, Field(allow_inf_nan=False, ge=0)]]
     nominal: dict[str, Positive]
     start: list[Finite] | None
 

@@ -1,8 +1,8 @@
-"""A measured record from Python: what a method finds in it, with intervals and residuals."""
+"""Measured records from Python: what a method finds in them, with intervals, residuals and how far to trust it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,43 +10,43 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.config.experiment import sweep
 from bench.config.overrides import overrides_of
-from bench.config.schema import Job
 from bench.errors import InputError
 from bench.face.results import nulls
-from bench.measured.record import Table, identify_record, report, table_of
-from bench.reporting.terminal_tables import record_page
-
-
-@dataclass(frozen=True)
-class IntervalEstimate:
-    """What was found of one quantity: its value and 95 % interval, in ``unit``."""
-
-    value: float
-    low: float
-    high: float
-    unit: str
+from bench.measured.finding import Finding, find
+from bench.measured.intervals import StatedInterval
+from bench.measured.reading import Recording
+from bench.measured.record import Measured, of_arrays, read_measured
+from bench.measured.request import AUTO, Request, request_of
+from bench.measured.trust import lag_one, part_of_signal, whiteness_level
+from bench.reporting.record_page import record_page
 
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Measured minus identified displacement in ``unit``: all ``values`` and what they amount to."""
+    """Measured minus identified motion of the first channel in ``unit``: all ``values`` and what they amount to.
+
+    ``whiteness``: the p-value of the test that they are white noise.
+    """
 
     values: np.ndarray
     rms: float
     part_of_signal: float
     lag1_autocorrelation: float
+    whiteness: float
     offset: float
     unit: str
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """What a method found in a measured record.
+    """What a method found in measured records.
 
-    ``estimates`` hold the quantities that the data tell, by name; ``status`` is ``ok``, or says with ``message`` why
-    there are none. ``scale_is_free`` where nothing tells mass, damping and stiffness themselves from their ratios.
+    ``trust`` is ``trust``, ``with care`` or ``do not trust``, and ``reasons`` say why. ``estimates`` hold the
+    quantities that the data tell, by name, each with the interval that the records support (``low``, ``high``) and the
+    method's own, which takes the noise for white (``white_low``, ``white_high``); there are none where the answer is
+    not to be trusted, and ``withdrawn`` keeps what the method said. ``status`` is ``ok``, or says with ``message`` why
+    there is no answer. ``scale_is_free`` where nothing tells mass, damping and stiffness themselves from their ratios.
     """
 
     method: str
@@ -55,7 +55,12 @@ class Identification:
     status: str
     message: str
     wall_s: float
-    estimates: Mapping[str, IntervalEstimate]
+    trust: str
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+    estimates: Mapping[str, StatedInterval]
+    withdrawn: Mapping[str, StatedInterval]
+    by_part: Mapping[str, tuple[float, ...]]
     residuals: Residuals | None
     scale_is_free: bool
 
@@ -75,33 +80,44 @@ class Identification:
         return found
 
     def _plain(self) -> dict[str, Any]:
-        named = ("method", "data", "samples", "status", "message", "wall_s")
+        named = ("method", "data", "samples", "status", "message", "wall_s", "trust")
         r = self.residuals
         return {
             **{name: getattr(self, name) for name in named},
+            "reasons": list(self.reasons),
+            "notes": list(self.notes),
             "estimates": {name: vars(found) for name, found in self.estimates.items()},
+            "withdrawn": {name: vars(found) for name, found in self.withdrawn.items()},
+            "by_part": {name: list(values) for name, values in self.by_part.items()},
             "residuals": None if r is None else {**vars(r), "values": r.values.tolist()},
         }
 
     def __repr__(self) -> str:
-        return record_page(self.method, Path(self.data), self._plain(), self.scale_is_free)
+        return record_page(self._plain(), self.scale_is_free)
 
     def _repr_html_(self) -> str:
         """A notebook's table."""
         import pandas as pd
 
-        lines = {name: vars(found) for name, found in self.estimates.items()}
+        shown = ["value", "low", "high", "unit"]
+        lines = {name: {key: getattr(found, key) for key in shown} for name, found in self.estimates.items()}
         table = pd.DataFrame.from_dict(lines, orient="index").to_html(float_format="{:.4g}".format) if lines else ""
-        return f"{table}<p>{self.method}: {self.samples} samples, {self.status}. {self.message}</p>"
+        said = "; ".join(self.reasons)
+        return f"{table}<p>{self.method}: {self.samples} samples, {self.status}: {self.trust}. {said}</p>"
 
 
 def identify(
-    data: str | Path | ArrayLike,
+    data: str | Path | Sequence[str | Path] | ArrayLike,
     displacement: ArrayLike | None = None,
     force: ArrayLike | None = None,
     *,
     method: str,
     system: str | None = None,
+    columns: Mapping[str, int | str] | None = None,
+    units: Mapping[str, str] | None = None,
+    rate: float | None = None,
+    span: tuple[float, float] | None = None,
+    fixed: Mapping[str, float] | None = None,
     prior: str | None = None,
     nominal: Mapping[str, float] | None = None,
     start: tuple[float, float] | None = None,
@@ -110,14 +126,20 @@ def identify(
     timeout_s: float | None = None,
     memory_mb: float | None = None,
 ) -> Identification:
-    """Identify a measured record with one method, in a process of its own; nothing is printed or stored.
+    """Identify measured records with one method, in a process of its own; nothing is printed or stored.
 
     Args:
-        data: a CSV file with columns t, x and optionally a force; or the times (s) of the samples, increasing.
+        data: a file, or several of one rig (text, xlsx, mat, npz, Parquet, UFF 58, TDMS); or the times (s) of samples.
         displacement: the samples (m), where ``data`` are times.
         force: the force (N) at the same times, where one acts and ``data`` are times.
         method: a method.
-        system: a scenario of ``conf/system`` whose system it is, of one DOF; by default m x'' + c x' + k x = f.
+        system: ``auto``, a sum of terms as ``sdof+coulomb``, or a scenario of ``conf/system`` whose system it is; by
+            default m x'' + c x' + k x = f.
+        columns: which column is what, where a file does not say: ``{"t": 0, "x": 3}``.
+        units: in which unit, where a file does not say: ``{"t": "ms", "x": "mm"}``.
+        rate: samples a second, where no column is the time.
+        span: first and last time (s) to use, on the file's own clock.
+        fixed: parameters that are told: ``{"l": 1.0}``.
         prior: how well the nominal values are known; by default nothing is.
         nominal: with a prior, what is stated of each parameter: ``{"m": 1.2, "c": 0.3, "k": 8.0}`` in SI units.
         start: displacement and velocity at time 0, where they are known; else they, and an offset, are estimated.
@@ -127,7 +149,7 @@ def identify(
         memory_mb: limit of the fit.
 
     Returns:
-        Values, 95 % intervals and residuals, or why there are none.
+        Values, 95 % intervals, residuals and how far to trust them, or why there are none.
 
     Raises:
         InputError: for a record or setting that makes no sense, with the sentence of the command line.
@@ -135,55 +157,96 @@ def identify(
     >>> import numpy as np
     >>> import bench
     >>> times = np.linspace(0.0, 10.0, 200)
-    >>> displacement = np.exp(-0.2 * times) * np.cos(2.8 * times)
-    >>> answer = bench.identify(times, displacement, method="ls")
-    >>> answer.status
-    'ok'
+    >>> noise = 0.01 * np.random.default_rng(0).standard_normal(200)
+    >>> displacement = np.exp(-0.2 * times) * np.cos(2.8 * times) + noise
+    >>> answer = bench.identify(times, displacement, method="output_error")
+    >>> answer.trust
+    'trust'
     >>> low, high = answer.intervals["natural_frequency"]
-    >>> bool(low < answer.values["natural_frequency"] < high)
+    >>> bool(low < 2.8 / 6.283 < high)
     True
     >>> bench.identify("nowhere.csv", method="ls")
     Traceback (most recent call last):
     bench.errors.InputError: data=nowhere.csv: cannot be read: No such file or directory
     """
-    table, path = _record(data, displacement, force)
+    recordings, paths = _records(data, displacement, force)
     fields = {
-        "method": method, "system": system, "prior": prior, "nominal": nominal, "seed": seed, "timeout_s": timeout_s,
-        "memory_mb": memory_mb, "data": path,
+        "method": method, "prior": prior, "nominal": nominal, "seed": seed, "timeout_s": timeout_s,
+        "memory_mb": memory_mb, "rate": rate, "fixed": fixed,
     }  # fmt: skip
     known = {"start": [list(start)], "initial_state": "known"} if start is not None else {}
-    jobs = sweep(overrides_of(fields, known, settings or {}))
-    if len(jobs) > 1:
-        raise InputError("data", path or "times", "one record and one method at a time")
-    return identification(jobs[0], table)
+    of_file: dict[str, Any] = {"data": ",".join(paths) or None, "columns": _written(columns), "units": _written(units)}
+    if span is not None:
+        of_file |= {"from": span[0], "to": span[1]}
+    overrides = {**overrides_of(fields, known, of_file, settings or {}), **({"system": [system]} if system else {})}
+    request = request_of(overrides)
+    if len(request.jobs) > 1:
+        raise InputError("method", method, "one method at a time")
+    return identification(request, read_measured(request, recordings))[0]
 
 
-def _record(
-    data: str | Path | ArrayLike, displacement: ArrayLike | None, force: ArrayLike | None
-) -> tuple[Table | None, str | None]:
-    """The record as it was given: a table, or the path of a file."""
-    if isinstance(data, str | Path):
+def _written(pairs: Mapping[str, Any] | None) -> str | None:
+    return None if not pairs else ",".join(f"{role}:{value}" for role, value in pairs.items())
+
+
+def _records(
+    data: str | Path | Sequence[str | Path] | ArrayLike, displacement: ArrayLike | None, force: ArrayLike | None
+) -> tuple[tuple[Recording, ...], list[str]]:
+    """The records as they were given: recordings of arrays, or the paths of files."""
+    paths = [data] if isinstance(data, str | Path) else data
+    if isinstance(paths, list | tuple) and paths and all(isinstance(path, str | Path) for path in paths):
         if displacement is not None or force is not None:
             raise InputError("displacement", "array", "a file has it; give a file, or times and displacement")
-        return None, str(data)
+        return (), [str(path) for path in paths]
     if displacement is None:
-        raise InputError("displacement", None, "times need displacements; or give the path of a CSV file")
-    return table_of(data, displacement, force), None
+        raise InputError("displacement", None, "times need displacements; or give the path of a file")
+    return (of_arrays(data, displacement, force),), []  # type: ignore[arg-type]
 
 
-def identification(job: Job, table: Table | None = None) -> Identification:
-    """Identify the record of a job, or the one given; raises InputError."""
-    problem, outcome = identify_record(job, table)
-    found = report(problem, outcome)
-    residuals = found["residuals"]
+def identification(request: Request, measured: Measured) -> list[Identification]:
+    """Identify the records with every method of the request, in their order; raises InputError."""
+    if request.system == AUTO:
+        from bench.measured.classes import best_class
+
+        measured = best_class(measured)
+    return [identified(find(job, measured)) for job in request.jobs]
+
+
+def identified(finding: Finding) -> Identification:
+    """A finding as users get it."""
+    problem, outcome = finding.problem, finding.outcome
     return Identification(
-        method=job.label,
-        data=problem.name if job.config.data is None else str(job.config.data),
-        samples=found["samples"],
-        status=found["status"],
-        message=found["message"],
-        wall_s=found["wall_s"],
-        estimates={name: IntervalEstimate(**own) for name, own in found["estimates"].items()},
-        residuals=None if residuals is None else Residuals(**{**residuals, "values": np.array(residuals["values"])}),
-        scale_is_free=problem.prior is None and not problem.forced,
+        method=finding.method,
+        data=", ".join(recording.source for recording in finding.measured.recordings),
+        samples=problem.n,
+        status=outcome.status.value,
+        message=outcome.message,
+        wall_s=outcome.wall_s,
+        trust=finding.trust.value,
+        reasons=tuple(doubt.reason for doubt in finding.doubts),
+        notes=finding.measured.notes,
+        estimates=finding.intervals,
+        withdrawn=finding.withdrawn,
+        by_part=finding.by_part,
+        residuals=_residuals(finding),
+        scale_is_free=problem.prior is None and not problem.scale_told and finding.measured.told_mass is None,
+    )
+
+
+def _residuals(finding: Finding) -> Residuals | None:
+    at = finding.at
+    if at is None:
+        return None
+    channel = finding.problem.records[0].channels[0]
+    own = at.channels[0]
+    size = float(np.max(np.abs(channel.values))) / (float(np.max(np.abs(at.model.data[own]))) or 1.0) or 1.0
+    values = size * at.residuals[own]
+    return Residuals(
+        values=values,
+        rms=float(np.sqrt(np.mean(values**2))),
+        part_of_signal=part_of_signal(at),
+        lag1_autocorrelation=lag_one(at),
+        whiteness=whiteness_level(at),
+        offset=size * float(at.model.offsets(at.theta)[0]),
+        unit=channel.unit,
     )

@@ -18,14 +18,14 @@ import numpy as np
 from bench.contract.belief import standard_quantile
 from bench.contract.estimate import Estimate
 from bench.measured.linearised import Linearised
-from bench.measured.model_error import ModelError
+from bench.measured.model_error import NOTHING_LACKING, ModelError
 from bench.measured.parts import NOTHING, Between, between
 from bench.systems import Quantity
 
 UPPER = 0.975
 LEAST_DOF = 2.0
 SHARE_DOF = 4.0
-"""At least, of what is added for unequal parts or a model that lacks a force: both are a change seen as a whole."""
+"""At least, of a variance between parts: two parts show their difference as a whole, not as a draw."""
 MOST_LOG = 50.0
 """Beyond this half-width of a logarithm an interval says nothing, and numbers overflow."""
 
@@ -62,7 +62,7 @@ def stated_intervals(
     estimate: Estimate,
     at: Linearised | None,
     parts: Sequence[Linearised] = (),
-    lacking: ModelError = ModelError(),
+    lacking: ModelError = NOTHING_LACKING,
 ) -> dict[str, StatedInterval]:
     """The quantities that an answer tells, each with its intervals.
 
@@ -102,7 +102,7 @@ def _stated(
         return own
     share, change = between(parts, quantity) if parts else NOTHING, lacking.change(quantity)
     if change**2 > share.variance:
-        share = replace(NOTHING, variance=change**2, dof=SHARE_DOF, trend=change)
+        share = replace(NOTHING, variance=change**2, trend=change)
     noise = deviation**2 * coloured / white
     colour = _half(noise, NOTHING, at) / (deviation * standard_quantile(UPPER, dof))
     whole = _half(noise, share, at) / (deviation * standard_quantile(UPPER, dof))

@@ -4,8 +4,8 @@ To the fitted model dry friction, quadratic damping and a cubic spring are added
 regression of the residuals on the model's derivatives and on those by the added forces (a score test: C. R. Rao, Proc.
 Camb. Phil. Soc. 44:50, 1948). Whichever of them lower the Bayesian information criterion, with the noise as coloured as
 it is then, are taken to be there. What they make of damping and stiffness at an amplitude ``A`` is harmonic balance's
-equivalent (A. H. Nayfeh, D. T. Mook, Nonlinear Oscillations, 1979, chapter 3): ``c + 4 mu / (π w A) + 8 c2 w A / (3 π)``
-and ``k + 3 k3 A² / 4``. Their change over the amplitudes in the record is by how much another record may differ.
+equivalent: ``c + 4 mu / (π w A) + 8 c2 w A / (3 π)`` and ``k + 3 k3 A² / 4`` (A. H. Nayfeh, D. T. Mook, Nonlinear
+Oscillations, 1979, chapter 3). By their change over the amplitudes in the record another record may differ.
 """
 
 from __future__ import annotations
@@ -81,6 +81,7 @@ class ModelError:
         return powers.get("c", 0.0) * self.damping + powers.get("k", 0.0) * self.stiffness
 
 
+NOTHING_LACKING = ModelError()
 NAMES = {"mu": "dry friction", "c2": "quadratic damping", "k3": "a cubic spring"}
 
 
@@ -90,10 +91,10 @@ def model_error(at: Linearised) -> ModelError:
     record = model.problem.records[0]
     names = set(model.system.names)
     if len(model.problem.records) > 1 or model.system.n_dof > 1 or not {"c", "k"} <= names:
-        return ModelError()
+        return NOTHING_LACKING
     channel = record.channels[0]
     if len(record.channels) > 1 or channel.measures != "displacement" or not even_times(channel.times):
-        return ModelError()
+        return NOTHING_LACKING
     p = {name: float(value) for name, value in model.parameters(at.theta).items()}
     rate = np.sqrt(p["k"] / p["m"])
     amplitudes = _amplitudes(at, rate)
@@ -109,7 +110,7 @@ def model_error(at: Linearised) -> ModelError:
             if criterion < best:
                 used, best = (some, solution), criterion
     if used is None:
-        return ModelError()
+        return NOTHING_LACKING
     sizes = dict(zip(used[0], used[1][at.theta.size :], strict=True))
     logs = dict(zip(model.free, used[1], strict=False))
     return ModelError(tuple(NAMES[name] for name in used[0]), *_changes(p, logs, sizes, rate, amplitudes), first - best)

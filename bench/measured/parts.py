@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -48,21 +49,38 @@ NOTHING = Between(0.0, np.inf, 1.0, 0.0, ())
 
 
 def parts_of(whole: Linearised, frequency: float) -> list[Linearised]:
-    """Fit the parts of a problem of one record, each from the answer to the whole; fewer than two: none.
+    """Fit the parts of a record, or each of several records, alone, from the answer to the whole; below two: none.
 
     ``frequency``: cycles per unit of the problem's time. Each part has at least a cycle and four samples an unknown.
     """
-    record = whole.model.problem.records[0]
     if len(whole.model.problem.records) > 1:
-        return []
+        return [alone for i in range(len(whole.model.problem.records)) if (alone := _alone(whole, i)) is not None]
+    record = whole.model.problem.records[0]
     smallest = min(channel.n for channel in record.channels)
     number = min(
         MOST_PARTS, int(record.duration * frequency / CYCLES), smallest // (SAMPLES_PER_UNKNOWN * whole.model.size)
     )
     edges = np.linspace(0.0, record.duration, max(number, 1) + 1)
-    fitted = [_part(whole, low, high) for low, high in zip(edges[:-1], edges[1:], strict=True)] if number > 1 else []
+    fitted = [_part(whole, low, high) for low, high in pairwise(edges)] if number > 1 else []
     told = [replace(part, told=whole.noises) for part in fitted if part is not None]
     return [part for part in told if part.coloured is not None]
+
+
+def _alone(whole: Linearised, number: int) -> Linearised | None:
+    """One of several records, fitted alone."""
+    model = whole.model
+    record = model.problem.records[number]
+    one = OutputError(replace(model.problem, records=(record,)), model.gauge)
+    if one.free != model.free:
+        return None
+    start, offsets = model.starts(whole.theta)[number], model.offsets(whole.theta)
+    own = [i for i, (of, _) in enumerate(model.channels) if of == number]
+    state = [] if isinstance(start, InitialState) else [np.concatenate([np.ravel(part) for part in start])]
+    theta = np.concatenate(
+        [whole.theta[: len(model.free)], *state, [offsets[i] for i in own if i in model.offset_channels]]
+    )
+    fitted = _searched(one, theta)
+    return None if fitted is None or fitted.coloured is None else fitted
 
 
 def _part(whole: Linearised, low: float, high: float) -> Linearised | None:
@@ -122,7 +140,8 @@ def between(parts: Sequence[Linearised], quantity: Quantity) -> Between:
     estimates, variances = [], []
     for part in parts:
         gradient, covariance = part.gradient(quantity), part.coloured
-        assert covariance is not None and part.white is not None
+        if covariance is None or part.white is None:
+            continue
         variance = max(float(gradient @ covariance @ gradient), float(gradient @ part.white @ gradient))
         if np.isfinite(variance) and variance > 0:
             k = len(part.model.free)

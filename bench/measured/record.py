@@ -1,11 +1,9 @@
-"""A measured record as a Problem: read a CSV, identify, report values, intervals and residuals. There is no truth."""
+"""Measured records as a Problem: their signals, the system that was asked for, and what is told of it."""
 
 from __future__ import annotations
 
-import csv
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,64 +11,65 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bench.config.schema import Job
-from bench.contract.estimate import Estimate, Status
 from bench.contract.prior import Prior
 from bench.contract.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Record
-from bench.dynamics.simulate import fitted_start, measurements
-from bench.entrants.reference import REFERENCES
-from bench.entrants.registry import make_method, missing_package
 from bench.errors import InputError
-from bench.measured.fit import Outcome, fit_alone
-from bench.scoring.combination import combine_with_prior
-from bench.scoring.score import point_parameters
-from bench.sweep.workers import Limits
+from bench.measured.models import smoothing_velocity
+from bench.measured.reading import Recording, Signal, read_recording
+from bench.measured.request import AUTO, Request
 from bench.systems import System, make_system
-from bench.systems.linear import SDOF
+from bench.systems.sums import Sum, sum_from
 
-UNITS = {
-    "s": ("t", 1.0), "ms": ("t", 1e-3), "m": ("x", 1.0), "cm": ("x", 1e-2), "mm": ("x", 1e-3), "um": ("x", 1e-6),
-    "µm": ("x", 1e-6), "in": ("x", 0.0254), "n": ("f", 1.0), "kn": ("f", 1e3), "mn": ("f", 1e-3), "MN": ("f", 1e6),
-}  # fmt: skip
-"""Known units of a header, as written or else in lower case: the column they belong to and their size in SI."""
 MAX_SAMPLES = 100_000
+ANGLE = "rad"
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
-    """Columns of a file: times (s, from the first sample), displacement with its unit, and maybe a force (N)."""
+class Measured:
+    """Recordings and the problem that they pose; ``notes`` say what was done to them.
 
-    times: np.ndarray
-    displacement: np.ndarray
-    force: np.ndarray | None
-    unit: str
-
-
-def read_record(path: Path) -> Table:
-    """Read columns t, x and optionally a force, with or without a header such as ``t [s], x [mm], force [N]``.
-
-    Separators may be commas, semicolons, tabs or spaces; lines that start with # or % are comments. Values in a known
-    unit are converted to SI; an unknown unit of x is kept as a label. Raises InputError.
+    ``told`` values, of parameters that the data cannot tell and the user has told, scale what is found.
     """
+
+    recordings: tuple[Recording, ...]
+    problem: Problem
+    notes: tuple[str, ...]
+    told_mass: float | None = None
+
+    @property
+    def unit(self) -> str:
+        """Of the first channel."""
+        return self.problem.records[0].channels[0].unit
+
+    @property
+    def angle(self) -> bool:
+        """Whether it is turned, not moved."""
+        return self.unit.startswith(ANGLE)
+
+
+def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Measured:
+    """The records of a request, read from its files unless they are given; raises InputError."""
+    recordings = tuple(recordings) or tuple(read_recording(path, request.options) for path in request.files)
+    job = request.job
+    disturbance = job.config.disturbance["kind"]
+    if disturbance != "none":
+        raise InputError("disturbance", disturbance, "a measured record is taken as it is; leave it out")
+    system = _system(request, recordings[0])
+    start = _start(job)
+    records = tuple(_record(recording, system, start, job) for recording in recordings)
+    names = ", ".join(Path(recording.source).name for recording in recordings)
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        raise InputError("data", path, f"cannot be read: {reason}") from None
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith(("#", "%"))]
-    cells = [_split(line) for line in lines]
-    header = cells.pop(0) if cells and not _is_number(cells[0][0]) else []
-    _check_length(len(cells), path)
-    width = len(header) or len(cells[0])
-    if width not in (2, 3):
-        raise InputError("data", path, f"{width} columns; write t, x and optionally a force")
-    for i, row in enumerate(cells):
-        if len(row) != width or not all(_is_number(cell) for cell in row):
-            raise InputError("data", f"{path} row {i + 1}", f"{width} numbers are needed, found {', '.join(row)}")
-    return _table(np.array(cells, dtype=float), header)
+        problem = Problem(system, records, _prior(job, system), name=names)
+    except InputError as error:
+        raise InputError("data", f"{names} ({error.field} {error.value})", error.remedy) from None
+    mass = job.config.fixed.get("m")
+    _check_scale(problem, mass)
+    notes = tuple(note for recording in recordings for note in recording.notes)
+    return Measured(recordings, problem, notes, mass)
 
 
-def table_of(times: ArrayLike, displacement: ArrayLike, force: ArrayLike | None = None) -> Table:
-    """A record from arrays in SI units, of one length; raises InputError."""
+def of_arrays(times: ArrayLike, displacement: ArrayLike, force: ArrayLike | None = None) -> Recording:
+    """A recording of arrays in SI units, of one length; raises InputError."""
     given = {"times": times, "displacement": displacement, **({} if force is None else {"force": force})}
     columns = {}
     for name, values in given.items():
@@ -81,77 +80,80 @@ def table_of(times: ArrayLike, displacement: ArrayLike, force: ArrayLike | None 
         if columns[name].ndim != 1 or columns[name].size != columns["times"].size:
             remedy = "one-dimensional, with a number for each of the times"
             raise InputError(name, f"array of shape {columns[name].shape}", remedy)
-    _check_length(columns["times"].size, "arrays")
-    shifted = columns["times"] - columns["times"][0]
-    return Table(shifted, columns["displacement"], columns.get("force"), "m")
+    if columns["times"].size < MIN_SAMPLES:
+        raise InputError("data", "arrays", f"{columns['times'].size} samples; at least {MIN_SAMPLES} are needed")
+    clock = columns["times"] - columns["times"][0]
+    signals = [Signal("x", "displacement", 0, columns["displacement"], "m", clock)]
+    if "force" in columns:
+        signals.append(Signal("f", "force", 0, columns["force"], "N", clock))
+    return Recording(tuple(signals), (), "arrays", "")
 
 
-def _check_length(n: int, source: object) -> None:
-    if n < MIN_SAMPLES:
-        raise InputError("data", source, f"{n} samples; at least {MIN_SAMPLES} are needed")
-    if n > MAX_SAMPLES:
-        raise InputError("data", source, f"{n} samples; at most {MAX_SAMPLES}, thin the record")
+def _system(request: Request, recording: Recording) -> System:
+    """The system that was asked for, with what is told of it; a pendulum's length is 1 where angles are measured."""
+    job, motion = request.job, _motion(recording)
+    fixed = {name: value for name, value in job.config.fixed.items() if name != "m"}
+    if request.system == AUTO:
+        if fixed:
+            raise InputError("fixed", fixed, "with system=auto nothing is told; name the system")
+        return sum_from("sdof")
+    if "system" in job.explicit:
+        if fixed:
+            raise InputError("fixed", fixed, "it is for sums of terms, as system=sdof+coulomb fixed.k=0")
+        physics = job.config.system
+        return make_system(physics["kind"], physics["options"])
+    velocity = 0.01
+    if motion is not None:
+        velocity = smoothing_velocity(motion.times, motion.values)
+    words = request.system.split("+")
+    if motion is not None and motion.unit == ANGLE and "pendulum" in words and "l" not in fixed:
+        fixed["l"] = 1.0
+    system = sum_from(request.system, smoothing_velocity=velocity, fixed=tuple(fixed.items()))
+    if system.needs_scale and not any(s.measures == "force" for s in recording.signals) and "prior" not in job.explicit:
+        raise InputError("fixed", fixed, "without a force or a prior only ratios to the mass can be told; give one")
+    return system
 
 
-def _split(line: str) -> list[str]:
-    for separator in (",", ";", "\t"):
-        if separator in line:
-            return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
-    return line.split()
+def _motion(recording: Recording) -> Signal | None:
+    """The first displacement of a recording."""
+    return next((signal for signal in recording.signals if signal.measures == "displacement"), None)
 
 
-def _is_number(text: str) -> bool:
+def _record(recording: Recording, system: System, start: InitialState | None, job: Job) -> Record:
+    name = Path(recording.source).name
+    tells_offset = start is None and getattr(system, "tells_offset", True)
+    channels, forces = [], []
+    for signal in recording.signals:
+        if signal.dof >= system.n_dof:
+            remedy = f"the system has {system.n_dof} DOF; choose one with more masses, or columns="
+            raise InputError("data", f"{name} ({signal.role})", remedy)
+        if signal.times.size > MAX_SAMPLES:
+            remedy = f"at most {MAX_SAMPLES}: choose a part by from= and to="
+            raise InputError("data", f"{name}, {signal.times.size} samples", remedy)
+        if signal.measures == "force":
+            values = job.config.force_gain * signal.values
+            forces.append(Force(signal.times, values, hold=job.config.hold, dof=signal.dof))
+        else:
+            offset = tells_offset and signal.measures == "displacement"
+            channels.append(
+                Channel(signal.times, signal.values, signal.measures, signal.dof, unit=signal.unit, offset=offset)
+            )
+    if not channels:
+        raise InputError("data", name, "no column of it is a motion; name one by columns=x:<number>")
     try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _table(values: np.ndarray, header: Sequence[str]) -> Table:
-    columns, unit = ["t", "x", "f"][: values.shape[1]], "m"
-    for i, name in enumerate(header):
-        match = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$|_([A-Za-zµ]+)$", name)
-        text = next((group for group in match.groups() if group), "") if match else ""
-        kind, size = UNITS.get(text, UNITS.get(text.lower(), ("", 1.0)))
-        if kind == columns[i]:
-            values[:, i] *= size
-        elif columns[i] == "x" and text:
-            unit = text
-        elif text:
-            raise InputError(f"data column {name}", text, f"known units: {', '.join(UNITS)}")
-    times = values[:, 0]
-    return Table(times - times[0], values[:, 1], values[:, 2] if len(columns) == 3 else None, unit)
-
-
-def measured_problem(job: Job, table: Table | None = None) -> Problem:
-    """The problem of a record, that of the job's file unless a table is given.
-
-    No prior and an unknown start unless the user says otherwise; an offset is estimated. Raises InputError.
-    """
-    config, physics = job.config, job.config.system
-    system = make_system(physics["kind"], physics["options"]) if "system" in job.explicit else SDOF()
-    if system.n_dof != 1:
-        raise InputError("system", physics["label"], "a record with columns t, x is of one DOF")
-    source = config.data or Path("arrays")
-    table = read_record(source) if table is None else table
-    start = _start(job)
-    try:
-        channel = Channel(table.times, table.displacement, unit=table.unit, offset=start is None)
-        forces = () if table.force is None else (Force(table.times, table.force),)
-        record = Record((channel,), forces, start)
+        return Record(tuple(channels), tuple(forces), start)
     except InputError as error:
-        raise InputError("data", f"{source} ({error.field} {error.value})", error.remedy) from None
-    return Problem(system, (record,), _prior(job, system), name=source.name)
+        raise InputError("data", f"{name} ({error.field} {error.value})", error.remedy) from None
 
 
 def _start(job: Job) -> InitialState | None:
     config = job.config
     if "initial_state" not in job.explicit or config.initial_state == "unknown":
         return None
-    if config.start is None or len(config.start) != 2:
+    if config.start is None or len(config.start) % 2 or not config.start:
         raise InputError("start", config.start, "initial_state=known needs start=[displacement,velocity] at time 0")
-    return InitialState(np.array(config.start[:1]), np.array(config.start[1:]))
+    half = len(config.start) // 2
+    return InitialState(np.array(config.start[:half]), np.array(config.start[half:]))
 
 
 def _prior(job: Job, system: System) -> Prior | None:
@@ -168,67 +170,35 @@ def _prior(job: Job, system: System) -> Prior | None:
     )
 
 
-def identify_record(job: Job, table: Table | None = None) -> tuple[Problem, Outcome]:
-    """Identify the record of a job, or the one given, with the job's method, in a process of its own."""
-    name = job.config.method["name"]
-    disturbance = job.config.disturbance["kind"]
-    if disturbance != "none":
-        raise InputError("disturbance", disturbance, "a measured record is taken as it is; leave it out")
-    if name in REFERENCES:
-        raise InputError("method", name, "it needs the truth, which a measured record does not have; choose a method")
-    problem = measured_problem(job, table)
-    lacking = missing_package(name)
-    if lacking:
-        return problem, Outcome(None, Status.MISSING_DEPENDENCY, lacking)
-    method, rng = make_method(name, job.settings()), np.random.default_rng(job.config.seed)
-    limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
-    return problem, fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
+def _check_scale(problem: Problem, mass: float | None) -> None:
+    if mass is None:
+        return
+    if mass <= 0:
+        raise InputError("fixed.m", mass, "a positive mass (kg)")
+    if problem.prior is not None or problem.scale_told:
+        raise InputError("fixed.m", mass, "the force or the prior tells the mass already; leave it out")
 
 
-def report(problem: Problem, outcome: Outcome) -> dict[str, Any]:
-    """Values, 95 % intervals and residuals of an identified record, ready for JSON."""
-    result: dict[str, Any] = {
-        "samples": problem.n,
-        "status": outcome.status.value,
-        "message": outcome.message,
-        "wall_s": outcome.wall_s,
-        "estimates": {},
-        "residuals": None,
-    }
-    if outcome.estimate is None or outcome.status is not Status.OK:
-        return result
-    estimate = combine_with_prior(outcome.estimate, problem.prior)
-    for quantity in problem.system.quantities:
-        marginal = estimate.marginal(quantity)
-        if marginal is not None:
-            low, high = marginal.interval(0.95)
-            result["estimates"][quantity.name] = {
-                "value": marginal.value, "low": low, "high": high, "unit": quantity.unit,
-            }  # fmt: skip
-    result["residuals"] = _residuals(problem, estimate)
-    return result
+def with_system(measured: Measured, system: Sum) -> Measured:
+    """The same records, of another system."""
+    tells = system.tells_offset
+    records = tuple(
+        replace(r, channels=tuple(replace(c, offset=c.offset and tells) for c in r.channels))
+        for r in measured.problem.records
+    )
+    return replace(measured, problem=replace(measured.problem, system=system, records=records))
 
 
-def _residuals(problem: Problem, estimate: Estimate) -> dict[str, Any] | None:
-    """Measured minus identified displacement: root mean square, part of the signal, lag-one autocorrelation."""
-    record = problem.records[0]
+def summary_of(measured: Measured) -> dict[str, Any]:
+    """What the records are, for a page."""
+    record = measured.problem.records[0]
     channel = record.channels[0]
-    if estimate.reconstructions:
-        fitted = estimate.reconstructions[0](channel.times)[channel.dof]
-    else:
-        p = point_parameters(estimate)
-        if p is None:
-            return None
-        fitted = measurements(problem.system, p, fitted_start(problem.system, p, record), record)
-    offset = estimate.offsets[0] if estimate.offsets else float(np.mean(channel.values - fitted)) * channel.offset
-    r = channel.values - fitted - offset
-    spread = float(np.std(channel.values))
-    total = float(r @ r)
     return {
+        "files": [recording.source for recording in measured.recordings],
+        "sha256": [recording.sha256 for recording in measured.recordings],
+        "samples": measured.problem.n,
+        "seconds": record.duration,
+        "rate": (channel.n - 1) / (float(channel.times[-1] - channel.times[0]) or 1.0),
         "unit": channel.unit,
-        "rms": float(np.sqrt(np.mean(r**2))),
-        "part_of_signal": float(np.sqrt(np.mean(r**2))) / spread if spread else float("nan"),
-        "lag1_autocorrelation": float(r[:-1] @ r[1:]) / total if total else 0.0,
-        "offset": float(offset),
-        "values": [float(value) for value in r],
+        "forced": measured.problem.forced,
     }

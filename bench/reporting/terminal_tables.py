@@ -1,4 +1,4 @@
-"""Scores for reading in a terminal: of one cell, of a sweep with its best methods marked, of a measured record."""
+"""Scores for reading in a terminal: of one cell, of a sweep with its best methods marked."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import median_high
-from typing import Any
 
 import numpy as np
 
@@ -202,29 +201,3 @@ def _median_and_excess(found: Sequence[Mapping[str, float]]) -> tuple[str, str]:
     values = [[s[key] for s in found if not math.isnan(s.get(key, math.nan))] for key in ("median", "excess")]
     median, excess = (median_high(own) if own else math.nan for own in values)
     return number(median), _excess(excess)
-
-
-def record_page(label: str, data: Path, result: Mapping[str, Any], scale_is_free: bool) -> str:
-    """What a method found in a measured record: values with intervals, and what is left of the signal.
-
-    ``result`` is that of :func:`bench.measured.record.report`; ``scale_is_free`` where nothing tells masses from
-    ratios.
-    """
-    lines = [f"record: {data}", wrapped(f"{label}: {result['samples']} samples, {result['status']}")]
-    if result["message"]:
-        lines.append(wrapped(result["message"], "    ", "  "))
-    if result["estimates"]:
-        rows = [
-            [readable(name), *rounded(e["value"], e["low"], e["high"]), e["unit"]]
-            for name, e in result["estimates"].items()
-        ]
-        lines += ["", table(rows, ["", "value", "95 % low", "95 % high", "unit"], (0, 4)), ""]
-        if scale_is_free:
-            free = "free vibration without a prior: m, c and k themselves cannot be told, only their ratios"
-            lines.append(wrapped(free))
-    r = result["residuals"]
-    if r:
-        said = f"residuals: rms {number(r['rms'])} {r['unit']} ({100 * r['part_of_signal']:.2g} % of the signal)"
-        correlation = f"lag-1 autocorrelation {r['lag1_autocorrelation']:.2f}"
-        lines.append(wrapped(f"{said}, {correlation}, offset {number(r['offset'])} {r['unit']}"))
-    return "\n".join(lines)

@@ -1,0 +1,274 @@
+"""The certificate of measured records: what one method finds, and all that speaks for or against it.
+
+Beside the primary method's answer stand the other methods', the model classes, a prediction of what was held out, twins
+(simulated records like this one) and what a better record would bring. Nothing is drawn here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from bench.contract.problem import InitialState
+from bench.dynamics.simulate import simulate
+from bench.errors import InputError
+from bench.likelihood.output_error import OutputError
+from bench.measured.classes import HELD_OUT, ModelClass, best_class, ranked_classes
+from bench.measured.finding import Finding, find
+from bench.measured.grown import searched, window
+from bench.measured.intervals import StatedInterval
+from bench.measured.linearised import Linearised
+from bench.measured.record import Measured
+from bench.measured.request import AUTO, Request
+from bench.measured.trust import Trust
+
+Say = Callable[[str, int, int], None]
+"""What is being done, and of how many steps how many are done."""
+TWIN_SECONDS = 120.0
+"""Time that the fits to twins may take, by what each method took for the record; then methods are left out."""
+LEAST_TWINS = 20
+COMPARED = 2
+"""Quantities in which methods are compared."""
+DENSE = 1500
+ITERATIONS = 15
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The fitted motion on a dense grid, in the channel's units."""
+
+    times: np.ndarray
+    displacement: np.ndarray
+    velocity: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The last part of the first channel as a fit of the part before ``split`` (s) has it; ``fit`` in percent."""
+
+    split: float
+    predicted: np.ndarray
+    fit: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One method's value of one quantity beside the primary's: ``agrees``, ``level`` or ``off``.
+
+    It agrees inside the primary's interval, and is level with it where its own interval holds the primary's value.
+    """
+
+    method: str
+    quantity: str
+    interval: StatedInterval
+    standing: str
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """All that is stated of records; the first of ``findings`` is the primary method's.
+
+    ``missing`` says of a part that is not there why it is not.
+    """
+
+    request: Request
+    findings: tuple[Finding, ...]
+    compared: tuple[Comparison, ...]
+    classes: tuple[ModelClass, ...] = ()
+    motion: Motion | None = None
+    prediction: Prediction | None = None
+    twins: Any = None
+    what_if: tuple[Any, ...] = ()
+    missing: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def primary(self) -> Finding:
+        return self.findings[0]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The quantities in which methods are compared."""
+        return compared_quantities(self.findings)
+
+    @property
+    def shown(self) -> Mapping[str, StatedInterval]:
+        """The primary method's intervals, or what it said before they were withdrawn."""
+        return self.primary.intervals or self.primary.withdrawn
+
+
+def certify(request: Request, measured: Measured, twins: int, say: Say = lambda what, done, of: None) -> Certificate:
+    """Gather the certificate of records; raises InputError.
+
+    Args:
+        request: Whose first method is the primary one.
+        measured: The records.
+        twins: Simulated records; 0 for none.
+        say: Told of every step.
+    """
+    steps = len(request.jobs) + 3
+    missing: dict[str, str] = {}
+    say("model classes", 0, steps)
+    classes = tuple(_ranked(measured, missing))
+    if request.system == AUTO:
+        measured = best_class(measured)
+    findings = []
+    for i, job in enumerate(request.jobs):
+        say(job.label, 1 + i, steps)
+        findings.append(_found(job, measured, first=i == 0))
+    kept = tuple(one for one in findings if one is not None)
+    primary = kept[0]
+    motion = None if primary.at is None else motion_of(primary.at, primary.problem.records[0].channels[0])
+    prediction = None if primary.at is None else prediction_of(primary.at)
+    say("what would help", steps - 2, steps)
+    hopes = _what_if(primary, missing)
+    say("twins", steps - 1, steps)
+    drawn = _twins(kept, twins, request, lambda done, of: say(f"twin {done} of {of}", steps - 1, steps), missing)
+    say("done", steps, steps)
+    return Certificate(request, kept, comparisons(kept), classes, motion, prediction, drawn, hopes, missing)
+
+
+def _found(job: Any, measured: Measured, first: bool) -> Finding | None:
+    """The finding of a job; of a reference row, which needs the truth, none."""
+    try:
+        return find(job, measured)
+    except InputError:
+        if first:
+            raise
+        return None
+
+
+def _ranked(measured: Measured, missing: dict[str, str]) -> list[ModelClass]:
+    found = ranked_classes(measured)
+    if not found:
+        missing["classes"] = "classes are compared for one displacement of one degree of freedom"
+    return found
+
+
+def compared_quantities(findings: Sequence[Finding]) -> tuple[str, ...]:
+    """k/m and c/m, or the first two groups of the system that any method tells."""
+    told = {name for one in findings for name in (one.intervals or one.withdrawn)}
+    groups = [q.name for q in findings[0].problem.system.groups if q.name in told]
+    first = [name for name in ("k_over_m", "c_over_m") if name in groups]
+    return tuple([*first, *(name for name in groups if name not in first)][:COMPARED])
+
+
+def comparisons(findings: Sequence[Finding]) -> tuple[Comparison, ...]:
+    """Each method's values beside the primary's, the primary's own first."""
+    found = []
+    for name in compared_quantities(findings):
+        own = findings[0].intervals.get(name)
+        for one in findings:
+            other = one.intervals.get(name)
+            if other is not None:
+                standing = "primary" if one is findings[0] else standing_of(other, own)
+                found.append(Comparison(one.method, name, other, standing))
+    return tuple(found)
+
+
+def standing_of(other: StatedInterval, own: StatedInterval | None) -> str:
+    """How a value stands to the primary's: ``agrees``, ``level``, ``off``; ``-`` where there is none."""
+    if own is None:
+        return "-"
+    if own.low <= other.value <= own.high:
+        return "agrees"
+    return "level" if other.low <= own.value <= other.high else "off"
+
+
+def sizes(at: Linearised, channel: Any) -> tuple[float, float]:
+    """What a natural length and a natural time are in the first channel's units, by its own samples."""
+    own = at.channels[0]
+    largest = int(np.argmax(np.abs(at.model.data[own])))
+    size = float(channel.values[largest]) / (float(at.model.data[own][largest]) or 1.0)
+    mine = at.model.channels[0][1].times
+    return size or 1.0, float(np.ptp(channel.times)) / (float(np.ptp(mine)) or 1.0) or 1.0
+
+
+def motion_of(at: Linearised, channel: Any) -> Motion | None:
+    """The fitted motion of the first channel's degree of freedom; None where it is not finite."""
+    model, record = at.model, at.model.problem.records[0]
+    mine = model.channels[0][1]
+    p = {name: float(value) for name, value in model.parameters(at.theta).items()}
+    start = model.starts(at.theta)[0]
+    state = start if isinstance(start, InitialState) else InitialState(start[0], start[1])
+    times = np.linspace(0.0, float(mine.times[-1]), max(DENSE, 1))
+    with np.errstate(all="ignore"):
+        path = simulate(record.rig(model.system), p, state, times, record.forces)
+    x, v = path.displacement[mine.dof], path.velocity[mine.dof]
+    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(v))):
+        return None
+    size, second = sizes(at, channel)
+    if mine.measures != "displacement":  # the channel's size is that of its own signal
+        size *= second if mine.measures == "velocity" else second**2
+    return Motion(second * times, size * x, size / second * v)
+
+
+def prediction_of(at: Linearised) -> Prediction | None:
+    """The last 40 % of the first record by a fit of the first 60 %; None where that fit is not possible.
+
+    As :func:`bench.measured.classes.held_out_fit`, but with the prediction itself.
+    """
+    if len(at.model.problem.records) > 1:
+        return None
+    record, channel = at.model.problem.records[0], at.model.channels[0][1]
+    early = window(record, (1.0 - HELD_OUT) * record.duration)
+    model = OutputError(replace(at.model.problem, records=(early,)), at.model.gauge)
+    if model.size != at.theta.size:
+        return None
+    with np.errstate(all="ignore"):
+        predicted = at.model.predict(searched(model, at.theta, ITERATIONS))[at.channels[0]]
+    late = np.arange(channel.n) >= early.channels[0].n
+    y, h = channel.values[late], predicted[late]
+    scale = float(np.linalg.norm(y - np.mean(y))) if y.size else 0.0
+    if scale == 0 or not np.all(np.isfinite(predicted)):
+        return None
+    split = float(early.channels[0].times[-1])
+    return Prediction(split, predicted, float(100.0 * (1.0 - np.linalg.norm(y - h) / scale)))
+
+
+def _what_if(primary: Finding, missing: dict[str, str]) -> tuple[Any, ...]:
+    if primary.trust is Trust.NO or primary.at is None:
+        missing["what_if"] = "the answer is not to be trusted, so nothing is said of what a better record would bring"
+        return ()
+    try:
+        from bench.measured.what_if import what_if
+    except ImportError:
+        missing["what_if"] = "not part of this version"
+        return ()
+    return tuple(what_if(primary))
+
+
+def affordable(findings: Sequence[Finding], n: int) -> tuple[list[str], int]:
+    """The methods that twins are fitted with, the primary first, and how many twins: as the time allows."""
+    took = {one.method: one.outcome.wall_s for one in findings if one.intervals and math.isfinite(one.outcome.wall_s)}
+    primary = findings[0].method
+    own = max(took.pop(primary, 0.0), 1e-4)
+    number = n if n * own <= TWIN_SECONDS else max(min(n, LEAST_TWINS), int(TWIN_SECONDS / own))
+    left, chosen = TWIN_SECONDS - number * own, [primary]
+    for method, wall_s in sorted(took.items(), key=lambda item: item[1]):
+        left -= number * wall_s
+        if left < 0:
+            break
+        chosen.append(method)
+    return chosen, number
+
+
+def _twins(
+    findings: Sequence[Finding], n: int, request: Request, progress: Callable[[int, int], None], missing: dict[str, str]
+) -> Any:
+    if n == 0:
+        missing["twins"] = "none was asked for (twins=0)"
+        return None
+    if findings[0].trust is Trust.NO or findings[0].at is None:
+        missing["twins"] = "the answer is not to be trusted, so no twins are made of it"
+        return None
+    try:
+        from bench.measured.twins import twins_of
+    except ImportError:
+        missing["twins"] = "not part of this version"
+        return None
+    methods, number = affordable(findings, n)
+    return twins_of(findings[0], methods, number, int(request.job.config.seed), progress)

@@ -1,0 +1,259 @@
+"""Model classes for a record, ranked: which sum of terms describes it, and which terms it does not need.
+
+Each class is fitted by growing windows (:mod:`bench.measured.grown`) and judged twice: by the likelihood of its
+residuals as an autoregression, less what its unknowns cost (Bayesian information criterion), and by how well the fit of
+the first 60 % predicts the last 40 % from its state there. A term whose size the fit runs down to nothing is left out,
+with the largest size that the record does not exclude.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bench.contract.belief import standard_quantile
+from bench.contract.problem import Problem, Record, Units
+from bench.likelihood.output_error import OutputError
+from bench.measured.colour import autoregression, log_likelihood
+from bench.measured.grown import first_guess, grown_fit, searched, window
+from bench.measured.linearised import Linearised, at_theta, strongest_frequency
+from bench.measured.models import candidates, smoothing_velocity
+from bench.measured.record import Measured, with_system
+from bench.systems.sums import TERMS, Sum
+
+SIMPLE = ("viscous", "Duffing", "softening", "pendulum")
+"""Classes that differ in what pulls back."""
+UNSPRUNG = "no spring"
+COARSER = 3.0
+"""The smoothing velocity of friction while classes are compared, over that of the answer: steps may be longer."""
+MOST_SAMPLES = 400
+"""Of a record on which classes are compared: thinned above, since tens of fits are made."""
+HELD_OUT = 0.4
+NOTHING = 1e-3
+"""A term counts as nothing where its force is less than this part of the spring's at the amplitude."""
+TOLD_APART = 10.0
+"""Difference of the criterion beyond which a class is told from another (R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc.
+90:773, 1995)."""
+SIZES = ("mu", "c2", "k3", "k3s", "c", "b")
+
+
+@dataclass(frozen=True, eq=False)
+class ModelClass:
+    """One class fitted to a record: its criterion above the best one's, residuals over signal, and held-out fit (%).
+
+    ``zero``: terms that the fit ran down to nothing, with the most that the record allows of each over the mass (SI).
+    """
+
+    name: str
+    system: Sum
+    criterion: float
+    left: float
+    held_out: float
+    zero: Mapping[str, float]
+    at: Linearised
+
+
+def ranked_classes(measured: Measured) -> list[ModelClass]:
+    """The classes that could be fitted, the best first; empty for a record that no class of one DOF can take.
+
+    First what pulls back is compared, with viscous damping; then friction and quadratic damping join the best of them.
+    """
+    problem = measured.problem
+    record = problem.records[0]
+    channel = record.channels[0]
+    if problem.system.n_dof > 1 or len(record.channels) > 1 or channel.measures != "displacement":
+        return []
+    thinned = _thinned(replace(problem, records=(record,), prior=None))
+    velocity = COARSER * smoothing_velocity(channel.times, channel.values)
+    every = candidates(problem.forced, measured.angle, velocity)
+    simple = {name: system for name, system in every.items() if name in SIMPLE or name.startswith(UNSPRUNG)}
+    found = _fitted(simple, thinned, [])
+    sprung = [one for one in found if not one.name.startswith(UNSPRUNG)]
+    if sprung:
+        base = min(sprung, key=lambda one: one.criterion)
+        found += _fitted(_damped(base), thinned, found)
+    least = min((one.criterion for one in found), default=0.0)
+    return sorted((replace(one, criterion=one.criterion - least) for one in found), key=lambda one: one.criterion)
+
+
+def _damped(base: ModelClass) -> dict[str, Sum]:
+    """A class with further kinds of damping."""
+    return {
+        base.name + "".join(f" + {names[term]}" for term in more): replace(
+            base.system, terms=(*base.system.terms, *more)
+        )
+        for names in ({"coulomb": "Coulomb", "quadratic": "quadratic"},)
+        for more in (("coulomb",), ("quadratic",), ("coulomb", "quadratic"))
+    }
+
+
+def _fitted(systems: Mapping[str, Sum], problem: Problem, before: list[ModelClass]) -> list[ModelClass]:
+    """Those of some classes that could be fitted, each from the best simpler one."""
+    units, found = problem.natural_units(), list(before)
+    for name, system in systems.items():
+        own = _with(problem, system).expressed_in(units)
+        fitted = _judged(name, system, own, _from_simpler(found, own.system.names), units)
+        if fitted is not None:
+            found.append(fitted)
+    return found[len(before) :]
+
+
+def best_class(measured: Measured) -> Measured:
+    """The same records, of the best class without terms that it does not need, and a note of it.
+
+    Of classes that the record does not tell apart the one with the fewest parameters is taken.
+    """
+    classes = ranked_classes(measured)
+    if not classes:
+        return replace(measured, notes=(*measured.notes, "system=auto takes one displacement of one DOF: sdof is used"))
+    level = [one for one in classes if one.criterion < TOLD_APART]
+    best = min(level, key=lambda one: (len(one.system.parameters) - len(one.zero), one.criterion))
+    system = without(best.system, best.zero)
+    system = replace(system, smoothing_velocity=system.smoothing_velocity / COARSER)
+    others = ", ".join(one.name for one in level if one is not best)
+    said = f"system=auto chose system={'+'.join(system.terms)}"
+    said += f"; not told apart from it: {others}" if others else ""
+    zeros = [f"{name}/m is 0, at most {most:.3g}" for name, most in best.zero.items()]
+    return replace(with_system(measured, system), notes=(*measured.notes, said, *zeros))
+
+
+def without(system: Sum, zero: Collection[str]) -> Sum:
+    """The sum without the terms of some parameters."""
+    kept = tuple(term for term in system.terms if TERMS[term].parameters[0].name not in zero)
+    return replace(system, terms=kept or system.terms)
+
+
+def _with(problem: Problem, system: Sum) -> Problem:
+    records = tuple(
+        replace(r, channels=tuple(replace(c, offset=c.offset and system.tells_offset) for c in r.channels))
+        for r in problem.records
+    )
+    return replace(problem, system=system, records=records)
+
+
+def _thinned(problem: Problem) -> Problem:
+    """Every so many samples, so that at most ``MOST_SAMPLES`` are left; the force keeps all of its own."""
+    record = problem.records[0]
+    step = -(-max(c.n for c in record.channels) // MOST_SAMPLES)
+    channels = tuple(replace(c, times=c.times[::step], values=c.values[::step]) for c in record.channels)
+    return replace(problem, records=(replace(record, channels=channels),))
+
+
+def _from_simpler(found: list[ModelClass], names: tuple[str, ...]) -> dict[str, float]:
+    """Parameters of the best simpler class that shares most of them, over its mass, from which to start."""
+    inside = [one for one in found if set(one.at.model.system.names) < set(names) and one.left < 0.3]
+    if not inside:
+        return {}
+    best = min(inside, key=lambda one: one.criterion)
+    values = best.at.model.parameters(best.at.theta)
+    return {name: float(value) for name, value in values.items() if name not in best.zero}
+
+
+def _judged(name: str, system: Sum, problem: Problem, known: Mapping[str, float], units: Units) -> ModelClass | None:
+    with np.errstate(all="ignore"):
+        at = grown_fit(problem, problem.system, known)
+    if at is None:
+        return None
+    zero = _zeros(at, system)
+    smaller = at
+    if zero:
+        kept = without(system, zero)
+        own = _with(problem, kept)  # the units are those of the problem already
+        own = replace(own, system=_rescaled(kept, system, problem))
+        with np.errstate(all="ignore"):
+            refitted = grown_fit(own, own.system, known)
+        smaller = refitted if refitted is not None else at
+    r = smaller.residuals
+    noise = autoregression(r, min(smaller.theta.size, r.size - 1))
+    criterion = -2.0 * log_likelihood(noise, r) + (smaller.theta.size + noise.order) * float(np.log(r.size))
+    left = float(np.std(r) / (np.std(smaller.model.data) or 1.0))
+    return ModelClass(
+        name, system, criterion, left, held_out_fit(smaller), _upper(at, smaller, zero, units, system), smaller
+    )
+
+
+def _rescaled(kept: Sum, system: Sum, problem: Problem) -> Sum:
+    """The smaller sum in the units that the larger one is in."""
+    own = problem.system
+    assert isinstance(own, Sum)
+    names = {name for term in kept.terms for name in (p.name for p in TERMS[term].parameters)}
+    fixed = tuple((name, value) for name, value in own.fixed if name in names)
+    return replace(kept, smoothing_velocity=own.smoothing_velocity, fixed=fixed)
+
+
+def _zeros(at: Linearised, system: Sum) -> list[str]:
+    """Parameters whose force is next to nothing."""
+    p = {name: float(value) for name, value in at.model.parameters(at.theta).items()}
+    channel = at.model.channels[0][1]
+    size = float(np.ptp(channel.values)) / 2.0 or 1.0
+    rate = 2 * np.pi * strongest_frequency(channel.times, channel.values)
+    spring = p.get("k", p["m"] * rate**2) * size
+    forces = {
+        "mu": p.get("mu", 0.0), "c2": p.get("c2", 0.0) * (rate * size) ** 2, "c": p.get("c", 0.0) * rate * size,
+        "k3": p.get("k3", 0.0) * size**3, "k3s": p.get("k3s", 0.0) * size**3, "b": p.get("b", 0.0),
+    }  # fmt: skip
+    droppable = [name for name in SIZES if name in p]
+    gone = [name for name in droppable if forces[name] < NOTHING * spring]
+    return gone if len(gone) < len(system.terms) else gone[1:]
+
+
+def _upper(at: Linearised, smaller: Linearised, zero: list[str], units: Units, system: Sum) -> dict[str, float]:
+    """The one-sided 95 % limits of parameters at zero, over the mass, in SI.
+
+    By the likelihood linearised next to zero, where the other unknowns are those of the fit without these parameters,
+    with the noise as coloured as it is there.
+    """
+    if not zero or at is smaller:
+        return dict.fromkeys(zero, float("inf"))
+    free, known = at.model.free, dict(zip(smaller.model.free, smaller.theta, strict=False))
+    guess = first_guess(at.model.system, 2 * np.pi * _frequency(at), _size(at))
+    logs = [known.get(name, np.log(NOTHING * guess[name])) for name in free]
+    theta = np.concatenate([logs, smaller.theta[len(smaller.model.free) :]])
+    near = at_theta(at.model, theta) if theta.size == at.theta.size else None
+    covariance = None if near is None else replace(near, told=smaller.noises).coloured
+    dimensions, found = {p.name: p.dimension for p in system.parameters}, {}
+    for name in zero:
+        i = free.index(name)
+        deviation = np.inf if covariance is None else float(np.sqrt(max(covariance[i, i], 0.0)))
+        most = float(np.exp(theta[i])) * (1.0 + deviation * float(standard_quantile(0.95, None)))
+        found[name] = most / at.model.gauge * units.of(dimensions[name]) / units.of(dimensions["m"])
+    return found
+
+
+def _frequency(at: Linearised) -> float:
+    channel = at.model.channels[0][1]
+    return strongest_frequency(channel.times, channel.values)
+
+
+def _size(at: Linearised) -> float:
+    return float(np.ptp(at.model.channels[0][1].values)) / 2.0 or 1.0
+
+
+def held_out_fit(at: Linearised) -> float:
+    """``100 (1 - |y - h| / |y - mean y|)`` of the last 40 %, predicted by a fit of the first 60 % from its start.
+
+    The fit that nonlinear system identification reports (L. Ljung, System Identification, 2nd ed. 1999, section 16.4).
+    NaN where the first part cannot be fitted.
+    """
+    record = at.model.problem.records[0]
+    early = window(record, (1.0 - HELD_OUT) * record.duration)
+    model = OutputError(replace(at.model.problem, records=(early,)), at.model.gauge)
+    if model.size != at.theta.size:
+        return float("nan")
+    with np.errstate(all="ignore"):
+        theta = searched(model, at.theta, 15)
+        predicted = at.model.predict(theta)
+    late = _late(record, early)
+    y, h = at.model.data[late], predicted[late]
+    scale = float(np.linalg.norm(y - np.mean(y)))
+    return (
+        float(100.0 * (1.0 - np.linalg.norm(y - h) / scale)) if scale > 0 and np.all(np.isfinite(h)) else float("nan")
+    )
+
+
+def _late(record: Record, early: Record) -> np.ndarray:
+    """Numbers of the samples of all channels that are not in the early part."""
+    flags = [np.arange(c.n) >= e.n for c, e in zip(record.channels, early.channels, strict=True)]
+    return np.flatnonzero(np.concatenate(flags))

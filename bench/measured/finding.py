@@ -1,0 +1,140 @@
+"""What a method finds in measured records: values, stated intervals, residuals, and how far to trust them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from bench.config.schema import Job
+from bench.contract.estimate import Estimate, Status
+from bench.contract.problem import Problem
+from bench.entrants.reference import REFERENCES
+from bench.entrants.registry import make_method, missing_package
+from bench.errors import InputError
+from bench.measured.fit import Outcome, fit_alone
+from bench.measured.intervals import StatedInterval, stated_intervals
+from bench.measured.linearised import Linearised, linearised, strongest_frequency
+from bench.measured.model_error import NOTHING_LACKING, ModelError, model_error
+from bench.measured.parts import parts_of
+from bench.measured.record import Measured
+from bench.measured.trust import Doubt, Trust, doubts_about, natural_frequency, verdict
+from bench.scoring.combination import combine_with_prior
+from bench.sweep.workers import Limits
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """The answer of one method to measured records.
+
+    ``intervals`` hold what the data tell, by name of the quantity; none where the answer is withdrawn or failed.
+    ``withdrawn`` keeps what the method itself says of an answer that is not to be trusted. ``at`` is the likelihood
+    there, in the problem's natural units.
+    """
+
+    method: str
+    measured: Measured
+    outcome: Outcome
+    intervals: Mapping[str, StatedInterval] = field(default_factory=dict)
+    withdrawn: Mapping[str, StatedInterval] = field(default_factory=dict)
+    doubts: tuple[Doubt, ...] = ()
+    at: Linearised | None = None
+    lacking: ModelError = NOTHING_LACKING
+    by_part: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    @property
+    def trust(self) -> Trust:
+        """The verdict."""
+        return verdict(self.doubts)
+
+    @property
+    def problem(self) -> Problem:
+        return self.measured.problem
+
+
+def find(job: Job, measured: Measured) -> Finding:
+    """Identify the records with the job's method, in a process of its own; raises InputError."""
+    name = job.config.method["name"]
+    if name in REFERENCES:
+        raise InputError("method", name, "it needs the truth, which a measured record does not have; choose a method")
+    problem, lacking_package = measured.problem, missing_package(name)
+    if lacking_package:
+        outcome = Outcome(None, Status.MISSING_DEPENDENCY, lacking_package)
+    else:
+        method, rng = make_method(name, job.settings()), np.random.default_rng(job.config.seed)
+        limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
+        outcome = fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
+    return judged(job.label, measured, outcome)
+
+
+def judged(method: str, measured: Measured, outcome: Outcome) -> Finding:
+    """A method's outcome with the intervals that the records support, and the verdict."""
+    if outcome.estimate is None or outcome.status is not Status.OK:
+        reason = f"no answer ({outcome.status.value}): {outcome.message}"
+        return Finding(method, measured, outcome, doubts=(Doubt(Trust.NO, reason),))
+    estimate = combine_with_prior(outcome.estimate, measured.problem.prior)
+    with np.errstate(all="ignore"):
+        at = linearised(measured.problem, estimate)
+        parts = parts_of(at, _frequency(at)) if at is not None else []
+        lacking = model_error(at) if at is not None else NOTHING_LACKING
+        intervals = _with_mass(stated_intervals(estimate, at, parts, lacking), estimate, measured)
+    doubts = (*doubts_about(at, intervals, lacking, outcome.message), *_turned_force(at))
+    finding = Finding(method, measured, outcome, intervals, {}, doubts, at, lacking, _by_part(parts, measured))
+    if finding.trust is Trust.NO:
+        return replace(finding, intervals={}, withdrawn=intervals)
+    return finding
+
+
+def _frequency(at: Linearised) -> float:
+    channel = at.model.channels[0][1]
+    return natural_frequency(at) or strongest_frequency(channel.times, channel.values)
+
+
+def _by_part(parts: list[Linearised], measured: Measured) -> dict[str, tuple[float, ...]]:
+    """Values by part or repeat, in the user's units."""
+    system, units = measured.problem.system, measured.problem.natural_units()
+    found = {}
+    for quantity in system.quantities:
+        gradients = [part.gradient(quantity)[: len(part.model.free)] for part in parts]
+        if parts and np.any(gradients[0]) and set(quantity.exponents) - {system.gauge} <= set(parts[0].model.free):
+            gauge = quantity.exponents.get(system.gauge, 0.0) if system.gauge not in parts[0].model.free else 0.0
+            scale = units.of(system.dimension(quantity)) * quantity.coefficient * parts[0].model.gauge ** gauge
+            logs = [float(g @ part.theta[: g.size]) for g, part in zip(gradients, parts, strict=True)]
+            found[quantity.name] = tuple(scale * math.exp(log) for log in logs)
+    return found
+
+
+def _with_mass(
+    intervals: dict[str, StatedInterval], estimate: Estimate, measured: Measured
+) -> dict[str, StatedInterval]:
+    """The parameters themselves too, where their ratios were found and the mass is told."""
+    mass, system = measured.told_mass, estimate.system
+    if mass is None:
+        return intervals
+    found = dict(intervals)
+    for parameter in system.parameters:
+        ratio = intervals.get(f"{parameter.name}_over_{system.gauge}")
+        if ratio is not None:
+            ends = {end: mass * getattr(ratio, end) for end in ("value", "low", "high", "white_low", "white_high")}
+            found[parameter.name] = replace(ratio, unit=parameter.unit, **ends)
+    return found
+
+
+def _turned_force(at: Linearised | None) -> tuple[Doubt, ...]:
+    """Where a forced fit leaves most of the signal: whether the force turned round would leave much less."""
+    from bench.measured.grown import searched
+    from bench.measured.trust import MOST_LEFT, part_of_signal
+
+    if at is None or not at.model.problem.forced or part_of_signal(at) <= MOST_LEFT:
+        return ()
+    records = tuple(
+        replace(r, forces=tuple(replace(f, values=-f.values) for f in r.forces)) for r in at.model.problem.records
+    )
+    turned = replace(at.model, problem=replace(at.model.problem, records=records))
+    theta = searched(turned, at.theta, 20)
+    left = turned.data - turned.predict(theta)
+    if not np.all(np.isfinite(left)) or np.std(left) > 0.5 * np.std(at.residuals):
+        return ()
+    return (Doubt(Trust.NO, "the force turned round fits far better: its sign is wrong; say force_gain=-1"),)

@@ -1,0 +1,228 @@
+"""The measured track: every set, sibling and method fitted once, and kept as a line of a file.
+
+A fit is found again by what it hangs on: the definition of its set, the bytes of its file, the system, which part, and
+the method with all its settings. So an interrupted run goes on where it was, and a set that changes is fitted anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.config.schema import Job
+from bench.errors import InputError
+from bench.measured.classes import held_out_fit
+from bench.measured.finding import Finding, find
+from bench.measured.intervals import StatedInterval
+from bench.measured.reading import Recording, read_recording
+from bench.measured.record import Measured, read_measured, with_system
+from bench.measured.request import Request, request_of
+from bench.measured.sets import MeasuredSet
+from bench.measured.siblings import Stated, pieces
+from bench.systems.sums import Sum
+
+FAST = (
+    "shooting", "output_error", "mcmc", "collocation", "matrix_pencil", "era", "iqml", "ar", "frequency",
+    "log_decrement", "ls", "ls_spline", "ls_weak", "rls", "ekf",
+)  # fmt: skip
+"""Methods whose fit of such a record takes seconds to a minute or two."""
+FILE = "fits.jsonl"
+ENDS = ("value", "low", "high", "white_low", "white_high")
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One finished fit: what it is of, what was found, and how far to trust it.
+
+    ``estimates`` stand; ``withdrawn`` are those of an answer that is not to be trusted. ``held_out``: the fit (%) of
+    the last 40 % predicted from the first 60; ``offset``: of the sensor.
+    """
+
+    key: str
+    set: str
+    system: str
+    sibling: str
+    method: str
+    status: str
+    message: str
+    trust: str
+    reasons: tuple[str, ...]
+    wall_s: float
+    timeout_s: float
+    samples: int
+    estimates: Mapping[str, Stated] = field(default_factory=dict)
+    withdrawn: Mapping[str, Stated] = field(default_factory=dict)
+    held_out: float = math.nan
+    offset: float = math.nan
+
+    def line(self) -> str:
+        """As a line of JSON; null stands for what is not finite."""
+        return json.dumps(_plain(asdict(self)), allow_nan=False, sort_keys=True)
+
+    @staticmethod
+    def of_line(text: str) -> Fit:
+        """The fit of such a line."""
+        content = json.loads(text)
+        for name in ("estimates", "withdrawn"):
+            stated = content[name].items()
+            content[name] = {q: Stated(**{end: _number(one[end]) for end in ENDS}) for q, one in stated}
+        numbers = {name: _number(content[name]) for name in ("wall_s", "timeout_s", "held_out", "offset")}
+        return Fit(**{**content, **numbers, "reasons": tuple(content["reasons"])})
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A fit that is to be there: of a sibling of a set, by a method."""
+
+    name: str
+    of: MeasuredSet
+    request: Request
+    job: Job
+    sibling: str
+    recording: Recording
+
+    @property
+    def key(self) -> str:
+        """What the fit hangs on, as a digest; its limit of time apart."""
+        settings = {name: str(value) for name, value in self.job.settings().items()}
+        parts = [
+            self.name, self.of.definition(), self.request.system, self.sibling, self.recording.sha256,
+            self.job.config.method["name"], settings, self.job.config.seed,
+        ]  # fmt: skip
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
+
+    def measured(self) -> Measured:
+        """The sibling as a problem."""
+        return described(self.of, self.request, self.recording)
+
+
+def described(of: MeasuredSet, request: Request, recording: Recording) -> Measured:
+    """A recording as a problem of a set; raises InputError."""
+    measured = read_measured(request, (recording,))
+    system = measured.problem.system
+    if isinstance(system, Sum) and of.bias_sign != system.bias_sign:
+        return with_system(measured, replace(system, bias_sign=of.bias_sign))
+    return measured
+
+
+def tasks(
+    name: str, of: MeasuredSet, methods: Sequence[str], data_root: Path | None, timeout_s: float
+) -> Iterator[Task]:
+    """The fits of a set, sibling by sibling; none where its files are not there. Raises InputError."""
+    siblings: list[tuple[str, Path, Recording]] = []
+    for path in of.paths(data_root):
+        options = request_of(of.overrides(of.systems[0], ["ls"], path, timeout_s)).options
+        cut = pieces(read_recording(path, options), of)
+        siblings += [(f"{path.name} {i}/{len(cut)}", path, piece) for i, piece in enumerate(cut, 1)]
+    for system in of.systems:
+        for label, path, recording in siblings:
+            request = request_of(of.overrides(system, list(methods), path, timeout_s))
+            for job in request.jobs:
+                yield Task(name, of, request, job, label, recording)
+
+
+class Fits:
+    """The finished fits of a folder, by key; each is appended as soon as it is there."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / FILE
+        self._found = {fit.key: fit for fit in _read(self.path)}
+
+    def get(self, key: str, timeout_s: float) -> Fit | None:
+        """A finished fit; none that ran out of a time that was shorter than now."""
+        fit = self._found.get(key)
+        return None if fit is None or (fit.status == "timeout" and fit.timeout_s < timeout_s) else fit
+
+    def add(self, fit: Fit) -> None:
+        """Keep a fit."""
+        self._found[fit.key] = fit
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(fit.line() + "\n")
+        except OSError as error:
+            raise InputError("store", self.path, f"cannot be written: {error.strerror}") from None
+
+
+def _read(path: Path) -> Iterator[Fit]:
+    if not path.is_file():
+        return
+    for text in path.read_text(encoding="utf-8").splitlines():
+        try:
+            yield Fit.of_line(text)
+        except (ValueError, KeyError, TypeError, AttributeError):
+            continue  # a line that an interrupted run has left
+
+
+def fitted(task: Task, timeout_s: float) -> Fit:
+    """Fit a task now."""
+    head = {
+        "key": task.key, "set": task.name, "system": task.request.system, "sibling": task.sibling,
+        "method": task.job.label, "timeout_s": timeout_s,
+    }  # fmt: skip
+    try:
+        finding = find(task.job, task.measured())
+    except InputError as error:
+        nothing = {"reasons": (), "wall_s": math.nan, "samples": 0}
+        return Fit(**head, status="refused", message=str(error), trust="do not trust", **nothing)  # type: ignore[arg-type]
+    with np.errstate(all="ignore"):
+        held_out = math.nan if finding.at is None else held_out_fit(finding.at)
+    return Fit(
+        **head,  # type: ignore[arg-type]
+        status=finding.outcome.status.value,
+        message=finding.outcome.message,
+        trust=finding.trust.value,
+        reasons=tuple(doubt.reason for doubt in finding.doubts),
+        wall_s=finding.outcome.wall_s,
+        samples=finding.problem.n,
+        estimates=_stated(finding.intervals),
+        withdrawn=_stated(finding.withdrawn),
+        held_out=held_out,
+        offset=_offset(finding),
+    )
+
+
+def _stated(intervals: Mapping[str, StatedInterval]) -> dict[str, Stated]:
+    return {name: Stated(*(float(getattr(one, end)) for end in ENDS)) for name, one in intervals.items()}
+
+
+def _offset(finding: Finding) -> float:
+    """Of the first channel, in the user's units."""
+    at = finding.at
+    if at is None:
+        return math.nan
+    size = float(np.max(np.abs(at.model.data[at.channels[0]]))) or 1.0
+    scale = float(np.max(np.abs(finding.problem.records[0].channels[0].values))) / size
+    return scale * float(at.model.offsets(at.theta)[0])
+
+
+def run(every: Sequence[Task], fits: Fits, timeout_s: float, say: Callable[[Fit], None]) -> list[Fit]:
+    """The fits of all tasks, in their order: those that are kept, and the others now; ``say`` hears of each new one."""
+    found = []
+    for task in every:
+        fit = fits.get(task.key, timeout_s)
+        if fit is None:
+            fit = fitted(task, timeout_s)
+            fits.add(fit)
+            say(fit)
+        found.append(fit)
+    return found

@@ -1,0 +1,292 @@
+"""Table 11: the measured track, what real records say of the methods and of what is stated of their answers."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bench.contract.belief import standard_quantile
+from bench.measured.sets import Known, MeasuredSet
+from bench.measured.siblings import Agreement, Stated, Total, agreement, total
+from bench.measured.track import Fit
+from bench.reporting.rounding import number, readable
+from bench.reporting.tables.common import csv, markdown_table
+
+MAIN = ("k_over_m", "c_over_m")
+CERTIFIED = "mgh17"
+CERTIFIED_DOF = 28
+SAME = 1e-3
+"""Widths that differ by less agree to three digits."""
+VERDICTS = ("trust", "with care", "do not trust")
+COLUMNS = (
+    "set", "system", "method", "quantity", "sibling", "status", "trust", "value", "low", "high", "white_low",
+    "white_high", "known", "error_pct", "ratio", "ratio_white", "covered", "covered_white", "counted", "withdrawn",
+    "held_out", "wall_s",
+)  # fmt: skip
+HEAD = """# Table 11. The measured track
+
+Real records, cut into siblings or repeated, fitted by every method without a prior, the start and a sensor's offset
+unknown. There is no truth, so each method is asked whether its answers to siblings agree within what is stated.
+**R**: standard deviation between siblings over the median stated standard error (half of the 95 % interval over 1.96);
+1 is right, above it the statement is too narrow. **cov.**: how many siblings' intervals hold the mean of the other
+siblings; that mean has an error of its own, so right intervals hold it in 83 % of cases with two siblings, 91 % with
+four, 93 % with six. In brackets the same for the method's own interval, which takes the noise for white. **error**:
+median distance to what others state, where they do. **held-out**: the fit 100 (1 - |y - h| / |y - mean y|) of the last
+40 %, predicted from a fit of the first 60 % (median). **verdicts**: trust / with care / do not trust. A withdrawn
+answer (do not trust) has no interval and counts in no coverage; a fit without an answer is one of them. Siblings of a
+decay have other amplitudes, and differ by what the named system leaves out, too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """A set with one system: its fits, and what is said where there are none."""
+
+    name: str
+    of: MeasuredSet
+    system: str
+    fits: Sequence[Fit] = ()
+    absent: str = ""
+
+    @property
+    def methods(self) -> list[str]:
+        return list(dict.fromkeys(fit.method for fit in self.fits))
+
+    def own(self, method: str) -> list[Fit]:
+        """The fits of a method."""
+        return [fit for fit in self.fits if fit.method == method]
+
+    @property
+    def quantities(self) -> list[str]:
+        """What the table shows: the main ratios, and what is known."""
+        there = {name for fit in self.fits for name in (*fit.estimates, *fit.withdrawn)}
+        return [name for name in dict.fromkeys([*MAIN, *self.of.known]) if name in there]
+
+    def agreement(self, method: str, quantity: str) -> Agreement:
+        """Of the siblings whose answer stands."""
+        found = [fit.estimates[quantity] for fit in self.own(method) if quantity in fit.estimates]
+        known = self.of.known.get(quantity)
+        return agreement(found, known.value if known else None)
+
+
+@dataclass(frozen=True)
+class FreeRun:
+    """Errors of a model over the test parts of a set, in thousandths of the record's unit."""
+
+    set: str
+    model: str
+    errors: tuple[float, ...]
+    source: str = "simulated here"
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """All that the table shows."""
+
+    panels: Sequence[Panel]
+    free_runs: Sequence[FreeRun] = field(default_factory=list)
+
+    def total(self, quantity: str, methods: Sequence[str] | None = None) -> Total:
+        """Agreements on a quantity over all panels with siblings, of some methods or all."""
+        return total(
+            panel.agreement(method, quantity)
+            for panel in self.panels
+            for method in panel.methods
+            if methods is None or method in methods
+        )
+
+
+def track_table(track: Track, command: str) -> Mapping[str, str]:
+    """The files of the table by name."""
+    return {"table11.md": markdown(track, command), "table11.csv": csv(lines(track), columns=COLUMNS)}
+
+
+def markdown(track: Track, command: str) -> str:
+    """The table for reading."""
+    parts = [HEAD, summary(track), "## All sets", markdown_table(*_overview(track))]
+    for panel in track.panels:
+        parts += _panel(panel, track.free_runs)
+    parts.append(f"Every sibling's values and intervals are in the CSV. Regenerate: `{command}`")
+    return "\n\n".join(parts) + "\n"
+
+
+# ------------------------------------------------------------------------------------------------ totals
+
+
+def summary(track: Track) -> str:
+    """The totals in sentences."""
+    found = []
+    for who, methods in (("All methods", None), ("shooting alone", ["shooting"])):
+        totals = {name: track.total(name, methods) for name in MAIN}
+        if not any(one.counted for one in totals.values()):
+            continue
+        said = "; ".join(
+            f"{readable(name)} {_share(one.covered, one.counted)} stated, {_share(one.covered_white, one.counted)} "
+            f"white, median R {number(one.ratio)} stated, {number(one.ratio_white)} white"
+            for name, one in totals.items()
+        )
+        found.append(f"- {who}: intervals that hold the mean of the other siblings: {said}.")
+    fits = [fit for panel in track.panels for fit in panel.fits]
+    counts = Counter(fit.trust for fit in fits)
+    withdrawn = sum(bool(fit.withdrawn) for fit in fits)
+    verdicts = ", ".join(f"{counts[word]} {word}" for word in VERDICTS)
+    found.append(f"- {len(fits)} fits: {verdicts}; {withdrawn} answers withdrawn.")
+    found += [f"- {panel.name}: {panel.absent}" for panel in track.panels if panel.absent]
+    return "\n".join(found)
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{part}/{whole} ({part / whole:.0%})" if whole else "-"
+
+
+def _overview(track: Track) -> tuple[list[list[str]], list[str]]:
+    """One row a set and system: shooting's, and all methods' together."""
+    rows = []
+    for panel in track.panels:
+        row = [panel.name, panel.system]
+        if panel.absent:
+            rows.append([*row, panel.absent, *[""] * 7])
+            continue
+        siblings = len({fit.sibling for fit in panel.fits})
+        row.append(str(siblings))
+        for name in MAIN:
+            alone = panel.agreement("shooting", name)
+            pooled = total(panel.agreement(method, name) for method in panel.methods)
+            row += [*_cells(alone), _both(pooled.covered, pooled.covered_white, pooled.counted)]
+        held = [fit.held_out for fit in panel.own("shooting")]
+        rows.append([*row, _median(held)])
+    headers = ["set", "system", "siblings"]
+    headers += [f"{readable(name)} {what}" for name in MAIN for what in ("R", "cov.", "cov., all methods")]
+    return rows, [*headers, "held-out %"]
+
+
+def _cells(one: Agreement) -> list[str]:
+    if not one.counted:
+        return ["-", "-"]
+    return [f"{number(one.ratio)} ({number(one.ratio_white)})", _both(one.covered, one.covered_white, one.counted)]
+
+
+def _both(stated: int, white: int, counted: int) -> str:
+    return f"{stated}/{counted} ({white}/{counted})" if counted else "-"
+
+
+def _median(values: Sequence[float]) -> str:
+    finite = [value for value in values if math.isfinite(value)]
+    return number(float(np.median(finite))) if finite else "-"
+
+
+# ------------------------------------------------------------------------------------------------ a set
+
+
+def _panel(panel: Panel, runs: Sequence[FreeRun]) -> list[str]:
+    of = panel.of
+    said = f"{of.title}. {of.source}; licence: {of.licence}." + (f" {of.note[0].upper()}{of.note[1:]}." if of.note else "")
+    heading = f"## {panel.name}, {panel.system}"
+    if panel.absent:
+        return [heading, said, f"{panel.absent}."]
+    parts = [heading, said, markdown_table(*_rows(panel))]
+    known = [f"{readable(name)} {one.value:.6g} ({one.source})" for name, one in of.known.items()]
+    if known:
+        parts.append(f"Known: {'; '.join(known)}.")
+    if panel.name == CERTIFIED:
+        parts += ["Against the certified values:", markdown_table(*_certified(panel))]
+    own = [run for run in runs if run.set == f"{panel.name} {panel.system}"]
+    if own:
+        quoted = [FreeRun("", one.model, tuple(one.errors), f"quoted: {one.source}") for one in of.quoted]
+        rows = [[one.model, *(number(error) for error in one.errors), one.source] for one in [*own, *quoted]]
+        what = "Free simulation of the test parts, root mean square error (thousandths of the unit: mV, mm):"
+        parts += [what, markdown_table(rows, ["model", *of.tests, "where from"])]
+    return parts
+
+
+def _rows(panel: Panel) -> tuple[list[list[str]], list[str]]:
+    quantities, rows = panel.quantities, []
+    for method in panel.methods:
+        own, row = panel.own(method), [method]
+        for name in quantities:
+            one = panel.agreement(method, name)
+            row.append(number(one.median))
+            if name in panel.of.known:
+                row.append(f"{number(one.error)} %" if one.n else "-")
+            row += _cells(one)
+        counts = Counter(fit.trust for fit in own)
+        verdicts = " / ".join(str(counts[word]) for word in VERDICTS)
+        rows.append([*row, _median([f.held_out for f in own]), _median([f.wall_s for f in own]), verdicts, _why(own)])
+    headers = ["method"]
+    for name in quantities:
+        error = ["error"] if name in panel.of.known else []
+        headers += [f"{readable(name)} {what}".rstrip() for what in ("", *error, "R", "cov.")]
+    return rows, [*headers, "held-out %", "s", "verdicts", "without an answer"]
+
+
+def _why(own: Sequence[Fit]) -> str:
+    counts = Counter(fit.status for fit in own if fit.status != "ok")
+    return ", ".join(f"{n} {status}" for status, n in counts.items())
+
+
+def _certified(panel: Panel) -> tuple[list[list[str]], list[str]]:
+    """Digits of the value, and the white interval over Student's t times the certified standard deviation."""
+    rows = []
+    for fit in panel.fits:
+        row = [fit.method]
+        for name in MAIN:
+            known, one = panel.of.known[name], {**fit.withdrawn, **fit.estimates}.get(name)
+            row += ["-", "-"] if one is None else [number(digits(one, known)), _width(one, known)]
+        rows.append(row)
+    headers = [f"{readable(name)} {what}" for name in MAIN for what in ("digits", "white interval, over certified")]
+    return rows, ["method", *headers]
+
+
+def digits(one: Stated, known: Known) -> float:
+    """Digits of a value that match: minus the decimal logarithm of its relative error."""
+    return -math.log10(max(abs(one.value / known.value - 1.0), 1e-15))
+
+
+def certified_ratio(one: Stated, known: Known) -> float:
+    """Half of the white interval over Student's t, 28 degrees of freedom, times the certified standard deviation."""
+    assert known.sd is not None
+    return (one.white_high - one.white_low) / 2.0 / (float(standard_quantile(0.975, CERTIFIED_DOF)) * known.sd)
+
+
+def _width(one: Stated, known: Known) -> str:
+    ratio = certified_ratio(one, known)
+    return f"{ratio:.4f}, {'the same' if abs(ratio - 1.0) < SAME else 'other'} to three digits"
+
+
+# ------------------------------------------------------------------------------------------------ the tidy table
+
+
+def lines(track: Track) -> list[dict[str, Any]]:
+    """One line a sibling and quantity, one a set and quantity (sibling ``all``), and one for a set that is absent."""
+    return [line for panel in track.panels for line in _lines(panel)]
+
+
+def _lines(panel: Panel) -> list[dict[str, Any]]:
+    head = {"set": panel.name, "system": panel.system}
+    if panel.absent:
+        return [{**head, "status": panel.absent}]
+    found: list[dict[str, Any]] = []
+    for method in panel.methods:
+        for fit in panel.own(method):
+            what = {"sibling": fit.sibling, "status": fit.status, "trust": fit.trust}
+            both = {**fit.withdrawn, **fit.estimates}
+            more = {"withdrawn": int(bool(fit.withdrawn)), "held_out": fit.held_out, "wall_s": fit.wall_s}
+            found += [
+                {**head, "method": method, "quantity": name, **what, **vars(one), **more} for name, one in both.items()
+            ] or [{**head, "method": method, **what, **more}]
+        withdrawn = sum(bool(fit.withdrawn) for fit in panel.own(method))
+        for name in panel.quantities:
+            one, known = panel.agreement(method, name), panel.of.known.get(name)
+            found.append(
+                {
+                    **head, "method": method, "quantity": name, "sibling": "all", "value": one.median,
+                    "known": known.value if known else None, "error_pct": one.error, "ratio": one.ratio,
+                    "ratio_white": one.ratio_white, "covered": one.covered, "covered_white": one.covered_white,
+                    "counted": one.counted, "withdrawn": withdrawn,
+                }  # fmt: skip
+            )
+    return found
