@@ -7,7 +7,7 @@ that says so. Finished fits are kept in ``store``, and the same command goes on 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,14 +16,15 @@ from bench.errors import InputError
 
 if TYPE_CHECKING:
     from bench.measured.track import Fit, Task
-    from bench.reporting.tables.track_table import FreeRun, Panel
+    from bench.reporting.tables.track_table import FreeRun, Panel, Track
 
 FIELDS = {
     "data_root": "", "set": "", "method": "", "timeout_s": "120", "store": "outputs/measured", "out": "results",
-    "dry_run": "false",
+    "dry_run": "false", "fit": "true",
 }  # fmt: skip
-USAGE = """usage: python -m bench -m experiment=measured [data_root=<folder>] [set=<a,b>] [method=<a,b>]
-                                              [timeout_s=120] [store=outputs/measured] [out=results] [dry_run=false]"""
+USAGE = """usage: python -m bench -m experiment=measured [data_root=<folder>] [set=<a,b>] [method=<a,b>] [timeout_s=120]
+                                              [store=outputs/measured] [out=results] [dry_run=false] [fit=true]
+dry_run=true says how many fits there are to do; fit=false makes the table of those that are kept"""
 KEPT = "interrupted; finished fits are kept, the same command goes on from here"
 
 
@@ -36,6 +37,7 @@ def tracked(arguments: Sequence[str]) -> int:
     """Run the track and write its table; raises InputError."""
     from bench.measured.sets import measured_set, set_names
     from bench.measured.track import FAST, Fits, run, tasks
+    from bench.reporting.tables.track_table import Track
 
     fields = read_fields(arguments, FIELDS)
     timeout_s, root = float(whole("timeout_s", fields["timeout_s"])), _root(fields["data_root"])
@@ -44,15 +46,23 @@ def tracked(arguments: Sequence[str]) -> int:
     every = {name: list(tasks(name, measured_set(name), methods, root, timeout_s)) for name in names}
     missing = sum(fits.get(task.key, timeout_s) is None for own in every.values() for task in own)
     print(f"bench: {sum(map(len, every.values()))} fits, {missing} to do", file=sys.stderr)
-    if fields["dry_run"] == "true":
+    if _flag(fields, "dry_run"):
         return 0
+    fitting = _flag(fields, "fit")
     panels, free_runs = [], []
     for name, own in every.items():
-        found = _panels(name, own, run(own, fits, timeout_s, _say), root)
+        kept = [fit for task in own if (fit := fits.get(task.key, 0.0))]
+        found = _panels(name, own, run(own, fits, timeout_s, _say) if fitting else kept, root)
         panels += found
         free_runs += [one for panel in found for one in _free_runs(panel, root)]
-    _write(panels, free_runs, Path(fields["out"]), "python -m bench -m experiment=measured data_root=<folder>")
+    _write(Track(panels, free_runs, 0 if fitting else missing), Path(fields["out"]))
     return 0
+
+
+def _flag(fields: Mapping[str, str], name: str) -> bool:
+    if fields[name] not in ("true", "false"):
+        raise InputError(name, fields[name], "true or false")
+    return fields[name] == "true"
 
 
 def _listed(text: str) -> list[str]:
@@ -95,11 +105,10 @@ def _free_runs(panel: Panel, root: Path | None) -> Iterator[FreeRun]:
     parts = [part_problem(panel.of, panel.system, part, place) for part in panel.of.tests.values()]
     names = parts[0][0].names
     models = {}
-    found = [fit for fit in panel.own("shooting") if set(names) <= {*fit.estimates, *fit.withdrawn}]
+    found = [fit for fit in panel.own("shooting") if set(names) <= set(fit.estimates)]
     if found:
-        both = [{**fit.withdrawn, **fit.estimates} for fit in found]
         offset = float(np.nanmedian([fit.offset for fit in found]))
-        p = {name: float(np.median([one[name].value for one in both])) for name in names}
+        p = {name: float(np.median([fit.estimates[name].value for fit in found])) for name in names}
         models[f"shooting, median of {len(found)} siblings"] = p, offset
     if set(names) <= set(panel.of.known):
         models["published parameters"] = {name: panel.of.known[name].value for name in names}, 0.0
@@ -108,13 +117,12 @@ def _free_runs(panel: Panel, root: Path | None) -> Iterator[FreeRun]:
         yield FreeRun(f"{panel.name} {panel.system}", model, tuple(1e3 * error for error in errors))
 
 
-def _write(panels: Sequence[Panel], free_runs: Sequence[FreeRun], out: Path, written: str) -> None:
-    from bench.reporting.tables.track_table import Track, track_table
+def _write(track: Track, out: Path) -> None:
+    from bench.reporting.tables.track_table import track_table
     from bench.store.store import Store
 
     Store(out).prepare()
-    track = Track(panels, free_runs)
-    for name, content in track_table(track, written).items():
+    for name, content in track_table(track, "python -m bench -m experiment=measured data_root=<folder>").items():
         (out / name).write_text(content, encoding="utf-8")
         print(out / name)
 

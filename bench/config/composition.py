@@ -159,7 +159,7 @@ def _by_hydra(overrides: Sequence[tuple[str, str]]) -> Any:
 def _may_be_added(key: str) -> bool:
     """Whether a field need not stand in a file: a nominal value, or an optional field of a scenario."""
     optional = {declared.config_path(f) for f in fields(declared.Scenario) if not f.metadata.get("stated")}
-    return key.startswith("nominal.") or (key.startswith("system.") and key in optional)
+    return key.startswith(("nominal.", "fixed.")) or (key.startswith("system.") and key in optional)
 
 
 def register_method(name: str) -> None:

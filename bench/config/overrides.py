@@ -81,6 +81,7 @@ def read_overrides(texts: Sequence[str]) -> Overrides:
     from hydra.errors import HydraException
 
     parser = OverridesParser.create()
+    of_record = any(text.startswith("data=") and text != "data=null" for text in texts)
     values: dict[str, list[Any]] = {}
     for text in texts:
         try:
@@ -92,7 +93,7 @@ def read_overrides(texts: Sequence[str]) -> Overrides:
         if key in values:
             raise InputError(key, _after_equals(text), "given twice; give it once")
         values[key] = _swept(override, key, text)
-        if key in GROUPS:
+        if key in GROUPS and not (of_record and (key == "system" or (key, values[key]) == ("method", ["all"]))):
             for value in values[key]:
                 check_choice(key, value)
     return values

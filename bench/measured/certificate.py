@@ -7,6 +7,7 @@ Beside the primary method's answer stand the other methods', the model classes, 
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,22 +16,33 @@ import numpy as np
 
 from bench.contract.problem import InitialState
 from bench.dynamics.simulate import simulate
+from bench.entrants.registry import registered
 from bench.errors import InputError
+from bench.isolation.processes import Children, Died
 from bench.likelihood.output_error import OutputError
-from bench.measured.classes import HELD_OUT, ModelClass, best_class, ranked_classes
+from bench.measured.classes import (
+    COARSER,
+    HELD_OUT,
+    TOLD_APART,
+    ModelClass,
+    ranked_classes,
+    without,
+)
 from bench.measured.finding import Finding, find
 from bench.measured.grown import searched, window
 from bench.measured.intervals import StatedInterval
 from bench.measured.linearised import Linearised
-from bench.measured.record import Measured
+from bench.measured.record import Measured, with_system
 from bench.measured.request import AUTO, Request
 from bench.measured.trust import Trust
 
 Say = Callable[[str, int, int], None]
 """What is being done, and of how many steps how many are done."""
-TWIN_SECONDS = 120.0
+CLASSES_SECONDS, AUTO_SECONDS = 60.0, 180.0
+"""Time to compare classes, and where system=auto needs them; then the certificate lacks them, and auto takes sdof."""
+TWIN_SECONDS = 20.0
 """Time that the fits to twins may take, by what each method took for the record; then methods are left out."""
-LEAST_TWINS = 20
+LEAST_TWINS, MOST_TWINNED = 20, 5
 COMPARED = 2
 """Quantities in which methods are compared."""
 DENSE = 1500
@@ -112,9 +124,9 @@ def certify(request: Request, measured: Measured, twins: int, say: Say = lambda 
     steps = len(request.jobs) + 3
     missing: dict[str, str] = {}
     say("model classes", 0, steps)
-    classes = tuple(_ranked(measured, missing))
+    classes = tuple(_ranked(measured, missing, AUTO_SECONDS if request.system == AUTO else CLASSES_SECONDS))
     if request.system == AUTO:
-        measured = best_class(measured)
+        measured = of_best(measured, classes)
     findings = []
     for i, job in enumerate(request.jobs):
         say(job.label, 1 + i, steps)
@@ -125,10 +137,30 @@ def certify(request: Request, measured: Measured, twins: int, say: Say = lambda 
     prediction = None if primary.at is None else prediction_of(primary.at)
     say("what would help", steps - 2, steps)
     hopes = _what_if(primary, missing)
-    say("twins", steps - 1, steps)
-    drawn = _twins(kept, twins, request, lambda done, of: say(f"twin {done} of {of}", steps - 1, steps), missing)
+
+    def progress(done: int, of: int) -> None:
+        say(f"twins {100 * done // max(of, 1)} %", steps - 1, steps)
+
+    progress(0, 1)
+    drawn = _twins(kept, twins, request, progress, missing)
     say("done", steps, steps)
     return Certificate(request, kept, comparisons(kept), classes, motion, prediction, drawn, hopes, missing)
+
+
+def of_best(measured: Measured, classes: Sequence[ModelClass]) -> Measured:
+    """The same records, of the best of classes that are ranked already: what ``best_class`` chooses by ranking them."""
+    if not classes:
+        return replace(measured, notes=(*measured.notes, "system=auto could compare no classes: sdof is used"))
+    level = [one for one in classes if one.criterion < TOLD_APART]
+    best = min(level, key=lambda one: (len(one.system.parameters) - len(one.zero), one.criterion))
+    system = without(best.system, best.zero)
+    system = replace(system, smoothing_velocity=system.smoothing_velocity / COARSER)
+    others = ", ".join(one.name for one in level if one is not best)
+    said = f"system=auto chose {'+'.join(system.terms)}"
+    return replace(
+        with_system(measured, system),
+        notes=(*measured.notes, said + (f"; not told apart from it: {others}" if others else "")),
+    )
 
 
 def _found(job: Any, measured: Measured, first: bool) -> Finding | None:
@@ -141,11 +173,24 @@ def _found(job: Any, measured: Measured, first: bool) -> Finding | None:
         return None
 
 
-def _ranked(measured: Measured, missing: dict[str, str]) -> list[ModelClass]:
-    found = ranked_classes(measured)
+def _ranked(measured: Measured, missing: dict[str, str], limit_s: float) -> list[ModelClass]:
+    """The ranked classes, found in a process of its own: a fit of friction to pure noise may take minutes."""
+    children, found = Children(), None
+    try:
+        child = children.start(_rank, pickle.dumps(measured))
+        found = pickle.loads(child.receive(limit_s))
+    except Died as died:
+        missing["classes"] = died.message
+        return []
+    finally:
+        children.close()
     if not found:
         missing["classes"] = "classes are compared for one displacement of one degree of freedom"
-    return found
+    return list(found)
+
+
+def _rank(connection: Any, measured: bytes) -> None:
+    connection.send_bytes(pickle.dumps(ranked_classes(pickle.loads(measured))))
 
 
 def compared_quantities(findings: Sequence[Finding]) -> tuple[str, ...]:
@@ -233,24 +278,25 @@ def _what_if(primary: Finding, missing: dict[str, str]) -> tuple[Any, ...]:
     if primary.trust is Trust.NO or primary.at is None:
         missing["what_if"] = "the answer is not to be trusted, so nothing is said of what a better record would bring"
         return ()
-    try:
-        from bench.measured.what_if import what_if
-    except ImportError:
-        missing["what_if"] = "not part of this version"
-        return ()
+    from bench.measured.what_if import what_if
+
     return tuple(what_if(primary))
 
 
 def affordable(findings: Sequence[Finding], n: int) -> tuple[list[str], int]:
     """The methods that twins are fitted with, the primary first, and how many twins: as the time allows."""
-    took = {one.method: one.outcome.wall_s for one in findings if one.intervals and math.isfinite(one.outcome.wall_s)}
+    took = {
+        one.method: one.outcome.wall_s
+        for one in findings
+        if one.intervals and math.isfinite(one.outcome.wall_s) and one.method in registered()
+    }
     primary = findings[0].method
     own = max(took.pop(primary, 0.0), 1e-4)
     number = n if n * own <= TWIN_SECONDS else max(min(n, LEAST_TWINS), int(TWIN_SECONDS / own))
     left, chosen = TWIN_SECONDS - number * own, [primary]
     for method, wall_s in sorted(took.items(), key=lambda item: item[1]):
         left -= number * wall_s
-        if left < 0:
+        if left < 0 or len(chosen) == MOST_TWINNED:
             break
         chosen.append(method)
     return chosen, number
@@ -265,10 +311,10 @@ def _twins(
     if findings[0].trust is Trust.NO or findings[0].at is None:
         missing["twins"] = "the answer is not to be trusted, so no twins are made of it"
         return None
-    try:
-        from bench.measured.twins import twins_of
-    except ImportError:
-        missing["twins"] = "not part of this version"
+    if findings[0].method not in registered():
+        missing["twins"] = f"{findings[0].method} is a variant, and twins are made for methods with their own settings"
         return None
+    from bench.measured.twins import twins_of
+
     methods, number = affordable(findings, n)
     return twins_of(findings[0], methods, number, int(request.job.config.seed), progress)

@@ -30,6 +30,9 @@ COARSER = 3.0
 """The smoothing velocity of friction while classes are compared, over that of the answer: steps may be longer."""
 MOST_SAMPLES = 400
 """Of a record on which classes are compared: thinned above, since tens of fits are made."""
+SHARES = (0.2, 0.8)
+"""Of the viscous damping's work, what further damping does at first: beside all of it a search runs it down to zero."""
+SEARCH = 15
 HELD_OUT = 0.4
 NOTHING = 1e-3
 """A term counts as nothing where its force is less than this part of the spring's at the amplitude."""
@@ -153,7 +156,7 @@ def _from_simpler(found: list[ModelClass], names: tuple[str, ...]) -> dict[str, 
 
 def _judged(name: str, system: Sum, problem: Problem, known: Mapping[str, float], units: Units) -> ModelClass | None:
     with np.errstate(all="ignore"):
-        at = grown_fit(problem, problem.system, known)
+        at = _from_known(problem, known) if known else grown_fit(problem, problem.system)
     if at is None:
         return None
     zero = _zeros(at, system)
@@ -163,7 +166,8 @@ def _judged(name: str, system: Sum, problem: Problem, known: Mapping[str, float]
         own = _with(problem, kept)  # the units are those of the problem already
         own = replace(own, system=_rescaled(kept, system, problem))
         with np.errstate(all="ignore"):
-            refitted = grown_fit(own, own.system, known)
+            refitted = _from_known(own, {n: v for n, v in known.items() if n not in zero}) if known else None
+            refitted = refitted or grown_fit(own, own.system)
         smaller = refitted if refitted is not None else at
     r = smaller.residuals
     noise = autoregression(r, min(smaller.theta.size, r.size - 1))
@@ -172,6 +176,28 @@ def _judged(name: str, system: Sum, problem: Problem, known: Mapping[str, float]
     return ModelClass(
         name, system, criterion, left, held_out_fit(smaller), _upper(at, smaller, zero, units, system), smaller
     )
+
+
+def _from_known(problem: Problem, known: Mapping[str, float]) -> Linearised | None:
+    """The best of searches from a simpler fit, whose viscous damping does part of the work of the further terms."""
+    model, ends = OutputError(problem), []
+    amplitude = float(np.ptp(model.channels[0][1].values)) / 2.0 or 1.0
+    rate = float(np.sqrt(known["k"] / known["m"])) if {"k", "m"} <= set(known) else 1.0
+    guess = first_guess(problem.system, rate, amplitude)
+    for share in SHARES:
+        p = guess | {name: value for name, value in known.items() if name in guess}
+        c, further = p.get("c", 0.0), [name for name in ("mu", "c2") if name in p and name not in known]
+        if c > 0 and further:
+            work = share * c / len(further)
+            p |= {"c": (1.0 - share) * c}
+            p |= {"mu": work * np.pi * rate * amplitude / 4.0} if "mu" in further else {}
+            p |= {"c2": work * 3.0 * np.pi / (8.0 * rate * amplitude)} if "c2" in further else {}
+        theta = model.vector(p)
+        if np.all(np.isfinite(theta)):
+            ends.append(searched(model, theta, SEARCH))
+        if not further:
+            break
+    return at_theta(model, min(ends, key=model.profile)) if ends else None
 
 
 def _rescaled(kept: Sum, system: Sum, problem: Problem) -> Sum:

@@ -87,8 +87,11 @@ def autoregression(residuals: np.ndarray, used: float = 0.0) -> Autoregression:
 
 
 def log_likelihood(noise: Autoregression, residuals: np.ndarray) -> float:
-    """Of residuals (n,) given the first ones, with the noise's variance at its best value."""
-    errors = noise.whitened(residuals - np.mean(residuals))
+    """Of residuals (n,) but the first :data:`MOST_ORDER`, given those, with the noise's variance at its best value.
+
+    The same samples count whatever the order is, so that orders can be compared.
+    """
+    errors = noise.whitened(residuals - np.mean(residuals))[min(MOST_ORDER, residuals.size // SAMPLES_PER_ORDER) :]
     return float(-0.5 * errors.size * (np.log(2 * np.pi * np.mean(errors**2) * noise.variance) + 1.0))
 
 

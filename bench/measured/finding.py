@@ -14,15 +14,28 @@ from bench.contract.problem import Problem
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import make_method, missing_package
 from bench.errors import InputError
+from bench.likelihood.output_error import OutputError
 from bench.measured.fit import Outcome, fit_alone
+from bench.measured.grown import first_guess
 from bench.measured.intervals import StatedInterval, stated_intervals
 from bench.measured.linearised import Linearised, linearised, strongest_frequency
 from bench.measured.model_error import NOTHING_LACKING, ModelError, model_error
 from bench.measured.parts import parts_of
 from bench.measured.record import Measured
-from bench.measured.trust import Doubt, Trust, doubts_about, natural_frequency, verdict
+from bench.measured.trust import (
+    MOST_LEFT,
+    OUTLIERS,
+    Doubt,
+    Trust,
+    doubts_about,
+    natural_frequency,
+    part_of_signal,
+    verdict,
+)
 from bench.scoring.combination import combine_with_prior
 from bench.sweep.workers import Limits
+
+ROBUST = "shooting"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +79,34 @@ def find(job: Job, measured: Measured) -> Finding:
         method, rng = make_method(name, job.settings()), np.random.default_rng(job.config.seed)
         limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
         outcome = fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
-    return judged(job.label, measured, outcome)
+    return _with_robust(judged(job.label, measured, outcome), job)
+
+
+def _with_robust(finding: Finding, job: Job) -> Finding:
+    """Where samples are far off, the same and what a fit that expects outliers finds (errors with Student's t)."""
+    far = any(doubt.reason.endswith(OUTLIERS) for doubt in finding.doubts)
+    if not far or "student" in job.settings().values() or missing_package(ROBUST):
+        return finding
+    problem, rng = finding.problem, np.random.default_rng(job.config.seed)
+    method = make_method(ROBUST, {"likelihood": "student"})
+    limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
+    robust = fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
+    own = finding.intervals or finding.withdrawn
+    name = next(iter(own), "")
+    marginal = None if robust.estimate is None or not name else robust.estimate.marginal(problem.system.quantity(name))
+    if marginal is None:
+        reason = f"a fit that expects outliers gave no answer: {robust.message}"
+        return replace(finding, doubts=(*finding.doubts, Doubt(Trust.CARE, reason)))
+    inside = own[name].low <= marginal.value <= own[name].high
+    reason = (
+        f"method=shooting_student, which expects outliers, gives {name.replace('_over_', '/')} = {marginal.value:.6g}"
+    )
+    if not inside:
+        reason += ", outside of this interval: believe that one"
+    doubts = (*finding.doubts, Doubt(Trust.CARE if inside else Trust.NO, reason))
+    if inside:
+        return replace(finding, doubts=doubts)
+    return replace(finding, doubts=doubts, intervals={}, withdrawn=own)
 
 
 def judged(method: str, measured: Measured, outcome: Outcome) -> Finding:
@@ -124,17 +164,30 @@ def _with_mass(
 
 def _turned_force(at: Linearised | None) -> tuple[Doubt, ...]:
     """Where a forced fit leaves most of the signal: whether the force turned round would leave much less."""
-    from bench.measured.grown import searched
-    from bench.measured.trust import MOST_LEFT, part_of_signal
-
     if at is None or not at.model.problem.forced or part_of_signal(at) <= MOST_LEFT:
         return ()
     records = tuple(
         replace(r, forces=tuple(replace(f, values=-f.values) for f in r.forces)) for r in at.model.problem.records
     )
     turned = replace(at.model, problem=replace(at.model.problem, records=records))
-    theta = searched(turned, at.theta, 20)
+    theta = min(turned.settle(_forced_starts(turned, at.theta), 2, 20), key=turned.profile)
     left = turned.data - turned.predict(theta)
     if not np.all(np.isfinite(left)) or np.std(left) > 0.5 * np.std(at.residuals):
         return ()
     return (Doubt(Trust.NO, "the force turned round fits far better: its sign is wrong; say force_gain=-1"),)
+
+
+def _forced_starts(model: OutputError, theta: np.ndarray) -> np.ndarray:
+    """Vectors from which to search a forced motion: the given one, and at rest with natural frequencies on a grid."""
+    duration = max(record.duration for record in model.problem.records)
+    size, found = float(np.std(model.data)) or 1.0, [theta]
+    for cycles in np.geomspace(0.5, max(model.data.size / 4.0, 2.0), 16):
+        p = first_guess(model.system, 2 * np.pi * cycles / duration, size)
+        start = np.zeros(theta.size)
+        start[: len(model.free)] = np.log([p[name] for name in model.free])
+        heavier = float(np.std(model.predict(start))) / size
+        massive = [bool(q.dimension.mass) for q in model.system.parameters if q.name in model.free]
+        if np.isfinite(heavier) and heavier > 0:
+            start[: len(model.free)] += np.where(massive, np.log(heavier), 0.0)
+            found.append(start)
+    return np.stack(found)

@@ -12,9 +12,9 @@ from bench.contract.problem import Record
 from bench.dynamics.fixed_step import rk4_step
 from bench.dynamics.ops import numpy_ops
 from bench.measured.reading import read_recording
+from bench.measured.request import request_of
 from bench.measured.sets import MeasuredSet, Part
 from bench.measured.track import described
-from bench.measured.request import request_of
 from bench.systems import System
 
 STEPS = 4

@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.contract.belief import standard_quantile
 from bench.contract.estimate import Estimate
-from bench.measured.linearised import Linearised
+from bench.measured.linearised import CORRELATED_CYCLES, Linearised, strongest_frequency
 from bench.measured.model_error import NOTHING_LACKING, ModelError
 from bench.measured.parts import NOTHING, Between, between
 from bench.systems import Quantity
@@ -91,7 +91,7 @@ def _stated(
     if at.white is None or at.coloured is None or not np.any(gradient):
         return own
     white, coloured = (max(float(gradient @ c @ gradient), 0.0) for c in (at.white, at.coloured))
-    if not (white > 0 and np.isfinite(coloured)):
+    if not (white > 0 and 0 < coloured < np.inf):
         return own
     log = own.low > 0 and own.value > 0
     below = np.log(own.value / own.low) if log else (own.value - own.low) / abs(own.value)
@@ -127,11 +127,17 @@ def _half(noise: float, share: Between, at: Linearised) -> float:
 def _independent(at: Linearised) -> float:
     """As many white samples tell a variance as well as these residuals: ``n c_0² / sum c_k²``.
 
-    M. S. Bartlett, J. R. Stat. Soc. Suppl. 8:27, 1946; ``c_k``: autocovariance at lag k.
+    M. S. Bartlett, J. R. Stat. Soc. Suppl. 8:27, 1946; ``c_k``: autocovariance at lag k. At uneven times as many as the
+    triangular weights over a reach leave independent, 1.5 spans over reaches.
     """
     total = 0.0
-    for noise, own in zip(at.noises, at.channels, strict=True):
-        if noise is None or noise.order == 0 or own.size < 2:
+    for i, (noise, own) in enumerate(zip(at.noises, at.channels, strict=True)):
+        if noise is None:
+            channel = at.model.channels[i][1]
+            reach = CORRELATED_CYCLES / strongest_frequency(channel.times, channel.values)
+            total += min(1.5 * float(np.ptp(channel.times)) / reach + at.used, own.size)
+            continue
+        if noise.order == 0 or own.size < 2:
             total += own.size
             continue
         covariances = noise.autocovariance(own.size)

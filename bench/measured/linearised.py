@@ -23,6 +23,11 @@ from bench.measured.colour import Autoregression, autoregression, even_times
 from bench.scoring.score import point_parameters
 from bench.systems import Quantity
 
+FINER = 4
+"""Frequencies of the search for the strongest one, over those that the record resolves."""
+ROWS = 512
+LEAST = 1e-12
+"""In natural units, what stands for a parameter of zero, whose logarithm is not finite."""
 CORRELATED_CYCLES = 2.0
 """Cycles of the strongest frequency over which samples at uneven times may be correlated."""
 
@@ -100,8 +105,13 @@ class Linearised:
             return np.asarray(slopes.T @ spread[: own.size])
         times, scores = self.model.channels[i][1].times, slopes * self.residuals[own][:, None]
         reach = CORRELATED_CYCLES / max(strongest_frequency(times, self.model.channels[i][1].values), 1e-12)
-        near = np.maximum(1.0 - np.abs(times[:, None] - times) / reach, 0.0)
-        return np.asarray(scores.T @ near @ scores) * own.size / max(own.size - self.theta.size, 1)
+        total = np.zeros((self.theta.size, self.theta.size))
+        for first in range(0, own.size, ROWS):  # a matrix of all pairs would not fit into memory
+            rows = slice(first, first + ROWS)
+            low, high = np.searchsorted(times, [times[rows][0] - reach, times[rows][-1] + reach])
+            near = np.maximum(1.0 - np.abs(times[rows][:, None] - times[low:high]) / reach, 0.0)
+            total += scores[rows].T @ near @ scores[low:high]
+        return total * own.size / max(own.size - self.theta.size, 1)
 
     def gradient(self, quantity: Quantity) -> np.ndarray:
         """The derivative of the quantity's logarithm by theta."""
@@ -111,12 +121,13 @@ class Linearised:
 
 
 def strongest_frequency(times: np.ndarray, values: np.ndarray) -> float:
-    """The frequency (1/time) at which the values have most power, of a grid from one cycle to the mean sampling."""
+    """The frequency (1/time) at which the values, joined by lines, have most power: from a cycle in the record on."""
     span = float(times[-1] - times[0]) or 1.0
-    frequencies = np.arange(1.0, max(values.size // 2, 2), 0.5) / span
-    centred = values - np.mean(values)
-    power = [abs(np.exp(-2j * np.pi * f * times) @ centred) for f in frequencies[:4096]]
-    return float(frequencies[int(np.argmax(power))])
+    even = np.interp(np.linspace(times[0], times[-1], times.size), times, values)
+    length = FINER * times.size
+    power = np.abs(np.fft.rfft(even - np.mean(even), length))
+    first = min(FINER, power.size - 1)
+    return float((first + int(np.argmax(power[first:]))) / length * (times.size - 1) / span)
 
 
 def linearised(problem: Problem, estimate: Estimate) -> Linearised | None:
@@ -128,12 +139,13 @@ def linearised(problem: Problem, estimate: Estimate) -> Linearised | None:
     units = problem.natural_units()
     own, model = estimate.expressed_in(units), OutputError(problem.expressed_in(units))
     p = point_parameters(own)
-    if p is None or not all(np.isfinite(value) and value > 0 for value in p.values()):
+    if p is None or not all(np.isfinite(value) and value >= 0 for value in p.values()):
         return None
+    p = {name: max(value, LEAST) for name, value in p.items()}  # a method may end at no damping at all
     if model.system.gauge not in model.free:
         model = OutputError(model.problem, p[model.system.gauge])
     with np.errstate(all="ignore"):
-        trials = [model.vector(dict(p))]
+        trials = [model.vector(p)]
         if own.initial_states is not None:
             trials.append(_started(model, trials[0], own.initial_states))
         theta = min(trials, key=model.profile)

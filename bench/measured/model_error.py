@@ -28,6 +28,8 @@ TURNS = 0.05
 """Speed at which the sign of dry friction turns, over the largest speed."""
 LARGEST = 3.0
 """Of a change of a logarithm."""
+STRONG = 6.0
+"""Least gain in the criterion that counts (R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90:773, 1995)."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ def model_error(at: Linearised) -> ModelError:
             criterion = _criterion(left, rows, n)
             if criterion < best:
                 used, best = (some, solution), criterion
-    if used is None:
+    if used is None or first - best < STRONG:
         return NOTHING_LACKING
     sizes = dict(zip(used[0], used[1][at.theta.size :], strict=True))
     logs = dict(zip(model.free, used[1], strict=False))
@@ -121,6 +123,8 @@ def _amplitudes(at: Linearised, rate: float) -> np.ndarray:
     channel = at.model.problem.records[0].channels[0]
     fitted = at.model.data - at.residuals
     fitted = fitted - float(np.mean(at.model.offsets(at.theta)))
+    if channel.n > 3:  # by displacement and velocity, so that few samples a cycle tell the amplitude too
+        fitted = np.hypot(fitted, np.gradient(fitted, channel.times) / rate)
     cycles = np.floor((channel.times - channel.times[0]) * rate / (2 * np.pi)).astype(int)
     whole = [i for i in range(int(cycles[-1]) + 1) if np.count_nonzero(cycles == i) >= 4]
     sizes = [float(np.max(np.abs(fitted[cycles == i]))) for i in whole[: max(len(whole) - 1, 1)]]

@@ -57,9 +57,9 @@ def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Mea
     system = _system(request, recordings[0])
     start = _start(job)
     records = tuple(_record(recording, system, start, job) for recording in recordings)
-    names = ", ".join(Path(recording.source).name for recording in recordings)
+    names, prior = ", ".join(Path(recording.source).name for recording in recordings), _prior(job, system)
     try:
-        problem = Problem(system, records, _prior(job, system), name=names)
+        problem = Problem(system, records, prior, name=names)
     except InputError as error:
         raise InputError("data", f"{names} ({error.field} {error.value})", error.remedy) from None
     mass = job.config.fixed.get("m")

@@ -11,6 +11,7 @@ from bench.config.choices import choices, own_file
 from bench.config.experiment import sweep
 from bench.config.overrides import Overrides
 from bench.config.schema import Job
+from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import method_names
 from bench.errors import InputError
 from bench.measured.reading import ReadOptions
@@ -57,7 +58,7 @@ def request_of(overrides: Overrides) -> Request:
     elif any(key.startswith("system.") for key in given):
         raise InputError("system", system, "its terms have no further fields; leave system.<field> out")
     if given.get("method") == [ALL]:
-        given["method"] = list(method_names())
+        given["method"] = [name for name in method_names() if name not in REFERENCES]
     jobs = sweep(given)
     config = jobs[0].config
     options = ReadOptions(

@@ -47,13 +47,11 @@ def _thinned(signal: Signal, of: MeasuredSet) -> Signal:
     n = signal.values.size // of.thin_force * of.thin_force
     if of.thin_force == 1 or n == 0:
         return signal
-    times, values = (a[:n].reshape(-1, of.thin_force).mean(axis=1) for a in (signal.times, signal.values))
-    ends = signal.times[[0, -1]]
-    return replace(
-        signal,
-        times=np.concatenate([ends[:1], times, ends[1:]]),
-        values=np.concatenate([values[:1], values, values[-1:]]),
+    times, values = (
+        np.concatenate([own[:1], own[:n].reshape(-1, of.thin_force).mean(axis=1), own[-1:]])
+        for own in (signal.times, signal.values)
     )
+    return replace(signal, times=times, values=values)
 
 
 @dataclass(frozen=True)
@@ -109,13 +107,14 @@ def agreement(found: Sequence[Stated], known: float | None = None) -> Agreement:
     if known is not None and values:
         error = 100.0 * float(np.median(np.abs(np.array(values) - known))) / abs(known)
     return Agreement(
-        len(found),
-        float(np.median(values)) if values else math.nan,
-        error,
-        *(_ratio(spread, [one.error(white) for one in bounded]) for white in (False, True)),
-        covered[False],
-        covered[True],
-        len(counted),
+        n=len(found),
+        median=float(np.median(values)) if values else math.nan,
+        error=error,
+        ratio=_ratio(spread, [one.error(False) for one in counted]),
+        ratio_white=_ratio(spread, [one.error(True) for one in counted]),
+        covered=covered[False],
+        covered_white=covered[True],
+        counted=len(counted),
     )
 
 
@@ -146,7 +145,15 @@ class Total:
 def total(agreements: Iterable[Agreement]) -> Total:
     """The sums of the counts, and the medians of R over those that have one."""
     several = [one for one in agreements if one.counted]
-    ratios = [[one.ratio for one in several], [one.ratio_white for one in several]]
-    medians = [float(np.nanmedian(r)) if np.any(np.isfinite(r)) else math.nan for r in ratios]
-    counts = (sum(getattr(one, name) for one in several) for name in ("covered", "covered_white", "counted"))
-    return Total(*counts, *medians)
+    return Total(
+        covered=sum(one.covered for one in several),
+        covered_white=sum(one.covered_white for one in several),
+        counted=sum(one.counted for one in several),
+        ratio=_middle([one.ratio for one in several]),
+        ratio_white=_middle([one.ratio_white for one in several]),
+    )
+
+
+def _middle(ratios: Sequence[float]) -> float:
+    finite = [ratio for ratio in ratios if math.isfinite(ratio)]
+    return float(np.median(finite)) if finite else math.nan

@@ -46,10 +46,12 @@ WIDE = 0.5
 """Half of an interval over its value beyond which the value is known to an order only."""
 OUTLIER = 6.0
 """Robust standard deviations (Rousseeuw and Croux, J. Am. Stat. Assoc. 88:1273, 1993, for the scale by the median)."""
+OUTLIERS = "samples are far off"
 RUN = 3
 CLIPPED_RUNS = 3
 LINE = 1e-6
 SECOND_MODE = 0.05
+SLOW = 0.5
 FEW_SAMPLES_A_CYCLE = 2.5
 FEW_CYCLES, TOO_FEW_CYCLES = 1.5, 0.75
 GROWTH = 1.2
@@ -161,7 +163,7 @@ def _outliers(at: Linearised) -> list[Doubt]:
             found += int(np.count_nonzero(np.abs(r) > OUTLIER * scale))
     if not found or found > 0.05 * at.residuals.size:
         return []
-    return [Doubt(Trust.CARE, f"{found} samples are far off: compare method=shooting_student, which expects outliers")]
+    return [Doubt(Trust.CARE, f"{found} {OUTLIERS}")]
 
 
 def _clipping(at: Linearised) -> list[Doubt]:
@@ -193,7 +195,8 @@ def _second_mode(at: Linearised) -> list[Doubt]:
         if chance < LINE and share > SECOND_MODE and abs(harmonic - 1.0) > 0.15:
             said = f"the residuals hold a line at {harmonic:.2f} times the natural frequency, {share:.0%} of the motion"
             worst = Trust.NO if share > MOST_LEFT else Trust.CARE
-            return [Doubt(worst, f"{said}: a second mode, or a harmonic")]
+            source = "a second mode, or a harmonic" if harmonic > SLOW else "a drift of the sensor, or something slower"
+            return [Doubt(worst, f"{said}: {source}")]
     return []
 
 

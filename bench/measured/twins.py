@@ -97,14 +97,15 @@ def twins_of(
 ) -> Twins:
     """Run methods on twins of a record and correct the finding's intervals by what its own method shows there.
 
-    A method gets an equal share of the time that is left, and as many twins as fit; one that has no time for twenty,
-    that needs a package which is missing, or that cannot take the record, has no lines. So a seed determines all but
-    how many twins there was time for. The model's own error is not looked for on twins: they have none.
+    The finding's own method has half of the time, the others share the rest; each gets as many twins as fit. One that
+    has no time for twenty, that needs a package which is missing, or that cannot take the record, has no lines. So a
+    seed determines all but how many twins there was time for. The model's own error is not looked for on twins, which
+    have none.
 
     Args:
         finding: Of the record, with its fit; without one there are no twins.
         methods: Registered names; each runs with its default settings, in a process of its own.
-        n: How many twins.
+        n: How many twins; nothing is said of fewer than twenty.
         seed: Of the noise and of the methods' random streams.
         progress: Gets how much work is done, and of how much.
         limit_s: Time for all of it.
@@ -114,23 +115,28 @@ def twins_of(
     twins = drawn(finding.at, finding.problem, n, seed)
     told = told_quantities(finding.problem)
     shown = [q for q in (*finding.problem.system.groups, *finding.problem.system.modal) if q in told]
-    lines, corrected = [], dict(finding.intervals)
+    lines, corrected = dict[str, list[TwinLine]](), dict(finding.intervals)
     children, end = Children(), time.monotonic() + limit_s
     try:
-        for i, method in enumerate(methods):
-            now = time.monotonic()
-            until, done = now + max(end - now, 0.0) / (len(methods) - i), 2 * n * i
-            pace = Pace(until, lambda k, done=done: progress and progress(done + k, 2 * n * len(methods)))  # type: ignore[misc]
+        for i, method in enumerate(sorted(methods, key=lambda name: name != finding.method)):
+            now, waiting = time.monotonic(), len(methods) - i
+            until = now + max(end - now, 0.0) / (min(waiting, 2) if method == finding.method else waiting)
+            pace = Pace(until, _telling(progress, 2 * n * i, 2 * n * len(methods)))
             answers = Answers.of(twins, *fitted_and_stated(method, twins, seed, pace, children))
             if len(answers.estimates) >= LEAST:
-                lines += [answers.line(method, quantity) for quantity in shown if answers.tells(quantity)]
+                lines[method] = [answers.line(method, quantity) for quantity in shown if answers.tells(quantity)]
                 if method == finding.method:
                     corrected = corrected_by(answers, finding, told)
     finally:
         children.close()
     if progress:
         progress(2 * n * len(methods), 2 * n * len(methods))
-    return Twins(n, tuple(q.name for q in shown), tuple(lines), corrected)
+    ordered = tuple(line for method in methods for line in lines.get(method, []))
+    return Twins(n, tuple(q.name for q in shown), ordered, corrected)
+
+
+def _telling(progress: Callable[[int, int], None] | None, done: int, total: int) -> Callable[[int], None]:
+    return lambda more: progress(done + more, total) if progress else None
 
 
 def told_quantities(problem: Problem) -> tuple[Quantity, ...]:
@@ -217,7 +223,7 @@ class Pace:
     """The time that a method has, in seconds of the clock, and whom to tell of its progress."""
 
     until: float
-    tell: Callable[[int], object]
+    tell: Callable[[int], None]
 
     @property
     def left(self) -> float:
@@ -354,9 +360,9 @@ def miss(value: float, low: float, high: float, true: float) -> float:
 
 
 def held(misses: Sequence[float]) -> float:
-    """The share of intervals that hold the truth; NaN where there are none."""
+    """The share of intervals that hold the truth; NaN of fewer than twenty."""
     known = np.array(misses)[~np.isnan(misses)] if misses else np.zeros(0)
-    return float(np.mean(known <= 1.0)) if known.size else float("nan")
+    return float(np.mean(known <= 1.0)) if known.size >= LEAST else float("nan")
 
 
 def stretch_of(misses: Sequence[float]) -> float:

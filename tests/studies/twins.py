@@ -63,7 +63,7 @@ class Case:
 CASES = {
     "few": Case("5 samples a cycle, 20 dB", 5.0, 16.0, 20.0),
     "loud": Case("5 dB", 10.0, 10.0, 5.0),
-    "coloured": Case("AR(1) 0.8, 20 dB", 10.0, 12.0, 20.0, 0.8),
+    "coloured": Case("AR(1) 0.8, 20 dB", 20.0, 8.0, 20.0, 0.8),
 }
 
 

@@ -6,6 +6,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from bench.measured.finding import Finding
 from bench.measured.intervals import StatedInterval
 from bench.measured.linearised import Linearised
 from bench.measured.record import summary_of
+from bench.measured.request import AUTO
 from bench.measured.trust import Trust, lag_one, natural_frequency, part_of_signal, whiteness_level
 from bench.reporting.rounding import number, readable, rounded
 
@@ -39,8 +41,8 @@ def contents(certificate: Certificate, command: str) -> dict[str, Any]:
         "method": primary.method,
         "system": equation(primary),
         "sentences": sentences(certificate),
-        "reasons": [doubt.reason for doubt in primary.doubts],
-        "record": summary_of(primary.measured),
+        "reasons": [doubt.reason for doubt in primary.doubts] + unchosen(certificate),
+        "record": _record(primary),
         "values": {name: _interval(own) for name, own in primary.intervals.items()},
         "withdrawn": {name: _interval(own) for name, own in primary.withdrawn.items()},
         "residuals": _residuals(primary),
@@ -56,6 +58,13 @@ def contents(certificate: Certificate, command: str) -> dict[str, Any]:
         "packages": packages(),
         "series": series(certificate),
     }
+
+
+def _record(finding: Finding) -> dict[str, Any]:
+    """What the records are; ``names`` are those of the files, without their folders."""
+    found = summary_of(finding.measured)
+    names = [Path(file).name for file in found["files"]]
+    return {**found, "names": names, "hashes": [list(pair) for pair in zip(names, found["sha256"], strict=True)]}
 
 
 def equation(finding: Finding) -> str:
@@ -94,6 +103,13 @@ def _support(certificate: Certificate) -> str:
     else:
         also = "no other method answers"
     return f"{left}; {also}." if left else f"{also[0].upper()}{also[1:]}."
+
+
+def unchosen(certificate: Certificate) -> list[str]:
+    """That no model was chosen, where one should have been."""
+    if certificate.request.system != AUTO or certificate.classes:
+        return []
+    return [f"no classes of models were compared ({certificate.missing.get('classes', 'none')}): name the system"]
 
 
 def said(name: str, own: StatedInterval) -> str:
@@ -196,7 +212,7 @@ def series(certificate: Certificate) -> dict[str, Any]:
     residuals = size * at.residuals[at.channels[0]]
     found |= {"fit": channel.values - residuals, "residuals": residuals}
     if even_times(channel.times) and residuals.size >= 12:
-        found["spectrum"] = spectrum(channel.times, residuals, at, second)
+        found["spectrum"] = spectrum(channel.times, residuals, at, size, second)
         found["autocorrelation"] = correlation(residuals)
     if motion is not None:
         found["motion"] = dict(vars(motion))
@@ -205,17 +221,20 @@ def series(certificate: Certificate) -> dict[str, Any]:
     return found
 
 
-def spectrum(times: np.ndarray, residuals: np.ndarray, at: Linearised, second: float) -> dict[str, Any]:
-    """The one-sided power density of residuals: periodogram, autoregression, and the white-noise band."""
+def spectrum(times: np.ndarray, residuals: np.ndarray, at: Linearised, size: float, second: float) -> dict[str, Any]:
+    """The one-sided power density of residuals: periodogram, autoregression, and the white-noise band.
+
+    ``size`` and ``second``: what natural units are in those of the residuals.
+    """
     n, rate = residuals.size, (times.size - 1) / float(np.ptp(times))
     density = 2.0 * np.abs(np.fft.rfft(residuals - np.mean(residuals)))[1:] ** 2 / (n * rate)
-    noise = autoregression(residuals)
+    noise = at.noises[0] or autoregression(at.residuals[at.channels[0]])
     level = 2.0 * float(np.var(residuals)) / rate
     own = natural_frequency(at)
     return {
         "frequencies": np.fft.rfftfreq(n, 1.0 / rate)[1:],
         "periodogram": density,
-        "autoregression": 2.0 * noise.spectrum(n)[1:] / rate,
+        "autoregression": 2.0 * size**2 * noise.spectrum(n)[1:] / rate,
         "order": noise.order,
         "white_band": [level * float(CHI_LOW), level * float(CHI_HIGH)],
         "natural_frequency": None if own is None else own / second,

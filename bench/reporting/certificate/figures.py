@@ -85,7 +85,7 @@ def _record(figure: Any, series: Mapping[str, Any], shown: Mapping[str, Any]) ->
     times, values = series["times"], series["values"]
     if series["fit"] is None:
         axis = figure.subplots()
-        _samples(axis, times, values)
+        axis.plot(*thinned(times, values), color=INK, lw=0.8, label="record")
         axis.set(xlabel="time (s)", ylabel=_label(series), title="Record")
         _above(axis)
         return
@@ -133,7 +133,8 @@ def _spectrum(figure: Any, series: Mapping[str, Any], shown: Mapping[str, Any]) 
     axis.set_title("Spectrum of the residuals", pad=22)
     bottom = float(np.percentile(power, 0.5))
     axis.set_ylim(0.5 * min(bottom, low), 2.0 * max(float(np.max(power)), high))
-    _plain_ticks(axis.xaxis)
+    _ticks_of_logs(axis.xaxis, lambda value: f"{value:g}")
+    _ticks_of_logs(axis.yaxis, power_of_ten)
     axis.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, fontsize=9, borderaxespad=0.1, columnspacing=1.2)
     axis.grid(lw=0.5)
 
@@ -142,11 +143,18 @@ def _squared(unit: str) -> str:
     return f"{unit}²" if "/" not in unit else f"({unit})²"
 
 
-def _plain_ticks(axis: Any) -> None:
-    from matplotlib.ticker import FuncFormatter, NullFormatter
+def _ticks_of_logs(axis: Any, text: Callable[[float], str]) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_major_locator(LogLocator(10.0, numticks=6))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: text(value)))
     axis.set_minor_formatter(NullFormatter())
+
+
+def power_of_ten(value: float) -> str:
+    """``10⁻⁵``, in letters that need no typesetting."""
+    exponent = str(round(math.log10(value))) if value > 0 else "0"
+    return "10" + exponent.translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def _lags(figure: Any, series: Mapping[str, Any], shown: Mapping[str, Any]) -> None:
@@ -156,8 +164,8 @@ def _lags(figure: Any, series: Mapping[str, Any], shown: Mapping[str, Any]) -> N
     axis.axhline(0, color=MUTED, lw=0.7)
     axis.vlines(np.arange(1, values.size + 1), 0, values, color=BLUE, lw=1.6)
     axis.set(xlabel="lag (samples)", ylabel="autocorrelation", title="Autocorrelation of the residuals")
-    reach = 1.1 * max(2 * band, float(np.max(np.abs(values), initial=0.0)))
-    axis.set_ylim(-reach, reach)
+    reach = 1.1 * max(2 * band, float(np.max(values, initial=0.0)))
+    axis.set_ylim(1.1 * min(-2 * band, float(np.min(values, initial=0.0))), reach)
     _above(axis, 0.12)
 
 
@@ -233,15 +241,23 @@ def _limits(own: Mapping[str, Any] | None, told: Sequence[Mapping[str, Any]]) ->
 
 
 CAPTIONS: dict[str, Callable[[Mapping[str, Any]], str]] = {
-    "record": lambda shown: "What was measured, what the fit makes of it, and the difference."
-    if shown["series"]["fit"] is not None
-    else "What was measured; there is no fit to draw.",
-    "prediction": lambda shown: "The last 40 % of the record (grey) was not seen by the fit that predicts it. "
-    "FIT is 100 % for a perfect prediction, 0 % for one no better than the mean.",
-    "spectrum": lambda shown: "White noise keeps within the band at 95 of 100 frequencies; the smooth line is the "
-    "autoregression that the stated intervals take for the noise. Dotted: the natural frequency.",
+    "record": lambda shown: (
+        "What was measured, what the fit makes of it, and the difference."
+        if shown["series"]["fit"] is not None
+        else "What was measured; there is no fit to draw."
+    ),
+    "prediction": lambda shown: (
+        "The last 40 % of the record (grey) was not seen by the fit that predicts it. "
+        "FIT is 100 % for a perfect prediction, 0 % for one no better than the mean."
+    ),
+    "spectrum": lambda shown: (
+        "White noise keeps within the band at 95 of 100 frequencies; the smooth line is the "
+        "autoregression that the stated intervals take for the noise. Dotted: the natural frequency."
+    ),
     "lags": lambda shown: "Of white noise, 95 of 100 bars stay within the band.",
     "phase": lambda shown: "Displacement and velocity of the fitted motion.",
-    "forest": lambda shown: "Stated 95 % intervals; grey: the primary method's. Blue agrees with it, grey bars are "
-    "level with it, orange is off: neither interval holds the other's value. Arrow heads lie beyond the plot.",
+    "forest": lambda shown: (
+        "Stated 95 % intervals; grey: the primary method's. Blue agrees with it, grey bars are "
+        "level with it, orange is off: neither interval holds the other's value. Arrow heads lie beyond the plot."
+    ),
 }

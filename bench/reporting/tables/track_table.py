@@ -30,16 +30,16 @@ COLUMNS = (
 )  # fmt: skip
 HEAD = """# Table 11. The measured track
 
-Real records, cut into siblings or repeated, fitted by every method without a prior, the start and a sensor's offset
+Real records, cut into siblings or repeated, fitted by each method without a prior, the start and a sensor's offset
 unknown. There is no truth, so each method is asked whether its answers to siblings agree within what is stated.
 **R**: standard deviation between siblings over the median stated standard error (half of the 95 % interval over 1.96);
 1 is right, above it the statement is too narrow. **cov.**: how many siblings' intervals hold the mean of the other
 siblings; that mean has an error of its own, so right intervals hold it in 83 % of cases with two siblings, 91 % with
 four, 93 % with six. In brackets the same for the method's own interval, which takes the noise for white. **error**:
 median distance to what others state, where they do. **held-out**: the fit 100 (1 - |y - h| / |y - mean y|) of the last
-40 %, predicted from a fit of the first 60 % (median). **verdicts**: trust / with care / do not trust. A withdrawn
-answer (do not trust) has no interval and counts in no coverage; a fit without an answer is one of them. Siblings of a
-decay have other amplitudes, and differ by what the named system leaves out, too."""
+40 %, predicted from a fit of the first 60 % (median). **verdicts**: answers by trust / with care / do not trust, which
+is withdrawn: it has no interval and counts in no coverage. Siblings of a decay have other amplitudes, and differ by
+what the named system leaves out, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +85,11 @@ class FreeRun:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """All that the table shows."""
+    """All that the table shows; ``missing`` fits were asked for and are not made yet."""
 
     panels: Sequence[Panel]
     free_runs: Sequence[FreeRun] = field(default_factory=list)
+    missing: int = 0
 
     def total(self, quantity: str, methods: Sequence[str] | None = None) -> Total:
         """Agreements on a quantity over all panels with siblings, of some methods or all."""
@@ -131,12 +132,17 @@ def summary(track: Track) -> str:
         )
         found.append(f"- {who}: intervals that hold the mean of the other siblings: {said}.")
     fits = [fit for panel in track.panels for fit in panel.fits]
-    counts = Counter(fit.trust for fit in fits)
-    withdrawn = sum(bool(fit.withdrawn) for fit in fits)
+    counts, silent = _verdicts(fits), sum(fit.status != "ok" for fit in fits)
     verdicts = ", ".join(f"{counts[word]} {word}" for word in VERDICTS)
-    found.append(f"- {len(fits)} fits: {verdicts}; {withdrawn} answers withdrawn.")
+    found.append(f"- {len(fits)} fits, {silent} of them without an answer; of the answers {verdicts} (withdrawn).")
+    found += [f"- {track.missing} fits are not made yet: the same command makes them."] if track.missing else []
     found += [f"- {panel.name}: {panel.absent}" for panel in track.panels if panel.absent]
     return "\n".join(found)
+
+
+def _verdicts(fits: Sequence[Fit]) -> Counter[str]:
+    """How many answers have each verdict."""
+    return Counter(fit.trust for fit in fits if fit.status == "ok")
 
 
 def _share(part: int, whole: int) -> str:
@@ -184,7 +190,8 @@ def _median(values: Sequence[float]) -> str:
 
 def _panel(panel: Panel, runs: Sequence[FreeRun]) -> list[str]:
     of = panel.of
-    said = f"{of.title}. {of.source}; licence: {of.licence}." + (f" {of.note[0].upper()}{of.note[1:]}." if of.note else "")
+    note = f" {of.note[0].upper()}{of.note[1:]}." if of.note else ""
+    said = f"{of.title}. {of.source}; licence: {of.licence}.{note}"
     heading = f"## {panel.name}, {panel.system}"
     if panel.absent:
         return [heading, said, f"{panel.absent}."]
@@ -209,11 +216,11 @@ def _rows(panel: Panel) -> tuple[list[list[str]], list[str]]:
         own, row = panel.own(method), [method]
         for name in quantities:
             one = panel.agreement(method, name)
-            row.append(number(one.median))
+            row.append(f"{one.median:.5g}" if one.n else "-")
             if name in panel.of.known:
                 row.append(f"{number(one.error)} %" if one.n else "-")
             row += _cells(one)
-        counts = Counter(fit.trust for fit in own)
+        counts = _verdicts(own)
         verdicts = " / ".join(str(counts[word]) for word in VERDICTS)
         rows.append([*row, _median([f.held_out for f in own]), _median([f.wall_s for f in own]), verdicts, _why(own)])
     headers = ["method"]
@@ -281,12 +288,11 @@ def _lines(panel: Panel) -> list[dict[str, Any]]:
         withdrawn = sum(bool(fit.withdrawn) for fit in panel.own(method))
         for name in panel.quantities:
             one, known = panel.agreement(method, name), panel.of.known.get(name)
-            found.append(
-                {
-                    **head, "method": method, "quantity": name, "sibling": "all", "value": one.median,
-                    "known": known.value if known else None, "error_pct": one.error, "ratio": one.ratio,
-                    "ratio_white": one.ratio_white, "covered": one.covered, "covered_white": one.covered_white,
-                    "counted": one.counted, "withdrawn": withdrawn,
-                }  # fmt: skip
-            )
+            line = {
+                **head, "method": method, "quantity": name, "sibling": "all", "value": one.median,
+                "known": known.value if known else None, "error_pct": one.error, "ratio": one.ratio,
+                "ratio_white": one.ratio_white, "covered": one.covered, "covered_white": one.covered_white,
+                "counted": one.counted, "withdrawn": withdrawn,
+            }  # fmt: skip
+            found.append(line)
     return found

@@ -30,9 +30,8 @@ def stated(value: float, error: float, white: float) -> Stated:
 
 def fit(sibling: str, one: Stated, trust: str = "trust") -> Fit:
     where = "withdrawn" if trust == "do not trust" else "estimates"
-    return Fit(
-        sibling, "s", "sdof", sibling, "ls", "ok", "", trust, (), 1.0, 60.0, 10, **{where: {"k_over_m": one}}, held_out=90.0
-    )  # fmt: skip
+    found = {where: {"k_over_m": one}}
+    return Fit(sibling, "s", "sdof", sibling, "ls", "ok", "", trust, (), 1.0, 60.0, 10, **found, held_out=90.0)
 
 
 def test_siblings_that_scatter_as_stated() -> None:
@@ -67,12 +66,12 @@ def test_totals_add_counts_and_take_the_median_of_the_ratios() -> None:
 
 def test_withdrawn_answers_count_in_no_coverage_but_are_counted() -> None:
     of = MeasuredSet(**TINY)
-    fits = [fit("1", stated(9.0, 1.0, 1.0)), fit("2", stated(10.0, 1.0, 1.0)), fit("3", stated(99.0, 1.0, 1.0), "do not trust")]
+    fits = [fit(str(v), stated(v, 1.0, 1.0), "do not trust" if v > 50 else "trust") for v in (9.0, 10.0, 99.0)]
     panel = Panel("s", of, "sdof", fits)
     assert panel.agreement("ls", "k_over_m").counted == 2
     text = markdown(Track([panel]), "again")
     assert "2 / 0 / 1" in text
-    assert "1 answers withdrawn" in text
+    assert "2 trust, 0 with care, 1 do not trust (withdrawn)" in text
     assert [line["withdrawn"] for line in lines(Track([panel])) if line["sibling"] == "all"] == [1]
 
 
@@ -142,9 +141,14 @@ def test_the_command_fits_once_and_goes_on(tmp_path: Path, monkeypatch: pytest.M
     assert "not found under data_root=: silverbox/SNLS80mV.csv.gz" in text
     assert "the same to three digits" in text
     rows = list(csv.DictReader(io.StringIO((tmp_path / "table11.csv").read_text(encoding="utf-8"))))
-    assert [r["status"] for r in rows if r["set"] == "silverbox"] == ["not found under data_root=: silverbox/SNLS80mV.csv.gz"] * 2
+    absent = [r["status"] for r in rows if r["set"] == "silverbox"]
+    assert absent == ["not found under data_root=: silverbox/SNLS80mV.csv.gz"] * 2
     own = [r for r in rows if r["quantity"] == "k_over_m" and r["sibling"] == "all"]
     assert float(own[0]["error_pct"]) < 1e-3
+
+    assert tracked([*asked, "data_root=.", "dry_run=true"]) == 0
+    assert tracked([a.replace("output_error", "ls") for a in asked] + ["fit=false"]) == 0
+    assert "1 fits are not made yet" in (tmp_path / "table11.md").read_text(encoding="utf-8")
 
     monkeypatch.setattr(track, "fitted", lambda task, timeout_s: pytest.fail("it fits again"))
     assert tracked(asked) == 0
@@ -162,7 +166,8 @@ def test_what_makes_a_fit_new(tmp_path: Path) -> None:
     assert len({one.key, thinned.key, weak.key}) == 3
     fits = Fits(tmp_path)
     fits.add(Fit("a", "s", "sdof", "1", "ls", "timeout", "", "do not trust", (), 60.0, 60.0, 0))
-    (tmp_path / "fits.jsonl").open("a", encoding="utf-8").write('{"key": "b", "se')  # an interrupted run's
+    with (tmp_path / "fits.jsonl").open("a", encoding="utf-8") as file:
+        file.write('{"key": "b", "se')  # an interrupted run's
     again = Fits(tmp_path)
     assert again.get("a", 60.0) is not None
     assert again.get("a", 120.0) is None

@@ -223,7 +223,7 @@ def test_methods_run_on_twins() -> None:
     found = twins_of(finding, ["output_error", "ls", "matrix_pencil"], 20, 1, lambda a, b: told.append((a, b)), 300.0)
     assert found.quantities == ("k_over_m", "c_over_m", "natural_frequency", "damping_ratio")
     assert {line.n_ok for line in found.lines if line.method == "output_error"} == {20}
-    assert "ls" not in {line.method for line in found.lines}, "it cannot estimate an offset"
+    assert {line.method for line in found.lines} == {"output_error", "ls", "matrix_pencil"}
     errors = {line.quantity: line.median_error_pct for line in found.lines if line.method == "output_error"}
     assert 0.0 < errors["natural_frequency"] < errors["damping_ratio"] < 20.0
     assert set(found.corrected) == set(finding.intervals)
@@ -249,15 +249,18 @@ def test_without_a_fit_there_are_no_twins() -> None:
 def test_the_study_s_noise_has_the_stated_colour_and_size() -> None:
     problem = study.CASES["coloured"].problem(np.random.default_rng(0))
     long = replace(study.CASES["coloured"], cycles=2000.0).problem(np.random.default_rng(0))
-    assert problem.records[0].channels[0].n == 120
+    assert problem.records[0].channels[0].n == 160
     late = long.records[0].channels[0].values[10_000:]
     assert autoregression(late).coefficients[0] == pytest.approx(0.8, abs=0.05)
 
 
 @pytest.mark.slow
 def test_corrected_intervals_hold_the_truth_under_coloured_noise() -> None:
-    """Thirty records with forty twins each: at least 85 % (of 95 %: all but 1 in 1000 such studies) hold the truth."""
+    """Of thirty records with forty twins each at least 24, of white intervals not 27.
+
+    Where 95 % hold the truth, six studies in 10,000 have fewer than 24.
+    """
     rows = study.study("coloured", 30, 40, 5)
-    shares = [float(row[5].partition(" ")[0]) for row in rows]
-    assert min(shares) >= 80.0
-    assert min(float(row[3].partition(" ")[0]) for row in rows) < 95.0
+    white, corrected = ([float(row[i].partition(" ")[0]) for row in rows] for i in (3, 5))
+    assert min(corrected) >= 80.0
+    assert min(white) < 90.0

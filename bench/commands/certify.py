@@ -1,0 +1,150 @@
+"""``python -m bench.certify``: the certificate of a measured record, as a page and as JSON.
+
+usage: python -m bench.certify data=record.csv [out=certificate] [twins=200] [field=value ...]
+
+The fields are those of a measured record (see python -m bench --help): columns, units, rate, from, to, system [auto],
+method, seed. The first method is the primary one, whose values the certificate states; the others stand beside it.
+  method  [fast]  a list, or fast: the methods that take seconds, shooting first
+  out             the folder of certificate.html and certificate.json
+  twins           simulated records like this one on which the intervals are checked; 0: none
+
+Exit status: 0, 1 where the verdict is "do not trust", 2 for bad input.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import sys
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from bench.commands.guard import command, whole
+from bench.errors import InputError
+
+FAST = (
+    "shooting", "output_error", "ls", "ls_spline", "ls_weak", "rls", "matrix_pencil", "era", "iqml", "ar", "frequency",
+    "log_decrement", "collocation", "mcmc",
+)  # fmt: skip
+OWN = {"out": "certificate", "twins": "200", "system": "auto", "method": "fast"}
+"""Fields that are read here, since they have other values than for a simulated record."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Write the certificate; exit status 1 where its verdict is "do not trust", 2 for bad input."""
+    return command("bench.certify", __doc__ or "", argv, _main)
+
+
+def _main(arguments: list[str]) -> int:
+    fields, rest = _own_fields(arguments)
+    twins, request = whole("twins", fields["twins"], 0), _request(fields, rest)
+    folder = Path(fields["out"])
+    try:
+        from bench.measured.certificate import certify
+        from bench.measured.record import read_measured
+        from bench.measured.trust import Trust
+        from bench.reporting.certificate.contents import contents, listed
+        from bench.reporting.certificate.page import page
+
+        _check_packages()
+    except ImportError as error:
+        print(f"bench.certify: {error.name} is missing: pip install 'vibration-bench[report]'", file=sys.stderr)
+        return 2
+    measured = read_measured(request)
+    _check_writable(folder)
+    with _bar() as say:
+        certificate = certify(request, measured, twins, say)
+    shown = contents(certificate, shlex.join(["python", "-m", "bench.certify", *arguments]))
+    text = page(shown)
+    paths = (folder / "certificate.html", folder / "certificate.json")
+    _write(paths[0], text)
+    _write(paths[1], json.dumps(_nulls(listed(shown)), allow_nan=False, ensure_ascii=False, indent=1) + "\n")
+    print(f"{certificate.primary.trust.value}: {paths[0]} {paths[1]}")
+    return int(certificate.primary.trust is Trust.NO)
+
+
+def _own_fields(arguments: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """The fields of this command, and the arguments that are of any measured record."""
+    fields, rest, given = dict(OWN), [], set()
+    for argument in arguments:
+        key, equals, value = argument.partition("=")
+        if key not in OWN or not equals:
+            rest.append(argument)
+            continue
+        if not value:
+            raise InputError("argument", argument, "write field=value, see --help")
+        if key in given:
+            raise InputError(key, value, "given twice; give it once")
+        given.add(key)
+        fields[key] = value
+    if not any(argument.startswith("data=") for argument in rest):
+        raise InputError("data", None, "name a record: data=record.csv")
+    return fields, rest
+
+
+def _request(fields: dict[str, str], rest: Sequence[str]) -> Any:
+    from bench.config.choices import check_choice, choices
+    from bench.config.overrides import read_overrides
+    from bench.measured.request import ALL, request_of
+
+    names = [name.strip() for name in fields["method"].split(",") if name.strip()]
+    if names == ["fast"]:
+        names = [name for name in FAST if name in choices("method")]
+    for name in names if names != [ALL] else []:
+        check_choice("method", name)
+    return request_of({**read_overrides(rest), "system": [fields["system"]], "method": names})
+
+
+def _check_packages() -> None:
+    """Raise ImportError before the work where the page could not be made after it."""
+    import jinja2  # noqa: F401
+    import matplotlib  # noqa: F401
+
+
+def _check_writable(folder: Path) -> None:
+    """Raise InputError before the work where nothing can be written after it."""
+    _write(folder / ".certificate", "")
+    (folder / ".certificate").unlink(missing_ok=True)
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a file in one step; raises InputError where that cannot be done."""
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+        os.replace(temporary, path)
+    except OSError as error:
+        with suppress(OSError):  # nor can it be taken away where it could not be made
+            temporary.unlink(missing_ok=True)
+        raise InputError("out", path.parent, f"cannot be written ({error.strerror}); name another folder") from None
+
+
+def _nulls(values: Any) -> Any:
+    from bench.face.results import nulls
+
+    return nulls(values)
+
+
+@contextmanager
+def _bar() -> Iterator[Callable[[str, int, int], None]]:
+    """A progress bar over steps on the error stream; the callback that moves it on."""
+    from tqdm.auto import tqdm
+
+    with tqdm(total=1, unit="step", file=sys.stderr, dynamic_ncols=True, mininterval=0.2) as bar:
+
+        def say(what: str, done: int, of: int) -> None:
+            bar.total = of
+            bar.set_description(what, refresh=False)
+            bar.n = done
+            bar.refresh()
+
+        yield say
+
+
+if __name__ == "__main__":
+    sys.exit(main())

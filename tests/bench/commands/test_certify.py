@@ -1,0 +1,116 @@
+"""``python -m bench.certify``: what it writes, and what it says of bad input."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.commands import certify
+from bench.measured import certificate
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_classes() -> Iterator[None]:
+    """Fitting all classes takes a minute, and no test here is of them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            certificate, "_ranked", lambda measured, missing, limit_s: missing.update(classes="left out") or []
+        )
+        yield
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A free vibration of 120 samples with noise of 1 %."""
+    t = np.arange(120) / 20.0
+    x = np.exp(-0.2 * t) * np.cos(6.0 * t) + 0.01 * np.random.default_rng(3).standard_normal(t.size)
+    path = tmp_path_factory.mktemp("record") / "decay.csv"
+    np.savetxt(path, np.column_stack([t, x]), delimiter=",", header="t (s),x (m)", comments="")
+    return path
+
+
+@pytest.fixture(scope="module")
+def written(record: Path) -> Path:
+    """The folder of its certificate."""
+    out = record.parent / "certificate"
+    asked = [f"data={record}", f"out={out}", "system=sdof", "method=output_error,ls", "twins=0"]
+    assert certify.main(asked) == 0
+    return out
+
+
+def test_two_files_are_written_and_no_others(written: Path) -> None:
+    assert sorted(path.name for path in written.iterdir()) == ["certificate.html", "certificate.json"]
+
+
+def test_the_file_holds_the_answer_and_what_it_came_from(written: Path, record: Path) -> None:
+    found = json.loads((written / "certificate.json").read_text(encoding="utf-8"))
+    assert found["method"] == "output_error"
+    assert found["verdict"] in ("trust", "with care")
+    own = found["values"]["k_over_m"]
+    assert own["low"] < 36.0 + 0.2**2 < own["high"]
+    assert [one["method"] for one in found["methods"]] == ["output_error", "ls"]
+    assert found["record"]["hashes"][0][0] == record.name
+    assert len(found["record"]["hashes"][0][1]) == 64
+    assert found["command"].startswith("python -m bench.certify data=")
+    assert "twins=0" in found["missing"]["twins"]
+
+
+def test_pure_noise_is_not_to_be_trusted_and_still_gets_a_page(tmp_path: Path) -> None:
+    t = np.arange(100) / 20.0
+    x = np.random.default_rng(5).standard_normal(t.size)
+    path = tmp_path / "noise.csv"
+    np.savetxt(path, np.column_stack([t, x]), delimiter=",", header="t (s),x (m)", comments="")
+    out = tmp_path / "out"
+    assert certify.main([f"data={path}", f"out={out}", "system=sdof", "method=output_error"]) == 1
+    found = json.loads((out / "certificate.json").read_text(encoding="utf-8"))
+    assert found["verdict"] == "do not trust"
+    assert found["values"] == {}
+    assert found["reasons"]
+    assert "<svg" in (out / "certificate.html").read_text(encoding="utf-8")
+
+
+def test_a_method_that_cannot_answer_gets_a_page_with_the_record(record: Path, tmp_path: Path) -> None:
+    asked = [f"data={record}", f"out={tmp_path}", "system=sdof+quadratic", "method=matrix_pencil", "twins=0"]
+    assert certify.main(asked) == 1
+    page = (tmp_path / "certificate.html").read_text(encoding="utf-8")
+    assert "Do not trust" in page
+    assert page.count("<svg") == 1
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (["data=nowhere.csv"], "nowhere.csv"),
+        (["twins=0"], "name a record"),
+        (["data={record}", "twins=many"], "twins=many"),
+        (["data={record}", "twins=5", "twins=6"], "given twice"),
+        (["data={record}", "method=lss"], "did you mean ls"),
+        (["data={record}", "system=sdofx"], "system=sdofx"),
+        (["data={record}", "snr=20"], "simulated data"),
+        (["data={record}", "out={record}/below", "method=ls", "system=sdof"], "cannot be written"),
+    ],
+)
+def test_bad_input_is_one_line(asked: list[str], said: str, record: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert certify.main([text.format(record=record) for text in asked]) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert line.startswith("bench.certify: ")
+    assert said in line
+
+
+def test_a_failed_write_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "certificate.html"
+    path.write_text("before", encoding="utf-8")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(certify.InputError, match="No space left"):
+        certify._write(path, "after")
+    assert [one.name for one in tmp_path.iterdir()] == ["certificate.html"]
+    assert path.read_text(encoding="utf-8") == "before"
