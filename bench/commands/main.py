@@ -42,7 +42,7 @@ fields (defaults in brackets):
   fixed.<p>      a parameter that is told: fixed.l=1
   nominal.<p>    what is stated of a measured system (with prior=)
   start          its displacement and velocity (with initial_state=known)
-  experiment     {experiments}
+  experiment     {experiments}, measured
   method.<setting>, system.<field>, disturbance.size
                  any setting of a method, any field of a system
   hydra/launcher [local] ray, submitit_slurm (extras ray, slurm), with
@@ -54,8 +54,11 @@ options:
 see also:
   python -m bench.status               what is stored, failed, stale, missing
   python -m bench.status experiment=table3 watch=true    follow a running sweep
+  python -m bench.certify data=r.csv   a page about a measured record
   python -m bench.tables               the tables, from what is stored
   python -m bench.identifiability system=chain2 snr=10   what data can tell"""
+
+MEASURED_TRACK = "experiment=measured"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -80,6 +83,10 @@ def _main(arguments: list[str]) -> int:
 
         print(__version__)
         return 0
+    if MEASURED_TRACK in arguments:
+        from bench.commands.track import tracked
+
+        return tracked([text for text in arguments if text not in {*flags, MEASURED_TRACK}])
     from bench.config.overrides import of_launcher, read_overrides
 
     launcher = [text for text in arguments if of_launcher(text)]

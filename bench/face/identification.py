@@ -163,7 +163,7 @@ def identify(
     >>> answer.trust
     'trust'
     >>> low, high = answer.intervals["natural_frequency"]
-    >>> bool(low < 2.8 / 6.283 < high)
+    >>> bool(low < (2.8**2 + 0.2**2) ** 0.5 / 6.2832 < high)
     True
     >>> bench.identify("nowhere.csv", method="ls")
     Traceback (most recent call last):

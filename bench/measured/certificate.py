@@ -20,19 +20,12 @@ from bench.entrants.registry import registered
 from bench.errors import InputError
 from bench.isolation.processes import Children, Died
 from bench.likelihood.output_error import OutputError
-from bench.measured.classes import (
-    COARSER,
-    HELD_OUT,
-    TOLD_APART,
-    ModelClass,
-    ranked_classes,
-    without,
-)
+from bench.measured.classes import HELD_OUT, ModelClass, best_class, ranked_classes
 from bench.measured.finding import Finding, find
 from bench.measured.grown import searched, window
 from bench.measured.intervals import StatedInterval
 from bench.measured.linearised import Linearised
-from bench.measured.record import Measured, with_system
+from bench.measured.record import Measured
 from bench.measured.request import AUTO, Request
 from bench.measured.trust import Trust
 
@@ -40,6 +33,8 @@ Say = Callable[[str, int, int], None]
 """What is being done, and of how many steps how many are done."""
 CLASSES_SECONDS, AUTO_SECONDS = 60.0, 180.0
 """Time to compare classes, and where system=auto needs them; then the certificate lacks them, and auto takes sdof."""
+OTHERS_SECONDS = 20.0
+"""Limit of each method beside the first."""
 TWIN_SECONDS = 20.0
 """Time that the fits to twins may take, by what each method took for the record; then methods are left out."""
 LEAST_TWINS, MOST_TWINNED = 20, 5
@@ -126,7 +121,7 @@ def certify(request: Request, measured: Measured, twins: int, say: Say = lambda 
     say("model classes", 0, steps)
     classes = tuple(_ranked(measured, missing, AUTO_SECONDS if request.system == AUTO else CLASSES_SECONDS))
     if request.system == AUTO:
-        measured = of_best(measured, classes)
+        measured = best_class(measured, classes)
     findings = []
     for i, job in enumerate(request.jobs):
         say(job.label, 1 + i, steps)
@@ -147,26 +142,12 @@ def certify(request: Request, measured: Measured, twins: int, say: Say = lambda 
     return Certificate(request, kept, comparisons(kept), classes, motion, prediction, drawn, hopes, missing)
 
 
-def of_best(measured: Measured, classes: Sequence[ModelClass]) -> Measured:
-    """The same records, of the best of classes that are ranked already: what ``best_class`` chooses by ranking them."""
-    if not classes:
-        return replace(measured, notes=(*measured.notes, "system=auto could compare no classes: sdof is used"))
-    level = [one for one in classes if one.criterion < TOLD_APART]
-    best = min(level, key=lambda one: (len(one.system.parameters) - len(one.zero), one.criterion))
-    system = without(best.system, best.zero)
-    system = replace(system, smoothing_velocity=system.smoothing_velocity / COARSER)
-    others = ", ".join(one.name for one in level if one is not best)
-    said = f"system=auto chose {'+'.join(system.terms)}"
-    return replace(
-        with_system(measured, system),
-        notes=(*measured.notes, said + (f"; not told apart from it: {others}" if others else "")),
-    )
-
-
 def _found(job: Any, measured: Measured, first: bool) -> Finding | None:
-    """The finding of a job; of a reference row, which needs the truth, none."""
+    """The finding of a job, those beside the first within a limit; of a reference row, which needs the truth, none."""
+    limit = job.config.timeout_s if first else min(job.config.timeout_s, OTHERS_SECONDS)
+    config = job.config.model_copy(update={"timeout_s": limit})
     try:
-        return find(job, measured)
+        return find(replace(job, config=config), measured)
     except InputError:
         if first:
             raise

@@ -8,7 +8,7 @@ with the largest size that the record does not exclude.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,13 +26,15 @@ from bench.systems.sums import TERMS, Sum
 SIMPLE = ("viscous", "Duffing", "softening", "pendulum")
 """Classes that differ in what pulls back."""
 UNSPRUNG = "no spring"
-COARSER = 3.0
+COARSER = 5.0
 """The smoothing velocity of friction while classes are compared, over that of the answer: steps may be longer."""
+MOST_CYCLES = 12
 MOST_SAMPLES = 400
-"""Of a record on which classes are compared: thinned above, since tens of fits are made."""
+"""Of the part of a record on which classes are compared, from its start: tens of fits are made."""
 SHARES = (0.2, 0.8)
 """Of the viscous damping's work, what further damping does at first: beside all of it a search runs it down to zero."""
-SEARCH = 15
+SCREEN, SEARCH = 4, 15
+"""Iterations of each start, and of the best of them."""
 HELD_OUT = 0.4
 NOTHING = 1e-3
 """A term counts as nothing where its force is less than this part of the spring's at the amplitude."""
@@ -71,11 +73,12 @@ def ranked_classes(measured: Measured) -> list[ModelClass]:
     thinned = _thinned(replace(problem, records=(record,), prior=None))
     velocity = COARSER * smoothing_velocity(channel.times, channel.values)
     every = candidates(problem.forced, measured.angle, velocity)
-    simple = {name: system for name, system in every.items() if name in SIMPLE or name.startswith(UNSPRUNG)}
+    pulling = SIMPLE if measured.angle else SIMPLE[:-1]  # in metres a pendulum's length is told by large swings alone
+    simple = {name: system for name, system in every.items() if name in pulling or name.startswith(UNSPRUNG)}
     found = _fitted(simple, thinned, [])
     sprung = [one for one in found if not one.name.startswith(UNSPRUNG)]
     if sprung:
-        base = min(sprung, key=lambda one: one.criterion)
+        base = simplest(sprung)
         found += _fitted(_damped(base), thinned, found)
     least = min((one.criterion for one in found), default=0.0)
     return sorted((replace(one, criterion=one.criterion - least) for one in found), key=lambda one: one.criterion)
@@ -103,21 +106,27 @@ def _fitted(systems: Mapping[str, Sum], problem: Problem, before: list[ModelClas
     return found[len(before) :]
 
 
-def best_class(measured: Measured) -> Measured:
-    """The same records, of the best class without terms that it does not need, and a note of it.
+def simplest(classes: Sequence[ModelClass]) -> ModelClass:
+    """Of the classes that the record does not tell from the best one that with the fewest parameters."""
+    least = min(one.criterion for one in classes)
+    level = [one for one in classes if one.criterion < least + TOLD_APART]
+    return min(level, key=lambda one: (len(one.system.parameters) - len(one.zero), len(one.zero), one.criterion))
 
-    Of classes that the record does not tell apart the one with the fewest parameters is taken.
+
+def best_class(measured: Measured, classes: Sequence[ModelClass] | None = None) -> Measured:
+    """The same records, of the simplest of the best classes without terms that it does not need, and a note of it.
+
+    ``classes``: as ranked already; else they are ranked here.
     """
-    classes = ranked_classes(measured)
+    classes = ranked_classes(measured) if classes is None else classes
     if not classes:
         return replace(measured, notes=(*measured.notes, "system=auto takes one displacement of one DOF: sdof is used"))
-    level = [one for one in classes if one.criterion < TOLD_APART]
-    best = min(level, key=lambda one: (len(one.system.parameters) - len(one.zero), one.criterion))
+    best = simplest(classes)
     system = without(best.system, best.zero)
     system = replace(system, smoothing_velocity=system.smoothing_velocity / COARSER)
-    others = ", ".join(one.name for one in level if one is not best)
+    level = [one.name for one in classes if one.criterion < TOLD_APART and one is not best]
     said = f"system=auto chose system={'+'.join(system.terms)}"
-    said += f"; not told apart from it: {others}" if others else ""
+    said += f"; not told apart from it: {', '.join(level)}" if level else ""
     zeros = [f"{name}/m is 0, at most {most:.3g}" for name, most in best.zero.items()]
     return replace(with_system(measured, system), notes=(*measured.notes, said, *zeros))
 
@@ -137,8 +146,11 @@ def _with(problem: Problem, system: Sum) -> Problem:
 
 
 def _thinned(problem: Problem) -> Problem:
-    """Every so many samples, so that at most ``MOST_SAMPLES`` are left; the force keeps all of its own."""
+    """The first cycles, every so many samples; a forced record whole, and the force with all of its own samples."""
     record = problem.records[0]
+    if not problem.forced:
+        first = record.channels[0]
+        record = window(record, MOST_CYCLES / strongest_frequency(first.times, first.values))
     step = -(-max(c.n for c in record.channels) // MOST_SAMPLES)
     channels = tuple(replace(c, times=c.times[::step], values=c.values[::step]) for c in record.channels)
     return replace(problem, records=(replace(record, channels=channels),))
@@ -194,10 +206,10 @@ def _from_known(problem: Problem, known: Mapping[str, float]) -> Linearised | No
             p |= {"c2": work * 3.0 * np.pi / (8.0 * rate * amplitude)} if "c2" in further else {}
         theta = model.vector(p)
         if np.all(np.isfinite(theta)):
-            ends.append(searched(model, theta, SEARCH))
+            ends.append(searched(model, theta, SCREEN))
         if not further:
             break
-    return at_theta(model, min(ends, key=model.profile)) if ends else None
+    return at_theta(model, searched(model, min(ends, key=model.profile), SEARCH)) if ends else None
 
 
 def _rescaled(kept: Sum, system: Sum, problem: Problem) -> Sum:

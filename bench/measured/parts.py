@@ -29,6 +29,8 @@ SAMPLES_PER_UNKNOWN = 4
 LEVEL = 0.01
 """Of the test that parts differ. A false alarm is dear: the error of a part is many times that of the whole."""
 ITERATIONS = 8
+FAR_BETTER = 0.25
+"""Variance that parts leave over that of the whole, below which the noise of a part is told by its own residuals."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,17 @@ def parts_of(whole: Linearised, frequency: float) -> list[Linearised]:
     )
     edges = np.linspace(0.0, record.duration, max(number, 1) + 1)
     fitted = [_part(whole, low, high) for low, high in pairwise(edges)] if number > 1 else []
-    told = [replace(part, told=whole.noises) for part in fitted if part is not None]
+    known = [part for part in fitted if part is not None]
+    told = known if _fit_far_better(known, whole) else [replace(part, told=whole.noises) for part in known]
     return [part for part in told if part.coloured is not None]
+
+
+def _fit_far_better(parts: Sequence[Linearised], whole: Linearised) -> bool:
+    """Whether the parts leave so much less than the whole that what is left of the whole is no noise."""
+    left = sum(float(part.residuals @ part.residuals) for part in parts)
+    spare = sum(part.residuals.size - part.theta.size for part in parts)
+    noise = float(whole.residuals @ whole.residuals) / max(whole.residuals.size - whole.theta.size, 1)
+    return spare > 0 and left / spare < FAR_BETTER * noise
 
 
 def _alone(whole: Linearised, number: int) -> Linearised | None:

@@ -51,9 +51,6 @@ def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Mea
     """The records of a request, read from its files unless they are given; raises InputError."""
     recordings = tuple(recordings) or tuple(read_recording(path, request.options) for path in request.files)
     job = request.job
-    disturbance = job.config.disturbance["kind"]
-    if disturbance != "none":
-        raise InputError("disturbance", disturbance, "a measured record is taken as it is; leave it out")
     system = _system(request, recordings[0])
     start = _start(job)
     records = tuple(_record(recording, system, start, job) for recording in recordings)

@@ -76,8 +76,10 @@ def _check(given: Mapping[str, Sequence[Any]]) -> None:
     nominal = [key for key in given if key.startswith("nominal.")]
     if nominal and "prior" not in given:
         raise InputError(nominal[0], given[nominal[0]][0], "a nominal value says nothing without prior=; add it")
-    for key in ("snr", "replicates", "disturbance", "experiment", "store", "archive", "retry"):
-        if key in given and given[key] != [None] and key != "disturbance":
+    if given.get("disturbance", ["none"]) != ["none"]:
+        raise InputError("disturbance", given["disturbance"][0], "a measured record is taken as it is; leave it out")
+    for key in ("snr", "replicates", "experiment"):
+        if given.get(key, [None]) != [None]:
             raise InputError(key, given[key][0], "it is of simulated data; leave it out for a measured record")
 
 

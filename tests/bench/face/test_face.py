@@ -128,7 +128,6 @@ def test_a_record_is_identified_from_a_file_as_from_arrays(tmp_path: Path, capfd
         ({"data": TIMES, "displacement": ["a"] * 60}, "displacement=array: numbers"),
         ({"data": TIMES[:2], "displacement": DECAY[:2]}, "2 samples; at least 3"),
         ({"data": TIMES[::-1], "displacement": DECAY}, "times must increase"),
-        ({"data": TIMES, "displacement": DECAY, "system": "chain2"}, "system=chain2: .*one DOF"),
         ({"data": TIMES, "displacement": DECAY, "prior": "nominal"}, "nominal values: nominal.m="),
         ({"data": TIMES, "displacement": DECAY, "start": (1.0,)}, r"start=\[1.0\]"),
         ({"data": TIMES, "displacement": DECAY, "settings": {"disturbance": "bias"}}, "=bias: .*leave it out"),

@@ -16,9 +16,6 @@ from bench.measured.record import Measured, read_measured
 from bench.measured.request import request_of
 from bench.systems.sums import Sum, sum_from
 
-SEARCH = pytest.mark.xfail(
-    strict=True, reason="grown_fit starts friction beside all of the viscous damping, and ends at mu = 0"
-)
 T = np.linspace(0.0, 9.0, 300)
 OMEGA, ZETA = 2 * np.pi, 0.01
 FRICTION = 0.01 * OMEGA**2
@@ -85,7 +82,6 @@ def check_friction(db: float, seed: int) -> None:
     assert any(note.startswith("system=auto chose") for note in found.notes)
 
 
-@SEARCH
 @pytest.mark.slow
 def test_friction_is_found() -> None:
     """And viscous damping alone is told from it."""

@@ -31,14 +31,6 @@ OFFSET = 0.3
 Capture = pytest.CaptureFixture[str]
 
 
-WRITTEN = pytest.mark.xfail(
-    strict=True, reason="read_overrides knows only names of conf/ for system= and method=, also beside data="
-)
-FIXED = pytest.mark.xfail(strict=True, reason="composition._may_be_added leaves fixed.<p> out: no such field")
-NOMINAL = pytest.mark.xfail(strict=True, reason="read_measured says of a wrong prior that the data are wrong")
-REFERENCES = pytest.mark.xfail(strict=True, reason="request_of takes oracle and prior for methods, which find refuses")
-
-
 def free_record(offset: float = 0.0) -> np.ndarray:
     return closed_form(P, 0.8, -0.4, T) + offset
 
@@ -84,7 +76,6 @@ def refusal(arguments: list[str], capsys: Capture) -> str:
         pytest.param(
             ["method=ls", "prior=nominal"],
             "bench: nominal={}: a prior on a measured record needs nominal values: nominal.m=",
-            marks=NOMINAL,
         ),
         (["method=ls", "prior=nominal", "nominal.m=1"], "nominal.k="),
         (["method=ls", "nominal.m=1"], "nominal.m=1: a nominal value says nothing without prior="),
@@ -117,19 +108,18 @@ def test_what_makes_no_sense_for_a_measured_record_is_one_line(
 @pytest.mark.parametrize(
     ("more", "part"),
     [
-        pytest.param(["system=sdof+nonsense"], "nonsense is unknown; join by + some of: sdof, ", marks=WRITTEN),
-        pytest.param(["system=sdof+coulomb+coulomb"], "coulomb is there twice", marks=WRITTEN),
-        pytest.param(["system=sdof+pendulum"], "a sum has one of the two", marks=WRITTEN),
-        pytest.param(["fixed.m=0"], "fixed.m=0.0: a positive mass", marks=FIXED),
+        pytest.param(["system=sdof+nonsense"], "nonsense is unknown; join by + some of: sdof, "),
+        pytest.param(["system=sdof+coulomb+coulomb"], "coulomb is there twice"),
+        pytest.param(["system=sdof+pendulum"], "a sum has one of the two"),
+        pytest.param(["fixed.m=0"], "fixed.m=0.0: a positive mass"),
         (["fixed.q=1"], "q"),
-        pytest.param(["fixed.k=9"], "without a force or a prior only ratios to the mass can be told", marks=FIXED),
+        pytest.param(["fixed.k=9"], "without a force or a prior only ratios to the mass can be told"),
         pytest.param(
             ["fixed.m=1", "prior=nominal", "nominal.m=1", "nominal.c=1", "nominal.k=9"],
             "tells the mass already",
-            marks=FIXED,
         ),
-        pytest.param(["system=auto", "fixed.l=1"], "with system=auto nothing is told", marks=WRITTEN),
-        pytest.param(["system=sdof+coulomb", "system.samples=20"], "leave system.<field> out", marks=WRITTEN),
+        pytest.param(["system=auto", "fixed.l=1"], "with system=auto nothing is told"),
+        pytest.param(["system=sdof+coulomb", "system.samples=20"], "leave system.<field> out"),
     ],
 )
 def test_sums_and_told_values_that_make_no_sense_are_one_line(
@@ -207,7 +197,6 @@ def test_a_prior_gives_the_scale_and_a_told_start_leaves_no_offset(tmp_path: Pat
     assert result["residuals"]["rms"] == pytest.approx(0.0, abs=1e-4)
 
 
-@FIXED
 @pytest.mark.usefixtures("_exact")
 def test_a_told_mass_scales_stiffness_and_damping(tmp_path: Path, capsys: Capture) -> None:
     (result,) = answers(["method=exact", f"data={record(tmp_path)}", "fixed.m=2"], capsys)
@@ -288,14 +277,12 @@ def test_two_real_methods_agree_on_a_clean_record(tmp_path: Path, capsys: Captur
         assert (one["estimates"] or one["withdrawn"])["k_over_m"]["value"] == pytest.approx(9.0, rel=0.02)
 
 
-@REFERENCES
 def test_all_stands_for_every_method() -> None:
     request = request_of(overrides_of({"data": "r.csv"}) | {"method": ["all"]})
     names = [job.config.method["name"] for job in request.jobs]
     assert sorted(names) == sorted(registry.registered())  # not oracle and prior, which need the truth
 
 
-@WRITTEN
 def test_all_can_be_written_on_the_command_line(tmp_path: Path, capsys: Capture) -> None:
     overrides = read_overrides(["method=all", f"data={record(tmp_path)}"])
     assert len(request_of(overrides).jobs) == len(registry.registered())
@@ -448,7 +435,6 @@ def friction(folder: Path) -> tuple[Path, float]:
     return written(folder / "r.csv", "t [s],x [m]", LONG, x + noise(0.003, 1)), shift * omega**2
 
 
-@WRITTEN
 @pytest.mark.slow
 def test_a_sum_on_the_command_line_finds_friction(tmp_path: Path, capsys: Capture) -> None:
     path, truth = friction(tmp_path)
@@ -457,7 +443,6 @@ def test_a_sum_on_the_command_line_finds_friction(tmp_path: Path, capsys: Captur
     assert own["value"] == pytest.approx(truth, rel=0.1)
 
 
-@WRITTEN
 @pytest.mark.slow
 def test_a_told_length_makes_a_pendulum_of_a_path(tmp_path: Path, capsys: Capture) -> None:
     """``s'' + c s' + k l sin(s/l) = 0`` with l = 0.5 m, let go at 1.4 rad."""

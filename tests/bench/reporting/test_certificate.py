@@ -14,7 +14,7 @@ import pytest
 
 from bench.measured import certificate as gathering
 from bench.measured import classes
-from bench.measured.certificate import Certificate, _ranked, certify, of_best, prediction_of, sizes, standing_of
+from bench.measured.certificate import Certificate, _ranked, certify, prediction_of, sizes, standing_of
 from bench.measured.classes import ModelClass, held_out_fit
 from bench.measured.intervals import StatedInterval
 from bench.measured.record import Measured, of_arrays, read_measured
@@ -117,8 +117,8 @@ def test_the_prediction_is_that_of_held_out_fit(made: Certificate) -> None:
 def test_the_best_of_ranked_classes_is_what_system_auto_takes(ranked: list[ModelClass]) -> None:
     _, measured = asked("auto")
     assert len(ranked) == 2
-    assert of_best(measured, ranked).problem.system == classes.best_class(measured).problem.system
-    assert "could compare no classes" in of_best(measured, []).notes[-1]
+    assert classes.best_class(measured, ranked).problem.system == classes.best_class(measured).problem.system
+    assert "sdof is used" in classes.best_class(measured, []).notes[-1]
 
 
 def test_classes_that_take_too_long_are_missing() -> None:
