@@ -26,10 +26,6 @@ from typing import Any
 from bench.commands.guard import command, whole
 from bench.errors import InputError
 
-FAST = (
-    "shooting", "output_error", "ls", "ls_spline", "ls_weak", "rls", "matrix_pencil", "era", "iqml", "ar", "frequency",
-    "log_decrement", "collocation", "mcmc",
-)  # fmt: skip
 OWN = {"out": "certificate", "twins": "200", "system": "auto", "method": "fast"}
 """Fields that are read here, since they have other values than for a simulated record."""
 
@@ -89,11 +85,12 @@ def _own_fields(arguments: Sequence[str]) -> tuple[dict[str, str], list[str]]:
 def _request(fields: dict[str, str], rest: Sequence[str]) -> Any:
     from bench.config.choices import check_choice, choices
     from bench.config.overrides import read_overrides
+    from bench.config.records import certificate_methods
     from bench.measured.request import ALL, request_of
 
     names = [name.strip() for name in fields["method"].split(",") if name.strip()]
     if names == ["fast"]:
-        names = [name for name in FAST if name in choices("method")]
+        names = [name for name in certificate_methods() if name in choices("method")]
     for name in names if names != [ALL] else []:
         check_choice("method", name)
     return request_of({**read_overrides(rest), "system": [fields["system"]], "method": names})

@@ -35,13 +35,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def tracked(arguments: Sequence[str]) -> int:
     """Run the track and write its table; raises InputError."""
+    from bench.config.records import track_methods
     from bench.measured.sets import measured_set, set_names
-    from bench.measured.track import FAST, Fits, run, tasks
+    from bench.measured.track import Fits, run, tasks
     from bench.reporting.tables.track_table import Track
 
     fields = read_fields(arguments, FIELDS)
     timeout_s, root = float(whole("timeout_s", fields["timeout_s"])), _root(fields["data_root"])
-    names, methods = _listed(fields["set"]) or set_names(), _listed(fields["method"]) or list(FAST)
+    names, methods = _listed(fields["set"]) or set_names(), _listed(fields["method"]) or track_methods()
     fits = Fits(Path(fields["store"]))
     every = {name: list(tasks(name, measured_set(name), methods, root, timeout_s)) for name in names}
     missing = sum(fits.get(task.key, timeout_s) is None for own in every.values() for task in own)
@@ -96,6 +97,7 @@ def _free_runs(panel: Panel, root: Path | None) -> Iterator[FreeRun]:
     """Models simulated over the test parts: shooting's, at its median parameters, and what others have published."""
     import numpy as np
 
+    from bench.config.records import primary_method
     from bench.measured.free_run import free_run_error, part_problem
     from bench.reporting.tables.track_table import FreeRun
 
@@ -105,7 +107,7 @@ def _free_runs(panel: Panel, root: Path | None) -> Iterator[FreeRun]:
     parts = [part_problem(panel.of, panel.system, part, place) for part in panel.of.tests.values()]
     names = parts[0][0].names
     models = {}
-    found = [fit for fit in panel.own("shooting") if set(names) <= set(fit.estimates)]
+    found = [fit for fit in panel.own(primary_method()) if set(names) <= set(fit.estimates)]
     if found:
         offset = float(np.nanmedian([fit.offset for fit in found]))
         p = {name: float(np.median([fit.estimates[name].value for fit in found])) for name in names}

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from bench.config.records import robust_method
 from bench.config.schema import Job
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
@@ -34,8 +35,6 @@ from bench.measured.trust import (
 )
 from bench.scoring.combination import combine_with_prior
 from bench.sweep.workers import Limits
-
-ROBUST = "shooting"
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +84,12 @@ def find(job: Job, measured: Measured) -> Finding:
 def _with_robust(finding: Finding, job: Job) -> Finding:
     """Where samples are far off, the same and what a fit that expects outliers finds (errors with Student's t)."""
     far = any(doubt.reason.endswith(OUTLIERS) for doubt in finding.doubts)
-    if not far or "student" in job.settings().values() or missing_package(ROBUST):
+    robust_name, settings = robust_method()
+    already = settings.items() <= job.settings().items()
+    if not far or already or missing_package(robust_name):
         return finding
     problem, rng = finding.problem, np.random.default_rng(job.config.seed)
-    method = make_method(ROBUST, {"likelihood": "student"})
+    method = make_method(robust_name, settings)
     limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
     robust = fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
     own = finding.intervals or finding.withdrawn
@@ -98,9 +99,7 @@ def _with_robust(finding: Finding, job: Job) -> Finding:
         reason = f"a fit that expects outliers gave no answer: {robust.message}"
         return replace(finding, doubts=(*finding.doubts, Doubt(Trust.CARE, reason)))
     inside = own[name].low <= marginal.value <= own[name].high
-    reason = (
-        f"method=shooting_student, which expects outliers, gives {name.replace('_over_', '/')} = {marginal.value:.6g}"
-    )
+    reason = f"a fit that expects outliers (Student's t) gives {name.replace('_over_', '/')} = {marginal.value:.6g}"
     if not inside:
         reason += ", outside of this interval: believe that one"
     doubts = (*finding.doubts, Doubt(Trust.CARE if inside else Trust.NO, reason))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from bench.config.records import primary_method
 from bench.contract.problem import Record
 from bench.dynamics.fixed_step import rk4_step
 from bench.dynamics.ops import numpy_ops
@@ -27,7 +28,7 @@ def part_problem(of: MeasuredSet, system: str, part: Part, folder: Path) -> tupl
     """The system and the whole record of a test part; raises InputError."""
     whole = of.model_copy(update={"first": part.first, "last": part.last})
     path = folder / part.file
-    request = request_of(whole.overrides(system, ["shooting"], path, 60.0))
+    request = request_of(whole.overrides(system, [primary_method()], path, 60.0))
     problem = described(whole, request, read_recording(path, request.options)).problem
     return problem.system, problem.records[0]
 

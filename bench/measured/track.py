@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.config.records import primary_method
 from bench.config.schema import Job
 from bench.errors import InputError
 from bench.measured.classes import held_out_fit
@@ -28,11 +29,6 @@ from bench.measured.sets import MeasuredSet
 from bench.measured.siblings import Stated, pieces
 from bench.systems.sums import Sum
 
-FAST = (
-    "shooting", "output_error", "mcmc", "collocation", "matrix_pencil", "era", "iqml", "ar", "frequency",
-    "log_decrement", "ls", "ls_spline", "ls_weak", "rls", "ekf",
-)  # fmt: skip
-"""Methods whose fit of such a record takes seconds to a minute or two."""
 FILE = "fits.jsonl"
 ENDS = ("value", "low", "high", "white_low", "white_high")
 
@@ -130,7 +126,7 @@ def tasks(
     """The fits of a set, sibling by sibling; none where its files are not there. Raises InputError."""
     siblings: list[tuple[str, Path, Recording]] = []
     for path in of.paths(data_root):
-        options = request_of(of.overrides(of.systems[0], ["ls"], path, timeout_s)).options
+        options = request_of(of.overrides(of.systems[0], [primary_method()], path, timeout_s)).options
         cut = pieces(read_recording(path, options), of)
         siblings += [(f"{path.name} {i}/{len(cut)}", path, piece) for i, piece in enumerate(cut, 1)]
     for system in of.systems:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.config.records import primary_method
 from bench.contract.belief import standard_quantile
 from bench.measured.sets import Known, MeasuredSet
 from bench.measured.siblings import Agreement, Stated, Total, agreement, total
@@ -121,7 +122,7 @@ def markdown(track: Track, command: str) -> str:
 def summary(track: Track) -> str:
     """The totals in sentences."""
     found = []
-    for who, methods in (("All methods", None), ("shooting alone", ["shooting"])):
+    for who, methods in (("All methods", None), (f"{primary_method()} alone", [primary_method()])):
         totals = {name: track.total(name, methods) for name in MAIN}
         if not any(one.counted for one in totals.values()):
             continue
@@ -160,10 +161,10 @@ def _overview(track: Track) -> tuple[list[list[str]], list[str]]:
         siblings = len({fit.sibling for fit in panel.fits})
         row.append(str(siblings))
         for name in MAIN:
-            alone = panel.agreement("shooting", name)
+            alone = panel.agreement(primary_method(), name)
             pooled = total(panel.agreement(method, name) for method in panel.methods)
             row += [*_cells(alone), _both(pooled.covered, pooled.covered_white, pooled.counted)]
-        held = [fit.held_out for fit in panel.own("shooting")]
+        held = [fit.held_out for fit in panel.own(primary_method())]
         rows.append([*row, _median(held)])
     headers = ["set", "system", "siblings"]
     headers += [f"{readable(name)} {what}" for name in MAIN for what in ("R", "cov.", "cov., all methods")]

@@ -22,9 +22,10 @@ from bench.commands.main import main
 from bench.config.experiment import expand
 from bench.contract.estimate import Status
 from bench.reporting.plan_table import listing
+from bench.reporting.record_page import record_page
 from bench.reporting.rounding import decimals, excess_text, rounded
 from bench.reporting.terminal import clipped, columns, table, wrapped
-from bench.reporting.terminal_tables import Closing, cell_table, record_page
+from bench.reporting.terminal_tables import Closing, cell_table
 from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.store import Store
@@ -243,15 +244,21 @@ def test_a_plan_fits(terminal: int, tmp_path: Path) -> None:
 
 
 def test_a_record_fits_and_its_values_have_the_digits_of_their_intervals(terminal: int) -> None:
-    one = {"value": 7.92551, "low": 7.84717, "high": 8.00385, "unit": "1/s²"}
+    ends = {"low": 7.84717, "high": 8.00385, "white_low": 7.84717, "white_high": 8.00385}
+    one = {"value": 7.92551, **ends, "unit": "1/s²"}
     residuals = {
-        "rms": 4.23e-4, "unit": "m", "part_of_signal": 0.1, "lag1_autocorrelation": 0.16, "offset": 3.35e-5
+        "rms": 4.23e-4, "unit": "m", "part_of_signal": 0.1, "lag1_autocorrelation": 0.16, "offset": 3.35e-5,
+        "whiteness": 0.5,
     }  # fmt: skip
-    result = {"samples": 60, "status": "ok", "message": "words " * 40, "estimates": {"k_over_m": one}}
-    text = record_page("shooting", Path("測定/梁の自由振動の記録.csv"), {**result, "residuals": residuals}, True)
+    result = {
+        "method": "shooting", "data": "測定/梁の自由振動の記録.csv", "samples": 60, "status": "ok",
+        "trust": "with care", "reasons": ["words " * 40], "notes": ["words " * 20],
+        "estimates": {"k_over_m": one}, "withdrawn": {},
+    }  # fmt: skip
+    text = record_page({**result, "residuals": residuals}, True)
     assert widest(text) <= terminal
     (line,) = (line for line in text.splitlines() if line.startswith("k/m"))
-    assert line.split() == ["k/m", "7.926", "7.847", "8.004", "1/s²"]
+    assert line.split() == ["k/m", "7.926", "7.847", "8.004", "1/s²", "7.847", "8.004"]
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,10 @@ DEFINITIONS = (
     # which record, which figure of the paper
     r"replicate 0",
     r"Figure \d+",
+    r"Table 11\b",
+    r"half of the 95 % interval over 1\.96\); 1 is right",
+    r"hold it in 83 % of cases with two siblings, 91 % with four, 93 % with six",
+    r"100 \(1 - \|y - h\| / \|y - mean y\|\) of the last 40 %, predicted from a fit of the first 60 %",
     r"1,000 points in each replicate",
 )
 ON_CLUSTERS = (
