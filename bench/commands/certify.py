@@ -14,17 +14,16 @@ Exit status: 0, 1 where the verdict is "do not trust", 2 for bad input.
 from __future__ import annotations
 
 import json
-import os
 import shlex
 import sys
-import uuid
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from bench.commands.guard import command, whole
 from bench.errors import InputError
+from bench.reporting.whole_file import write
 
 OWN = {"out": "certificate", "twins": "200", "system": "auto", "method": "fast"}
 """Fields that are read here, since they have other values than for a simulated record."""
@@ -40,6 +39,7 @@ def _main(arguments: list[str]) -> int:
     twins, request = whole("twins", fields["twins"], 0), _request(fields, rest)
     folder = Path(fields["out"])
     try:
+        from bench.face.results import nulls
         from bench.measured.certificate import certify
         from bench.measured.record import read_measured
         from bench.measured.trust import Trust
@@ -57,8 +57,8 @@ def _main(arguments: list[str]) -> int:
     shown = contents(certificate, shlex.join(["python", "-m", "bench.certify", *arguments]))
     text = page(shown)
     paths = (folder / "certificate.html", folder / "certificate.json")
-    _write(paths[0], text)
-    _write(paths[1], json.dumps(_nulls(listed(shown)), allow_nan=False, ensure_ascii=False, indent=1) + "\n")
+    write(paths[0], text, folder)
+    write(paths[1], json.dumps(nulls(listed(shown)), allow_nan=False, ensure_ascii=False, indent=1) + "\n", folder)
     print(f"{certificate.primary.trust.value}: {paths[0]} {paths[1]}")
     return int(certificate.primary.trust is Trust.NO)
 
@@ -104,27 +104,8 @@ def _check_packages() -> None:
 
 def _check_writable(folder: Path) -> None:
     """Raise InputError before the work where nothing can be written after it."""
-    _write(folder / ".certificate", "")
+    write(folder / ".certificate", "", folder)
     (folder / ".certificate").unlink(missing_ok=True)
-
-
-def _write(path: Path, text: str) -> None:
-    """Write a file in one step; raises InputError where that cannot be done."""
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, encoding="utf-8", newline="\n")
-        os.replace(temporary, path)
-    except OSError as error:
-        with suppress(OSError):  # nor can it be taken away where it could not be made
-            temporary.unlink(missing_ok=True)
-        raise InputError("out", path.parent, f"cannot be written ({error.strerror}); name another folder") from None
-
-
-def _nulls(values: Any) -> Any:
-    from bench.face.results import nulls
-
-    return nulls(values)
 
 
 @contextmanager

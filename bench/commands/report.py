@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.commands.guard import command, read_fields
-from bench.reporting.page.page import page, write
+from bench.reporting.page.page import page
+from bench.reporting.whole_file import write
 from bench.store.opening import DEFAULT_STORE, open_store
 
 

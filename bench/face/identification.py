@@ -239,7 +239,7 @@ def _residuals(finding: Finding) -> Residuals | None:
         return None
     channel = finding.problem.records[0].channels[0]
     own = at.channels[0]
-    size = float(np.max(np.abs(channel.values))) / (float(np.max(np.abs(at.model.data[own]))) or 1.0) or 1.0
+    size = finding.channel_size
     values = size * at.residuals[own]
     return Residuals(
         values=values,

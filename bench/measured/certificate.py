@@ -14,20 +14,19 @@ from typing import Any
 
 import numpy as np
 
-from bench.contract.problem import InitialState
 from bench.dynamics.simulate import simulate
 from bench.entrants.registry import registered
 from bench.errors import InputError
 from bench.isolation.processes import Children, Died
-from bench.likelihood.output_error import OutputError
-from bench.measured.classes import HELD_OUT, ModelClass, best_class, ranked_classes
+from bench.measured.classes import ModelClass, best_class, ranked_classes
 from bench.measured.finding import Finding, find
-from bench.measured.grown import searched, window
+from bench.measured.held_out import early_fit
 from bench.measured.intervals import StatedInterval
 from bench.measured.linearised import Linearised
 from bench.measured.record import Measured
 from bench.measured.request import AUTO, Request
 from bench.measured.trust import Trust
+from bench.systems import LENGTH, MEASURED
 
 Say = Callable[[str, int, int], None]
 """What is being done, and of how many steps how many are done."""
@@ -41,7 +40,6 @@ LEAST_TWINS, MOST_TWINNED = 20, 5
 COMPARED = 2
 """Quantities in which methods are compared."""
 DENSE = 1500
-ITERATIONS = 15
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +126,7 @@ def certify(request: Request, measured: Measured, twins: int, say: Say = lambda 
         findings.append(_found(job, measured, first=i == 0))
     kept = tuple(one for one in findings if one is not None)
     primary = kept[0]
-    motion = None if primary.at is None else motion_of(primary.at, primary.problem.records[0].channels[0])
+    motion = motion_of(primary)
     prediction = None if primary.at is None else prediction_of(primary.at)
     say("what would help", steps - 2, steps)
     hopes = _what_if(primary, missing)
@@ -204,55 +202,30 @@ def standing_of(other: StatedInterval, own: StatedInterval | None) -> str:
     return "level" if other.low <= own.value <= other.high else "off"
 
 
-def sizes(at: Linearised, channel: Any) -> tuple[float, float]:
-    """What a natural length and a natural time are in the first channel's units, by its own samples."""
-    own = at.channels[0]
-    largest = int(np.argmax(np.abs(at.model.data[own])))
-    size = float(channel.values[largest]) / (float(at.model.data[own][largest]) or 1.0)
-    mine = at.model.channels[0][1].times
-    return size or 1.0, float(np.ptp(channel.times)) / (float(np.ptp(mine)) or 1.0) or 1.0
-
-
-def motion_of(at: Linearised, channel: Any) -> Motion | None:
+def motion_of(finding: Finding) -> Motion | None:
     """The fitted motion of the first channel's degree of freedom; None where it is not finite."""
-    model, record = at.model, at.model.problem.records[0]
+    at = finding.at
+    if at is None:
+        return None
+    model, record, units = at.model, at.model.problem.records[0], finding.units
     mine = model.channels[0][1]
     p = {name: float(value) for name, value in model.parameters(at.theta).items()}
-    start = model.starts(at.theta)[0]
-    state = start if isinstance(start, InitialState) else InitialState(start[0], start[1])
-    times = np.linspace(0.0, float(mine.times[-1]), max(DENSE, 1))
+    times = np.linspace(0.0, float(mine.times[-1]), DENSE)
     with np.errstate(all="ignore"):
-        path = simulate(record.rig(model.system), p, state, times, record.forces)
+        path = simulate(record.rig(model.system), p, model.starts(at.theta)[0], times, record.forces)
     x, v = path.displacement[mine.dof], path.velocity[mine.dof]
     if not (np.all(np.isfinite(x)) and np.all(np.isfinite(v))):
         return None
-    size, second = sizes(at, channel)
-    if mine.measures != "displacement":  # the channel's size is that of its own signal
-        size *= second if mine.measures == "velocity" else second**2
-    return Motion(second * times, size * x, size / second * v)
+    return Motion(units.time * times, units.of(LENGTH) * x, units.of(MEASURED["velocity"]) * v)
 
 
 def prediction_of(at: Linearised) -> Prediction | None:
-    """The last 40 % of the first record by a fit of the first 60 %; None where that fit is not possible.
-
-    As :func:`bench.measured.classes.held_out_fit`, but with the prediction itself.
-    """
-    if len(at.model.problem.records) > 1:
+    """The last 40 % of the first channel by a fit of the first 60 %; None where that fit is not possible."""
+    found, own = early_fit(at), at.channels[0]
+    if found is None or not np.all(np.isfinite(found.predicted[own])):
         return None
-    record, channel = at.model.problem.records[0], at.model.channels[0][1]
-    early = window(record, (1.0 - HELD_OUT) * record.duration)
-    model = OutputError(replace(at.model.problem, records=(early,)), at.model.gauge)
-    if model.size != at.theta.size:
-        return None
-    with np.errstate(all="ignore"):
-        predicted = at.model.predict(searched(model, at.theta, ITERATIONS))[at.channels[0]]
-    late = np.arange(channel.n) >= early.channels[0].n
-    y, h = channel.values[late], predicted[late]
-    scale = float(np.linalg.norm(y - np.mean(y))) if y.size else 0.0
-    if scale == 0 or not np.all(np.isfinite(predicted)):
-        return None
-    split = float(early.channels[0].times[-1])
-    return Prediction(split, predicted, float(100.0 * (1.0 - np.linalg.norm(y - h) / scale)))
+    fit = found.fit_percent(at.model.data, own)
+    return None if math.isnan(fit) else Prediction(found.split, found.predicted[own], fit)
 
 
 def _what_if(primary: Finding, missing: dict[str, str]) -> tuple[Any, ...]:

@@ -14,13 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.contract.belief import standard_quantile
-from bench.contract.problem import Problem, Record, Units
+from bench.contract.problem import Problem, Units
 from bench.likelihood.output_error import OutputError
 from bench.measured.colour import autoregression, log_likelihood
-from bench.measured.grown import first_guess, grown_fit, searched, window
+from bench.measured.grown import first_guess, grown_fit, window
+from bench.measured.held_out import held_out_fit
 from bench.measured.linearised import Linearised, at_theta, strongest_frequency
 from bench.measured.models import candidates, smoothing_velocity
-from bench.measured.record import Measured, with_system
+from bench.measured.record import Measured, of_system, with_system
 from bench.systems.sums import TERMS, Sum
 
 SIMPLE = ("viscous", "Duffing", "softening", "pendulum")
@@ -35,7 +36,6 @@ SHARES = (0.2, 0.8)
 """Of the viscous damping's work, what further damping does at first: beside all of it a search runs it down to zero."""
 SCREEN, SEARCH = 4, 15
 """Iterations of each start, and of the best of them."""
-HELD_OUT = 0.4
 NOTHING = 1e-3
 """A term counts as nothing where its force is less than this part of the spring's at the amplitude."""
 TOLD_APART = 10.0
@@ -99,7 +99,7 @@ def _fitted(systems: Mapping[str, Sum], problem: Problem, before: list[ModelClas
     """Those of some classes that could be fitted, each from the best simpler one."""
     units, found = problem.natural_units(), list(before)
     for name, system in systems.items():
-        own = _with(problem, system).expressed_in(units)
+        own = of_system(problem, system).expressed_in(units)
         fitted = _judged(name, system, own, _from_simpler(found, own.system.names), units)
         if fitted is not None:
             found.append(fitted)
@@ -137,14 +137,6 @@ def without(system: Sum, zero: Collection[str]) -> Sum:
     return replace(system, terms=kept or system.terms)
 
 
-def _with(problem: Problem, system: Sum) -> Problem:
-    records = tuple(
-        replace(r, channels=tuple(replace(c, offset=c.offset and system.tells_offset) for c in r.channels))
-        for r in problem.records
-    )
-    return replace(problem, system=system, records=records)
-
-
 def _thinned(problem: Problem) -> Problem:
     """The first cycles, every so many samples; a forced record whole, and the force with all of its own samples."""
     record = problem.records[0]
@@ -168,18 +160,18 @@ def _from_simpler(found: list[ModelClass], names: tuple[str, ...]) -> dict[str, 
 
 def _judged(name: str, system: Sum, problem: Problem, known: Mapping[str, float], units: Units) -> ModelClass | None:
     with np.errstate(all="ignore"):
-        at = _from_known(problem, known) if known else grown_fit(problem, problem.system)
+        at = _from_known(problem, known) if known else grown_fit(problem)
     if at is None:
         return None
     zero = _zeros(at, system)
     smaller = at
     if zero:
         kept = without(system, zero)
-        own = _with(problem, kept)  # the units are those of the problem already
+        own = of_system(problem, kept)  # the units are those of the problem already
         own = replace(own, system=_rescaled(kept, system, problem))
         with np.errstate(all="ignore"):
             refitted = _from_known(own, {n: v for n, v in known.items() if n not in zero}) if known else None
-            refitted = refitted or grown_fit(own, own.system)
+            refitted = refitted or grown_fit(own)
         smaller = refitted if refitted is not None else at
     r = smaller.residuals
     noise = autoregression(r, min(smaller.theta.size, r.size - 1))
@@ -206,10 +198,13 @@ def _from_known(problem: Problem, known: Mapping[str, float]) -> Linearised | No
             p |= {"c2": work * 3.0 * np.pi / (8.0 * rate * amplitude)} if "c2" in further else {}
         theta = model.vector(p)
         if np.all(np.isfinite(theta)):
-            ends.append(searched(model, theta, SCREEN))
+            ends.append(model.settle(theta[None], iterations=SCREEN)[0])
         if not further:
             break
-    return at_theta(model, searched(model, min(ends, key=model.profile), SEARCH)) if ends else None
+    if not ends:
+        return None
+    best = min(ends, key=model.profile)
+    return at_theta(model, model.settle(best[None], iterations=SEARCH)[0])
 
 
 def _rescaled(kept: Sum, system: Sum, problem: Problem) -> Sum:
@@ -267,31 +262,3 @@ def _frequency(at: Linearised) -> float:
 
 def _size(at: Linearised) -> float:
     return float(np.ptp(at.model.channels[0][1].values)) / 2.0 or 1.0
-
-
-def held_out_fit(at: Linearised) -> float:
-    """``100 (1 - |y - h| / |y - mean y|)`` of the last 40 %, predicted by a fit of the first 60 % from its start.
-
-    The fit that nonlinear system identification reports (L. Ljung, System Identification, 2nd ed. 1999, section 16.4).
-    NaN where the first part cannot be fitted.
-    """
-    record = at.model.problem.records[0]
-    early = window(record, (1.0 - HELD_OUT) * record.duration)
-    model = OutputError(replace(at.model.problem, records=(early,)), at.model.gauge)
-    if model.size != at.theta.size:
-        return float("nan")
-    with np.errstate(all="ignore"):
-        theta = searched(model, at.theta, 15)
-        predicted = at.model.predict(theta)
-    late = _late(record, early)
-    y, h = at.model.data[late], predicted[late]
-    scale = float(np.linalg.norm(y - np.mean(y)))
-    return (
-        float(100.0 * (1.0 - np.linalg.norm(y - h) / scale)) if scale > 0 and np.all(np.isfinite(h)) else float("nan")
-    )
-
-
-def _late(record: Record, early: Record) -> np.ndarray:
-    """Numbers of the samples of all channels that are not in the early part."""
-    flags = [np.arange(c.n) >= e.n for c, e in zip(record.channels, early.channels, strict=True)]
-    return np.flatnonzero(np.concatenate(flags))

@@ -11,7 +11,7 @@ import numpy as np
 from bench.config.records import robust_method
 from bench.config.schema import Job
 from bench.contract.estimate import Estimate, Status
-from bench.contract.problem import Problem
+from bench.contract.problem import Problem, Units
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import make_method, missing_package
 from bench.errors import InputError
@@ -35,6 +35,7 @@ from bench.measured.trust import (
 )
 from bench.scoring.combination import combine_with_prior
 from bench.sweep.workers import Limits
+from bench.systems import MEASURED
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +65,16 @@ class Finding:
     @property
     def problem(self) -> Problem:
         return self.measured.problem
+
+    @property
+    def units(self) -> Units:
+        """The natural units in which ``at`` is, in the user's."""
+        return self.problem.natural_units()
+
+    @property
+    def channel_size(self) -> float:
+        """How much one unit of the first channel in ``at`` is in the channel's own unit."""
+        return self.units.of(MEASURED[self.problem.records[0].channels[0].measures])
 
 
 def find(job: Job, measured: Measured) -> Finding:

@@ -8,13 +8,12 @@ class is judged by its own best fit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from bench.contract.problem import Channel, Problem, Record
-from bench.likelihood.output_error import OutputError, Search
+from bench.likelihood.output_error import OutputError
 from bench.measured.linearised import Linearised, at_theta, strongest_frequency
 from bench.systems import System
 
@@ -37,25 +36,19 @@ def first_guess(system: System, rate: float, size: float) -> dict[str, float]:
     return {name: sizes.get(name, 1.0) for name in system.names}
 
 
-def grown_fit(problem: Problem, system: System, known: Mapping[str, float] | None = None) -> Linearised | None:
-    """The least squares of a system on a problem of one record; None where no window gave a finite response.
-
-    Args:
-        problem: In natural units.
-        system: In the same units.
-        known: Parameters of a system that shares some, from which to start.
-    """
+def grown_fit(problem: Problem) -> Linearised | None:
+    """The least squares on a problem of one record, in natural units; None where no window gave a finite response."""
     record = problem.records[0]
     channel = max(record.channels, key=lambda c: c.n)
     frequency = strongest_frequency(channel.times, channel.values)
     size = float(np.ptp(channel.values)) / 2.0 or 1.0
-    p = first_guess(system, 2 * np.pi * frequency, size) | {n: v for n, v in (known or {}).items() if n in system.names}
+    p = first_guess(problem.system, 2 * np.pi * frequency, size)
     length, theta = FIRST_CYCLES / frequency, np.zeros(0)
     while True:
         last = length >= record.duration
-        model = OutputError(replace(problem, system=system, records=(record if last else window(record, length),)))
+        model = OutputError(replace(problem, records=(record if last else window(record, length),)))
         theta = theta if theta.size == model.size else _first(model, p)
-        theta = searched(model, theta, LAST_ITERATIONS if last else ITERATIONS)
+        theta = model.settle(theta[None], iterations=LAST_ITERATIONS if last else ITERATIONS)[0]
         if last:
             return at_theta(model, theta)
         length *= GROWTH
@@ -66,22 +59,6 @@ def _first(model: OutputError, p: dict[str, float]) -> np.ndarray:
     with np.errstate(all="ignore"):
         theta = model.vector(p)
     return np.where(np.isfinite(theta), theta, 0.0)
-
-
-def searched(model: OutputError, theta: np.ndarray, iterations: int) -> np.ndarray:
-    """The minimum near ``theta``, in two rounds of fit and noise."""
-    for _ in range(2):
-        with np.errstate(all="ignore"):
-            residuals = model.data - model.predict(theta)
-            if not np.all(np.isfinite(residuals)):
-                return theta
-            search = Search(model, theta, model.noise(residuals, 0.0), 1e-6)
-            for _ in range(iterations):
-                if search.done:
-                    break
-                search.step(*model.jacobian(search.trial))
-        theta = search.kept
-    return theta
 
 
 def window(record: Record, length: float) -> Record:

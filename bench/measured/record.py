@@ -178,12 +178,16 @@ def _check_scale(problem: Problem, mass: float | None) -> None:
 
 def with_system(measured: Measured, system: Sum) -> Measured:
     """The same records, of another system."""
-    tells = system.tells_offset
+    return replace(measured, problem=of_system(measured.problem, system))
+
+
+def of_system(problem: Problem, system: Sum) -> Problem:
+    """The problem with another system; an offset that it cannot tell from the motion is estimated no more."""
     records = tuple(
-        replace(r, channels=tuple(replace(c, offset=c.offset and tells) for c in r.channels))
-        for r in measured.problem.records
+        replace(r, channels=tuple(replace(c, offset=c.offset and system.tells_offset) for c in r.channels))
+        for r in problem.records
     )
-    return replace(measured, problem=replace(measured.problem, system=system, records=records))
+    return replace(problem, system=system, records=records)
 
 
 def summary_of(measured: Measured) -> dict[str, Any]:

@@ -39,11 +39,6 @@ class Request:
         return self.jobs[0]
 
 
-def asks_for_records(overrides: Overrides) -> bool:
-    """Whether overrides are about measured records."""
-    return any(value is not None for value in overrides.get("data", []))
-
-
 def request_of(overrides: Overrides) -> Request:
     """The request that overrides make.
 

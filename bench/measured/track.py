@@ -19,8 +19,8 @@ import numpy as np
 from bench.config.records import primary_method
 from bench.config.schema import Job
 from bench.errors import InputError
-from bench.measured.classes import held_out_fit
 from bench.measured.finding import Finding, find
+from bench.measured.held_out import held_out_fit
 from bench.measured.intervals import StatedInterval
 from bench.measured.reading import Recording, read_recording
 from bench.measured.record import Measured, read_measured, with_system
@@ -206,9 +206,7 @@ def _offset(finding: Finding) -> float:
     at = finding.at
     if at is None:
         return math.nan
-    size = float(np.max(np.abs(at.model.data[at.channels[0]]))) or 1.0
-    scale = float(np.max(np.abs(finding.problem.records[0].channels[0].values))) / size
-    return scale * float(at.model.offsets(at.theta)[0])
+    return finding.channel_size * float(at.model.offsets(at.theta)[0])
 
 
 def run(every: Sequence[Task], fits: Fits, timeout_s: float, say: Callable[[Fit], None]) -> list[Fit]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.measured.certificate import Certificate, sizes
+from bench.measured.certificate import Certificate
 from bench.measured.colour import autocorrelation, autoregression, even_times
 from bench.measured.finding import Finding
 from bench.measured.intervals import StatedInterval
@@ -128,7 +128,7 @@ def _residuals(finding: Finding) -> dict[str, Any] | None:
     if at is None:
         return None
     channel = finding.problem.records[0].channels[0]
-    size, _ = sizes(at, channel)
+    size = finding.channel_size
     return {
         "rms": float(abs(size) * np.sqrt(np.mean(at.residuals[at.channels[0]] ** 2))),
         "unit": channel.unit,
@@ -208,7 +208,7 @@ def series(certificate: Certificate) -> dict[str, Any]:
     }  # fmt: skip
     if at is None:
         return found
-    size, second = sizes(at, channel)
+    size, second = primary.channel_size, primary.units.time
     residuals = size * at.residuals[at.channels[0]]
     found |= {"fit": channel.values - residuals, "residuals": residuals}
     if even_times(channel.times) and residuals.size >= 12:

@@ -9,8 +9,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import math
-import os
-import uuid
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +16,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from bench.errors import InputError
 from bench.reporting.frame import Result
 from bench.reporting.labels import title
 from bench.reporting.page import cards, headline, leaderboard, neighbours, origin
@@ -241,15 +238,3 @@ def page(store: Store, out: Path) -> str:
         context["drawn"] = [one for one in context["drawn"] if one is not last]
         context["undrawn"] += 1
     return render(context, neighbours.figures(folder, out, LIMIT - linked - 1000))
-
-
-def write(path: Path, text: str) -> None:
-    """Write a page in one step; raises InputError where that cannot be done."""
-    temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, encoding="utf-8", newline="\n")
-        os.replace(temporary, path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise InputError("out", path, f"cannot be written ({error.strerror}); name another file") from None

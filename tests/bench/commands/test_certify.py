@@ -100,17 +100,3 @@ def test_bad_input_is_one_line(asked: list[str], said: str, record: Path, capsys
     assert line.count("\n") == 1
     assert line.startswith("bench.certify: ")
     assert said in line
-
-
-def test_a_failed_write_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "certificate.html"
-    path.write_text("before", encoding="utf-8")
-
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.replace", full)
-    with pytest.raises(certify.InputError, match="No space left"):
-        certify._write(path, "after")
-    assert [one.name for one in tmp_path.iterdir()] == ["certificate.html"]
-    assert path.read_text(encoding="utf-8") == "before"

@@ -14,8 +14,9 @@ import pytest
 
 from bench.measured import certificate as gathering
 from bench.measured import classes
-from bench.measured.certificate import Certificate, _ranked, certify, prediction_of, sizes, standing_of
-from bench.measured.classes import ModelClass, held_out_fit
+from bench.measured.certificate import Certificate, _ranked, certify, prediction_of, standing_of
+from bench.measured.classes import ModelClass
+from bench.measured.held_out import held_out_fit
 from bench.measured.intervals import StatedInterval
 from bench.measured.record import Measured, of_arrays, read_measured
 from bench.measured.request import Request, request_of
@@ -109,7 +110,7 @@ def test_the_prediction_is_that_of_held_out_fit(made: Certificate) -> None:
     own = prediction_of(at)
     assert own is not None
     assert own.fit == pytest.approx(held_out_fit(at), abs=1e-3)
-    size, second = sizes(at, made.primary.problem.records[0].channels[0])
+    size, second = made.primary.channel_size, made.primary.units.time
     assert second * own.split == pytest.approx(0.6 * TIMES[-1], abs=0.06)
     assert np.max(np.abs(size * own.predicted - np.exp(-DECAY * TIMES) * np.cos(RATE * TIMES))) < 0.05
 

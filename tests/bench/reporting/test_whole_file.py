@@ -1,0 +1,41 @@
+"""A file is there whole, or as it was before."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bench.errors import InputError
+from bench.reporting.whole_file import write
+
+
+def test_a_file_is_written_with_its_folders(tmp_path: Path) -> None:
+    path = tmp_path / "a" / "b" / "page.html"
+    write(path, "§ 1\n")
+    assert path.read_bytes() == "§ 1\n".encode()
+    assert [one.name for one in path.parent.iterdir()] == ["page.html"]
+
+
+def test_a_failed_write_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "certificate.html"
+    path.write_text("before", encoding="utf-8")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(InputError, match="No space left"):
+        write(path, "after")
+    assert [one.name for one in tmp_path.iterdir()] == ["certificate.html"]
+    assert path.read_text(encoding="utf-8") == "before"
+
+
+def test_where_a_parent_is_a_file_the_user_hears_what_they_named(tmp_path: Path) -> None:
+    file = tmp_path / "record.csv"
+    file.write_text("t,x\n", encoding="utf-8")
+    folder = file / "below"
+    with pytest.raises(InputError, match=r"out=.*below.*another folder"):
+        write(folder / "certificate.html", "text", folder)
+    with pytest.raises(InputError, match=r"out=.*certificate\.html.*another file"):
+        write(folder / "certificate.html", "text")
