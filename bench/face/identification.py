@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from bench.config.overrides import overrides_of
 from bench.errors import InputError
 from bench.face.results import nulls
-from bench.measured.finding import Finding, find
+from bench.measured.find import find
+from bench.measured.finding import Finding
 from bench.measured.intervals import StatedInterval
 from bench.measured.reading import Recording
 from bench.measured.record import Measured, of_arrays, read_measured

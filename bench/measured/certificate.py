@@ -7,7 +7,6 @@ Beside the primary method's answer stand the other methods', the model classes, 
 from __future__ import annotations
 
 import math
-import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -17,9 +16,11 @@ import numpy as np
 from bench.dynamics.simulate import simulate
 from bench.entrants.registry import registered
 from bench.errors import InputError
-from bench.isolation.processes import Children, Died
+from bench.isolation.processes import Died
+from bench.measured.apart import apart
 from bench.measured.classes import ModelClass, best_class, ranked_classes
-from bench.measured.finding import Finding, find
+from bench.measured.find import find
+from bench.measured.finding import Finding
 from bench.measured.held_out import early_fit
 from bench.measured.intervals import StatedInterval
 from bench.measured.linearised import Linearised
@@ -153,23 +154,15 @@ def _found(job: Any, measured: Measured, first: bool) -> Finding | None:
 
 
 def _ranked(measured: Measured, missing: dict[str, str], limit_s: float) -> list[ModelClass]:
-    """The ranked classes, found in a process of its own: a fit of friction to pure noise may take minutes."""
-    children, found = Children(), None
+    """The ranked classes, or why there are none: a fit of friction to pure noise may take minutes."""
     try:
-        child = children.start(_rank, pickle.dumps(measured))
-        found = pickle.loads(child.receive(limit_s))
+        found = apart(ranked_classes, measured, limit_s)
     except Died as died:
         missing["classes"] = died.message
         return []
-    finally:
-        children.close()
     if not found:
         missing["classes"] = "classes are compared for one displacement of one degree of freedom"
-    return list(found)
-
-
-def _rank(connection: Any, measured: bytes) -> None:
-    connection.send_bytes(pickle.dumps(ranked_classes(pickle.loads(measured))))
+    return found
 
 
 def compared_quantities(findings: Sequence[Finding]) -> tuple[str, ...]:

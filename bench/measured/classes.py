@@ -8,12 +8,11 @@ with the largest size that the record does not exclude.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.contract.belief import standard_quantile
 from bench.contract.problem import Problem, Units
 from bench.likelihood.output_error import OutputError
 from bench.measured.colour import autoregression, log_likelihood
@@ -22,11 +21,14 @@ from bench.measured.held_out import held_out_fit
 from bench.measured.linearised import Linearised, at_theta, strongest_frequency
 from bench.measured.models import candidates, smoothing_velocity
 from bench.measured.record import Measured, of_system, with_system
-from bench.systems.sums import TERMS, Sum
+from bench.measured.zeros import SIZES, most_allowed, vanishing, without
+from bench.systems.sums import Sum
 
 SIMPLE = ("viscous", "Duffing", "softening", "pendulum")
 """Classes that differ in what pulls back."""
 UNSPRUNG = "no spring"
+FURTHER = ("cubic", "softening", "quadratic", "coulomb")
+"""Terms that may join those that make a system vibrate."""
 COARSER = 5.0
 """The smoothing velocity of friction while classes are compared, over that of the answer: steps may be longer."""
 MOST_CYCLES = 12
@@ -36,12 +38,9 @@ SHARES = (0.2, 0.8)
 """Of the viscous damping's work, what further damping does at first: beside all of it a search runs it down to zero."""
 SCREEN, SEARCH = 4, 15
 """Iterations of each start, and of the best of them."""
-NOTHING = 1e-3
-"""A term counts as nothing where its force is less than this part of the spring's at the amplitude."""
 TOLD_APART = 10.0
 """Difference of the criterion beyond which a class is told from another (R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc.
 90:773, 1995)."""
-SIZES = ("mu", "c2", "k3", "k3s", "c", "b")
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +83,19 @@ def ranked_classes(measured: Measured) -> list[ModelClass]:
     return sorted((replace(one, criterion=one.criterion - least) for one in found), key=lambda one: one.criterion)
 
 
+def fitted_class(measured: Measured) -> ModelClass | None:
+    """The sum that the records are said to be of, fitted to the first of them without its further terms, then with."""
+    problem = measured.problem
+    system = problem.system
+    if not isinstance(system, Sum) or len(problem.records[0].channels) > 1:
+        return None
+    thinned = _thinned(replace(problem, records=problem.records[:1], prior=None))
+    system = replace(system, smoothing_velocity=COARSER * system.smoothing_velocity)
+    simple = replace(system, terms=tuple(term for term in system.terms if term not in FURTHER) or system.terms)
+    found = _fitted({"simple": simple}, thinned, []) if simple != system else []
+    return next(iter(_fitted({"named": system}, thinned, found)), None)
+
+
 def _damped(base: ModelClass) -> dict[str, Sum]:
     """A class with further kinds of damping."""
     return {
@@ -100,7 +112,7 @@ def _fitted(systems: Mapping[str, Sum], problem: Problem, before: list[ModelClas
     units, found = problem.natural_units(), list(before)
     for name, system in systems.items():
         own = of_system(problem, system).expressed_in(units)
-        fitted = _judged(name, system, own, _from_simpler(found, own.system.names), units)
+        fitted = _judged(name, system, own, _simpler(found, own.system.names), units)
         if fitted is not None:
             found.append(fitted)
     return found[len(before) :]
@@ -131,12 +143,6 @@ def best_class(measured: Measured, classes: Sequence[ModelClass] | None = None) 
     return replace(with_system(measured, system), notes=(*measured.notes, said, *zeros))
 
 
-def without(system: Sum, zero: Collection[str]) -> Sum:
-    """The sum without the terms of some parameters."""
-    kept = tuple(term for term in system.terms if TERMS[term].parameters[0].name not in zero)
-    return replace(system, terms=kept or system.terms)
-
-
 def _thinned(problem: Problem) -> Problem:
     """The first cycles, every so many samples; a forced record whole, and the force with all of its own samples."""
     record = problem.records[0]
@@ -148,43 +154,50 @@ def _thinned(problem: Problem) -> Problem:
     return replace(problem, records=(replace(record, channels=channels),))
 
 
-def _from_simpler(found: list[ModelClass], names: tuple[str, ...]) -> dict[str, float]:
-    """Parameters of the best simpler class that shares most of them, over its mass, from which to start."""
+def _simpler(found: list[ModelClass], names: tuple[str, ...]) -> ModelClass | None:
+    """The best of the classes whose parameters are among these, if it describes the record at all."""
     inside = [one for one in found if set(one.at.model.system.names) < set(names) and one.left < 0.3]
-    if not inside:
-        return {}
-    best = min(inside, key=lambda one: one.criterion)
-    values = best.at.model.parameters(best.at.theta)
-    return {name: float(value) for name, value in values.items() if name not in best.zero}
+    return min(inside, key=lambda one: one.criterion, default=None)
 
 
-def _judged(name: str, system: Sum, problem: Problem, known: Mapping[str, float], units: Units) -> ModelClass | None:
+def _judged(name: str, system: Sum, problem: Problem, simpler: ModelClass | None, units: Units) -> ModelClass | None:
     with np.errstate(all="ignore"):
-        at = _from_known(problem, known) if known else grown_fit(problem)
+        at = grown_fit(problem) if simpler is None else _from_simpler(problem, simpler.at)
     if at is None:
         return None
-    zero = _zeros(at, system)
-    smaller = at
-    if zero:
-        kept = without(system, zero)
-        own = of_system(problem, kept)  # the units are those of the problem already
-        own = replace(own, system=_rescaled(kept, system, problem))
-        with np.errstate(all="ignore"):
-            refitted = _from_known(own, {n: v for n, v in known.items() if n not in zero}) if known else None
-            refitted = refitted or grown_fit(own)
-        smaller = refitted if refitted is not None else at
+    assert isinstance(problem.system, Sum)
+    zero = vanishing(at, problem.system)
+    if simpler is not None and _left(simpler.at) < _left(at):  # the search found no use for what is new
+        zero = [name for name in SIZES if name in problem.system.names and name not in simpler.at.model.system.names]
+    smaller = _refitted(of_system(problem, without(problem.system, zero)), simpler) if zero else at
+    if smaller is None:
+        return None
     r = smaller.residuals
     noise = autoregression(r, min(smaller.theta.size, r.size - 1))
     criterion = -2.0 * log_likelihood(noise, r) + (smaller.theta.size + noise.order) * float(np.log(r.size))
     left = float(np.std(r) / (np.std(smaller.model.data) or 1.0))
-    return ModelClass(
-        name, system, criterion, left, held_out_fit(smaller), _upper(at, smaller, zero, units, system), smaller
-    )
+    allowed = most_allowed(smaller, problem.system, zero, units)
+    return ModelClass(name, system, criterion, left, held_out_fit(smaller), allowed, smaller)
 
 
-def _from_known(problem: Problem, known: Mapping[str, float]) -> Linearised | None:
+def _refitted(problem: Problem, simpler: ModelClass | None) -> Linearised | None:
+    """The fit without the terms at zero; the units are those of the problem already."""
+    if simpler is not None and simpler.at.model.system.names == problem.system.names:
+        return simpler.at
+    inside = simpler is not None and set(simpler.at.model.system.names) < set(problem.system.names)
+    with np.errstate(all="ignore"):
+        found = _from_simpler(problem, simpler.at) if inside and simpler is not None else None
+        return found or grown_fit(problem)
+
+
+def _left(at: Linearised) -> float:
+    return float(at.residuals @ at.residuals)
+
+
+def _from_simpler(problem: Problem, simpler: Linearised) -> Linearised | None:
     """The best of searches from a simpler fit, whose viscous damping does part of the work of the further terms."""
     model, ends = OutputError(problem), []
+    known = {name: float(value) for name, value in simpler.model.parameters(simpler.theta).items()}
     amplitude = float(np.ptp(model.channels[0][1].values)) / 2.0 or 1.0
     rate = float(np.sqrt(known["k"] / known["m"])) if {"k", "m"} <= set(known) else 1.0
     guess = first_guess(problem.system, rate, amplitude)
@@ -196,9 +209,7 @@ def _from_known(problem: Problem, known: Mapping[str, float]) -> Linearised | No
             p |= {"c": (1.0 - share) * c}
             p |= {"mu": work * np.pi * rate * amplitude / 4.0} if "mu" in further else {}
             p |= {"c2": work * 3.0 * np.pi / (8.0 * rate * amplitude)} if "c2" in further else {}
-        theta = model.vector(p)
-        if np.all(np.isfinite(theta)):
-            ends.append(model.settle(theta[None], iterations=SCREEN)[0])
+        ends += [model.settle(theta[None], iterations=SCREEN)[0] for theta in _starts(model, p, simpler)]
         if not further:
             break
     if not ends:
@@ -207,58 +218,10 @@ def _from_known(problem: Problem, known: Mapping[str, float]) -> Linearised | No
     return at_theta(model, model.settle(best[None], iterations=SEARCH)[0])
 
 
-def _rescaled(kept: Sum, system: Sum, problem: Problem) -> Sum:
-    """The smaller sum in the units that the larger one is in."""
-    own = problem.system
-    assert isinstance(own, Sum)
-    names = {name for term in kept.terms for name in (p.name for p in TERMS[term].parameters)}
-    fixed = tuple((name, value) for name, value in own.fixed if name in names)
-    return replace(kept, smoothing_velocity=own.smoothing_velocity, fixed=fixed)
-
-
-def _zeros(at: Linearised, system: Sum) -> list[str]:
-    """Parameters whose force is next to nothing."""
-    p = {name: float(value) for name, value in at.model.parameters(at.theta).items()}
-    channel = at.model.channels[0][1]
-    size = float(np.ptp(channel.values)) / 2.0 or 1.0
-    rate = 2 * np.pi * strongest_frequency(channel.times, channel.values)
-    spring = p.get("k", p["m"] * rate**2) * size
-    forces = {
-        "mu": p.get("mu", 0.0), "c2": p.get("c2", 0.0) * (rate * size) ** 2, "c": p.get("c", 0.0) * rate * size,
-        "k3": p.get("k3", 0.0) * size**3, "k3s": p.get("k3s", 0.0) * size**3, "b": p.get("b", 0.0),
-    }  # fmt: skip
-    droppable = [name for name in SIZES if name in p]
-    gone = [name for name in droppable if forces[name] < NOTHING * spring]
-    return gone if len(gone) < len(system.terms) else gone[1:]
-
-
-def _upper(at: Linearised, smaller: Linearised, zero: list[str], units: Units, system: Sum) -> dict[str, float]:
-    """The one-sided 95 % limits of parameters at zero, over the mass, in SI.
-
-    By the likelihood linearised next to zero, where the other unknowns are those of the fit without these parameters,
-    with the noise as coloured as it is there.
-    """
-    if not zero or at is smaller:
-        return dict.fromkeys(zero, float("inf"))
-    free, known = at.model.free, dict(zip(smaller.model.free, smaller.theta, strict=False))
-    guess = first_guess(at.model.system, 2 * np.pi * _frequency(at), _size(at))
-    logs = [known.get(name, np.log(NOTHING * guess[name])) for name in free]
-    theta = np.concatenate([logs, smaller.theta[len(smaller.model.free) :]])
-    near = at_theta(at.model, theta) if theta.size == at.theta.size else None
-    covariance = None if near is None else replace(near, told=smaller.noises).coloured
-    dimensions, found = {p.name: p.dimension for p in system.parameters}, {}
-    for name in zero:
-        i = free.index(name)
-        deviation = np.inf if covariance is None else float(np.sqrt(max(covariance[i, i], 0.0)))
-        most = float(np.exp(theta[i])) * (1.0 + deviation * float(standard_quantile(0.95, None)))
-        found[name] = most / at.model.gauge * units.of(dimensions[name]) / units.of(dimensions["m"])
-    return found
-
-
-def _frequency(at: Linearised) -> float:
-    channel = at.model.channels[0][1]
-    return strongest_frequency(channel.times, channel.values)
-
-
-def _size(at: Linearised) -> float:
-    return float(np.ptp(at.model.channels[0][1].values)) / 2.0 or 1.0
+def _starts(model: OutputError, p: dict[str, float], simpler: Linearised) -> list[np.ndarray]:
+    """Parameters with the initial state and offset that fit best there, or else those of the simpler fit."""
+    best = model.vector(p)
+    tail = simpler.theta[len(simpler.model.free) :]
+    same = np.concatenate([best[: len(model.free)], tail])
+    found = [theta for theta in (best, same) if theta.size == model.size and np.all(np.isfinite(theta))]
+    return sorted(found, key=model.profile)[:1]

@@ -15,6 +15,10 @@ MOST_ORDER = 30
 SAMPLES_PER_ORDER = 10
 EVEN = 0.25
 """Largest departure of a sampling interval from their median, over that median, of times that pass for even here."""
+NEIGHBOURS = 3
+"""Fourier frequencies to either side over which a periodogram is smoothed."""
+LEAST_SHARE = 0.2
+"""Least part of the noise's power that counts as left by a fit near a frequency."""
 KS_95 = 1.358
 """95 % point of the Kolmogorov statistic: half-width of the band of a cumulative periodogram times the root of n."""
 
@@ -84,6 +88,26 @@ def autoregression(residuals: np.ndarray, used: float = 0.0) -> Autoregression:
         if criterion < least:
             best, least = Autoregression(own.copy(), variance / share), criterion
     return best
+
+
+def local_spectrum(residuals: np.ndarray, slopes: np.ndarray, length: int) -> np.ndarray:
+    """The spectrum (length // 2 + 1,) of noise by the periodogram of the residuals (n,) that a fit has left of it.
+
+    A fit takes away the noise's share along its derivatives (n, p), which lie at the natural frequency, where the
+    noise matters most: the mean over neighbours of the periodogram is over the mean of the share that it leaves of each
+    frequency, and so has no bias where the spectrum is flat (M. B. Priestley, Spectral Analysis and Time Series, 1981,
+    section 6.2, for the smoothing).
+    """
+    n = residuals.size
+    basis = np.linalg.qr(slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300))[0]
+    power = np.abs(np.fft.rfft(residuals, length)) ** 2 / n
+    share = np.maximum(1.0 - np.sum(np.abs(np.fft.rfft(basis, length, axis=0)) ** 2, axis=1) / n, 0.0)
+    reach = max(round(NEIGHBOURS * length / n), 1)
+    both = np.stack([power, share])
+    mirrored = np.concatenate([both[:, reach:0:-1], both, both[:, -2 : -2 - reach : -1]], axis=1)
+    sums = np.cumsum(np.pad(mirrored, ((0, 0), (1, 0))), axis=1)
+    means = (sums[:, 2 * reach + 1 :] - sums[:, : -2 * reach - 1]) / (2 * reach + 1)
+    return np.asarray(means[0] / np.maximum(means[1], LEAST_SHARE))
 
 
 def log_likelihood(noise: Autoregression, residuals: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""What a method finds in measured records: values, stated intervals, residuals, and how far to trust them."""
+"""What a method found in measured records: values, stated intervals, residuals, and how far to trust them."""
 
 from __future__ import annotations
 
@@ -8,15 +8,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bench.config.records import robust_method
-from bench.config.schema import Job
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem, Units
-from bench.entrants.reference import REFERENCES
-from bench.entrants.registry import make_method, missing_package
-from bench.errors import InputError
 from bench.likelihood.output_error import OutputError
-from bench.measured.fit import Outcome, fit_alone
+from bench.measured.fit import Outcome
 from bench.measured.grown import first_guess
 from bench.measured.intervals import StatedInterval, stated_intervals
 from bench.measured.linearised import Linearised, linearised, strongest_frequency
@@ -25,7 +20,6 @@ from bench.measured.parts import parts_of
 from bench.measured.record import Measured
 from bench.measured.trust import (
     MOST_LEFT,
-    OUTLIERS,
     Doubt,
     Trust,
     doubts_about,
@@ -34,7 +28,6 @@ from bench.measured.trust import (
     verdict,
 )
 from bench.scoring.combination import combine_with_prior
-from bench.sweep.workers import Limits
 from bench.systems import MEASURED
 
 
@@ -75,48 +68,6 @@ class Finding:
     def channel_size(self) -> float:
         """How much one unit of the first channel in ``at`` is in the channel's own unit."""
         return self.units.of(MEASURED[self.problem.records[0].channels[0].measures])
-
-
-def find(job: Job, measured: Measured) -> Finding:
-    """Identify the records with the job's method, in a process of its own; raises InputError."""
-    name = job.config.method["name"]
-    if name in REFERENCES:
-        raise InputError("method", name, "it needs the truth, which a measured record does not have; choose a method")
-    problem, lacking_package = measured.problem, missing_package(name)
-    if lacking_package:
-        outcome = Outcome(None, Status.MISSING_DEPENDENCY, lacking_package)
-    else:
-        method, rng = make_method(name, job.settings()), np.random.default_rng(job.config.seed)
-        limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
-        outcome = fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
-    return _with_robust(judged(job.label, measured, outcome), job)
-
-
-def _with_robust(finding: Finding, job: Job) -> Finding:
-    """Where samples are far off, the same and what a fit that expects outliers finds (errors with Student's t)."""
-    far = any(doubt.reason.endswith(OUTLIERS) for doubt in finding.doubts)
-    robust_name, settings = robust_method()
-    already = settings.items() <= job.settings().items()
-    if not far or already or missing_package(robust_name):
-        return finding
-    problem, rng = finding.problem, np.random.default_rng(job.config.seed)
-    method = make_method(robust_name, settings)
-    limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
-    robust = fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
-    own = finding.intervals or finding.withdrawn
-    name = next(iter(own), "")
-    marginal = None if robust.estimate is None or not name else robust.estimate.marginal(problem.system.quantity(name))
-    if marginal is None:
-        reason = f"a fit that expects outliers gave no answer: {robust.message}"
-        return replace(finding, doubts=(*finding.doubts, Doubt(Trust.CARE, reason)))
-    inside = own[name].low <= marginal.value <= own[name].high
-    reason = f"a fit that expects outliers (Student's t) gives {name.replace('_over_', '/')} = {marginal.value:.6g}"
-    if not inside:
-        reason += ", outside of this interval: believe that one"
-    doubts = (*finding.doubts, Doubt(Trust.CARE if inside else Trust.NO, reason))
-    if inside:
-        return replace(finding, doubts=doubts)
-    return replace(finding, doubts=doubts, intervals={}, withdrawn=own)
 
 
 def judged(method: str, measured: Measured, outcome: Outcome) -> Finding:

@@ -3,8 +3,9 @@
 With bread ``B = (J' J / s² + P)⁻¹`` and the noise's covariance ``S`` the covariance of a fit that took the noise for
 white is ``B (J' S J / s⁴ + P) B`` (H. White, Econometrica 50:1, 1982; P. J. Huber, Proc. 5th Berkeley Symp. 1:221,
 1967), and ``B`` itself where the noise is white. ``P``: precision of the prior. For even samples ``S`` is that of an
-autoregression of the residuals, otherwise ``J' S J`` is a sum over pairs of samples with weights that fall with their
-distance in time (W. K. Newey, K. D. West, Econometrica 55:703, 1987).
+autoregression of the residuals or, at frequencies where their own smoothed periodogram is higher, of that; otherwise
+``J' S J`` is a sum over pairs of samples with weights that fall with their distance in time (W. K. Newey, K. D. West,
+Econometrica 55:703, 1987).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from bench.contract.estimate import Estimate
 from bench.contract.problem import InitialState, Problem
 from bench.likelihood.batch import used_of
 from bench.likelihood.output_error import OutputError
-from bench.measured.colour import Autoregression, autoregression, even_times
+from bench.measured.colour import Autoregression, autoregression, even_times, local_spectrum
 from bench.scoring.score import point_parameters
 from bench.systems import Quantity
 
@@ -101,8 +102,13 @@ class Linearised:
             length = 1 << int(np.ceil(np.log2(2 * own.size)))
             circle = np.zeros(length)
             circle[: own.size], circle[length - own.size + 1 :] = covariances, covariances[:0:-1]
-            spread = np.fft.irfft(np.fft.rfft(circle)[:, None] * np.fft.rfft(slopes, length, axis=0), length, axis=0)
-            return np.asarray(slopes.T @ spread[: own.size])
+            moved = np.fft.rfft(slopes, length, axis=0)
+            spread = np.fft.irfft(np.fft.rfft(circle)[:, None] * moved, length, axis=0)
+            middle = np.asarray(slopes.T @ spread[: own.size])
+            if noise.order == 0 or self.told is not None:
+                return middle
+            more = np.maximum(local_spectrum(self.residuals[own], slopes, length) - noise.spectrum(length), 0.0)
+            return middle + np.asarray(slopes.T @ np.fft.irfft(more[:, None] * moved, length, axis=0)[: own.size])
         times, scores = self.model.channels[i][1].times, slopes * self.residuals[own][:, None]
         reach = CORRELATED_CYCLES / max(strongest_frequency(times, self.model.channels[i][1].values), 1e-12)
         total = np.zeros((self.theta.size, self.theta.size))
@@ -149,7 +155,7 @@ def linearised(problem: Problem, estimate: Estimate) -> Linearised | None:
         if own.initial_states is not None:
             trials.append(_started(model, trials[0], own.initial_states))
         theta = min(trials, key=model.profile)
-        return at_theta(model, theta)
+        return at_theta(model, _unturned(model, theta))
 
 
 def at_theta(model: OutputError, theta: np.ndarray) -> Linearised | None:
@@ -159,6 +165,22 @@ def at_theta(model: OutputError, theta: np.ndarray) -> Linearised | None:
     if not (np.all(np.isfinite(predicted)) and np.all(np.isfinite(slopes))):
         return None
     return Linearised(model, theta, model.data - predicted, slopes)
+
+
+def _unturned(model: OutputError, theta: np.ndarray) -> np.ndarray:
+    """Theta without whole turns of a pendulum, which its start and the offset of its sensor may share out as they like.
+
+    Of a sum, ``l`` may be told.
+    """
+    length = model.parameters(theta).get("l", dict(getattr(model.system, "fixed", ())).get("l"))
+    if length is None or not model.offset_channels or len(model.problem.records) > 1 or not model.unknown_starts:
+        return theta
+    turn = 2 * np.pi * float(length)
+    turns = turn * np.round(theta[len(model.free)] / turn)
+    own = theta.copy()
+    own[len(model.free)] -= turns
+    own[-len(model.offset_channels) :] += turns
+    return own
 
 
 def _started(model: OutputError, theta: np.ndarray, starts: Sequence[InitialState]) -> np.ndarray:

@@ -6,10 +6,15 @@ Camb. Phil. Soc. 44:50, 1948). Whichever of them lower the Bayesian information 
 it is then, are taken to be there. What they make of damping and stiffness at an amplitude ``A`` is harmonic balance's
 equivalent: ``c + 4 mu / (π w A) + 8 c2 w A / (3 π)`` and ``k + 3 k3 A² / 4`` (A. H. Nayfeh, D. T. Mook, Nonlinear
 Oscillations, 1979, chapter 3). By their change over the amplitudes in the record another record may differ.
+
+Coloured residuals have two readings: noise of that colour, or forces left out. The forces are chosen once by the
+criterion with noise as coloured as is left, and once, where the residuals are coloured, with white noise, which lays
+all of the colour on the forces. The first are said to be missing, the second to be suspected; the change is the larger.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 from typing import ClassVar
@@ -69,10 +74,11 @@ class WithForces(System):
 class ModelError:
     """What the model leaves out: names of the forces, and by how much log c and log k change over the record's range.
 
-    ``gain``: by how much the forces lower the information criterion.
+    ``missing``: what lowers the information criterion, by ``gain``; ``suspected``: what would if the noise were white.
     """
 
     missing: tuple[str, ...] = ()
+    suspected: tuple[str, ...] = ()
     damping: float = 0.0
     stiffness: float = 0.0
     gain: float = 0.0
@@ -83,6 +89,8 @@ class ModelError:
         return powers.get("c", 0.0) * self.damping + powers.get("k", 0.0) * self.stiffness
 
 
+Criterion = Callable[[np.ndarray, np.ndarray], float]
+"""Of residuals, and the derivatives that they were regressed on."""
 NOTHING_LACKING = ModelError()
 NAMES = {"mu": "dry friction", "c2": "quadratic damping", "k3": "a cubic spring"}
 
@@ -102,20 +110,40 @@ def model_error(at: Linearised) -> ModelError:
     amplitudes = _amplitudes(at, rate)
     own = [name for name in NAMES if name not in names and not (name == "k3" and "l" in names)]
     columns = _columns(at, p, rate, float(amplitudes[0]), own)
-    used, best = None, _criterion(at.residuals, at.slopes, 0)
-    first = best
+    coloured = autoregression(at.residuals, min(at.slopes.shape[1], at.residuals.size - 1)).order > 0
+    missing = _chosen(at, columns, _criterion)
+    suspected = _chosen(at, columns, _white_criterion) if coloured else NONE
+    changes = [_changes(p, one.logs, one.sizes, rate, amplitudes) for one in (missing, suspected)]
+    damping, stiffness = np.max(changes, axis=0)
+    named, likely = (tuple(NAMES[name] for name in one.sizes) for one in (missing, suspected))
+    return ModelError(named, likely, float(damping), float(stiffness), missing.gain)
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Forces that lower a criterion: their ``sizes``, what they change of the parameters' ``logs``, and by how much."""
+
+    sizes: dict[str, float]
+    logs: dict[str, float]
+    gain: float
+
+
+NONE = Chosen({}, {}, 0.0)
+
+
+def _chosen(at: Linearised, columns: dict[str, np.ndarray], criterion: Criterion) -> Chosen:
+    """The added forces that lower a criterion most; none unless by as much as counts."""
+    best, first = NONE, criterion(at.residuals, at.slopes)
     for n in range(1, len(columns) + 1):
         for some in combinations(columns, n):
             rows = np.column_stack([at.slopes, *(columns[name] for name in some)])
             left, solution = _regressed(rows, at.residuals)
-            criterion = _criterion(left, rows, n)
-            if criterion < best:
-                used, best = (some, solution), criterion
-    if used is None or first - best < STRONG:
-        return NOTHING_LACKING
-    sizes = dict(zip(used[0], used[1][at.theta.size :], strict=True))
-    logs = dict(zip(model.free, used[1], strict=False))
-    return ModelError(tuple(NAMES[name] for name in used[0]), *_changes(p, logs, sizes, rate, amplitudes), first - best)
+            gain = first - criterion(left, rows)
+            if gain > best.gain:
+                sizes = dict(zip(some, map(float, solution[at.theta.size :]), strict=True))
+                logs = dict(zip(at.model.free, map(float, solution), strict=False))
+                best = Chosen(sizes, logs, gain)
+    return best if best.gain >= STRONG else NONE
 
 
 def _amplitudes(at: Linearised, rate: float) -> np.ndarray:
@@ -159,10 +187,14 @@ def _regressed(rows: np.ndarray, residuals: np.ndarray) -> tuple[np.ndarray, np.
     return residuals - rows @ solution, solution
 
 
-def _criterion(residuals: np.ndarray, rows: np.ndarray, added: int) -> float:
+def _criterion(residuals: np.ndarray, rows: np.ndarray) -> float:
     noise = autoregression(residuals, min(rows.shape[1], residuals.size - 1))
     unknowns = rows.shape[1] + noise.order
     return -2.0 * log_likelihood(noise, residuals) + unknowns * float(np.log(residuals.size))
+
+
+def _white_criterion(residuals: np.ndarray, rows: np.ndarray) -> float:
+    return residuals.size * float(np.log(residuals @ residuals)) + rows.shape[1] * float(np.log(residuals.size))
 
 
 def _changes(

@@ -19,7 +19,8 @@ import numpy as np
 from bench.config.records import primary_method
 from bench.config.schema import Job
 from bench.errors import InputError
-from bench.measured.finding import Finding, find
+from bench.measured.find import find
+from bench.measured.finding import Finding
 from bench.measured.held_out import held_out_fit
 from bench.measured.intervals import StatedInterval
 from bench.measured.reading import Recording, read_recording

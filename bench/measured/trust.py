@@ -88,6 +88,11 @@ def _of_intervals(intervals: Mapping[str, StatedInterval], lacking: ModelError) 
         found.append(
             Doubt(Trust.CARE, f"the residuals show {what}, which the system lacks: name it, or let system=auto choose")
         )
+    elif lacking.suspected:
+        what = " or ".join(lacking.suspected)
+        found.append(
+            Doubt(Trust.CARE, f"the residuals are coloured by their noise or by {what}, which the system lacks")
+        )
     coloured = [q for q, own in intervals.items() if own.colour > STRETCHED]
     if coloured:
         most = max(own.colour for own in intervals.values())
@@ -97,7 +102,8 @@ def _of_intervals(intervals: Mapping[str, StatedInterval], lacking: ModelError) 
     changing = {q: own.change for q, own in intervals.items() if own.between > STRETCHED and own.change}
     if changing:
         name, change = max(changing.items(), key=lambda item: abs(item[1]))
-        said = f"{name.replace('_over_', '/')} differs by {np.expm1(abs(change)):.0%} within the record or its repeats"
+        size = f"{100 * np.expm1(abs(change)):.3g} %"
+        said = f"{name.replace('_over_', '/')} may differ by {size} within the record or between repeats"
         found.append(Doubt(Trust.CARE, f"{said}: the interval takes it in"))
     wide = [name.replace("_over_", "/") for name, own in intervals.items() if not own.relative_error < WIDE]
     if wide:

@@ -9,12 +9,13 @@ from scipy.integrate import solve_ivp
 from bench.config.overrides import overrides_of
 from bench.contract.problem import Channel, Problem, Record
 from bench.likelihood.output_error import OutputError
-from bench.measured.classes import ModelClass, best_class, ranked_classes, without
+from bench.measured.classes import ModelClass, best_class, ranked_classes
 from bench.measured.held_out import HELD_OUT, held_out_fit
 from bench.measured.linearised import at_theta
 from bench.measured.reading import Recording, Signal
 from bench.measured.record import Measured, read_measured
 from bench.measured.request import request_of
+from bench.measured.zeros import without
 from bench.systems.sums import Sum, sum_from
 
 T = np.linspace(0.0, 9.0, 300)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.stats import t as student
 from bench.contract.estimate import Cost
 from bench.contract.problem import Channel, Problem, Record
 from bench.likelihood.output_error import OutputError, estimate_at
-from bench.measured.colour import Autoregression, autoregression
+from bench.measured.colour import Autoregression, autoregression, local_spectrum
 from bench.measured.intervals import StatedInterval, stated_intervals
 from bench.measured.linearised import Linearised, at_theta, linearised
 from bench.measured.model_error import model_error
@@ -107,8 +108,22 @@ def test_the_coloured_covariance_is_the_sandwich_of_a_dense_matrix(seed: int) ->
     covariances = own.variance * np.array([psi[: 5000 - k] @ psi[k:] for k in range(300)])
     bread = np.linalg.inv(at.slopes.T @ at.slopes)
     dense = bread @ at.slopes.T @ toeplitz(covariances) @ at.slopes @ bread
+    told = replace(at, told=at.noises).coloured
+    assert told is not None
+    np.testing.assert_allclose(told, dense, rtol=1e-4, atol=1e-9 * np.max(np.abs(dense)))
     assert at.coloured is not None
-    np.testing.assert_allclose(at.coloured, dense, rtol=1e-4, atol=1e-9 * np.max(np.abs(dense)))
+    assert np.all(np.linalg.eigvalsh(at.coloured - told) > -1e-6 * np.max(np.abs(told)))
+
+
+def test_the_spectrum_that_a_fit_leaves_has_no_bias_where_the_fit_takes_most() -> None:
+    """White noise of variance 4, less its share along sines next to one frequency: 4 at every frequency."""
+    t, rng = np.arange(300), np.random.default_rng(0)
+    slopes = np.stack([f(2 * np.pi * 30.4 * t / 300) * g for f in (np.sin, np.cos) for g in (1.0, t / 300.0)], axis=1)
+    basis = np.linalg.qr(slopes)[0]
+    noise = 2.0 * rng.standard_normal((2000, 300))
+    left = noise - noise @ basis @ basis.T
+    found = np.mean([local_spectrum(one, slopes, 1024) for one in left], axis=0)
+    np.testing.assert_allclose(found, 4.0, rtol=0.06)
 
 
 def test_of_white_noise_both_covariances_agree() -> None:

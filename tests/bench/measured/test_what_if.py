@@ -90,15 +90,16 @@ def test_denser_samples_of_noise_that_hangs_together_gain_nothing() -> None:
         assert denser.relative_errors[name] == pytest.approx(denser.today[name], rel=0.05)
 
 
-def test_today_is_the_likelihood_s_own_coloured_error() -> None:
+def test_today_is_the_error_by_the_autoregression() -> None:
     finding = found(np.arange(200) / 10.0, colour=0.8, c=0.3)
     at = finding.at
     assert at is not None
-    assert at.coloured is not None
+    covariance = replace(at, told=at.noises).coloured
+    assert covariance is not None
     for one in what_if(finding):
         for name, error in one.today.items():
             g = at.gradient(finding.problem.system.quantity(name))
-            assert error == pytest.approx(float(np.sqrt(g @ at.coloured @ g)), rel=1e-6)
+            assert error == pytest.approx(float(np.sqrt(g @ covariance @ g)), rel=1e-6)
 
 
 def test_a_force_is_repeated_and_uneven_times_are_taken() -> None:

@@ -1,0 +1,115 @@
+"""Identify measured records: by the method asked for, again without needless terms, and by one robust to outliers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from bench.config.records import robust_method
+from bench.config.schema import Job
+from bench.contract.estimate import Status
+from bench.entrants.reference import REFERENCES
+from bench.entrants.registry import make_method, missing_package
+from bench.errors import InputError
+from bench.isolation.processes import Died
+from bench.measured.apart import apart
+from bench.measured.classes import fitted_class
+from bench.measured.finding import Finding, judged
+from bench.measured.fit import Outcome, fit_alone
+from bench.measured.intervals import StatedInterval
+from bench.measured.record import Measured, with_system
+from bench.measured.trust import OUTLIERS, Doubt, Trust
+from bench.measured.zeros import without
+from bench.sweep.workers import Limits
+from bench.systems.sums import GROUPS, Sum
+
+
+def find(job: Job, measured: Measured) -> Finding:
+    """Identify the records with the job's method, in a process of its own; raises InputError.
+
+    Where that leaves a parameter open, it is tried again without the terms of a sum that the record does not need.
+    """
+    found = _found(job, measured)
+    if not _leaves_open(found):
+        return found
+    smaller, most = _needed(measured, job.config.timeout_s)
+    return _with_zeros(_found(job, smaller), most) if most else found
+
+
+def _found(job: Job, measured: Measured) -> Finding:
+    name = job.config.method["name"]
+    if name in REFERENCES:
+        raise InputError("method", name, "it needs the truth, which a measured record does not have; choose a method")
+    problem, lacking_package = measured.problem, missing_package(name)
+    if lacking_package:
+        outcome = Outcome(None, Status.MISSING_DEPENDENCY, lacking_package)
+    else:
+        method, rng = make_method(name, job.settings()), np.random.default_rng(job.config.seed)
+        limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
+        outcome = fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
+    return _with_robust(judged(job.label, measured, outcome), job)
+
+
+def _leaves_open(found: Finding) -> bool:
+    """Whether the method ended without an answer, or with a quantity that has no finite interval."""
+    if found.outcome.status is Status.DIVERGED:
+        return True
+    ends = [end for own in {**found.withdrawn, **found.intervals}.values() for end in (own.low, own.high)]
+    return found.outcome.status is Status.OK and not all(map(math.isfinite, ends))
+
+
+@lru_cache(maxsize=4)
+def _needed(measured: Measured, limit_s: float) -> tuple[Measured, Mapping[str, float]]:
+    """The records with the terms that they need, and of each other term the most that they allow, over the mass."""
+    try:
+        fitted = apart(fitted_class, measured, limit_s)
+    except Died:
+        return measured, {}
+    system = measured.problem.system
+    if fitted is None or not fitted.zero or not isinstance(system, Sum):
+        return measured, {}
+    return with_system(measured, without(system, fitted.zero)), fitted.zero
+
+
+def _with_zeros(finding: Finding, most: Mapping[str, float]) -> Finding:
+    """A finding with the parameters at zero that it was made without."""
+    if finding.outcome.status is not Status.OK:
+        return finding
+    units = {name: quantity.unit for quantity in GROUPS for name in quantity.exponents if name != "m"}
+    said = [f"{name}/m is 0, at most {limit:.3g} {units[name]}: fitted without it" for name, limit in most.items()]
+    doubts = (*finding.doubts, *(Doubt(Trust.CARE, reason) for reason in said))
+    if not finding.intervals:
+        return replace(finding, doubts=doubts)
+    zeros = {f"{n}_over_m": StatedInterval(0.0, 0.0, limit, 0.0, limit, units[n]) for n, limit in most.items()}
+    return replace(finding, doubts=doubts, intervals={**finding.intervals, **zeros})
+
+
+def _with_robust(finding: Finding, job: Job) -> Finding:
+    """Where samples are far off, the same and what a fit that expects outliers finds (errors with Student's t)."""
+    far = any(doubt.reason.endswith(OUTLIERS) for doubt in finding.doubts)
+    robust_name, settings = robust_method()
+    already = settings.items() <= job.settings().items()
+    if not far or already or missing_package(robust_name):
+        return finding
+    problem, rng = finding.problem, np.random.default_rng(job.config.seed)
+    method = make_method(robust_name, settings)
+    limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
+    robust = fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
+    own = finding.intervals or finding.withdrawn
+    name = next(iter(own), "")
+    marginal = None if robust.estimate is None or not name else robust.estimate.marginal(problem.system.quantity(name))
+    if marginal is None:
+        reason = f"a fit that expects outliers gave no answer: {robust.message}"
+        return replace(finding, doubts=(*finding.doubts, Doubt(Trust.CARE, reason)))
+    inside = own[name].low <= marginal.value <= own[name].high
+    reason = f"a fit that expects outliers (Student's t) gives {name.replace('_over_', '/')} = {marginal.value:.6g}"
+    if not inside:
+        reason += ", outside of this interval: believe that one"
+    doubts = (*finding.doubts, Doubt(Trust.CARE if inside else Trust.NO, reason))
+    if inside:
+        return replace(finding, doubts=doubts)
+    return replace(finding, doubts=doubts, intervals={}, withdrawn=own)
