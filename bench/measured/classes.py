@@ -21,7 +21,7 @@ from bench.measured.held_out import held_out_fit
 from bench.measured.linearised import Linearised, at_theta, strongest_frequency
 from bench.measured.models import candidates, smoothing_velocity
 from bench.measured.record import Measured, of_system, with_system
-from bench.measured.zeros import SIZES, most_allowed, vanishing, without
+from bench.measured.zeros import SIZES, linear_start, most_allowed, vanishing, without
 from bench.systems.sums import Sum
 
 SIMPLE = ("viscous", "Duffing", "softening", "pendulum")
@@ -38,9 +38,10 @@ SHARES = (0.2, 0.8)
 """Of the viscous damping's work, what further damping does at first: beside all of it a search runs it down to zero."""
 SCREEN, SEARCH = 4, 15
 """Iterations of each start, and of the best of them."""
-TOLD_APART = 10.0
-"""Difference of the criterion beyond which a class is told from another (R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc.
-90:773, 1995)."""
+LEVEL, TOLD_APART = 2.0, 10.0
+"""Differences of the criterion: up to the first a class is as good as another, and of such the simplest is chosen;
+beyond the second it is told from the other (R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90:773, 1995, section 3.2).
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +120,9 @@ def _fitted(systems: Mapping[str, Sum], problem: Problem, before: list[ModelClas
 
 
 def simplest(classes: Sequence[ModelClass]) -> ModelClass:
-    """Of the classes that the record does not tell from the best one that with the fewest parameters."""
+    """Of the classes that are as good as the best one that with the fewest parameters."""
     least = min(one.criterion for one in classes)
-    level = [one for one in classes if one.criterion < least + TOLD_APART]
+    level = [one for one in classes if one.criterion < least + LEVEL]
     return min(level, key=lambda one: (len(one.system.parameters) - len(one.zero), len(one.zero), one.criterion))
 
 
@@ -172,12 +173,18 @@ def _judged(name: str, system: Sum, problem: Problem, simpler: ModelClass | None
     smaller = _refitted(of_system(problem, without(problem.system, zero)), simpler) if zero else at
     if smaller is None:
         return None
-    r = smaller.residuals
-    noise = autoregression(r, min(smaller.theta.size, r.size - 1))
-    criterion = -2.0 * log_likelihood(noise, r) + (smaller.theta.size + noise.order) * float(np.log(r.size))
-    left = float(np.std(r) / (np.std(smaller.model.data) or 1.0))
+    if _criterion(at) < _criterion(smaller):  # it is small, but the record needs it
+        zero, smaller = [], at
+    left = float(np.std(smaller.residuals) / (np.std(smaller.model.data) or 1.0))
     allowed = most_allowed(smaller, problem.system, zero, units)
-    return ModelClass(name, system, criterion, left, held_out_fit(smaller), allowed, smaller)
+    return ModelClass(name, system, _criterion(smaller), left, held_out_fit(smaller), allowed, smaller)
+
+
+def _criterion(at: Linearised) -> float:
+    """The Bayesian information criterion, the residuals as an autoregression."""
+    r = at.residuals
+    noise = autoregression(r, min(at.theta.size, r.size - 1))
+    return -2.0 * log_likelihood(noise, r) + (at.theta.size + noise.order) * float(np.log(r.size))
 
 
 def _refitted(problem: Problem, simpler: ModelClass | None) -> Linearised | None:
@@ -212,6 +219,8 @@ def _from_simpler(problem: Problem, simpler: Linearised) -> Linearised | None:
         ends += [model.settle(theta[None], iterations=SCREEN)[0] for theta in _starts(model, p, simpler)]
         if not further:
             break
+    if (stepped := linear_start(simpler, model)) is not None:
+        ends.append(model.settle(stepped[None], iterations=SCREEN)[0])
     if not ends:
         return None
     best = min(ends, key=model.profile)

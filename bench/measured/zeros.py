@@ -20,6 +20,9 @@ from bench.systems.sums import TERMS, Sum
 
 NOTHING = 1e-3
 """A term counts as nothing where its force is less than this part of the spring's at the amplitude."""
+ONE_SIDED = float(standard_quantile(0.95, None))
+MOST_STEP = 1.0
+"""Of a logarithm."""
 SIZES = ("mu", "c2", "k3", "k3s", "c", "b")
 
 
@@ -62,19 +65,50 @@ def most_allowed(smaller: Linearised, full: Sum, zero: Collection[str], units: U
 
 def _most(smaller: Linearised, system: Sum, name: str, units: Units) -> float:
     model = OutputError(replace(smaller.model.problem, system=system), smaller.model.gauge)
-    known = dict(zip(smaller.model.free, smaller.theta, strict=False))
-    little = NOTHING * first_guess(system, _rate(smaller), _size(smaller))[name]
-    logs = [known.get(one, np.log(little)) for one in model.free]
-    theta = np.concatenate([logs, smaller.theta[len(smaller.model.free) :]])
-    near = at_theta(model, theta) if theta.size == model.size else None
+    near = beside_nothing(smaller, model)
     covariance = None if near is None else replace(near, told=smaller.noises).coloured
     if near is None or covariance is None:
         return float("inf")
     i = model.free.index(name)
-    step = float(np.linalg.lstsq(near.slopes, near.residuals, rcond=None)[0][i])
-    most = little * (max(1.0 + step, 0.0) + float(np.sqrt(covariance[i, i])) * float(standard_quantile(0.95, None)))
+    little = float(np.exp(near.theta[i]))
+    most = little * (max(1.0 + float(_step(near)[i]), 0.0) + float(np.sqrt(covariance[i, i])) * ONE_SIDED)
     dimensions = {p.name: p.dimension for p in system.parameters}
     return most / model.gauge * units.of(dimensions[name]) / units.of(dimensions["m"])
+
+
+def beside_nothing(smaller: Linearised, model: OutputError) -> Linearised | None:
+    """The likelihood of a system with more terms at the fit without them, with next to nothing of each."""
+    known = dict(zip(smaller.model.free, smaller.theta, strict=False))
+    sizes = first_guess(model.system, _rate(smaller), _size(smaller))
+    logs = [known.get(name, np.log(NOTHING * sizes[name])) for name in model.free]
+    theta = np.concatenate([logs, smaller.theta[len(smaller.model.free) :]])
+    return at_theta(model, theta) if theta.size == model.size else None
+
+
+def linear_start(smaller: Linearised, model: OutputError) -> np.ndarray | None:
+    """Unknowns with more terms, by one step from the fit without them, in which the response is linear in their sizes.
+
+    None where a size comes out negative.
+    """
+    near = beside_nothing(smaller, model)
+    if near is None:
+        return None
+    theta, step = near.theta.copy(), _step(near)
+    for i, name in enumerate(model.free):
+        if name in smaller.model.free:
+            theta[i] += float(np.clip(step[i], -MOST_STEP, MOST_STEP))
+        elif step[i] <= -1.0:
+            return None
+        else:
+            theta[i] += float(np.log1p(step[i]))
+    theta[len(model.free) :] += step[len(model.free) :]
+    return theta
+
+
+def _step(at: Linearised) -> np.ndarray:
+    """The step (size,) of Gauss and Newton, each derivative to its own scale."""
+    sizes = np.maximum(np.linalg.norm(at.slopes, axis=0), 1e-300)
+    return np.asarray(np.linalg.lstsq(at.slopes / sizes, at.residuals, rcond=1e-10)[0] / sizes)
 
 
 def _size(at: Linearised) -> float:

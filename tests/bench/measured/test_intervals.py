@@ -202,12 +202,12 @@ def test_of_white_noise_the_stated_interval_is_that_of_least_squares() -> None:
 
 @pytest.mark.slow
 def test_of_white_noise_hardly_any_interval_is_stretched() -> None:
-    """It loses nothing by the tests that look for more: 19 of 20 are as white noise has them."""
+    """Three tests of level 1 % look for more, so that by chance 3 of 100 records are stretched; 8 with 99.5 %."""
     stretches = np.array([
         [own.stretch for own in fitted(MOTION + 0.05 * np.random.default_rng(s).standard_normal(300))[2].values()]
         for s in range(100)
     ])  # fmt: skip
-    assert np.mean(np.abs(stretches - 1.0) < 0.05) >= 0.95
+    assert np.sum(np.any(np.abs(stretches - 1.0) > 0.05, axis=1)) <= 8
 
 
 class Coverage(NamedTuple):
