@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -33,9 +34,9 @@ Say = Callable[[str, int, int], None]
 """What is being done, and of how many steps how many are done."""
 CLASSES_SECONDS, AUTO_SECONDS = 60.0, 180.0
 """Time to compare classes, and where system=auto needs them; then the certificate lacks them, and auto takes sdof."""
-OTHERS_SECONDS = 20.0
-"""Limit of each method beside the first."""
-TWIN_SECONDS = 20.0
+OTHERS_SECONDS, AT_ONCE = 10.0, 2
+"""Limit of each method beside the first, and how many run side by side."""
+TWIN_SECONDS = 10.0
 """Time that the fits to twins may take, by what each method took for the record; then methods are left out."""
 LEAST_TWINS, MOST_TWINNED = 20, 5
 COMPARED = 2
@@ -121,10 +122,12 @@ def certify(request: Request, measured: Measured, twins: int, say: Say = lambda 
     classes = tuple(_ranked(measured, missing, AUTO_SECONDS if request.system == AUTO else CLASSES_SECONDS))
     if request.system == AUTO:
         measured = best_class(measured, classes)
-    findings = []
-    for i, job in enumerate(request.jobs):
-        say(job.label, 1 + i, steps)
-        findings.append(_found(job, measured, first=i == 0))
+    with ThreadPoolExecutor(AT_ONCE) as pool:  # each fit is a process of its own
+        waiting = [pool.submit(_found, job, measured, i == 0) for i, job in enumerate(request.jobs)]
+        findings = []
+        for i, (job, future) in enumerate(zip(request.jobs, waiting, strict=True)):
+            say(job.label, 1 + i, steps)
+            findings.append(future.result())
     kept = tuple(one for one in findings if one is not None)
     primary = kept[0]
     motion = motion_of(primary)

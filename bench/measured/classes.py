@@ -203,11 +203,12 @@ def _left(at: Linearised) -> float:
 
 def _from_simpler(problem: Problem, simpler: Linearised) -> Linearised | None:
     """The best of searches from a simpler fit, whose viscous damping does part of the work of the further terms."""
-    model, ends = OutputError(problem), []
+    model = OutputError(problem)
     known = {name: float(value) for name, value in simpler.model.parameters(simpler.theta).items()}
     amplitude = float(np.ptp(model.channels[0][1].values)) / 2.0 or 1.0
     rate = float(np.sqrt(known["k"] / known["m"])) if {"k", "m"} <= set(known) else 1.0
     guess = first_guess(problem.system, rate, amplitude)
+    trials = []
     for share in SHARES:
         p = guess | {name: value for name, value in known.items() if name in guess}
         c, further = p.get("c", 0.0), [name for name in ("mu", "c2") if name in p and name not in known]
@@ -216,13 +217,14 @@ def _from_simpler(problem: Problem, simpler: Linearised) -> Linearised | None:
             p |= {"c": (1.0 - share) * c}
             p |= {"mu": work * np.pi * rate * amplitude / 4.0} if "mu" in further else {}
             p |= {"c2": work * 3.0 * np.pi / (8.0 * rate * amplitude)} if "c2" in further else {}
-        ends += [model.settle(theta[None], iterations=SCREEN)[0] for theta in _starts(model, p, simpler)]
+        trials += _starts(model, p, simpler)
         if not further:
             break
     if (stepped := linear_start(simpler, model)) is not None:
-        ends.append(model.settle(stepped[None], iterations=SCREEN)[0])
-    if not ends:
+        trials.append(stepped)
+    if not trials:
         return None
+    ends = model.settle(np.stack(trials), rounds=1, iterations=SCREEN)
     best = min(ends, key=model.profile)
     return at_theta(model, model.settle(best[None], iterations=SEARCH)[0])
 
