@@ -205,21 +205,14 @@ def _from_simpler(problem: Problem, simpler: Linearised) -> Linearised | None:
     """The best of searches from a simpler fit, whose viscous damping does part of the work of the further terms."""
     model = OutputError(problem)
     known = {name: float(value) for name, value in simpler.model.parameters(simpler.theta).items()}
-    amplitude = float(np.ptp(model.channels[0][1].values)) / 2.0 or 1.0
-    rate = float(np.sqrt(known["k"] / known["m"])) if {"k", "m"} <= set(known) else 1.0
-    guess = first_guess(problem.system, rate, amplitude)
-    trials = []
-    for share in SHARES:
-        p = guess | {name: value for name, value in known.items() if name in guess}
-        c, further = p.get("c", 0.0), [name for name in ("mu", "c2") if name in p and name not in known]
-        if c > 0 and further:
-            work = share * c / len(further)
-            p |= {"c": (1.0 - share) * c}
-            p |= {"mu": work * np.pi * rate * amplitude / 4.0} if "mu" in further else {}
-            p |= {"c2": work * 3.0 * np.pi / (8.0 * rate * amplitude)} if "c2" in further else {}
-        trials += _starts(model, p, simpler)
-        if not further:
-            break
+    channel = model.channels[0][1]
+    amplitude = float(np.ptp(channel.values)) / 2.0 or 1.0
+    rate = 2 * np.pi * strongest_frequency(channel.times, channel.values)
+    mass = known.get("m", 1.0)  # the guess is of a mass of 1
+    massive = {q.name for q in problem.system.parameters if q.dimension.mass}
+    guess = {n: v * (mass if n in massive else 1.0) for n, v in first_guess(problem.system, rate, amplitude).items()}
+    p = guess | {name: value for name, value in known.items() if name in guess}
+    trials = [start for one in (p, *_shared_out(p, known, rate, amplitude)) for start in _starts(model, one, simpler)]
     if (stepped := linear_start(simpler, model)) is not None:
         trials.append(stepped)
     if not trials:
@@ -227,6 +220,22 @@ def _from_simpler(problem: Problem, simpler: Linearised) -> Linearised | None:
     ends = model.settle(np.stack(trials), rounds=1, iterations=SCREEN)
     best = min(ends, key=model.profile)
     return at_theta(model, model.settle(best[None], iterations=SEARCH)[0])
+
+
+def _shared_out(
+    p: dict[str, float], known: Mapping[str, float], rate: float, amplitude: float
+) -> list[dict[str, float]]:
+    """Parameters whose further damping does some of the work of all damping that is known, in parts of :data:`SHARES`.
+
+    Friction and quadratic damping by their equivalents in harmonic balance (see :mod:`bench.measured.model_error`).
+    """
+    of_mu, of_c2 = 4.0 / (np.pi * rate * amplitude), 8.0 * rate * amplitude / (3.0 * np.pi)
+    further = [name for name in ("mu", "c2") if name in p]
+    total = known.get("c", 0.0) + of_mu * known.get("mu", 0.0) + of_c2 * known.get("c2", 0.0)
+    if not further or "c" not in p or total <= 0:
+        return []
+    each = {"mu": total / of_mu / len(further), "c2": total / of_c2 / len(further)}
+    return [p | {"c": (1.0 - share) * total} | {name: share * each[name] for name in further} for share in SHARES]
 
 
 def _starts(model: OutputError, p: dict[str, float], simpler: Linearised) -> list[np.ndarray]:

@@ -79,8 +79,8 @@ def _most(smaller: Linearised, system: Sum, name: str, units: Units) -> float:
 def beside_nothing(smaller: Linearised, model: OutputError) -> Linearised | None:
     """The likelihood of a system with more terms at the fit without them, with next to nothing of each."""
     known = dict(zip(smaller.model.free, smaller.theta, strict=False))
-    sizes = first_guess(model.system, _rate(smaller), _size(smaller))
-    logs = [known.get(name, np.log(NOTHING * sizes[name])) for name in model.free]
+    sizes, mass = first_guess(model.system, _rate(smaller), _size(smaller)), np.exp(known.get("m", 0.0))
+    logs = [known.get(name, np.log(NOTHING * mass * sizes[name])) for name in model.free]
     theta = np.concatenate([logs, smaller.theta[len(smaller.model.free) :]])
     return at_theta(model, theta) if theta.size == model.size else None
 

@@ -170,7 +170,7 @@ def test_methods_for_twins_are_those_that_there_is_time_for(made: Certificate) -
     first, second = made.findings
     assert gathering.affordable([took(first, 0.01), took(second, 0.01)], 200) == (["output_error", "ls"], 200)
     assert gathering.affordable([took(first, 0.01), took(second, 10.0)], 200) == (["output_error"], 200)
-    assert gathering.affordable([took(first, 0.5), took(second, 10.0)], 200)[1] == 40
+    assert gathering.affordable([took(first, 0.25), took(second, 10.0)], 200)[1] == 40
 
 
 def test_numbers_without_a_value_are_no_text(made: Certificate) -> None:
