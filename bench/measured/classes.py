@@ -36,7 +36,7 @@ MOST_SAMPLES = 400
 """Of the part of a record on which classes are compared, from its start: tens of fits are made."""
 SHARES = (0.2, 0.8)
 """Of the viscous damping's work, what further damping does at first: beside all of it a search runs it down to zero."""
-SCREEN, SEARCH = 4, 15
+SCREEN, SEARCH = 4, 40
 """Iterations of each start, and of the best of them."""
 LEVEL, TOLD_APART = 2.0, 10.0
 """Differences of the criterion: up to the first a class is as good as another, and of such the simplest is chosen;
