@@ -27,6 +27,8 @@ from bench.measured.colour import autoregression, even_times, log_likelihood
 from bench.measured.linearised import Linearised
 from bench.systems import Parameter, Quantity, System
 
+SHAPED = {"l", "k3s"}
+"""Parameters of a spring that is no straight line already."""
 SMALL = 1e-3
 """Size of an added force, over the spring's, in the differences that give its derivative."""
 TURNS = 0.05
@@ -108,7 +110,7 @@ def model_error(at: Linearised) -> ModelError:
     p = {name: float(value) for name, value in model.parameters(at.theta).items()}
     rate = np.sqrt(p["k"] / p["m"])
     amplitudes = _amplitudes(at, rate)
-    own = [name for name in NAMES if name not in names and not (name == "k3" and "l" in names)]
+    own = [name for name in NAMES if name not in names and not (name == "k3" and names & SHAPED)]
     columns = _columns(at, p, rate, float(amplitudes[0]), own)
     coloured = autoregression(at.residuals, min(at.slopes.shape[1], at.residuals.size - 1)).order > 0
     missing = _chosen(at, columns, _criterion)

@@ -10,6 +10,7 @@ from bench.config.overrides import overrides_of
 from bench.contract.problem import Channel, Problem, Record
 from bench.likelihood.output_error import OutputError
 from bench.measured.classes import LEVEL, ModelClass, best_class, ranked_classes
+from bench.measured.find import find
 from bench.measured.held_out import HELD_OUT, held_out_fit
 from bench.measured.linearised import at_theta
 from bench.measured.reading import Recording, Signal
@@ -203,3 +204,23 @@ def test_the_held_out_fit_is_what_a_direct_computation_gives(more: float) -> Non
     late = x[~early]
     direct = 100 * (1 - np.linalg.norm(late - closed(q)[~early]) / np.linalg.norm(late - np.mean(late)))
     assert held_out_fit(at) == pytest.approx(direct, abs=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["shooting", "output_error"])
+def test_friction_that_a_record_has_no_use_for_is_zero_in_the_answer_of_any_method(method: str) -> None:
+    """Of a body with air drag, whose damping falls with the amplitude where friction's would rise."""
+
+    def law(t, y):  # type: ignore[no-untyped-def]
+        return [y[1], -(OMEGA**2) * y[0] - 0.1 * abs(y[1]) * y[1]]
+
+    x = solve_ivp(law, (0.0, T[-1]), [1.0, 0.0], t_eval=T, rtol=1e-9, atol=1e-11).y[0]
+    x = x + 0.01 * np.random.default_rng(0).standard_normal(x.size)
+    recording = Recording((Signal("x", "displacement", 0, x, "m", T),), (), "simulated", "")
+    request = request_of(overrides_of({"method": method, "data": "simulated"}) | {"system": ["sdof+coulomb"]})
+    found = find(request.jobs[0], read_measured(request, (recording,)))
+    assert any("mu/m is 0, at most" in doubt.reason for doubt in found.doubts)
+    mu = found.intervals["mu_over_m"]
+    assert (mu.value, mu.low) == (0.0, 0.0)
+    assert 0.0 < mu.high < 0.1 * OMEGA**2
+    assert found.intervals["k_over_m"].low < OMEGA**2 < found.intervals["k_over_m"].high

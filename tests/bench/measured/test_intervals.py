@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from scipy.stats import chi2
@@ -256,3 +257,24 @@ def test_a_drift_is_covered_where_the_white_interval_fails() -> None:
     found = coverage("drift", 150)
     assert 0.92 <= found.stated <= 1.0
     assert found.white < found.stated - 0.1
+
+
+# forces left out
+
+
+def test_a_softening_spring_is_not_said_to_lack_a_cubic_one() -> None:
+    """The two are one force with two signs; the record is of a pendulum with air drag."""
+
+    def law(t, y):  # type: ignore[no-untyped-def]
+        return [y[1], -(OMEGA**2) * np.sin(y[0]) - 0.2 * y[1] - 0.1 * abs(y[1]) * y[1]]
+
+    x = solve_ivp(law, (0.0, T[-1]), [1.2, 0.0], t_eval=T, rtol=1e-9, atol=1e-11).y[0]
+    x = x + 0.002 * np.random.default_rng(0).standard_normal(T.size)
+    model = OutputError(Problem(sum_from("viscous+spring+softening"), (Record((Channel(T, x, offset=True),)),)))
+    guess = {"m": 1.0, "c": 0.3, "k": OMEGA**2, "k3s": OMEGA**2 / 6}
+    at = at_theta(model, model.settle(model.vector(guess)[None], iterations=40)[0])
+    assert at is not None
+    found = model_error(at)
+    assert "quadratic damping" in found.missing
+    assert "a cubic spring" not in (*found.missing, *found.suspected)
+    assert found.stiffness == 0.0
