@@ -122,13 +122,7 @@ def certify(request: Request, measured: Measured, twins: int, say: Say = lambda 
     classes = tuple(_ranked(measured, missing, AUTO_SECONDS if request.system == AUTO else CLASSES_SECONDS))
     if request.system == AUTO:
         measured = best_class(measured, classes)
-    with ThreadPoolExecutor(AT_ONCE) as pool:  # each fit is a process of its own
-        waiting = [pool.submit(_found, job, measured, i == 0) for i, job in enumerate(request.jobs)]
-        findings = []
-        for i, (job, future) in enumerate(zip(request.jobs, waiting, strict=True)):
-            say(job.label, 1 + i, steps)
-            findings.append(future.result())
-    kept = tuple(one for one in findings if one is not None)
+    kept = _all_found(request, measured, lambda label, done: say(label, 1 + done, steps))
     primary = kept[0]
     motion = motion_of(primary)
     prediction = None if primary.at is None else prediction_of(primary.at)
@@ -142,6 +136,19 @@ def certify(request: Request, measured: Measured, twins: int, say: Say = lambda 
     drawn = _twins(kept, twins, request, progress, missing)
     say("done", steps, steps)
     return Certificate(request, kept, comparisons(kept), classes, motion, prediction, drawn, hopes, missing)
+
+
+def _all_found(request: Request, measured: Measured, say: Callable[[str, int], None]) -> tuple[Finding, ...]:
+    """The findings of a request's jobs in their order, some at once: each fit is a process of its own."""
+    pool, found = ThreadPoolExecutor(AT_ONCE), []
+    waiting = [pool.submit(_found, job, measured, i == 0) for i, job in enumerate(request.jobs)]
+    try:
+        for i, (job, future) in enumerate(zip(request.jobs, waiting, strict=True)):
+            say(job.label, i)
+            found.append(future.result())
+    finally:
+        pool.shutdown(cancel_futures=True)  # of a run that is interrupted, no further method starts
+    return tuple(one for one in found if one is not None)
 
 
 def _found(job: Any, measured: Measured, first: bool) -> Finding | None:

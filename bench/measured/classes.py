@@ -15,8 +15,8 @@ import numpy as np
 
 from bench.contract.problem import Problem, Units
 from bench.likelihood.output_error import OutputError
-from bench.measured.colour import autoregression, log_likelihood
-from bench.measured.grown import first_guess, grown_fit, window
+from bench.measured.colour import information_criterion
+from bench.measured.grown import first_guess, grown_fit, vibration, window
 from bench.measured.held_out import held_out_fit
 from bench.measured.linearised import Linearised, at_theta, strongest_frequency
 from bench.measured.models import candidates, smoothing_velocity
@@ -181,10 +181,7 @@ def _judged(name: str, system: Sum, problem: Problem, simpler: ModelClass | None
 
 
 def _criterion(at: Linearised) -> float:
-    """The Bayesian information criterion, the residuals as an autoregression."""
-    r = at.residuals
-    noise = autoregression(r, min(at.theta.size, r.size - 1))
-    return -2.0 * log_likelihood(noise, r) + (at.theta.size + noise.order) * float(np.log(r.size))
+    return information_criterion(at.residuals, at.theta.size)
 
 
 def _refitted(problem: Problem, simpler: ModelClass | None) -> Linearised | None:
@@ -205,12 +202,8 @@ def _from_simpler(problem: Problem, simpler: Linearised) -> Linearised | None:
     """The best of searches from a simpler fit, whose viscous damping does part of the work of the further terms."""
     model = OutputError(problem)
     known = {name: float(value) for name, value in simpler.model.parameters(simpler.theta).items()}
-    channel = model.channels[0][1]
-    amplitude = float(np.ptp(channel.values)) / 2.0 or 1.0
-    rate = 2 * np.pi * strongest_frequency(channel.times, channel.values)
-    mass = known.get("m", 1.0)  # the guess is of a mass of 1
-    massive = {q.name for q in problem.system.parameters if q.dimension.mass}
-    guess = {n: v * (mass if n in massive else 1.0) for n, v in first_guess(problem.system, rate, amplitude).items()}
+    rate, amplitude = vibration(model.channels[0][1])
+    guess = first_guess(problem.system, rate, amplitude, known.get("m", 1.0))
     p = guess | {name: value for name, value in known.items() if name in guess}
     trials = [start for one in (p, *_shared_out(p, known, rate, amplitude)) for start in _starts(model, one, simpler)]
     if (stepped := linear_start(simpler, model)) is not None:

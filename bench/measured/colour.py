@@ -119,6 +119,15 @@ def log_likelihood(noise: Autoregression, residuals: np.ndarray) -> float:
     return float(-0.5 * errors.size * (np.log(2 * np.pi * np.mean(errors**2) * noise.variance) + 1.0))
 
 
+def information_criterion(residuals: np.ndarray, unknowns: int) -> float:
+    """The Bayesian information criterion of residuals (n,) that a fit of so many unknowns left, coloured as they are.
+
+    The terms of the autoregression count as unknowns too.
+    """
+    noise = autoregression(residuals, min(unknowns, residuals.size - 1))
+    return -2.0 * log_likelihood(noise, residuals) + (unknowns + noise.order) * float(np.log(residuals.size))
+
+
 def periodogram(residuals: np.ndarray) -> np.ndarray:
     """Power of residuals (n,) at their Fourier frequencies without zero, shape (n // 2,); they add up to one."""
     power = np.abs(np.fft.rfft(residuals - np.mean(residuals))[1:]) ** 2

@@ -6,12 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from bench.config.records import robust_method
 from bench.config.schema import Job
 from bench.contract.estimate import Status
+from bench.contract.problem import Problem
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import make_method, missing_package
 from bench.errors import InputError
@@ -23,9 +25,9 @@ from bench.measured.fit import Outcome, fit_alone
 from bench.measured.intervals import StatedInterval
 from bench.measured.record import Measured, with_system
 from bench.measured.trust import OUTLIERS, Doubt, Trust
-from bench.measured.zeros import without
+from bench.measured.zeros import unit_over_mass, without
 from bench.sweep.workers import Limits
-from bench.systems.sums import GROUPS, Sum
+from bench.systems.sums import Sum
 
 
 def find(job: Job, measured: Measured) -> Finding:
@@ -36,22 +38,30 @@ def find(job: Job, measured: Measured) -> Finding:
     found = _found(job, measured)
     if not _leaves_open(found):
         return found
-    smaller, most = _needed(measured, job.config.timeout_s)
-    return _with_zeros(_found(job, smaller), most) if most else found
+    system = measured.problem.system
+    most = _needless(measured, job.config.timeout_s) if isinstance(system, Sum) else {}
+    if not most or not isinstance(system, Sum):
+        return found
+    return _with_zeros(_found(job, with_system(measured, without(system, most))), system, most)
 
 
 def _found(job: Job, measured: Measured) -> Finding:
     name = job.config.method["name"]
     if name in REFERENCES:
         raise InputError("method", name, "it needs the truth, which a measured record does not have; choose a method")
-    problem, lacking_package = measured.problem, missing_package(name)
+    lacking_package = missing_package(name)
     if lacking_package:
         outcome = Outcome(None, Status.MISSING_DEPENDENCY, lacking_package)
     else:
-        method, rng = make_method(name, job.settings()), np.random.default_rng(job.config.seed)
-        limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
-        outcome = fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
+        outcome = _fitted(name, job.settings(), measured.problem, job)
     return _with_robust(judged(job.label, measured, outcome), job)
+
+
+def _fitted(name: str, settings: dict[str, Any], problem: Problem, job: Job) -> Outcome:
+    """A method's outcome within the job's limits."""
+    method, rng = make_method(name, settings), np.random.default_rng(job.config.seed)
+    limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
+    return fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
 
 
 def _leaves_open(found: Finding) -> bool:
@@ -63,23 +73,20 @@ def _leaves_open(found: Finding) -> bool:
 
 
 @lru_cache(maxsize=4)
-def _needed(measured: Measured, limit_s: float) -> tuple[Measured, Mapping[str, float]]:
-    """The records with the terms that they need, and of each other term the most that they allow, over the mass."""
+def _needless(measured: Measured, limit_s: float) -> Mapping[str, float]:
+    """The parameters of terms that the records do not need, and the most that they allow of each, over the mass."""
     try:
         fitted = apart(fitted_class, measured, limit_s)
     except Died:
-        return measured, {}
-    system = measured.problem.system
-    if fitted is None or not fitted.zero or not isinstance(system, Sum):
-        return measured, {}
-    return with_system(measured, without(system, fitted.zero)), fitted.zero
+        return {}
+    return {} if fitted is None else fitted.zero
 
 
-def _with_zeros(finding: Finding, most: Mapping[str, float]) -> Finding:
-    """A finding with the parameters at zero that it was made without."""
+def _with_zeros(finding: Finding, system: Sum, most: Mapping[str, float]) -> Finding:
+    """A finding with the parameters of a system at zero that it was made without."""
     if finding.outcome.status is not Status.OK:
         return finding
-    units = {name: quantity.unit for quantity in GROUPS for name in quantity.exponents if name != "m"}
+    units = {name: unit_over_mass(system, name) for name in most}
     said = [f"{name}/m is 0, at most {limit:.3g} {units[name]}: fitted without it" for name, limit in most.items()]
     doubts = (*finding.doubts, *(Doubt(Trust.CARE, reason) for reason in said))
     if not finding.intervals:
@@ -95,13 +102,10 @@ def _with_robust(finding: Finding, job: Job) -> Finding:
     already = settings.items() <= job.settings().items()
     if not far or already or missing_package(robust_name):
         return finding
-    problem, rng = finding.problem, np.random.default_rng(job.config.seed)
-    method = make_method(robust_name, settings)
-    limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
-    robust = fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
-    own = finding.intervals or finding.withdrawn
+    robust = _fitted(robust_name, settings, finding.problem, job)
+    own, system = finding.intervals or finding.withdrawn, finding.problem.system
     name = next(iter(own), "")
-    marginal = None if robust.estimate is None or not name else robust.estimate.marginal(problem.system.quantity(name))
+    marginal = None if robust.estimate is None or not name else robust.estimate.marginal(system.quantity(name))
     if marginal is None:
         reason = f"a fit that expects outliers gave no answer: {robust.message}"
         return replace(finding, doubts=(*finding.doubts, Doubt(Trust.CARE, reason)))

@@ -26,24 +26,28 @@ SMALL = 0.03
 """First size of a further term's force over that of the spring."""
 
 
-def first_guess(system: System, rate: float, size: float) -> dict[str, float]:
-    """Parameters of a vibration of angular frequency ``rate`` and amplitude ``size``, with a mass of 1."""
+def vibration(channel: Channel) -> tuple[float, float]:
+    """The strongest angular frequency of a channel, and half of its range."""
+    frequency = strongest_frequency(channel.times, channel.values)
+    return 2 * np.pi * frequency, float(np.ptp(channel.values)) / 2.0 or 1.0
+
+
+def first_guess(system: System, rate: float, size: float, mass: float = 1.0) -> dict[str, float]:
+    """Parameters of a vibration of angular frequency ``rate`` and amplitude ``size``."""
     k = rate**2
     sizes = {
         "m": 1.0, "k": k, "c": 2 * DAMPING_RATIO * rate, "mu": SMALL * k * size, "c2": SMALL / size,
         "k3": SMALL * k / size**2, "k3s": SMALL * k / size**2, "l": 3.0 * size, "b": SMALL * k * size,
     }  # fmt: skip
-    return {name: sizes.get(name, 1.0) for name in system.names}
+    return {q.name: (mass if q.dimension.mass else 1.0) * sizes.get(q.name, 1.0) for q in system.parameters}
 
 
 def grown_fit(problem: Problem) -> Linearised | None:
     """The least squares on a problem of one record, in natural units; None where no window gave a finite response."""
     record = problem.records[0]
-    channel = max(record.channels, key=lambda c: c.n)
-    frequency = strongest_frequency(channel.times, channel.values)
-    size = float(np.ptp(channel.values)) / 2.0 or 1.0
-    p = first_guess(problem.system, 2 * np.pi * frequency, size)
-    length, theta = FIRST_CYCLES / frequency, np.zeros(0)
+    rate, size = vibration(max(record.channels, key=lambda c: c.n))
+    p = first_guess(problem.system, rate, size)
+    length, theta = FIRST_CYCLES * 2 * np.pi / rate, np.zeros(0)
     while True:
         last = length >= record.duration
         model = OutputError(replace(problem, records=(record if last else window(record, length),)))

@@ -23,7 +23,7 @@ import numpy as np
 
 from bench.contract.problem import InitialState
 from bench.dynamics.simulate import measurements
-from bench.measured.colour import autoregression, even_times, log_likelihood
+from bench.measured.colour import autoregression, even_times, information_criterion
 from bench.measured.linearised import Linearised
 from bench.systems import Parameter, Quantity, System
 
@@ -91,8 +91,8 @@ class ModelError:
         return powers.get("c", 0.0) * self.damping + powers.get("k", 0.0) * self.stiffness
 
 
-Criterion = Callable[[np.ndarray, np.ndarray], float]
-"""Of residuals, and the derivatives that they were regressed on."""
+Criterion = Callable[[np.ndarray, int], float]
+"""Of residuals, and how many derivatives they were regressed on."""
 NOTHING_LACKING = ModelError()
 NAMES = {"mu": "dry friction", "c2": "quadratic damping", "k3": "a cubic spring"}
 
@@ -113,7 +113,7 @@ def model_error(at: Linearised) -> ModelError:
     own = [name for name in NAMES if name not in names and not (name == "k3" and names & SHAPED)]
     columns = _columns(at, p, rate, float(amplitudes[0]), own)
     coloured = autoregression(at.residuals, min(at.slopes.shape[1], at.residuals.size - 1)).order > 0
-    missing = _chosen(at, columns, _criterion)
+    missing = _chosen(at, columns, information_criterion)
     suspected = _chosen(at, columns, _white_criterion) if coloured else NONE
     changes = [_changes(p, one.logs, one.sizes, rate, amplitudes) for one in (missing, suspected)]
     damping, stiffness = np.max(changes, axis=0)
@@ -135,12 +135,12 @@ NONE = Chosen({}, {}, 0.0)
 
 def _chosen(at: Linearised, columns: dict[str, np.ndarray], criterion: Criterion) -> Chosen:
     """The added forces that lower a criterion most; none unless by as much as counts."""
-    best, first = NONE, criterion(at.residuals, at.slopes)
+    best, first = NONE, criterion(at.residuals, at.theta.size)
     for n in range(1, len(columns) + 1):
         for some in combinations(columns, n):
             rows = np.column_stack([at.slopes, *(columns[name] for name in some)])
             left, solution = _regressed(rows, at.residuals)
-            gain = first - criterion(left, rows)
+            gain = first - criterion(left, rows.shape[1])
             if gain > best.gain:
                 sizes = dict(zip(some, map(float, solution[at.theta.size :]), strict=True))
                 logs = dict(zip(at.model.free, map(float, solution), strict=False))
@@ -189,14 +189,8 @@ def _regressed(rows: np.ndarray, residuals: np.ndarray) -> tuple[np.ndarray, np.
     return residuals - rows @ solution, solution
 
 
-def _criterion(residuals: np.ndarray, rows: np.ndarray) -> float:
-    noise = autoregression(residuals, min(rows.shape[1], residuals.size - 1))
-    unknowns = rows.shape[1] + noise.order
-    return -2.0 * log_likelihood(noise, residuals) + unknowns * float(np.log(residuals.size))
-
-
-def _white_criterion(residuals: np.ndarray, rows: np.ndarray) -> float:
-    return residuals.size * float(np.log(residuals @ residuals)) + rows.shape[1] * float(np.log(residuals.size))
+def _white_criterion(residuals: np.ndarray, unknowns: int) -> float:
+    return residuals.size * float(np.log(residuals @ residuals)) + unknowns * float(np.log(residuals.size))
 
 
 def _changes(

@@ -14,8 +14,9 @@ import numpy as np
 from bench.contract.belief import standard_quantile
 from bench.contract.problem import Units
 from bench.likelihood.output_error import OutputError
-from bench.measured.grown import first_guess
-from bench.measured.linearised import Linearised, at_theta, strongest_frequency
+from bench.measured.grown import first_guess, vibration
+from bench.measured.linearised import Linearised, at_theta
+from bench.systems import System
 from bench.systems.sums import TERMS, Sum
 
 NOTHING = 1e-3
@@ -29,7 +30,7 @@ SIZES = ("mu", "c2", "k3", "k3s", "c", "b")
 def vanishing(at: Linearised, system: Sum) -> list[str]:
     """Parameters of a fitted sum whose force is next to nothing."""
     p = {name: float(value) for name, value in at.model.parameters(at.theta).items()}
-    size, rate = _size(at), _rate(at)
+    rate, size = vibration(at.model.channels[0][1])
     spring = p.get("k", p["m"] * rate**2) * size
     forces = {
         "mu": p.get("mu", 0.0), "c2": p.get("c2", 0.0) * (rate * size) ** 2, "c": p.get("c", 0.0) * rate * size,
@@ -43,6 +44,11 @@ def without(system: Sum, zero: Collection[str]) -> Sum:
     """The sum without the terms of some parameters."""
     kept = tuple(term for term in system.terms if TERMS[term].parameters[0].name not in zero)
     return replace(system, terms=kept or system.terms)
+
+
+def unit_over_mass(system: System, name: str) -> str:
+    """The unit of a parameter over the mass."""
+    return next((q.unit for q in system.groups if q.name == f"{name}_over_m"), "")
 
 
 def most_allowed(smaller: Linearised, full: Sum, zero: Collection[str], units: Units) -> Mapping[str, float]:
@@ -79,8 +85,8 @@ def _most(smaller: Linearised, system: Sum, name: str, units: Units) -> float:
 def beside_nothing(smaller: Linearised, model: OutputError) -> Linearised | None:
     """The likelihood of a system with more terms at the fit without them, with next to nothing of each."""
     known = dict(zip(smaller.model.free, smaller.theta, strict=False))
-    sizes, mass = first_guess(model.system, _rate(smaller), _size(smaller)), np.exp(known.get("m", 0.0))
-    logs = [known.get(name, np.log(NOTHING * mass * sizes[name])) for name in model.free]
+    sizes = first_guess(model.system, *vibration(smaller.model.channels[0][1]), float(np.exp(known.get("m", 0.0))))
+    logs = [known.get(name, np.log(NOTHING * sizes[name])) for name in model.free]
     theta = np.concatenate([logs, smaller.theta[len(smaller.model.free) :]])
     return at_theta(model, theta) if theta.size == model.size else None
 
@@ -109,12 +115,3 @@ def _step(at: Linearised) -> np.ndarray:
     """The step (size,) of Gauss and Newton, each derivative to its own scale."""
     sizes = np.maximum(np.linalg.norm(at.slopes, axis=0), 1e-300)
     return np.asarray(np.linalg.lstsq(at.slopes / sizes, at.residuals, rcond=1e-10)[0] / sizes)
-
-
-def _size(at: Linearised) -> float:
-    return float(np.ptp(at.model.channels[0][1].values)) / 2.0 or 1.0
-
-
-def _rate(at: Linearised) -> float:
-    channel = at.model.channels[0][1]
-    return 2 * np.pi * strongest_frequency(channel.times, channel.values)

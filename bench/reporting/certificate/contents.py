@@ -19,6 +19,7 @@ from bench.measured.linearised import Linearised
 from bench.measured.record import summary_of
 from bench.measured.request import AUTO
 from bench.measured.trust import Trust, lag_one, natural_frequency, part_of_signal, whiteness_level
+from bench.measured.zeros import unit_over_mass
 from bench.reporting.rounding import number, readable, rounded
 
 PACKAGES = ("vibration-bench", "numpy", "scipy", "jax", "casadi", "emcee", "torch")
@@ -145,19 +146,13 @@ def _prediction(certificate: Certificate) -> dict[str, Any]:
 
 
 def _class(one: Any, certificate: Certificate) -> dict[str, Any]:
-    units = {f"{p.name}": unit for p in one.system.parameters for unit in [_over_mass(one.system, p.name)]}
     return {
         "name": one.name,
         "criterion_difference": one.criterion,
         "residual_pct": 100.0 * one.left,
         "held_out_pct": one.held_out,
-        "zero": {name: {"most": most, "unit": units.get(name, "")} for name, most in one.zero.items()},
+        "zero": {name: {"most": most, "unit": unit_over_mass(one.system, name)} for name, most in one.zero.items()},
     }
-
-
-def _over_mass(system: Any, name: str) -> str:
-    """The unit of a parameter over the mass."""
-    return next((q.unit for q in system.groups if q.name == f"{name}_over_m"), "")
 
 
 def _method(one: Finding, certificate: Certificate) -> dict[str, Any]:

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
+from bench.measured.classes import TOLD_APART
 from bench.reporting.certificate.figures import pictures
 from bench.reporting.page.words import joined, number, seconds
 from bench.reporting.rounding import readable, rounded
 
 VERDICTS = {"trust": "Trust", "with care": "With care", "do not trust": "Do not trust"}
-TOLD_APART = 10.0
-"""A class that far above the best is told from it (R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90:773, 1995)."""
 STANDINGS = {
     "primary": "primary", "agrees": "agrees", "level": "level: its own interval holds the primary’s value",
     "off": "off", "-": "–",

@@ -212,7 +212,7 @@ SPOILT: dict[str, tuple[Callable[[], np.ndarray], tuple[Trust, ...], str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("what", [pytest.param(n) if "grow" in n else n for n in SPOILT])
+@pytest.mark.parametrize("what", SPOILT)
 def test_what_spoils_a_record_is_named(what: str) -> None:
     record, verdicts, part = SPOILT[what]
     finding = judge(T, record())
