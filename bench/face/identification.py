@@ -17,6 +17,7 @@ from bench.measured.find import find
 from bench.measured.finding import Finding
 from bench.measured.intervals import StatedInterval
 from bench.measured.reading import Recording
+from bench.measured.reading.decimation import decimated
 from bench.measured.record import Measured, of_arrays, read_measured
 from bench.measured.request import AUTO, Request, request_of
 from bench.measured.trust import lag_one, part_of_signal, whiteness_level
@@ -118,6 +119,7 @@ def identify(
     units: Mapping[str, str] | None = None,
     rate: float | None = None,
     span: tuple[float, float] | None = None,
+    decimate: int | None = None,
     fixed: Mapping[str, float] | None = None,
     prior: str | None = None,
     nominal: Mapping[str, float] | None = None,
@@ -140,6 +142,7 @@ def identify(
         units: in which unit, where a file does not say: ``{"t": "ms", "x": "mm"}``.
         rate: samples a second, where no column is the time.
         span: first and last time (s) to use, on the file's own clock.
+        decimate: every so many-th sample is kept, after a low-pass filter.
         fixed: parameters that are told: ``{"l": 1.0}``.
         prior: how well the nominal values are known; by default nothing is.
         nominal: with a prior, what is stated of each parameter: ``{"m": 1.2, "c": 0.3, "k": 8.0}`` in SI units.
@@ -173,7 +176,7 @@ def identify(
     recordings, paths = _records(data, displacement, force)
     fields = {
         "method": method, "prior": prior, "nominal": nominal, "seed": seed, "timeout_s": timeout_s,
-        "memory_mb": memory_mb, "rate": rate, "fixed": fixed,
+        "memory_mb": memory_mb, "rate": rate, "fixed": fixed, "decimate": decimate,
     }  # fmt: skip
     known = {"start": [list(start)], "initial_state": "known"} if start is not None else {}
     of_file: dict[str, Any] = {"data": ",".join(paths) or None, "columns": _written(columns), "units": _written(units)}
@@ -183,6 +186,7 @@ def identify(
     request = request_of(overrides)
     if len(request.jobs) > 1:
         raise InputError("method", method, "one method at a time")
+    recordings = tuple(decimated(recording, request.options.decimate) for recording in recordings)
     return identification(request, read_measured(request, recordings))[0]
 
 

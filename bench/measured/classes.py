@@ -18,9 +18,10 @@ from bench.likelihood.output_error import OutputError
 from bench.measured.colour import information_criterion
 from bench.measured.grown import first_guess, grown_fit, vibration, window
 from bench.measured.held_out import held_out_fit
-from bench.measured.linearised import Linearised, at_theta, strongest_frequency
+from bench.measured.linearised import Linearised, at_theta
 from bench.measured.models import candidates, smoothing_velocity
 from bench.measured.record import Measured, of_system, with_system
+from bench.measured.strongest import strongest_frequency
 from bench.measured.zeros import SIZES, linear_start, most_allowed, vanishing, without
 from bench.systems.sums import Sum
 

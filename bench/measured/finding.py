@@ -14,10 +14,11 @@ from bench.likelihood.output_error import OutputError
 from bench.measured.fit import Outcome
 from bench.measured.grown import first_guess
 from bench.measured.intervals import StatedInterval, stated_intervals
-from bench.measured.linearised import Linearised, linearised, strongest_frequency
+from bench.measured.linearised import Linearised, linearised
 from bench.measured.model_error import NOTHING_LACKING, ModelError, model_error
 from bench.measured.parts import parts_of
 from bench.measured.record import Measured
+from bench.measured.strongest import strongest_frequency
 from bench.measured.trust import (
     MOST_LEFT,
     Doubt,
@@ -29,6 +30,9 @@ from bench.measured.trust import (
 )
 from bench.scoring.combination import combine_with_prior
 from bench.systems import MEASURED
+
+CYCLE_SAMPLES, FEWEST = 20, 200
+"""Samples of a cycle, and of a record, that an advised decimation leaves at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +77,7 @@ class Finding:
 def judged(method: str, measured: Measured, outcome: Outcome) -> Finding:
     """A method's outcome with the intervals that the records support, and the verdict."""
     if outcome.estimate is None or outcome.status is not Status.OK:
-        reason = f"no answer ({outcome.status.value}): {outcome.message}"
+        reason = f"no answer ({outcome.status.value}): {outcome.message}{_fewer_samples(measured, outcome)}"
         return Finding(method, measured, outcome, doubts=(Doubt(Trust.NO, reason),))
     estimate = combine_with_prior(outcome.estimate, measured.problem.prior)
     with np.errstate(all="ignore"):
@@ -86,6 +90,19 @@ def judged(method: str, measured: Measured, outcome: Outcome) -> Finding:
     if finding.trust is Trust.NO:
         return replace(finding, intervals={}, withdrawn=intervals)
     return finding
+
+
+def _fewer_samples(measured: Measured, outcome: Outcome) -> str:
+    """Of a fit that ended at its limits: which decimation would still describe the motion, where one would."""
+    if outcome.status not in (Status.TIMEOUT, Status.OOM):
+        return ""
+    factors = []
+    for channel in (channel for record in measured.problem.records for channel in record.channels):
+        cycle = 1.0 / strongest_frequency(channel.times, channel.values)
+        per_cycle = cycle * (channel.n - 1) / float(np.ptp(channel.times))
+        factors.append(min(per_cycle / CYCLE_SAMPLES, channel.n / FEWEST))
+    factor = int(min(factors))
+    return f"; decimate={factor} keeps every {factor}th sample, filtered" if factor > 1 else ""
 
 
 def _frequency(at: Linearised) -> float:

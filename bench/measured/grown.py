@@ -14,7 +14,8 @@ import numpy as np
 
 from bench.contract.problem import Channel, Problem, Record
 from bench.likelihood.output_error import OutputError
-from bench.measured.linearised import Linearised, at_theta, strongest_frequency
+from bench.measured.linearised import Linearised, at_theta
+from bench.measured.strongest import strongest_frequency
 from bench.systems import System
 
 FIRST_CYCLES = 2.0

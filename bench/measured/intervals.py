@@ -17,9 +17,10 @@ import numpy as np
 
 from bench.contract.belief import standard_quantile
 from bench.contract.estimate import Estimate
-from bench.measured.linearised import CORRELATED_CYCLES, Linearised, strongest_frequency
+from bench.measured.linearised import CORRELATED_CYCLES, Linearised
 from bench.measured.model_error import NOTHING_LACKING, ModelError
 from bench.measured.parts import NOTHING, Between, between
+from bench.measured.strongest import strongest_frequency
 from bench.systems import Quantity
 
 UPPER = 0.975

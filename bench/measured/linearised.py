@@ -21,11 +21,10 @@ from bench.contract.problem import InitialState, Problem
 from bench.likelihood.batch import used_of
 from bench.likelihood.output_error import OutputError
 from bench.measured.colour import Autoregression, autoregression, even_times, local_spectrum
+from bench.measured.strongest import strongest_frequency
 from bench.scoring.score import point_parameters
 from bench.systems import Quantity
 
-FINER = 4
-"""Frequencies of the search for the strongest one, over those that the record resolves."""
 ROWS = 512
 LEAST = 1e-12
 """In natural units, what stands for a parameter of zero, whose logarithm is not finite."""
@@ -124,16 +123,6 @@ class Linearised:
         own = np.zeros(self.theta.size)
         own[: len(self.model.free)] = quantity.vector(self.model.free)
         return own
-
-
-def strongest_frequency(times: np.ndarray, values: np.ndarray) -> float:
-    """The frequency (1/time) at which the values, joined by lines, have most power: from a cycle in the record on."""
-    span = float(times[-1] - times[0]) or 1.0
-    even = np.interp(np.linspace(times[0], times[-1], times.size), times, values)
-    length = FINER * times.size
-    power = np.abs(np.fft.rfft(even - np.mean(even), length))
-    first = min(FINER, power.size - 1)
-    return float((first + int(np.argmax(power[first:]))) / length * (times.size - 1) / span)
 
 
 def linearised(problem: Problem, estimate: Estimate) -> Linearised | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import savgol_filter
 
+from bench.measured.strongest import strongest_frequency
 from bench.systems.sums import Sum
 
 VIBRATION = {
@@ -66,17 +67,12 @@ def smoothing_velocity(times: np.ndarray, values: np.ndarray) -> float:
     """
     even = np.linspace(times[0], times[-1], times.size)
     step = float(even[1] - even[0])
+    period = 1.0 / (strongest_frequency(times, values) * step)
     x = np.interp(even, times, values)
     most = x.size - 1 + x.size % 2
-    window = min(max(2 * int(0.5 * PART_OF_PERIOD * _strongest_period(x)) + 1, 5), most)
+    window = min(max(2 * int(0.5 * PART_OF_PERIOD * period) + 1, 5), most)
     speeds = savgol_filter(x, window, min(3, window - 1), deriv=1, delta=step)
     speed = float(np.sqrt(np.mean(speeds**2)))
     # what rounding alone would give is no speed: the record's size in its time stands in for it, so never zero
     still = (float(np.max(np.abs(x))) or 1.0) / (step * x.size)
     return FRACTION * (speed if speed > ROUNDING * still else still)
-
-
-def _strongest_period(x: np.ndarray) -> float:
-    """The period, in samples, at which the periodogram of even samples is highest."""
-    power = np.abs(np.fft.rfft(x - np.mean(x))) ** 2
-    return x.size / max(1, int(np.argmax(power)))

@@ -125,7 +125,7 @@ def _record(recording: Recording, system: System, start: InitialState | None, jo
             remedy = f"the system has {system.n_dof} DOF; choose one with more masses, or columns="
             raise InputError("data", f"{name} ({signal.role})", remedy)
         if signal.times.size > MAX_SAMPLES:
-            remedy = f"at most {MAX_SAMPLES}: choose a part by from= and to="
+            remedy = f"at most {MAX_SAMPLES}: choose a part by from= and to=, or fewer samples by decimate="
             raise InputError("data", f"{name}, {signal.times.size} samples", remedy)
         if signal.measures == "force":
             values = job.config.force_gain * signal.values

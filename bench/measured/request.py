@@ -57,8 +57,15 @@ def request_of(overrides: Overrides) -> Request:
     jobs = sweep(given)
     config = jobs[0].config
     options = ReadOptions(
-        _pairs("columns", config.columns), _pairs("units", config.units), config.rate, config.first, config.last
+        _pairs("columns", config.columns),
+        _pairs("units", config.units),
+        config.rate,
+        config.first,
+        config.last,
+        config.decimate,
     )
+    if options.decimate > 1 and config.start is not None:
+        raise InputError("start", config.start, "decimate= leaves the first samples out; leave start= out, too")
     files = tuple(Path(part.strip()) for part in str(config.data).split(",") if part.strip())
     return Request(files, options, system, tuple(jobs))
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from bench.measured.colour import autocorrelation, cumulative_periodogram, even_times, periodogram
 from bench.measured.intervals import StatedInterval
-from bench.measured.linearised import Linearised, strongest_frequency
+from bench.measured.linearised import Linearised
 from bench.measured.model_error import ModelError
+from bench.measured.strongest import strongest_frequency
 from bench.scoring.whiteness import whiteness
 
 

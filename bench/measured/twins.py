@@ -24,8 +24,9 @@ from bench.entrants.registry import make_method, missing_package
 from bench.isolation.processes import Children, Died
 from bench.measured.finding import Finding
 from bench.measured.intervals import MOST_LOG, StatedInterval, stated_intervals
-from bench.measured.linearised import Linearised, linearised, strongest_frequency
+from bench.measured.linearised import Linearised, linearised
 from bench.measured.parts import parts_of
+from bench.measured.strongest import strongest_frequency
 from bench.measured.trust import natural_frequency
 from bench.scoring.combination import combine_with_prior
 from bench.sweep import method_process as fitter

@@ -23,6 +23,7 @@ class ReadOptions:
         rate: samples a second, where no column is the time
         start: keep from here, in seconds of the record's own clock
         end: keep up to here
+        decimate: keep every so many-th sample, after a low-pass filter
 
     Raises:
         InputError: a role that does not exist or is given twice, or a number that cannot be meant.
@@ -33,6 +34,7 @@ class ReadOptions:
     rate: float | None = None
     start: float | None = None
     end: float | None = None
+    decimate: int = 1
 
     def __post_init__(self) -> None:
         _check_roles("columns", list(self.columns))
@@ -42,6 +44,8 @@ class ReadOptions:
         for name, value in (("from", self.start), ("to", self.end)):
             if value is not None and not math.isfinite(value):
                 raise InputError(name, value, "a time in seconds is needed")
+        if self.decimate < 1:
+            raise InputError("decimate", self.decimate, "a whole number from 1 on: every so many-th sample is kept")
         if self.start is not None and self.end is not None and self.start >= self.end:
             raise InputError("from", self.start, f"it must be before to={self.end:g}")
 

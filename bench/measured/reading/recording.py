@@ -10,41 +10,16 @@ import numpy as np
 
 from bench.contract.problem import MIN_SAMPLES
 from bench.errors import InputError
+from bench.measured.reading.decimation import decimated
 from bench.measured.reading.files import read_file
 from bench.measured.reading.options import ReadOptions
 from bench.measured.reading.picks import Pick, pick
+from bench.measured.reading.signals import Recording, Signal
 from bench.measured.reading.table import Table
 from bench.measured.reading.times import rebuilt
 from bench.measured.reading.units import Measures
 
 NO_OPTIONS = ReadOptions()
-
-
-@dataclass(frozen=True, eq=False)
-class Signal:
-    """One measured quantity over time.
-
-    ``dof`` counts from 0; ``unit`` is in SI ("rad", "N·m" and so on where it turns), or the label as written where it
-    is no known unit. ``times`` (s) count from the first kept sample of the recording; a signal with missing values has
-    fewer samples than others.
-    """
-
-    role: str
-    measures: Measures
-    dof: int
-    values: np.ndarray
-    unit: str
-    times: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """The signals of a file, what was done to it beyond reading it, where it is from, and the sha256 of its bytes."""
-
-    signals: tuple[Signal, ...]
-    notes: tuple[str, ...]
-    source: str
-    sha256: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +55,7 @@ def read_recording(path: Path, options: ReadOptions = NO_OPTIONS) -> Recording:
         Signal(found.role, _measures(found), found.dof, values * found.size, found.unit, times - start)
         for found, (values, times) in zip(signals, kept, strict=True)
     )
-    return Recording(made, tuple(dict.fromkeys(notes)), str(path), sha256)
+    return decimated(Recording(made, tuple(dict.fromkeys(notes)), str(path), sha256), options.decimate)
 
 
 def _measures(found: Pick) -> Measures:

@@ -509,6 +509,7 @@ def test_a_file_that_is_too_large_is_not_opened(tmp_path: Path, monkeypatch: pyt
         ({"rate": math.nan}, "a positive number"),
         ({"start": 2.0, "end": 1.0}, "from=2.0: it must be before to=1"),
         ({"end": math.inf}, "to=inf"),
+        ({"decimate": 0}, "decimate=0: a whole number from 1 on"),
     ],
 )
 def test_options_that_cannot_be_meant(options: dict[str, Any], part: str) -> None:
