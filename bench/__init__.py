@@ -22,6 +22,7 @@ from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurement
 from bench.errors import InputError
 from bench.likelihood.batch import Batch, Point, layout, used_of
 from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, Search, Standardised, Start, estimate_at
+from bench.likelihood.whitened import Whitened, whitened
 from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ __all__ = [
     "Steps",
     "System",
     "Units",
+    "Whitened",
     "acceleration",
     "array_ops",
     "estimate_at",
@@ -93,6 +95,7 @@ __all__ = [
     "state_rate",
     "step_counts",
     "used_of",
+    "whitened",
 ]
 __version__ = "0.1.0"
 __path__ = [

@@ -18,6 +18,11 @@ def robust_method() -> tuple[str, dict[str, Any]]:
     return str(settings.pop("name")), settings
 
 
+def coloured_settings(method: str) -> dict[str, Any]:
+    """The settings by which a method takes its noise for coloured; none where it has no such settings."""
+    return dict(_said("coloured").get(method, {}))
+
+
 def certificate_methods() -> list[str]:
     """Those that a certificate compares, the primary one first."""
     return list(_said("certificate"))

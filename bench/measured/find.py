@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.config.records import robust_method
+from bench.config.records import coloured_settings, robust_method
 from bench.config.schema import Job
 from bench.contract.estimate import Status
 from bench.contract.problem import Problem
@@ -54,7 +54,19 @@ def _found(job: Job, measured: Measured) -> Finding:
         outcome = Outcome(None, Status.MISSING_DEPENDENCY, lacking_package)
     else:
         outcome = _fitted(name, job.settings(), measured.problem, job)
-    return _with_robust(judged(job.label, measured, outcome), job)
+    return _with_robust(_coloured(judged(job.label, measured, outcome), job), job)
+
+
+def _coloured(finding: Finding, job: Job) -> Finding:
+    """Where the residuals are coloured, what the method finds when it is told so, if it can be."""
+    name, settings = job.config.method["name"], job.settings()
+    more = coloured_settings(name)
+    noises = () if finding.at is None else finding.at.noises
+    coloured = any(noise is not None and noise.order for noise in noises)
+    if not (more and coloured) or "method.likelihood" in job.explicit:
+        return finding
+    outcome = _fitted(name, {**settings, **more}, finding.problem, job)
+    return finding if outcome.status is not Status.OK else judged(job.label, finding.measured, outcome, finding)
 
 
 def _fitted(name: str, settings: dict[str, Any], problem: Problem, job: Job) -> Outcome:

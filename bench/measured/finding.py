@@ -11,10 +11,11 @@ import numpy as np
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem, Units
 from bench.likelihood.output_error import OutputError
+from bench.likelihood.whitened import whitened
 from bench.measured.fit import Outcome
 from bench.measured.grown import first_guess
 from bench.measured.intervals import StatedInterval, stated_intervals
-from bench.measured.linearised import Linearised, linearised
+from bench.measured.linearised import Linearised, at_theta, linearised
 from bench.measured.model_error import NOTHING_LACKING, ModelError, model_error
 from bench.measured.parts import parts_of
 from bench.measured.record import Measured
@@ -74,8 +75,11 @@ class Finding:
         return self.units.of(MEASURED[self.problem.records[0].channels[0].measures])
 
 
-def judged(method: str, measured: Measured, outcome: Outcome) -> Finding:
-    """A method's outcome with the intervals that the records support, and the verdict."""
+def judged(method: str, measured: Measured, outcome: Outcome, white: Finding | None = None) -> Finding:
+    """A method's outcome with the intervals that the records support, and the verdict.
+
+    ``white``: where the outcome takes account of the noise's colour, the method's finding that takes it for white.
+    """
     if outcome.estimate is None or outcome.status is not Status.OK:
         reason = f"no answer ({outcome.status.value}): {outcome.message}{_fewer_samples(measured, outcome)}"
         return Finding(method, measured, outcome, doubts=(Doubt(Trust.NO, reason),))
@@ -84,7 +88,9 @@ def judged(method: str, measured: Measured, outcome: Outcome) -> Finding:
         at = linearised(measured.problem, estimate)
         parts = parts_of(at, _frequency(at)) if at is not None else []
         lacking = model_error(at) if at is not None else NOTHING_LACKING
-        intervals = _with_mass(stated_intervals(estimate, at, parts, lacking), estimate, measured)
+        noise = at if white is None or at is None else at_theta(whitened(at.model, at.theta), at.theta)
+        intervals = _beside_white(stated_intervals(estimate, noise, parts, lacking), white)
+        intervals = _with_mass(intervals, estimate, measured)
     doubts = (*doubts_about(at, intervals, lacking, outcome.message), *_turned_force(at))
     finding = Finding(method, measured, outcome, intervals, {}, doubts, at, lacking, _by_part(parts, measured))
     if finding.trust is Trust.NO:
@@ -121,6 +127,19 @@ def _by_part(parts: list[Linearised], measured: Measured) -> dict[str, tuple[flo
             scale = units.of(system.dimension(quantity)) * quantity.coefficient * parts[0].model.gauge ** gauge
             logs = [float(g @ part.theta[: g.size]) for g, part in zip(gradients, parts, strict=True)]
             found[quantity.name] = tuple(scale * math.exp(log) for log in logs)
+    return found
+
+
+def _beside_white(intervals: dict[str, StatedInterval], white: Finding | None) -> dict[str, StatedInterval]:
+    """Intervals of coloured noise, beside those of the same method that take it for white."""
+    if white is None:
+        return intervals
+    found = {}
+    for name, one in intervals.items():
+        own = white.intervals.get(name) or white.withdrawn.get(name, one)
+        width = own.white_high - own.white_low
+        colour = one.colour * ((one.white_high - one.white_low) / width if width > 0 else 1.0)
+        found[name] = replace(one, white_low=own.white_low, white_high=own.white_high, colour=colour)
     return found
 
 

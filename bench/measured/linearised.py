@@ -18,9 +18,10 @@ import numpy as np
 
 from bench.contract.estimate import Estimate
 from bench.contract.problem import InitialState, Problem
+from bench.likelihood.autoregression import Autoregression, autoregression, even_times
 from bench.likelihood.batch import used_of
 from bench.likelihood.output_error import OutputError
-from bench.measured.colour import Autoregression, autoregression, even_times, local_spectrum
+from bench.measured.colour import local_spectrum
 from bench.measured.strongest import strongest_frequency
 from bench.scoring.score import point_parameters
 from bench.systems import Quantity

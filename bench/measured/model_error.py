@@ -23,7 +23,8 @@ import numpy as np
 
 from bench.contract.problem import InitialState
 from bench.dynamics.simulate import measurements
-from bench.measured.colour import autoregression, even_times, information_criterion
+from bench.likelihood.autoregression import autoregression, even_times
+from bench.measured.colour import information_criterion
 from bench.measured.linearised import Linearised
 from bench.systems import Parameter, Quantity, System
 

@@ -8,7 +8,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from bench.measured.colour import autocorrelation, cumulative_periodogram, even_times, periodogram
+from bench.likelihood.autoregression import even_times
+from bench.measured.colour import autocorrelation, cumulative_periodogram, periodogram
 from bench.measured.intervals import StatedInterval
 from bench.measured.linearised import Linearised
 from bench.measured.model_error import ModelError

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -49,6 +49,7 @@ from bench import (
     report_progress,
 )
 from methods.sampling.answer import estimate_from_draws
+from methods.sampling.coloured import coloured
 from methods.sampling.compiled import compiled
 from methods.sampling.diagnostics import Health
 from methods.sampling.ensembles import Ensemble, Lockstep
@@ -56,7 +57,7 @@ from methods.sampling.modes import Modes, found_or_failure, modes_of, sharpened,
 from methods.sampling.posterior import NOISE_LEAST, Posterior, Target
 from methods.sampling.proposal import Proposal
 from methods.starts.candidates import as_fine_as_noise
-from methods.trajectory.errors import ERRORS, Likelihood
+from methods.trajectory.errors import NORMAL, STUDENT
 
 STEPPED = 4
 MOST_AT_ONCE = 1_000_000
@@ -71,7 +72,9 @@ class MCMC(Identifier):
     ``block`` steps until converged: R-hat at most ``r_hat``, effective sample size at least ``effective`` and
     ``autocorrelations`` autocorrelation times in each chain, for every unknown; at most ``blocks`` blocks.
     ``independent`` is the share of independent moves. At most ``draws`` draws are kept, and ``curves`` of them
-    are averaged in the reconstruction. ``likelihood="student"`` takes the errors to be Student's t, not normal.
+    are averaged in the reconstruction. ``likelihood="student"`` takes the errors to be Student's t, not normal;
+    ``"autoregressive"`` takes normal ones whose colour is that of the residuals at the best mode of a white fit, and
+    then again at the best mode of that.
     """
 
     ensembles: int = 2
@@ -85,7 +88,7 @@ class MCMC(Identifier):
     independent: float = 0.8
     draws: int = 2000
     curves: int = 100
-    likelihood: Likelihood = "normal"
+    likelihood: Literal["normal", "student", "autoregressive"] = "normal"
 
     card: ClassVar[Card] = Card(
         summary="Posterior sampling by emcee with the noise level unknown",
@@ -109,6 +112,14 @@ class MCMC(Identifier):
                 "colour": "#A6CEE3",
                 "marker": (10, 1, 0.0),
             },
+            "mcmc_autoregressive": {
+                "summary": "posterior sampling by emcee with autoregressive errors, their scale unknown",
+                "tuning": "none beyond mcmc's; the order of the errors is that of least BIC",
+                "title": "Bayesian MCMC, coloured errors",
+                "order": 27,
+                "colour": "#0F6B99",
+                "marker": (11, 1, 0.0),
+            },
         },
     )
     serves: ClassVar[Serves] = EVERY_PROBLEM
@@ -123,6 +134,7 @@ class MCMC(Identifier):
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
         """Sample the posteriors of linear systems of one layout together, all others one by one."""
         models = [compiled(OutputError(p)) if p.system.n_hidden else OutputError(p) for p in problems]
+        together = self.likelihood != "autoregressive"  # each problem has a colour of its own
         answers: dict[int, Estimate] = {}
         groups: dict[object, list[_Fit]] = {}
         for i, (model, modes, rng) in enumerate(zip(models, modes_of(models), rngs, strict=True)):
@@ -131,7 +143,7 @@ class MCMC(Identifier):
             except NoEstimate as reason:
                 answers[i] = Estimate.failed(model.system, reason.status, str(reason), reason.cost)
                 continue
-            groups.setdefault(layout(model.problem) if model.system.linear else i, []).append(fit)
+            groups.setdefault(layout(model.problem) if together and model.system.linear else i, []).append(fit)
         for fits in groups.values():
             walkers, burn, block = self._lengths(fits[0].posterior)
             size = max(1, MOST_AT_ONCE // (self.ensembles * walkers * block * fits[0].posterior.size))
@@ -207,11 +219,13 @@ class _Fit:
     path: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @staticmethod
-    def of(place: int, model: OutputError, modes: Modes, rng: np.random.Generator, likelihood: Likelihood) -> _Fit:
+    def of(place: int, model: OutputError, modes: Modes, rng: np.random.Generator, likelihood: str) -> _Fit:
         """Prepare a problem with its modes. Raises NoEstimate where the data leave a parameter open."""
         fine = compiled(as_fine_as_noise(model, modes[0][1]))
-        errors = ERRORS[likelihood]
+        errors = STUDENT if likelihood == "student" else NORMAL
         modes = student_modes(fine, modes) if likelihood == "student" else modes
+        if likelihood == "autoregressive":
+            fine, modes = coloured(fine, modes)
         modes = sharpened(fine, modes, errors, NOISE_LEAST)
         posterior = Posterior(fine, modes[0][1], errors)
         return _Fit(place, model.problem, posterior, Proposal.around(posterior, modes), rng)

@@ -21,7 +21,7 @@ from bench.contract.estimate import Status
 from bench.contract.problem import Channel, Problem, Record
 from bench.entrants.registry import make_method
 from bench.errors import InputError
-from bench.measured.colour import Autoregression
+from bench.likelihood.autoregression import Autoregression
 from bench.measured.finding import Finding, judged
 from bench.measured.fit import Outcome
 from bench.measured.intervals import StatedInterval

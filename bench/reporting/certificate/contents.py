@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from bench.likelihood.autoregression import autoregression, even_times
 from bench.measured.certificate import Certificate
-from bench.measured.colour import autocorrelation, autoregression, even_times
+from bench.measured.colour import autocorrelation
 from bench.measured.finding import Finding
 from bench.measured.intervals import StatedInterval
 from bench.measured.linearised import Linearised

@@ -15,8 +15,9 @@ from scipy.stats import t as student
 
 from bench.contract.estimate import Cost
 from bench.contract.problem import Channel, Problem, Record
+from bench.likelihood.autoregression import Autoregression, autoregression
 from bench.likelihood.output_error import OutputError, estimate_at
-from bench.measured.colour import Autoregression, autoregression, local_spectrum
+from bench.measured.colour import local_spectrum
 from bench.measured.intervals import StatedInterval, stated_intervals
 from bench.measured.linearised import Linearised, at_theta, linearised
 from bench.measured.model_error import model_error
@@ -77,7 +78,18 @@ def test_the_autocovariance_of_a_first_order_is_its_closed_form(rho: float) -> N
 def test_whitening_undoes_the_filter() -> None:
     errors = np.random.default_rng(3).standard_normal(200)
     values = lfilter([2.0], [1.0, -1.2, 0.5], errors)
-    np.testing.assert_allclose(Autoregression(np.array([1.2, -0.5]), 4.0).whitened(values), errors, atol=1e-9)
+    found = Autoregression(np.array([1.2, -0.5]), 4.0).whitened(values)
+    np.testing.assert_allclose(found[2:], errors[2:], atol=1e-9)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 40])
+def test_whitened_values_have_the_likelihood_of_the_dense_covariance(n: int) -> None:
+    """``r' S⁻¹ r`` with the Toeplitz matrix in full, the first values included."""
+    noise = Autoregression(np.array([1.2, -0.5, 0.1]), 0.7)
+    values = np.random.default_rng(4).standard_normal((2, n))
+    dense = toeplitz(noise.autocovariance(n))
+    meant = np.einsum("bi,ij,bj->b", values, np.linalg.inv(dense), values)
+    np.testing.assert_allclose(np.sum(noise.whitened(values) ** 2, axis=-1), meant, rtol=1e-9)
 
 
 # covariances

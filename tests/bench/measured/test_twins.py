@@ -13,7 +13,7 @@ from bench.contract.estimate import Estimate, Status
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, Force, Problem, Record
 from bench.entrants.registry import make_method
-from bench.measured.colour import Autoregression, autoregression
+from bench.likelihood.autoregression import Autoregression, autoregression
 from bench.measured.finding import Finding, judged
 from bench.measured.fit import Outcome
 from bench.measured.intervals import StatedInterval

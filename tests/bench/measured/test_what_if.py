@@ -10,7 +10,7 @@ import pytest
 from bench.contract.estimate import Status
 from bench.contract.problem import Channel, Force, Problem, Record
 from bench.entrants.registry import make_method
-from bench.measured.colour import Autoregression
+from bench.likelihood.autoregression import Autoregression
 from bench.measured.finding import Finding, judged
 from bench.measured.fit import Outcome
 from bench.measured.linearised import Linearised

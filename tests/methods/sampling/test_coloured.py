@@ -1,0 +1,105 @@
+"""Sampling with autoregressive errors: the spread is that of generalised least squares, and it holds the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+from scipy.stats import binom
+
+import bench
+from bench import Channel, Problem, Record
+from bench.contract.estimate import Estimate, Status
+from bench.systems.sums import sum_from
+
+pytest.importorskip("emcee")
+from methods.sampling.mcmc import MCMC
+
+OMEGA, ZETA, RHO, SIZE = 6.0, 0.04, 0.8, 0.05
+T = np.linspace(0.0, 10.0, 300)
+SYSTEM = sum_from("sdof")
+TRUE = {"k_over_m": OMEGA**2, "c_over_m": 2 * ZETA * OMEGA}
+
+
+def response(theta: np.ndarray) -> np.ndarray:
+    """Of k/m, c/m and the amplitudes of cosine and sine, with an offset: the closed form of a damped vibration."""
+    k, c, a, b, offset = theta
+    damped = np.sqrt(k - c**2 / 4)
+    return np.exp(-c * T / 2) * (a * np.cos(damped * T) + b * np.sin(damped * T)) + offset
+
+
+TRUTH = np.array([TRUE["k_over_m"], TRUE["c_over_m"], 1.0, 0.0, 0.0])
+
+
+def coloured_noise(seed: int) -> np.ndarray:
+    white = np.random.default_rng(seed).standard_normal(700)
+    return SIZE * np.sqrt(1 - RHO**2) * np.asarray(lfilter([1.0], [1.0, -RHO], white))[400:]
+
+
+def problem(seed: int) -> Problem:
+    x = response(TRUTH) + coloured_noise(seed)
+    return Problem(SYSTEM, (Record((Channel(T, x, offset=True),)),))
+
+
+def sample(seed: int, likelihood: str) -> Estimate:
+    found = MCMC(likelihood=likelihood).identify(problem(seed), np.random.default_rng(seed))  # type: ignore[arg-type]
+    assert found.status is Status.OK, found.message
+    return found
+
+
+def test_value_and_spread_are_those_of_generalised_least_squares() -> None:
+    """With the covariance of the noise in full, from a closed form; the colour itself is estimated, so to a fifth."""
+    root = np.linalg.inv(np.linalg.cholesky(toeplitz(SIZE**2 * RHO ** np.arange(T.size))))
+    data = response(TRUTH) + coloured_noise(1)
+    fit = least_squares(lambda theta: root @ (data - response(theta)), TRUTH, x_scale=np.abs(TRUTH) + 0.01)
+    covariance = np.linalg.inv(fit.jac.T @ fit.jac)
+    found = sample(1, "autoregressive")
+    for i, name in enumerate(TRUE):
+        marginal = found.marginal(SYSTEM.quantity(name))
+        assert marginal is not None
+        low, high = marginal.interval(0.95)
+        deviation = np.sqrt(covariance[i, i])
+        assert (high - low) / 3.92 == pytest.approx(deviation, rel=0.2)
+        assert abs(marginal.value - fit.x[i]) < 0.3 * deviation
+
+
+@pytest.mark.slow
+def test_its_intervals_hold_the_truth_and_those_of_white_errors_do_not() -> None:
+    """Of 40 records: as often as right intervals do in all but one of a thousand draws, and white ones far less."""
+    held = {"normal": 0, "autoregressive": 0}
+    for seed in range(40):
+        for likelihood in held:
+            marginal = sample(seed, likelihood).marginal(SYSTEM.quantity("c_over_m"))
+            assert marginal is not None
+            low, high = marginal.interval(0.95)
+            held[likelihood] += low <= TRUE["c_over_m"] <= high
+    assert held["autoregressive"] >= binom.ppf(0.001, 40, 0.95)
+    assert held["normal"] < binom.ppf(0.001, 40, 0.95)
+
+
+def test_each_problem_keeps_its_own_colour_in_company() -> None:
+    method, rngs = MCMC(likelihood="autoregressive"), [np.random.default_rng(seed) for seed in (1, 2)]
+    together = method.identify_many([problem(1), problem(2)], rngs)
+    for seed, found in zip((1, 2), together, strict=True):
+        alone = sample(seed, "autoregressive")
+        quantity = SYSTEM.quantity("k_over_m")
+        both = [one.marginal(quantity) for one in (found, alone)]
+        assert both[0] is not None
+        assert both[1] is not None
+        assert both[0].value == pytest.approx(both[1].value, rel=1e-9)
+
+
+def test_a_measured_record_is_drawn_from_the_likelihood_of_its_own_colour() -> None:
+    """Unless the user says which likelihood; the interval of white noise stands beside it."""
+    x = response(TRUTH) + coloured_noise(1)
+    found = bench.identify(T, x, method="mcmc").estimates["c_over_m"]
+    white = bench.identify(T, x, method="mcmc", settings={"method.likelihood": "normal"}).estimates["c_over_m"]
+    own = sample(1, "autoregressive").marginal(SYSTEM.quantity("c_over_m"))
+    assert own is not None
+    assert found.value == pytest.approx(own.value, rel=0.01)
+    assert (found.white_low, found.white_high) == pytest.approx((white.white_low, white.white_high), rel=1e-6)
+    low, high = own.interval(0.95)
+    assert found.high - found.low > 0.99 * (high - low)
+    assert found.colour == pytest.approx((high - low) / (found.white_high - found.white_low), rel=0.25)
