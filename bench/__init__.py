@@ -13,6 +13,7 @@ from bench.contract.method import EVERY_PROBLEM, Card, Identifier, Serves
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record, Units
 from bench.contract.progress import report_progress
+from bench.dynamics.compiled_path import compiled_path
 from bench.dynamics.fixed_step import Steps, rk4_path, rk4_scan, rk4_step, step_counts
 from bench.dynamics.intervals import interval_polynomials
 from bench.dynamics.mechanics import acceleration, mass_matrix, regression_columns, state_matrix, state_rate
@@ -72,6 +73,7 @@ __all__ = [
     "Whitened",
     "acceleration",
     "array_ops",
+    "compiled_path",
     "estimate_at",
     "experiment",
     "fastest_rates",

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.contract.problem import Problem, Units
+from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.output_error import OutputError
 from bench.measured.colour import information_criterion
 from bench.measured.grown import first_guess, grown_fit, vibration, window
@@ -201,7 +202,7 @@ def _left(at: Linearised) -> float:
 
 def _from_simpler(problem: Problem, simpler: Linearised) -> Linearised | None:
     """The best of searches from a simpler fit, whose viscous damping does part of the work of the further terms."""
-    model = OutputError(problem)
+    model = compiled_output_error(problem)
     known = {name: float(value) for name, value in simpler.model.parameters(simpler.theta).items()}
     rate, amplitude = vibration(model.channels[0][1])
     guess = first_guess(problem.system, rate, amplitude, known.get("m", 1.0))

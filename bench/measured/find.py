@@ -23,7 +23,7 @@ from bench.measured.classes import fitted_class
 from bench.measured.finding import Finding, judged
 from bench.measured.fit import Outcome, fit_alone
 from bench.measured.intervals import StatedInterval
-from bench.measured.record import Measured, with_system
+from bench.measured.record import Measured, spare_factor, with_fewer_samples, with_system
 from bench.measured.trust import OUTLIERS, Doubt, Trust
 from bench.measured.zeros import unit_over_mass, without
 from bench.sweep.workers import Limits
@@ -33,16 +33,17 @@ from bench.systems.sums import Sum
 def find(job: Job, measured: Measured) -> Finding:
     """Identify the records with the job's method, in a process of its own; raises InputError.
 
-    Where that leaves a parameter open, it is tried again without the terms of a sum that the record does not need.
+    Where a search fails on many samples a cycle it is tried again on fewer, filtered; where a parameter is left open,
+    without the terms of a sum that the record does not need.
     """
-    found = _found(job, measured)
+    found = _with_fewer_samples(_found(job, measured), job)
     if not _leaves_open(found):
         return found
     system = measured.problem.system
     most = _needless(measured, job.config.timeout_s) if isinstance(system, Sum) else {}
     if not most or not isinstance(system, Sum):
         return found
-    return _with_zeros(_found(job, with_system(measured, without(system, most))), system, most)
+    return _with_zeros(_found(job, with_system(found.measured, without(system, most))), system, most)
 
 
 def _found(job: Job, measured: Measured) -> Finding:
@@ -74,6 +75,22 @@ def _fitted(name: str, settings: dict[str, Any], problem: Problem, job: Job) -> 
     method, rng = make_method(name, settings), np.random.default_rng(job.config.seed)
     limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
     return fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
+
+
+def _with_fewer_samples(finding: Finding, job: Job) -> Finding:
+    """Where the method found no answer: what it finds in the decimated record, where that describes the motion too.
+
+    Misfits of the phase have the more minima the longer the record and the denser its samples; and the fit is quicker.
+    """
+    factor = spare_factor(finding.problem)
+    if finding.outcome.status is not Status.DIVERGED or factor == 1:
+        return finding
+    try:
+        measured = with_fewer_samples(finding.measured, factor, job)
+    except InputError:
+        return finding
+    said = f"{finding.method} found no answer in all samples: {finding.outcome.message}"
+    return _found(job, replace(measured, notes=(*measured.notes, said)))
 
 
 def _leaves_open(found: Finding) -> bool:

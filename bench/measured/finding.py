@@ -18,7 +18,7 @@ from bench.measured.intervals import StatedInterval, stated_intervals
 from bench.measured.linearised import Linearised, at_theta, linearised
 from bench.measured.model_error import NOTHING_LACKING, ModelError, model_error
 from bench.measured.parts import parts_of
-from bench.measured.record import Measured
+from bench.measured.record import Measured, spare_factor
 from bench.measured.strongest import strongest_frequency
 from bench.measured.trust import (
     MOST_LEFT,
@@ -31,9 +31,6 @@ from bench.measured.trust import (
 )
 from bench.scoring.combination import combine_with_prior
 from bench.systems import MEASURED
-
-CYCLE_SAMPLES, FEWEST = 20, 200
-"""Samples of a cycle, and of a record, that an advised decimation leaves at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,14 +97,7 @@ def judged(method: str, measured: Measured, outcome: Outcome, white: Finding | N
 
 def _fewer_samples(measured: Measured, outcome: Outcome) -> str:
     """Of a fit that ended at its limits: which decimation would still describe the motion, where one would."""
-    if outcome.status not in (Status.TIMEOUT, Status.OOM):
-        return ""
-    factors = []
-    for channel in (channel for record in measured.problem.records for channel in record.channels):
-        cycle = 1.0 / strongest_frequency(channel.times, channel.values)
-        per_cycle = cycle * (channel.n - 1) / float(np.ptp(channel.times))
-        factors.append(min(per_cycle / CYCLE_SAMPLES, channel.n / FEWEST))
-    factor = int(min(factors))
+    factor = spare_factor(measured.problem) if outcome.status in (Status.TIMEOUT, Status.OOM) else 1
     return f"; decimate={factor} keeps every {factor}th sample, filtered" if factor > 1 else ""
 
 

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from bench.contract.problem import Channel, Problem, Record
+from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.output_error import OutputError
 from bench.measured.linearised import Linearised, at_theta
 from bench.measured.strongest import strongest_frequency
@@ -51,7 +52,7 @@ def grown_fit(problem: Problem) -> Linearised | None:
     length, theta = FIRST_CYCLES * 2 * np.pi / rate, np.zeros(0)
     while True:
         last = length >= record.duration
-        model = OutputError(replace(problem, records=(record if last else window(record, length),)))
+        model = compiled_output_error(replace(problem, records=(record if last else window(record, length),)))
         theta = theta if theta.size == model.size else _first(model, p)
         theta = model.settle(theta[None], iterations=LAST_ITERATIONS if last else ITERATIONS)[0]
         if last:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.likelihood.output_error import OutputError
+from bench.likelihood.compiled import compiled_output_error
 from bench.measured.grown import window
 from bench.measured.linearised import Linearised
 
@@ -44,7 +44,7 @@ def early_fit(at: Linearised) -> EarlyFit | None:
         return None
     record = problem.records[0]
     early = window(record, (1.0 - HELD_OUT) * record.duration)
-    model = OutputError(replace(problem, records=(early,)), at.model.gauge)
+    model = compiled_output_error(replace(problem, records=(early,)), at.model.gauge)
     if model.size != at.theta.size:
         return None
     with np.errstate(all="ignore"):

@@ -20,6 +20,7 @@ from bench.contract.estimate import Estimate
 from bench.contract.problem import InitialState, Problem
 from bench.likelihood.autoregression import Autoregression, autoregression, even_times
 from bench.likelihood.batch import used_of
+from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.output_error import OutputError
 from bench.measured.colour import local_spectrum
 from bench.measured.strongest import strongest_frequency
@@ -133,13 +134,13 @@ def linearised(problem: Problem, estimate: Estimate) -> Linearised | None:
     that fits better.
     """
     units = problem.natural_units()
-    own, model = estimate.expressed_in(units), OutputError(problem.expressed_in(units))
+    own, model = estimate.expressed_in(units), compiled_output_error(problem.expressed_in(units))
     p = point_parameters(own)
     if p is None or not all(np.isfinite(value) and value >= 0 for value in p.values()):
         return None
     p = {name: max(value, LEAST) for name, value in p.items()}  # a method may end at no damping at all
     if model.system.gauge not in model.free:
-        model = OutputError(model.problem, p[model.system.gauge])
+        model = compiled_output_error(model.problem, p[model.system.gauge])
     with np.errstate(all="ignore"):
         trials = [model.vector(p)]
         if own.initial_states is not None:

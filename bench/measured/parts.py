@@ -18,6 +18,7 @@ import numpy as np
 
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record
 from bench.dynamics.simulate import simulate
+from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.output_error import OutputError, Search
 from bench.measured.linearised import Linearised, at_theta
 from bench.systems import Quantity
@@ -81,7 +82,7 @@ def _alone(whole: Linearised, number: int) -> Linearised | None:
     """One of several records, fitted alone."""
     model = whole.model
     record = model.problem.records[number]
-    one = OutputError(replace(model.problem, records=(record,)), model.gauge)
+    one = compiled_output_error(replace(model.problem, records=(record,)), model.gauge)
     if one.free != model.free:
         return None
     start, offsets = model.starts(whole.theta)[number], model.offsets(whole.theta)
@@ -103,7 +104,7 @@ def _part(whole: Linearised, low: float, high: float) -> Linearised | None:
         return None
     forces = tuple(force for own in record.forces if (force := _shifted(own, low)) is not None)
     piece = Problem(model.system, (replace(record, channels=channels, forces=forces, initial_state=None),))
-    part = OutputError(piece, model.gauge)
+    part = compiled_output_error(piece, model.gauge)
     p = {name: float(value) for name, value in model.parameters(whole.theta).items()}
     state = _state_at(whole, record, p, low)
     k = len(model.free)

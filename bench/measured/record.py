@@ -16,12 +16,16 @@ from bench.contract.problem import MIN_SAMPLES, Channel, Force, InitialState, Pr
 from bench.errors import InputError
 from bench.measured.models import smoothing_velocity
 from bench.measured.reading import Recording, Signal, read_recording
+from bench.measured.reading.decimation import decimated
 from bench.measured.request import AUTO, Request
+from bench.measured.strongest import strongest_frequency
 from bench.systems import System, make_system
 from bench.systems.sums import Sum, sum_from
 
 MAX_SAMPLES = 100_000
 ANGLE = "rad"
+CYCLE_SAMPLES, FEWEST = 10, 200
+"""Samples of a cycle, and of a record, that a decimation that is not asked for leaves at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +178,26 @@ def _check_scale(problem: Problem, mass: float | None) -> None:
         raise InputError("fixed.m", mass, "a positive mass (kg)")
     if problem.prior is not None or problem.scale_told:
         raise InputError("fixed.m", mass, "the force or the prior tells the mass already; leave it out")
+
+
+def spare_factor(problem: Problem) -> int:
+    """By how much the samples of every channel can be decimated and still describe its motion; 1: not at all."""
+    factors = []
+    for channel in (channel for record in problem.records for channel in record.channels):
+        per_cycle = (channel.n - 1) / float(np.ptp(channel.times)) / strongest_frequency(channel.times, channel.values)
+        factors.append(min(per_cycle / CYCLE_SAMPLES, channel.n / FEWEST))
+    return max(int(min(factors)), 1)
+
+
+def with_fewer_samples(measured: Measured, factor: int, job: Job) -> Measured:
+    """The same records decimated, with what was done as a note; raises InputError where that cannot be."""
+    if any(record.initial_state is not None for record in measured.problem.records):
+        raise InputError("decimate", factor, "the start is told, and decimation leaves the first samples out")
+    recordings = tuple(decimated(recording, factor) for recording in measured.recordings)
+    system = measured.problem.system
+    records = tuple(_record(recording, system, None, job) for recording in recordings)
+    notes = (*measured.notes, *(note for r in recordings for note in r.notes if note not in measured.notes))
+    return replace(measured, recordings=recordings, problem=replace(measured.problem, records=records), notes=notes)
 
 
 def with_system(measured: Measured, system: Sum) -> Measured:

@@ -13,6 +13,7 @@ import numpy as np
 
 from bench.contract.belief import standard_quantile
 from bench.contract.problem import Units
+from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.output_error import OutputError
 from bench.measured.grown import first_guess, vibration
 from bench.measured.linearised import Linearised, at_theta
@@ -70,7 +71,7 @@ def most_allowed(smaller: Linearised, full: Sum, zero: Collection[str], units: U
 
 
 def _most(smaller: Linearised, system: Sum, name: str, units: Units) -> float:
-    model = OutputError(replace(smaller.model.problem, system=system), smaller.model.gauge)
+    model = compiled_output_error(replace(smaller.model.problem, system=system), smaller.model.gauge)
     near = beside_nothing(smaller, model)
     covariance = None if near is None else replace(near, told=smaller.noises).coloured
     if near is None or covariance is None:

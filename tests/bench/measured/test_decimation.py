@@ -100,7 +100,7 @@ def test_what_cannot_be_decimated_is_refused_in_one_line(tmp_path: Path) -> None
 
 
 def test_a_fit_that_reaches_its_limit_is_told_which_decimation_would_do() -> None:
-    """500 samples a cycle: every 25th leaves 20 (24 where the cycle is taken for a little shorter)."""
+    """500 samples a cycle: every 50th leaves 10 (49 where the cycle is taken for a little shorter)."""
     found = bench.identify(TIMES, free_record(), method="mcmc", timeout_s=0.5)
     assert found.status == "timeout"
-    assert re.search(r"; decimate=2[45] keeps every 2[45]th sample, filtered$", found.reasons[0])
+    assert re.search(r"; decimate=(49|50) keeps every (49|50)th sample, filtered$", found.reasons[0])

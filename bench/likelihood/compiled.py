@@ -1,0 +1,76 @@
+"""The likelihood of output error with compiled steps, for a nonlinear system whose response is asked for many times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.contract.problem import InitialState, Problem, Record
+from bench.dynamics.compiled_path import compiled_path
+from bench.dynamics.fixed_step import Steps, step_counts
+from bench.dynamics.intervals import merged_grid
+from bench.dynamics.simulate import MAX_STEPS, Motion, longest_step
+from bench.likelihood.output_error import OutputError, Start
+
+START_STEPS = 5
+"""Of Gauss and Newton on the start and the offsets, as many as :func:`bench.fitted_start` takes."""
+PART = 1e-3
+"""A finite difference of a start over the size of the motion."""
+
+
+def compiled_output_error(problem: Problem, gauge: float = 1.0) -> OutputError:
+    """The likelihood of a problem, by compiled steps where its system is not linear."""
+    return (OutputError if problem.system.linear else CompiledOutputError)(problem, gauge)
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledOutputError(OutputError):
+    """The same by the steps of order four that :func:`bench.simulate` takes for many sets, for one set too."""
+
+    def readings(self, p: dict[str, np.ndarray], start: Start, record: Record) -> np.ndarray:
+        """What the sensors would show, shape (..., n), without offsets; not finite where the response diverges."""
+        rig, n = record.rig(self.system), self.system.n_dof
+        x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
+        sets = np.broadcast_shapes(*(np.shape(value) for value in p.values()), np.shape(x)[1:])
+        state = [np.broadcast_to(part[i], sets or (1,)) for part in (x, v) for i in range(n)]
+        state += [np.zeros(sets or (1,)) for _ in range(rig.n_hidden)]
+        times = np.unique(np.concatenate([c.times for c in record.channels]))
+        grid = merged_grid(times, record.forces)
+        with np.errstate(all="ignore"):
+            counts = step_counts(grid, longest_step(rig, p, state))
+            if counts.sum() > MAX_STEPS:
+                path = np.full((len(state), *(sets or (1,)), times.size), np.nan)
+            else:
+                steps = Steps.over(grid, counts, record.forces, n)
+                path = compiled_path(rig, p, state, steps, np.searchsorted(grid, times), coarse=True)
+            path = path.reshape(len(state), *sets, times.size)
+            parts = []
+            for channel in record.channels:
+                own = path[..., np.searchsorted(times, channel.times)]
+                motion = Motion(own[:n], own[n : 2 * n], own[2 * n :])
+                parts.append(motion.measured(rig, p, channel, record))
+        return np.concatenate(parts, axis=-1)
+
+    def vector(self, p: dict[str, float]) -> np.ndarray:
+        """``theta`` at parameters, with the initial states and offsets that fit the data best there."""
+        k, theta = len(self.free), np.zeros(self.size)
+        theta[:k] = np.log([p[name] for name in self.free])
+        scale = self._scales()
+        for _ in range(START_STEPS):
+            with np.errstate(all="ignore"):
+                predicted = self.predict(theta + np.concatenate([np.zeros((1, theta.size)), PART * np.diag(scale)[k:]]))
+            if not np.all(np.isfinite(predicted)):
+                break
+            slopes = (predicted[1:] - predicted[0]).T / PART
+            theta[k:] += scale[k:] * np.linalg.lstsq(slopes, self.data - predicted[0], rcond=1e-12)[0]
+        return theta
+
+    def _scales(self) -> np.ndarray:
+        """Sizes of the unknowns (size,): of a start the largest reading and that over the record's time."""
+        found, n = [np.ones(len(self.free))], self.system.n_dof
+        for i in self.unknown_starts:
+            record = self.problem.records[i]
+            size = max(float(np.max(np.abs(c.values), initial=0.0)) for c in record.channels) or 1.0
+            found += [np.full(n, size), np.full(n, size / (record.duration or 1.0))]
+        return np.concatenate([*found, [self.rms[i] for i in self.offset_channels]])
