@@ -96,10 +96,11 @@ def autoregression(residuals: np.ndarray, used: float = 0.0) -> Autoregression:
     return best
 
 
-def log_likelihood(noise: Autoregression, residuals: np.ndarray) -> float:
-    """Of residuals (n,) but the first :data:`MOST_ORDER`, given those, with the noise's variance at its best value.
+def log_likelihoods(noise: Autoregression, residuals: np.ndarray) -> np.ndarray:
+    """Of each of the residuals (n,) but the first :data:`MOST_ORDER`, given those, at the best variance of the noise.
 
     The same samples count whatever the order is, so that orders can be compared.
     """
     errors = noise.whitened(residuals - np.mean(residuals))[min(MOST_ORDER, residuals.size // SAMPLES_PER_ORDER) :]
-    return float(-0.5 * errors.size * (np.log(2 * np.pi * np.mean(errors**2) * noise.variance) + 1.0))
+    scale = np.mean(errors**2)
+    return np.asarray(-0.5 * (np.log(2 * np.pi * scale * noise.variance) + errors**2 / scale))

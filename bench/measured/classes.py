@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bench.contract.belief import standard_quantile
 from bench.contract.problem import Problem, Units
 from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.output_error import OutputError
-from bench.measured.colour import information_criterion
+from bench.measured.colour import criterion_error, information_criterion
 from bench.measured.grown import first_guess, grown_fit, vibration, window
 from bench.measured.held_out import held_out_fit
 from bench.measured.linearised import Linearised, at_theta
@@ -38,6 +39,8 @@ MOST_SAMPLES = 400
 """Of the part of a record on which classes are compared, from its start: tens of fits are made."""
 SHARES = (0.2, 0.8)
 """Of the viscous damping's work, what further damping does at first: beside all of it a search runs it down to zero."""
+HALF = float(standard_quantile(0.975, None))
+"""Of a 95 % interval over the standard error."""
 SCREEN, SEARCH = 4, 40
 """Iterations of each start, and of the best of them."""
 LEVEL, TOLD_APART = 2.0, 10.0
@@ -50,6 +53,7 @@ beyond the second it is told from the other (R. E. Kass, A. E. Raftery, J. Am. S
 class ModelClass:
     """One class fitted to a record: its criterion above the best one's, residuals over signal, and held-out fit (%).
 
+    ``criterion_error``: standard error of that difference, as the samples of this record give it.
     ``zero``: terms that the fit ran down to nothing, with the most that the record allows of each over the mass (SI).
     """
 
@@ -60,6 +64,12 @@ class ModelClass:
     held_out: float
     zero: Mapping[str, float]
     at: Linearised
+    criterion_error: float = 0.0
+
+    @property
+    def told_apart(self) -> bool:
+        """Whether this record tells the class from the best one: by the criterion, and beyond that of its samples."""
+        return self.criterion >= max(TOLD_APART, HALF * self.criterion_error)
 
 
 def ranked_classes(measured: Measured) -> list[ModelClass]:
@@ -82,8 +92,14 @@ def ranked_classes(measured: Measured) -> list[ModelClass]:
     if sprung:
         base = simplest(sprung)
         found += _fitted(_damped(base), thinned, found)
-    least = min((one.criterion for one in found), default=0.0)
-    return sorted((replace(one, criterion=one.criterion - least) for one in found), key=lambda one: one.criterion)
+    best = min(found, key=lambda one: one.criterion, default=None)
+    return [] if best is None else sorted((_beside(one, best) for one in found), key=lambda one: one.criterion)
+
+
+def _beside(one: ModelClass, best: ModelClass) -> ModelClass:
+    """A class with its criterion as the difference from the best one's."""
+    error = criterion_error(best.at.residuals, one.at.residuals, (best.at.theta.size, one.at.theta.size))
+    return replace(one, criterion=one.criterion - best.criterion, criterion_error=error)
 
 
 def fitted_class(measured: Measured) -> ModelClass | None:
@@ -139,7 +155,7 @@ def best_class(measured: Measured, classes: Sequence[ModelClass] | None = None) 
     best = simplest(classes)
     system = without(best.system, best.zero)
     system = replace(system, smoothing_velocity=system.smoothing_velocity / COARSER)
-    level = [one.name for one in classes if one.criterion < TOLD_APART and one is not best]
+    level = [one.name for one in classes if not one.told_apart and one is not best]
     said = f"system=auto chose system={'+'.join(system.terms)}"
     said += f"; not told apart from it: {', '.join(level)}" if level else ""
     zeros = [f"{name}/m is 0, at most {most:.3g}" for name, most in best.zero.items()]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.likelihood.autoregression import autoregression, log_likelihood
+from bench.likelihood.autoregression import autoregression, log_likelihoods
 
 NEIGHBOURS = 3
 """Fourier frequencies to either side over which a periodogram is smoothed."""
@@ -43,7 +43,27 @@ def information_criterion(residuals: np.ndarray, unknowns: int) -> float:
     The terms of the autoregression count as unknowns too.
     """
     noise = autoregression(residuals, min(unknowns, residuals.size - 1))
-    return -2.0 * log_likelihood(noise, residuals) + (unknowns + noise.order) * float(np.log(residuals.size))
+    lost = (unknowns + noise.order) * float(np.log(residuals.size))
+    return -2.0 * float(np.sum(log_likelihoods(noise, residuals))) + lost
+
+
+def criterion_error(first: np.ndarray, second: np.ndarray, unknowns: tuple[int, int]) -> float:
+    """The standard error of the difference of two fits' criteria, of their residuals (n,), as samples give it.
+
+    Of twice the sum of the differences of their log-likelihoods (Q. H. Vuong, Econometrica 57:307, 1989), which may be
+    correlated from sample to sample: with the weights of Newey and West (Econometrica 55:703, 1987) up to n^(1/3).
+    """
+    each = [
+        log_likelihoods(autoregression(r, min(size, r.size - 1)), r)
+        for r, size in zip((first, second), unknowns, strict=True)
+    ]
+    apart = each[0] - each[1]
+    apart = apart - np.mean(apart)
+    reach = round(apart.size ** (1.0 / 3.0))
+    variance = float(apart @ apart)
+    for lag in range(1, reach + 1):
+        variance += 2.0 * (1.0 - lag / (reach + 1.0)) * float(apart[lag:] @ apart[:-lag])
+    return 2.0 * float(np.sqrt(max(variance, 0.0)))
 
 
 def periodogram(residuals: np.ndarray) -> np.ndarray:

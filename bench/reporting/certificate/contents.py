@@ -150,6 +150,8 @@ def _class(one: Any, certificate: Certificate) -> dict[str, Any]:
     return {
         "name": one.name,
         "criterion_difference": one.criterion,
+        "criterion_difference_error": one.criterion_error,
+        "told_apart": one.told_apart,
         "residual_pct": 100.0 * one.left,
         "held_out_pct": one.held_out,
         "zero": {name: {"most": most, "unit": unit_over_mass(one.system, name)} for name, most in one.zero.items()},

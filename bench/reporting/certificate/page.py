@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
-from bench.measured.classes import TOLD_APART
+from bench.measured.classes import HALF
 from bench.reporting.certificate.figures import pictures
 from bench.reporting.page.words import joined, number, seconds
 from bench.reporting.rounding import readable, rounded
@@ -98,6 +98,12 @@ def corrections(shown: Mapping[str, Any]) -> Mapping[str, Any]:
     return found
 
 
+def difference_text(value: float, half: float) -> str:
+    """A difference of criteria with half of its 95 % interval, where that is not nothing."""
+    digits = 1 if value < 100 else 0
+    return f"{value:.{digits}f}" + (f" ± {half:.{digits}f}" if round(half, digits) > 0 else "")
+
+
 def classes_grid(classes: Sequence[Mapping[str, Any]]) -> Grid:
     """The model classes, the best first; those that the record does not tell from it are marked."""
     rows = []
@@ -106,17 +112,16 @@ def classes_grid(classes: Sequence[Mapping[str, Any]]) -> Grid:
             f"{readable(name)}/m: 0, at most {number(own['most'])} {own['unit']}".rstrip()
             for name, own in one["zero"].items()
         ]
-        above = f"{one['criterion_difference']:.1f}" if one["criterion_difference"] < 100 else None
         rows.append(
             (
                 one["name"],
-                above or f"{one['criterion_difference']:.0f}",
+                difference_text(one["criterion_difference"], HALF * one["criterion_difference_error"]),
                 f"{one['residual_pct']:.2g}",
                 fit_text(one["held_out_pct"]),
                 "; ".join(zero),
             )
         )
-    marks = tuple("level" if one["criterion_difference"] < TOLD_APART else "" for one in classes)
+    marks = tuple("" if one["told_apart"] else "level" for one in classes)
     headers = ("Class", "Criterion", "Residual (%)", "Held out (%)", "At zero")
     return Grid(headers, tuple(rows), marks)
 

@@ -17,7 +17,7 @@ from bench.contract.estimate import Cost
 from bench.contract.problem import Channel, Problem, Record
 from bench.likelihood.autoregression import Autoregression, autoregression
 from bench.likelihood.output_error import OutputError, estimate_at
-from bench.measured.colour import local_spectrum
+from bench.measured.colour import criterion_error, information_criterion, local_spectrum
 from bench.measured.intervals import StatedInterval, stated_intervals
 from bench.measured.linearised import Linearised, at_theta, linearised
 from bench.measured.model_error import model_error
@@ -290,3 +290,23 @@ def test_a_softening_spring_is_not_said_to_lack_a_cubic_one() -> None:
     assert "quadratic damping" in found.missing
     assert "a cubic spring" not in (*found.missing, *found.suspected)
     assert found.stiffness == 0.0
+
+
+# differences of criteria
+
+
+def test_the_error_of_a_difference_of_criteria_is_its_spread_over_records() -> None:
+    """Two residuals with a common part, of many records: the standard deviation of the difference of criteria."""
+    differences, errors = [], []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        common = rng.standard_normal(400)
+        first, second = (common + 0.3 * rng.standard_normal(400) for _ in range(2))
+        differences.append(information_criterion(first, 3) - information_criterion(second, 3))
+        errors.append(criterion_error(first, second, (3, 3)))
+    assert np.median(errors) == pytest.approx(np.std(differences), rel=0.25)
+
+
+def test_a_fit_differs_from_itself_by_nothing() -> None:
+    r = np.random.default_rng(1).standard_normal(100)
+    assert criterion_error(r, r, (3, 3)) == 0.0
