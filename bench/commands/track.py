@@ -25,6 +25,7 @@ FIELDS = {
 USAGE = """usage: python -m bench -m experiment=measured [data_root=<folder>] [set=<a,b>] [method=<a,b>] [timeout_s=120]
                                               [store=outputs/measured] [out=results] [dry_run=false] [fit=true]
 dry_run=true says how many fits there are to do; fit=false makes the table of those that are kept"""
+COMMAND = "python -m bench -m experiment=measured data_root=<folder>"
 KEPT = "interrupted; finished fits are kept, the same command goes on from here"
 
 
@@ -120,11 +121,20 @@ def _free_runs(panel: Panel, root: Path | None) -> Iterator[FreeRun]:
 
 
 def _write(track: Track, out: Path) -> None:
+    """The table, and where the packages of the page are there, the page."""
     from bench.reporting.tables.track_table import track_table
     from bench.store.store import Store
 
     Store(out).prepare()
-    for name, content in track_table(track, "python -m bench -m experiment=measured data_root=<folder>").items():
+    made = dict(track_table(track, COMMAND))
+    try:
+        from bench.reporting.track.page import page
+
+        made["table11.html"] = page(track, COMMAND)
+    except ImportError as error:
+        said = f"bench: no page, since {error.name} is missing: pip install 'vibration-bench[report]'"
+        print(said, file=sys.stderr)
+    for name, content in made.items():
         (out / name).write_text(content, encoding="utf-8")
         print(out / name)
 

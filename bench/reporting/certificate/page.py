@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from importlib.resources import files
 from typing import Any
 
 from bench.measured.classes import HALF
 from bench.reporting.certificate.figures import pictures
+from bench.reporting.grid import Grid, rendered
 from bench.reporting.page.words import joined, number, seconds
 from bench.reporting.rounding import readable, rounded
 
@@ -21,29 +20,12 @@ STANDINGS = {
 FREE = ("k_over_m", "c_over_m")
 
 
-@dataclass(frozen=True)
-class Grid:
-    """A table: headers, rows of text, and a class for each row."""
-
-    headers: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    classes: tuple[str, ...] = ()
-
-
 def page(shown: Mapping[str, Any]) -> str:
     """The page of a certificate's contents, of :func:`bench.reporting.certificate.contents.contents`."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    shared = files("bench.reporting.page").joinpath("report.css").read_text(encoding="utf-8")
-    own = files("bench.reporting.certificate").joinpath("certificate.css").read_text(encoding="utf-8")
-    environment = Environment(
-        loader=PackageLoader("bench.reporting.certificate", "."), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    text = environment.get_template("certificate.html.j2").render(
+    return rendered(
+        "certificate/certificate.html.j2",
         shown=shown,
         verdict=VERDICTS[shown["verdict"]],
-        style=shared + own,
         pictures=pictures(shown),
         values=values_grid(shown),
         corrected=bool(corrections(shown)),
@@ -55,7 +37,6 @@ def page(shown: Mapping[str, Any]) -> str:
         what_if=what_if_grid(shown["what_if"]),
         facts=facts(shown),
     )
-    return text + "\n"
 
 
 def value_text(own: Mapping[str, Any]) -> tuple[str, str]:

@@ -42,6 +42,8 @@ median distance to what others state, where they do. **held-out**: the fit 100 (
 is withdrawn: it has no interval and counts in no coverage. Siblings of a decay have other amplitudes, and differ by
 what the named system leaves out, too."""
 
+FREE_RUN = "Free simulation of the test parts, root mean square error (thousandths of the unit: mV, mm):"
+
 
 @dataclass(frozen=True, eq=False)
 class Panel:
@@ -109,7 +111,7 @@ def track_table(track: Track, command: str) -> Mapping[str, str]:
 
 def markdown(track: Track, command: str) -> str:
     """The table for reading."""
-    parts = [HEAD, summary(track), "## All sets", markdown_table(*_overview(track))]
+    parts = [HEAD, summary(track), "## All sets", markdown_table(*overview(track))]
     for panel in track.panels:
         parts += _panel(panel, track.free_runs)
     parts.append(f"Every sibling's values and intervals are in the CSV. Regenerate: `{command}`")
@@ -150,7 +152,7 @@ def _share(part: int, whole: int) -> str:
     return f"{part}/{whole} ({part / whole:.0%})" if whole else "-"
 
 
-def _overview(track: Track) -> tuple[list[list[str]], list[str]]:
+def overview(track: Track) -> tuple[list[list[str]], list[str]]:
     """One row a set and system: shooting's, and all methods' together."""
     rows = []
     for panel in track.panels:
@@ -189,29 +191,46 @@ def _median(values: Sequence[float]) -> str:
 # ------------------------------------------------------------------------------------------------ a set
 
 
-def _panel(panel: Panel, runs: Sequence[FreeRun]) -> list[str]:
+def origin(panel: Panel) -> str:
+    """What a set is, where it is from, and what was done to it."""
     of = panel.of
     note = f" {of.note[0].upper()}{of.note[1:]}." if of.note else ""
-    said = f"{of.title}. {of.source}; licence: {of.licence}.{note}"
+    return f"{of.title}. {of.source}; licence: {of.licence}.{note}"
+
+
+def known_values(panel: Panel) -> str:
+    """What others state, in a sentence."""
+    known = [f"{readable(name)} {one.value:.6g} ({one.source})" for name, one in panel.of.known.items()]
+    return f"Known: {'; '.join(known)}."
+
+
+def _panel(panel: Panel, runs: Sequence[FreeRun]) -> list[str]:
+    of = panel.of
+    said = origin(panel)
     heading = f"## {panel.name}, {panel.system}"
     if panel.absent:
         return [heading, said, f"{panel.absent}."]
-    parts = [heading, said, markdown_table(*_rows(panel))]
-    known = [f"{readable(name)} {one.value:.6g} ({one.source})" for name, one in of.known.items()]
-    if known:
-        parts.append(f"Known: {'; '.join(known)}.")
+    parts = [heading, said, markdown_table(*method_rows(panel))]
+    if of.known:
+        parts.append(known_values(panel))
     if panel.name == CERTIFIED:
-        parts += ["Against the certified values:", markdown_table(*_certified(panel))]
+        parts += ["Against the certified values:", markdown_table(*certified_rows(panel))]
+    free = free_runs(panel, runs)
+    return [*parts, FREE_RUN, markdown_table(*free)] if free else parts
+
+
+def free_runs(panel: Panel, runs: Sequence[FreeRun]) -> tuple[list[list[str]], list[str]] | None:
+    """The models of a panel simulated over its test parts, and what others have published; None where nothing is."""
     own = [run for run in runs if run.set == f"{panel.name} {panel.system}"]
-    if own:
-        quoted = [FreeRun("", one.model, tuple(one.errors), f"quoted: {one.source}") for one in of.quoted]
-        rows = [[one.model, *(number(error) for error in one.errors), one.source] for one in [*own, *quoted]]
-        what = "Free simulation of the test parts, root mean square error (thousandths of the unit: mV, mm):"
-        parts += [what, markdown_table(rows, ["model", *of.tests, "where from"])]
-    return parts
+    if not own:
+        return None
+    quoted = [FreeRun("", one.model, tuple(one.errors), f"quoted: {one.source}") for one in panel.of.quoted]
+    rows = [[one.model, *(number(error) for error in one.errors), one.source] for one in [*own, *quoted]]
+    return rows, ["model", *panel.of.tests, "where from"]
 
 
-def _rows(panel: Panel) -> tuple[list[list[str]], list[str]]:
+def method_rows(panel: Panel) -> tuple[list[list[str]], list[str]]:
+    """One row a method: of each quantity the median over siblings and how they agree, then time and verdicts."""
     quantities, rows = panel.quantities, []
     for method in panel.methods:
         own, row = panel.own(method), [method]
@@ -236,7 +255,7 @@ def _why(own: Sequence[Fit]) -> str:
     return ", ".join(f"{n} {status}" for status, n in counts.items())
 
 
-def _certified(panel: Panel) -> tuple[list[list[str]], list[str]]:
+def certified_rows(panel: Panel) -> tuple[list[list[str]], list[str]]:
     """Digits of the value, and the white interval over Student's t times the certified standard deviation."""
     rows = []
     for fit in panel.fits:

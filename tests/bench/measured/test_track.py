@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from bench.measured.sets import MeasuredSet, measured_set, set_names
 from bench.measured.siblings import Stated, agreement, pieces, total
 from bench.measured.track import Fit, Fits, tasks
 from bench.reporting.tables.track_table import Panel, Track, certified_ratio, digits, lines, markdown
+from bench.reporting.track.page import page
 
 HALF = 1.959964
 TINY = {"title": "t", "licence": "none", "source": "here", "folder": "x", "files": ["x.csv"], "systems": ["sdof"]}
@@ -153,6 +155,25 @@ def test_the_command_fits_once_and_goes_on(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(track, "fitted", lambda task, timeout_s: pytest.fail("it fits again"))
     assert tracked(asked) == 0
     assert (tmp_path / "table11.md").read_text(encoding="utf-8") == text
+
+
+def test_the_page_holds_every_set_and_needs_nothing_else() -> None:
+    of = MeasuredSet(**{**TINY, "title": "a < b", "known": {"k_over_m": {"value": 9.5, "source": "scales & ruler"}}})
+    found = [fit(str(i), stated(v, 1.0, 0.25)) for i, v in enumerate((9.0, 10.0, 11.0))]
+    text = page(Track([Panel("s", of, "sdof", found), Panel("gone", of, "sdof", absent="not found: x.csv")]), "make it")
+    for part in ("a &lt; b", "scales &amp; ruler", 'id="s-sdof"', 'href="#gone-sdof"', "not found: x.csv", "make it"):
+        assert part in text
+    assert text.count("<svg") == 2  # coverage, and the siblings of the set that is there
+    assert not re.search(r'(?:src|href)="(?!#|data:)', text)
+
+
+def test_the_page_draws_no_more_than_there_is() -> None:
+    """No answer at all, one sibling, an interval without ends."""
+    of = MeasuredSet(**TINY)
+    silent = Fit("1", "s", "sdof", "1", "ls", "diverged", "", "do not trust", (), 1.0, 60.0, 10)
+    assert page(Track([Panel("s", of, "sdof", [silent])]), "").count("<svg") == 0
+    alone = fit("1", Stated(10.0, 9.0, math.inf, 9.5, 10.5))
+    assert page(Track([Panel("s", of, "sdof", [alone])]), "").count("<svg") == 1
 
 
 def test_what_makes_a_fit_new(tmp_path: Path) -> None:

@@ -1,0 +1,1 @@
+"""The page of the measured track: its pictures and its template."""
