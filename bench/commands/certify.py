@@ -3,8 +3,8 @@
 usage: python -m bench.certify data=record.csv [out=certificate] [twins=200] [field=value ...]
 
 The fields are those of a measured record (see python -m bench --help): columns, units, rate, from, to, decimate,
-system [auto], method, seed. The first method is the primary one, whose values the certificate states; the others stand
-beside it.
+detrend, system [auto], method, seed. The first method is the primary one, whose values the certificate states; the
+others stand beside it.
   method  [fast]  a list, or fast: the methods that take seconds, shooting first
   out             the folder of certificate.html and certificate.json
   twins           simulated records like this one on which the intervals are checked; 0: none

@@ -39,6 +39,7 @@ fields (defaults in brackets):
   columns, units where the file does not say: t:0,x:3 and t:ms,x:mm
   rate, from, to samples a second without a column of times; the part to use (s)
   decimate       [1] keep every so many-th sample, after a low-pass filter
+  detrend        [false] take a drift of the displacement's sensor away
   force_gain, hold what the force is multiplied with [1], how it runs [linear]
   fixed.<p>      a parameter that is told: fixed.l=1
   nominal.<p>    what is stated of a measured system (with prior=)

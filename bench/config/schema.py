@@ -56,6 +56,7 @@ class Config(BaseModel):
     first: Annotated[Finite | None, Field(alias="from")]
     last: Annotated[Finite | None, Field(alias="to")]
     decimate: Annotated[int, Field(ge=1, le=10_000)]
+    detrend: bool
     force_gain: Finite
     hold: Hold
     fixed: dict[str, Annotated[float, Field(allow_inf_nan=False, ge=0)]]

@@ -16,8 +16,7 @@ from bench.face.results import nulls
 from bench.measured.find import find
 from bench.measured.finding import Finding
 from bench.measured.intervals import StatedInterval
-from bench.measured.reading import Recording
-from bench.measured.reading.decimation import decimated
+from bench.measured.reading import Recording, prepared
 from bench.measured.record import Measured, of_arrays, read_measured
 from bench.measured.request import AUTO, Request, request_of
 from bench.measured.trust import lag_one, part_of_signal, whiteness_level
@@ -120,6 +119,7 @@ def identify(
     rate: float | None = None,
     span: tuple[float, float] | None = None,
     decimate: int | None = None,
+    detrend: bool | None = None,
     fixed: Mapping[str, float] | None = None,
     prior: str | None = None,
     nominal: Mapping[str, float] | None = None,
@@ -143,6 +143,7 @@ def identify(
         rate: samples a second, where no column is the time.
         span: first and last time (s) to use, on the file's own clock.
         decimate: every so many-th sample is kept, after a low-pass filter.
+        detrend: whether a drift of the displacement's sensor is taken away.
         fixed: parameters that are told: ``{"l": 1.0}``.
         prior: how well the nominal values are known; by default nothing is.
         nominal: with a prior, what is stated of each parameter: ``{"m": 1.2, "c": 0.3, "k": 8.0}`` in SI units.
@@ -177,6 +178,7 @@ def identify(
     fields = {
         "method": method, "prior": prior, "nominal": nominal, "seed": seed, "timeout_s": timeout_s,
         "memory_mb": memory_mb, "rate": rate, "fixed": fixed, "decimate": decimate,
+        "detrend": detrend,
     }  # fmt: skip
     known = {"start": [list(start)], "initial_state": "known"} if start is not None else {}
     of_file: dict[str, Any] = {"data": ",".join(paths) or None, "columns": _written(columns), "units": _written(units)}
@@ -186,7 +188,7 @@ def identify(
     request = request_of(overrides)
     if len(request.jobs) > 1:
         raise InputError("method", method, "one method at a time")
-    recordings = tuple(decimated(recording, request.options.decimate) for recording in recordings)
+    recordings = tuple(prepared(recording, request.options) for recording in recordings)
     return identification(request, read_measured(request, recordings))[0]
 
 

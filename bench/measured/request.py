@@ -63,6 +63,7 @@ def request_of(overrides: Overrides) -> Request:
         config.first,
         config.last,
         config.decimate,
+        config.detrend,
     )
     if options.decimate > 1 and config.start is not None:
         raise InputError("start", config.start, "decimate= leaves the first samples out; leave start= out, too")

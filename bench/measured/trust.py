@@ -203,7 +203,8 @@ def _second_mode(at: Linearised) -> list[Doubt]:
         if chance < LINE and share > SECOND_MODE and abs(harmonic - 1.0) > 0.15:
             said = f"the residuals hold a line at {harmonic:.2f} times the natural frequency, {share:.0%} of the motion"
             worst = Trust.NO if share > MOST_LEFT else Trust.CARE
-            source = "a second mode, or a harmonic" if harmonic > SLOW else "a drift of the sensor, or something slower"
+            slow = "a drift of the sensor, or something slower; detrend=true takes a straight drift away"
+            source = "a second mode, or a harmonic" if harmonic > SLOW else slow
             return [Doubt(worst, f"{said}: {source}")]
     return []
 

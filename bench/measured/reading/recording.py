@@ -11,6 +11,7 @@ import numpy as np
 from bench.contract.problem import MIN_SAMPLES
 from bench.errors import InputError
 from bench.measured.reading.decimation import decimated
+from bench.measured.reading.drift import detrended
 from bench.measured.reading.files import read_file
 from bench.measured.reading.options import ReadOptions
 from bench.measured.reading.picks import Pick, pick
@@ -55,7 +56,12 @@ def read_recording(path: Path, options: ReadOptions = NO_OPTIONS) -> Recording:
         Signal(found.role, _measures(found), found.dof, values * found.size, found.unit, times - start)
         for found, (values, times) in zip(signals, kept, strict=True)
     )
-    return decimated(Recording(made, tuple(dict.fromkeys(notes)), str(path), sha256), options.decimate)
+    return prepared(Recording(made, tuple(dict.fromkeys(notes)), str(path), sha256), options)
+
+
+def prepared(recording: Recording, options: ReadOptions) -> Recording:
+    """A recording without drift and decimated, where the user says so; raises InputError."""
+    return decimated(detrended(recording) if options.detrend else recording, options.decimate)
 
 
 def _measures(found: Pick) -> Measures:
