@@ -14,20 +14,22 @@ from typing import Any
 
 import numpy as np
 
+from bench.contract.estimate import Status
 from bench.dynamics.simulate import simulate
 from bench.entrants.registry import registered
 from bench.errors import InputError
 from bench.isolation.processes import Died
 from bench.measured.apart import apart
-from bench.measured.classes import ModelClass, best_class, ranked_classes
+from bench.measured.classes import ModelClass, best_class, ranked_classes, simplest
+from bench.measured.continued import NAME, continued_fit
 from bench.measured.find import find
-from bench.measured.finding import Finding
+from bench.measured.finding import Finding, judged
 from bench.measured.held_out import early_fit
 from bench.measured.intervals import StatedInterval
 from bench.measured.linearised import Linearised
 from bench.measured.record import Measured
 from bench.measured.request import AUTO, Request
-from bench.measured.trust import Trust
+from bench.measured.trust import Doubt, Trust
 from bench.systems import LENGTH, MEASURED
 
 Say = Callable[[str, int, int], None]
@@ -123,6 +125,7 @@ def certify(request: Request, measured: Measured, twins: int, say: Say = lambda 
     if request.system == AUTO:
         measured = best_class(measured, classes)
     kept = _all_found(request, measured, lambda label, done: say(label, 1 + done, steps))
+    kept = (*_instead(kept[0], classes, measured, request), *kept)
     primary = kept[0]
     motion = motion_of(primary)
     prediction = None if primary.at is None else prediction_of(primary.at)
@@ -149,6 +152,21 @@ def _all_found(request: Request, measured: Measured, say: Callable[[str, int], N
     finally:
         pool.shutdown(cancel_futures=True)  # of a run that is interrupted, no further method starts
     return tuple(one for one in found if one is not None)
+
+
+def _instead(
+    primary: Finding, classes: Sequence[ModelClass], measured: Measured, request: Request
+) -> tuple[Finding, ...]:
+    """Where the primary method has no answer for the class that was chosen: what the class's own fit says."""
+    alone = len(measured.problem.records) == 1 and request.system == AUTO
+    if primary.outcome.status is Status.OK or not classes or not alone:
+        return ()
+    outcome = continued_fit(simplest(classes), measured.problem)
+    if outcome is None:
+        return ()
+    found = judged(NAME, measured, outcome)
+    said = f"{primary.method} found no answer: {primary.outcome.message}; this is the class's own fit"
+    return (replace(found, doubts=(*found.doubts, Doubt(Trust.CARE, said))),)
 
 
 def _found(job: Any, measured: Measured, first: bool) -> Finding | None:
@@ -269,7 +287,8 @@ def _twins(
         missing["twins"] = "the answer is not to be trusted, so no twins are made of it"
         return None
     if findings[0].method not in registered():
-        missing["twins"] = f"{findings[0].method} is a variant, and twins are made for methods with their own settings"
+        said = "twins are fitted by registered methods with their own settings"
+        missing["twins"] = f"{said}, and this answer is of {findings[0].method}"
         return None
     from bench.measured.twins import twins_of
 

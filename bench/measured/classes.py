@@ -41,6 +41,8 @@ SHARES = (0.2, 0.8)
 """Of the viscous damping's work, what further damping does at first: beside all of it a search runs it down to zero."""
 HALF = float(standard_quantile(0.975, None))
 """Of a 95 % interval over the standard error."""
+DESCRIBES = 0.3
+"""Residuals over signal below which a class describes a record at all."""
 SCREEN, SEARCH = 4, 40
 """Iterations of each start, and of the best of them."""
 LEVEL, TOLD_APART = 2.0, 10.0
@@ -53,8 +55,9 @@ beyond the second it is told from the other (R. E. Kass, A. E. Raftery, J. Am. S
 class ModelClass:
     """One class fitted to a record: its criterion above the best one's, residuals over signal, and held-out fit (%).
 
-    ``criterion_error``: standard error of that difference, as the samples of this record give it.
-    ``zero``: terms that the fit ran down to nothing, with the most that the record allows of each over the mass (SI).
+    ``at``: the fit, in ``units``. ``criterion_error``: standard error of that difference, as the samples of this record
+    give it. ``zero``: terms that the fit ran down to nothing, and the most of each that the record allows, over the
+    mass (SI).
     """
 
     name: str
@@ -64,6 +67,7 @@ class ModelClass:
     held_out: float
     zero: Mapping[str, float]
     at: Linearised
+    units: Units
     criterion_error: float = 0.0
 
     @property
@@ -88,10 +92,9 @@ def ranked_classes(measured: Measured) -> list[ModelClass]:
     pulling = SIMPLE if measured.angle else SIMPLE[:-1]  # in metres a pendulum's length is told by large swings alone
     simple = {name: system for name, system in every.items() if name in pulling or name.startswith(UNSPRUNG)}
     found = _fitted(simple, thinned, [])
-    sprung = [one for one in found if not one.name.startswith(UNSPRUNG)]
-    if sprung:
-        base = simplest(sprung)
-        found += _fitted(_damped(base), thinned, found)
+    sprung = sorted((one for one in found if not one.name.startswith(UNSPRUNG)), key=lambda one: one.criterion)
+    for base in _bases(sprung):
+        found += _fitted(_damped(base), thinned, [one for one in found if one is base])
     best = min(found, key=lambda one: one.criterion, default=None)
     return [] if best is None else sorted((_beside(one, best) for one in found), key=lambda one: one.criterion)
 
@@ -113,6 +116,18 @@ def fitted_class(measured: Measured) -> ModelClass | None:
     simple = replace(system, terms=tuple(term for term in system.terms if term not in FURTHER) or system.terms)
     found = _fitted({"simple": simple}, thinned, []) if simple != system else []
     return next(iter(_fitted({"named": system}, thinned, found)), None)
+
+
+def _bases(sprung: Sequence[ModelClass]) -> list[ModelClass]:
+    """Of what pulls back, best first, the two that friction may join: what is missing may hide which of them is right.
+
+    Of classes that are as good the simplest stands for the others.
+    """
+    if not sprung:
+        return []
+    first = simplest(sprung)
+    more = [one for one in sprung if one.criterion > first.criterion + LEVEL and one.left < DESCRIBES]
+    return [first, *more[:1]]
 
 
 def _damped(base: ModelClass) -> dict[str, Sum]:
@@ -175,7 +190,7 @@ def _thinned(problem: Problem) -> Problem:
 
 def _simpler(found: list[ModelClass], names: tuple[str, ...]) -> ModelClass | None:
     """The best of the classes whose parameters are among these, if it describes the record at all."""
-    inside = [one for one in found if set(one.at.model.system.names) < set(names) and one.left < 0.3]
+    inside = [one for one in found if set(one.at.model.system.names) < set(names) and one.left < DESCRIBES]
     return min(inside, key=lambda one: one.criterion, default=None)
 
 
@@ -195,7 +210,7 @@ def _judged(name: str, system: Sum, problem: Problem, simpler: ModelClass | None
         zero, smaller = [], at
     left = float(np.std(smaller.residuals) / (np.std(smaller.model.data) or 1.0))
     allowed = most_allowed(smaller, problem.system, zero, units)
-    return ModelClass(name, system, _criterion(smaller), left, held_out_fit(smaller), allowed, smaller)
+    return ModelClass(name, system, _criterion(smaller), left, held_out_fit(smaller), allowed, smaller, units)
 
 
 def _criterion(at: Linearised) -> float:

@@ -9,12 +9,14 @@ from scipy.integrate import solve_ivp
 from bench.config.overrides import overrides_of
 from bench.contract.problem import Channel, Problem, Record
 from bench.likelihood.output_error import OutputError
+from bench.measured import classes
 from bench.measured.classes import LEVEL, ModelClass, best_class, ranked_classes
+from bench.measured.continued import continued_fit
 from bench.measured.find import find
 from bench.measured.held_out import HELD_OUT, held_out_fit
 from bench.measured.linearised import at_theta
 from bench.measured.reading import Recording, Signal
-from bench.measured.record import Measured, read_measured
+from bench.measured.record import Measured, read_measured, with_system
 from bench.measured.request import request_of
 from bench.measured.zeros import without
 from bench.systems.sums import Sum, sum_from
@@ -83,6 +85,62 @@ def check_friction(db: float, seed: int) -> None:
     assert isinstance(found.problem.system, Sum)
     assert found.problem.system.terms == ("viscous", "spring", "coulomb"), found.notes
     assert any(note.startswith("system=auto chose") for note in found.notes)
+
+
+def duffing_record(cycles: float) -> Measured:
+    """Let go at 1 m, at 40 dB; twenty samples a cycle."""
+    times = np.arange(round(20 * cycles)) / 20.0
+
+    def law(t, y):  # type: ignore[no-untyped-def]
+        return [y[1], -2 * ZETA * OMEGA * y[1] - OMEGA**2 * (y[0] + 0.5 * y[0] ** 3)]
+
+    x = solve_ivp(law, (0.0, times[-1]), [1.0, 0.0], t_eval=times, rtol=1e-9, atol=1e-11).y[0]
+    x = x + 0.01 * np.std(x) * np.random.default_rng(3).standard_normal(x.size)
+    recording = Recording((Signal("x", "displacement", 0, x, "m", times),), (), "simulated", "")
+    request = request_of(overrides_of({"method": "output_error", "data": "simulated"}) | {"system": ["auto"]})
+    return read_measured(request, (recording,))
+
+
+@pytest.mark.parametrize("cycles", [10.0, 40.0])
+def test_the_fit_of_a_class_is_continued_to_the_whole_record(cycles: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From twelve cycles of forty, or from the whole of a short record, to the law's parameters in SI units."""
+    monkeypatch.setattr(classes, "_bases", lambda sprung: [])
+    record = duffing_record(cycles)
+    found = ranked_classes(record)
+    best = next(one for one in found if one.name == "Duffing")
+    outcome = continued_fit(best, with_system(record, best.system).problem)
+    assert outcome is not None
+    assert outcome.estimate is not None
+    law = {"k_over_m": OMEGA**2, "c_over_m": 2 * ZETA * OMEGA, "k3_over_m": 0.5 * OMEGA**2}
+    for name, value in law.items():
+        marginal = outcome.estimate.marginal(best.system.quantity(name))
+        assert marginal is not None
+        low, high = marginal.interval(0.999)
+        assert low < value < high
+        assert high - low < 0.2 * value
+
+
+def test_a_class_with_other_unknowns_is_not_continued(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(classes, "_bases", lambda sprung: [])
+    record = duffing_record(10.0)
+    best = next(one for one in ranked_classes(record) if one.name == "Duffing")
+    assert continued_fit(best, with_system(record, sum_from("sdof")).problem) is None
+
+
+@pytest.mark.slow
+def test_friction_joins_the_second_of_what_pulls_back_too() -> None:
+    """A pendulum of large swings with friction: without friction a softening spring may describe it as well."""
+    x = integrated_pendulum_with_friction()
+    names = [one.name for one in ranked_classes(measured(x, 40.0, 0, "rad"))]
+    assert {"pendulum + Coulomb", "softening + Coulomb"} <= set(names)
+    assert names[0].startswith("pendulum + Coulomb")
+
+
+def integrated_pendulum_with_friction() -> np.ndarray:
+    def law(t, y):  # type: ignore[no-untyped-def]
+        return [y[1], -2 * ZETA * OMEGA * y[1] - OMEGA**2 * np.sin(y[0]) - FRICTION * np.tanh(y[1] / 1e-3)]
+
+    return solve_ivp(law, (0.0, T[-1]), [1.6, 0.0], t_eval=T, rtol=1e-9, atol=1e-11, max_step=0.01).y[0]
 
 
 @pytest.mark.slow

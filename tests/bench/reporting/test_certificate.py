@@ -16,6 +16,7 @@ from bench.measured import certificate as gathering
 from bench.measured import classes
 from bench.measured.certificate import Certificate, _ranked, certify, prediction_of, standing_of
 from bench.measured.classes import ModelClass
+from bench.measured.continued import NAME
 from bench.measured.held_out import held_out_fit
 from bench.measured.intervals import StatedInterval
 from bench.measured.record import Measured, of_arrays, read_measured
@@ -60,6 +61,20 @@ def shown(made: Certificate) -> Mapping[str, Any]:
 @pytest.fixture(scope="module")
 def text(shown: Mapping[str, Any]) -> str:
     return page(shown)
+
+
+def test_where_the_primary_method_finds_nothing_the_fit_of_the_class_stands(ranked: list[ModelClass]) -> None:
+    """Only where the system was chosen; which method found nothing, and why, is said."""
+    failed = ("era",)  # it cannot estimate the sensor's offset
+    chosen = certify(*asked("auto", failed), twins=0)
+    assert [one.method for one in chosen.findings] == [NAME, "era"]
+    assert {"k_over_m", "c_over_m"} <= set(chosen.primary.intervals)
+    own = chosen.primary.intervals["k_over_m"]
+    assert own.low < RATE**2 + DECAY**2 < own.high
+    assert any("era found no answer: it cannot estimate" in doubt.reason for doubt in chosen.primary.doubts)
+    assert NAME in page(contents(chosen, "certify"))
+    named = certify(*asked("sdof", failed), twins=0)
+    assert [one.method for one in named.findings] == ["era"]
 
 
 def test_the_page_asks_for_nothing(text: str) -> None:
