@@ -98,7 +98,7 @@ def judged(method: str, measured: Measured, outcome: Outcome, white: Finding | N
 def _fewer_samples(measured: Measured, outcome: Outcome) -> str:
     """Of a fit that ended at its limits: which decimation would still describe the motion, where one would."""
     factor = spare_factor(measured.problem) if outcome.status in (Status.TIMEOUT, Status.OOM) else 1
-    return f"; decimate={factor} keeps every {factor}th sample, filtered" if factor > 1 else ""
+    return f"; decimate={factor} keeps one sample in {factor}, filtered" if factor > 1 else ""
 
 
 def _frequency(at: Linearised) -> float:

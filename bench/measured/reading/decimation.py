@@ -66,7 +66,7 @@ def _decimated(signal: Signal, factor: int, path: str) -> tuple[Signal, str]:
     kept = replace(signal, times=signal.times[::factor][inner], values=values[inner])
     taken = 100.0 * _power_above(signal.values - mean, PASSED / factor)
     return kept, (
-        f"{signal.role}: every {factor}th of {n} samples after a low-pass filter, so {kept.values.size} are left; "
+        f"{signal.role}: one in {factor} of {n} samples after a low-pass filter, so {kept.values.size} are left; "
         f"{taken:.2g} % of its power was above the {passed:.4g} Hz that pass unchanged"
     )
 

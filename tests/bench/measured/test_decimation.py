@@ -47,7 +47,7 @@ def test_what_would_alias_is_gone_and_said(hertz: float) -> None:
     """Thinned alone, 47 Hz would be 3 Hz."""
     recording = decimated(of_arrays(TIMES, sine(2.0) + 0.5 * sine(hertz)), 20)
     np.testing.assert_allclose(only(recording).values, np.sin(4 * np.pi * (only(recording).times + 0.2)), atol=0.01)
-    assert "every 20th of 12000 samples" in recording.notes[-1]
+    assert "one in 20 of 12000 samples" in recording.notes[-1]
     assert "20 % of its power was above the 20 Hz" in recording.notes[-1]
 
 
@@ -103,4 +103,4 @@ def test_a_fit_that_reaches_its_limit_is_told_which_decimation_would_do() -> Non
     """500 samples a cycle: every 50th leaves 10 (49 where the cycle is taken for a little shorter)."""
     found = bench.identify(TIMES, free_record(), method="mcmc", timeout_s=0.5)
     assert found.status == "timeout"
-    assert re.search(r"; decimate=(49|50) keeps every (49|50)th sample, filtered$", found.reasons[0])
+    assert re.search(r"; decimate=(49|50) keeps one sample in (49|50), filtered$", found.reasons[0])
