@@ -105,10 +105,9 @@ def coverage(track: Track) -> str:
             for row, (_, found) in enumerate(shown):
                 if name in found:
                     stated, own = found[name]
-                    first = row == 0 and axis is axes[0]
                     axis.plot([own, stated], [row, row], color=LINE, lw=2.0)
-                    axis.plot(own, row, "s", color=ORANGE, ms=5, label="method's own" if first else None)
-                    axis.plot(stated, row, "o", color=BLUE, ms=6, label="stated" if first else None)
+                    axis.plot(own, row, "s", color=ORANGE, ms=5, label="method's own")
+                    axis.plot(stated, row, "o", color=BLUE, ms=6, label="stated")
             axis.set(xlim=(-4, 104), title=readable(name))
             axis.tick_params(axis="y", length=0)
             axis.grid(axis="x", lw=0.5)
@@ -116,7 +115,9 @@ def coverage(track: Track) -> str:
         axes[0].set_yticks(range(len(shown)), [name for name, _ in shown], fontsize=9)
         axes[0].set_ylim(len(shown) - 0.5, -0.5)
         figure.supxlabel("intervals that hold the mean of the other siblings (%); dotted: 95", fontsize=10)
-        figure.legend(loc="outside upper right", ncols=2, fontsize=9)
+        drawn = [axis.get_legend_handles_labels() for axis in axes]
+        shown_once = {label: one for handles, labels in drawn for one, label in zip(handles, labels, strict=True)}
+        figure.legend(shown_once.values(), shown_once.keys(), loc="outside upper right", ncols=2, fontsize=9)
         return svg(figure, "Coverage of siblings by set", "coverage")
 
 
