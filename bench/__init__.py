@@ -23,7 +23,7 @@ from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurement
 from bench.errors import InputError
 from bench.likelihood.batch import Batch, Point, layout, used_of
 from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, Search, Standardised, Start, estimate_at
-from bench.likelihood.whitened import Whitened, whitened
+from bench.likelihood.whitened import whitened
 from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
 
 if TYPE_CHECKING:
@@ -70,7 +70,6 @@ __all__ = [
     "Steps",
     "System",
     "Units",
-    "Whitened",
     "acceleration",
     "array_ops",
     "compiled_path",

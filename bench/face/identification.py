@@ -177,8 +177,7 @@ def identify(
     recordings, paths = _records(data, displacement, force)
     fields = {
         "method": method, "prior": prior, "nominal": nominal, "seed": seed, "timeout_s": timeout_s,
-        "memory_mb": memory_mb, "rate": rate, "fixed": fixed, "decimate": decimate,
-        "detrend": detrend,
+        "memory_mb": memory_mb, "rate": rate, "fixed": fixed, "decimate": decimate, "detrend": detrend,
     }  # fmt: skip
     known = {"start": [list(start)], "initial_state": "known"} if start is not None else {}
     of_file: dict[str, Any] = {"data": ",".join(paths) or None, "columns": _written(columns), "units": _written(units)}

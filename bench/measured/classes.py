@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.contract.belief import standard_quantile
 from bench.contract.problem import Problem, Units
 from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.output_error import OutputError
 from bench.measured.colour import criterion_error, information_criterion
 from bench.measured.grown import first_guess, grown_fit, vibration, window
 from bench.measured.held_out import held_out_fit
+from bench.measured.intervals import HALF
 from bench.measured.linearised import Linearised, at_theta
 from bench.measured.models import candidates, smoothing_velocity
 from bench.measured.record import Measured, of_system, with_system
@@ -39,8 +39,6 @@ MOST_SAMPLES = 400
 """Of the part of a record on which classes are compared, from its start: tens of fits are made."""
 SHARES = (0.2, 0.8)
 """Of the viscous damping's work, what further damping does at first: beside all of it a search runs it down to zero."""
-HALF = float(standard_quantile(0.975, None))
-"""Of a 95 % interval over the standard error."""
 DESCRIBES = 0.3
 """Residuals over signal below which a class describes a record at all."""
 SCREEN, SEARCH = 4, 40

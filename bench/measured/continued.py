@@ -7,7 +7,6 @@ record, each from the answer to the last, as in :mod:`bench.measured.grown`.
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,8 +16,7 @@ from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.output_error import estimate_at
 from bench.measured.classes import ModelClass
 from bench.measured.fit import Outcome
-from bench.measured.grown import GROWTH, ITERATIONS, LAST_ITERATIONS, window
-from bench.measured.linearised import Linearised, at_theta
+from bench.measured.grown import GROWTH, grown_from
 
 NAME = "least squares by growing windows"
 
@@ -31,25 +29,13 @@ def continued_fit(one: ModelClass, problem: Problem) -> Outcome | None:
         problem: One record of the class's system without the terms that it does not need, in the user's units.
     """
     started = time.perf_counter()
-    found = _continued(one.at, problem.expressed_in(one.units))
+    own, gauge = problem.expressed_in(one.units), one.at.model.gauge
+    if compiled_output_error(own, gauge).free != one.at.model.free:
+        return None
+    with np.errstate(all="ignore"):
+        found = grown_from(one.at.theta, own, GROWTH * one.at.model.problem.records[0].duration, gauge)
     if found is None or found.white is None:
         return None
     estimate = estimate_at(found.model, found.theta, found.white, found.used, Cost())
     wall_s = time.perf_counter() - started
     return Outcome(estimate.expressed_in(one.units.inverse), Status.OK, "", wall_s)
-
-
-def _continued(first: Linearised, problem: Problem) -> Linearised | None:
-    record, theta = problem.records[0], first.theta
-    length = GROWTH * first.model.problem.records[0].duration
-    if compiled_output_error(problem, first.model.gauge).free != first.model.free:
-        return None
-    while True:
-        last = length >= record.duration
-        part = replace(problem, records=(record if last else window(record, length),))
-        model = compiled_output_error(part, first.model.gauge)
-        with np.errstate(all="ignore"):
-            theta = model.settle(theta[None], iterations=LAST_ITERATIONS if last else ITERATIONS)[0]
-        if last:
-            return at_theta(model, theta)
-        length *= GROWTH

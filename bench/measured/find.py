@@ -40,8 +40,10 @@ def find(job: Job, measured: Measured) -> Finding:
     if not _leaves_open(found):
         return found
     system = measured.problem.system
-    most = _needless(measured, job.config.timeout_s) if isinstance(system, Sum) else {}
-    if not most or not isinstance(system, Sum):
+    if not isinstance(system, Sum):
+        return found
+    most = _needless(measured, job.config.timeout_s)
+    if not most:
         return found
     return _with_zeros(_found(job, with_system(found.measured, without(system, most))), system, most)
 

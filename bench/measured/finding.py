@@ -11,7 +11,7 @@ import numpy as np
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem, Units
 from bench.likelihood.output_error import OutputError
-from bench.likelihood.whitened import whitened
+from bench.likelihood.whitened import Whitened
 from bench.measured.fit import Outcome
 from bench.measured.grown import first_guess
 from bench.measured.intervals import StatedInterval, stated_intervals
@@ -85,7 +85,7 @@ def judged(method: str, measured: Measured, outcome: Outcome, white: Finding | N
         at = linearised(measured.problem, estimate)
         parts = parts_of(at, _frequency(at)) if at is not None else []
         lacking = model_error(at) if at is not None else NOTHING_LACKING
-        noise = at if white is None or at is None else at_theta(whitened(at.model, at.theta), at.theta)
+        noise = at if white is None or at is None else _whitened(at)
         intervals = _beside_white(stated_intervals(estimate, noise, parts, lacking), white)
         intervals = _with_mass(intervals, estimate, measured)
     doubts = (*doubts_about(at, intervals, lacking, outcome.message), *_turned_force(at))
@@ -118,6 +118,11 @@ def _by_part(parts: list[Linearised], measured: Measured) -> dict[str, tuple[flo
             logs = [float(g @ part.theta[: g.size]) for g, part in zip(gradients, parts, strict=True)]
             found[quantity.name] = tuple(scale * math.exp(log) for log in logs)
     return found
+
+
+def _whitened(at: Linearised) -> Linearised | None:
+    """The likelihood with the colour of its own residuals taken account of."""
+    return at_theta(Whitened(at.model.problem, at.model.gauge, model=at.model, noises=at.noises), at.theta)
 
 
 def _beside_white(intervals: dict[str, StatedInterval], white: Finding | None) -> dict[str, StatedInterval]:

@@ -48,16 +48,25 @@ def grown_fit(problem: Problem) -> Linearised | None:
     """The least squares on a problem of one record, in natural units; None where no window gave a finite response."""
     record = problem.records[0]
     rate, size = vibration(max(record.channels, key=lambda c: c.n))
-    p = first_guess(problem.system, rate, size)
-    length, theta = FIRST_CYCLES * 2 * np.pi / rate, np.zeros(0)
+    length = FIRST_CYCLES * 2 * np.pi / rate
+    start = _first(_within(problem, length), first_guess(problem.system, rate, size))
+    return grown_from(start, problem, length)
+
+
+def grown_from(theta: np.ndarray, problem: Problem, length: float, gauge: float = 1.0) -> Linearised | None:
+    """The same from unknowns ``theta`` and a first window of so much time on; ``gauge``: the mass where it is held."""
     while True:
-        last = length >= record.duration
-        model = compiled_output_error(replace(problem, records=(record if last else window(record, length),)))
-        theta = theta if theta.size == model.size else _first(model, p)
+        last = length >= problem.records[0].duration
+        model = _within(problem, length, gauge)
         theta = model.settle(theta[None], iterations=LAST_ITERATIONS if last else ITERATIONS)[0]
         if last:
             return at_theta(model, theta)
         length *= GROWTH
+
+
+def _within(problem: Problem, length: float, gauge: float = 1.0) -> OutputError:
+    """The likelihood of the record up to a time."""
+    return compiled_output_error(replace(problem, records=(window(problem.records[0], length),)), gauge)
 
 
 def _first(model: OutputError, p: dict[str, float]) -> np.ndarray:

@@ -24,6 +24,8 @@ from bench.measured.strongest import strongest_frequency
 from bench.systems import Quantity
 
 UPPER = 0.975
+HALF = float(standard_quantile(UPPER, None))
+"""Half of a 95 % interval over the standard error."""
 LEAST_DOF = 2.0
 SHARE_DOF = 4.0
 """At least, of a variance between parts: two parts show their difference as a whole, not as a draw."""

@@ -15,11 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.contract.belief import standard_quantile
+from bench.measured.intervals import HALF
 from bench.measured.reading import Recording, Signal
 from bench.measured.sets import MeasuredSet
-
-HALF = float(standard_quantile(0.975, None))
 
 
 def pieces(recording: Recording, of: MeasuredSet) -> list[Recording]:

@@ -30,4 +30,4 @@ def rendered(template: str, **values: Any) -> str:
         loader=PackageLoader("bench.reporting", "."), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    return environment.get_template(template).render(style=style(), **values) + "\n"
+    return environment.get_template(template).render(**values) + "\n"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.reporting.page.drawing import INK, LINE, MUTED, RC, SERIES, pyplot, svg
+from bench.reporting.page.drawing import INK, LINE, MUTED, RC, SERIES, pyplot, row_axis, svg
 from bench.reporting.rounding import readable
 
 SIZE = (5.6, 3.5)
@@ -222,9 +222,7 @@ def _forest_of(axis: Any, name: str, rows: Sequence[Mapping[str, Any]], shown: M
     axis.set_xlim(low, high)
     axis.xaxis.set_major_locator(MaxNLocator(4))
     axis.ticklabel_format(axis="x", useOffset=False, style="plain")
-    axis.tick_params(axis="y", length=0)
-    axis.grid(axis="x", lw=0.5)
-    axis.set_axisbelow(True)
+    row_axis(axis)
 
 
 def _limits(own: Mapping[str, Any] | None, told: Sequence[Mapping[str, Any]]) -> tuple[float, float]:

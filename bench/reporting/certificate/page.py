@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.measured.classes import HALF
+from bench.measured.intervals import HALF
 from bench.reporting.certificate.figures import pictures
-from bench.reporting.grid import Grid, rendered
+from bench.reporting.grid import Grid, rendered, style
 from bench.reporting.page.words import joined, number, seconds
 from bench.reporting.rounding import readable, rounded
 
@@ -24,6 +24,7 @@ def page(shown: Mapping[str, Any]) -> str:
     """The page of a certificate's contents, of :func:`bench.reporting.certificate.contents.contents`."""
     return rendered(
         "certificate/certificate.html.j2",
+        style=style(),
         shown=shown,
         verdict=VERDICTS[shown["verdict"]],
         pictures=pictures(shown),

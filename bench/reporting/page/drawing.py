@@ -48,6 +48,13 @@ def pyplot() -> Any:
     return pyplot
 
 
+def row_axis(axis: Any) -> None:
+    """Draw an axis whose rows have names: no ticks there, and a grid of values behind what is drawn."""
+    axis.tick_params(axis="y", length=0)
+    axis.grid(axis="x", lw=0.5)
+    axis.set_axisbelow(True)
+
+
 def svg(figure: Any, title: str, name: str) -> str:
     """A figure as an inline SVG element of its own name space, without what HTML does not need."""
     buffer = io.StringIO()

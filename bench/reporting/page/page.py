@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.reporting.frame import Result
+from bench.reporting.grid import rendered
 from bench.reporting.labels import title
 from bench.reporting.page import cards, headline, leaderboard, neighbours, origin
 from bench.reporting.page.reading import Panel, Reading, decibels, read
@@ -206,21 +207,12 @@ def _shares(reading: Reading, places: Sequence[int]) -> neighbours.Table:
 
 def render(context: Mapping[str, Any], figures: Sequence[neighbours.Figure]) -> str:
     """The page. Every text is escaped; the script runs by its digest and nothing else may load or run."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
     folder = files("bench.reporting.page")
     style = folder.joinpath("report.css").read_text(encoding="utf-8")
     script = folder.joinpath("report.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    environment = Environment(
-        loader=PackageLoader("bench.reporting.page", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    template = environment.get_template("report.html.j2")
-    return template.render(**context, figures=figures, style=style, script=script, script_digest=digest) + "\n"
+    own = {"figures": figures, "style": style, "script": script, "script_digest": digest}
+    return rendered("page/report.html.j2", **context, **own)
 
 
 def page(store: Store, out: Path) -> str:

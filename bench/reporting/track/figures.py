@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from bench.measured.siblings import Stated
-from bench.reporting.page.drawing import INK, LINE, MUTED, RC, SERIES, pyplot, svg
+from bench.reporting.page.drawing import INK, LINE, MUTED, RC, SERIES, pyplot, row_axis, svg
 from bench.reporting.rounding import readable
 from bench.reporting.tables.track_table import MAIN, Panel, Track
+from bench.systems.sums import GROUPS
 
 BLUE, ORANGE, GREEN, PURPLE = SERIES
 WIDTH, ROW = 7.2, 0.3
@@ -21,6 +22,7 @@ SPREAD = 0.32
 OUTER = 8.0
 """What is drawn at most, over the spread of the values: an interval beyond is cut at the edge."""
 NOMINAL = 95.0
+UNITS = {quantity.name: quantity.unit for quantity in GROUPS}
 
 
 def forest(panel: Panel) -> str:
@@ -58,12 +60,10 @@ def _forest_of(axis: Any, panel: Panel, name: str, methods: Sequence[str]) -> No
     if known is not None:
         axis.axvline(known.value, color=GREEN, lw=1.4, ls="--")
     axis.set_xlim(low, high)
-    axis.set_title(readable(name) + (" (1/s²)" if name == "k_over_m" else " (1/s)"))
+    axis.set_title(f"{readable(name)} ({UNITS[name]})")
     axis.xaxis.set_major_locator(MaxNLocator(4))
     axis.ticklabel_format(axis="x", useOffset=False, style="plain" if high >= 1e-3 else "sci")
-    axis.tick_params(axis="y", length=0)
-    axis.grid(axis="x", lw=0.5)
-    axis.set_axisbelow(True)
+    row_axis(axis)
 
 
 def _interval(axis: Any, row: float, one: Stated, low: float, high: float) -> None:
@@ -101,17 +101,7 @@ def coverage(track: Track) -> str:
         figure = plt.figure(figsize=(WIDTH, 1.2 + 0.3 * len(shown)), layout="constrained")
         axes = figure.subplots(1, len(MAIN), sharey=True)
         for axis, name in zip(axes, MAIN, strict=True):
-            axis.axvline(NOMINAL, color=MUTED, lw=0.8, ls=":")
-            for row, (_, found) in enumerate(shown):
-                if name in found:
-                    stated, own = found[name]
-                    axis.plot([own, stated], [row, row], color=LINE, lw=2.0)
-                    axis.plot(own, row, "s", color=ORANGE, ms=5, label="method's own")
-                    axis.plot(stated, row, "o", color=BLUE, ms=6, label="stated")
-            axis.set(xlim=(-4, 104), title=readable(name))
-            axis.tick_params(axis="y", length=0)
-            axis.grid(axis="x", lw=0.5)
-            axis.set_axisbelow(True)
+            _coverage_of(axis, name, [found for _, found in shown])
         axes[0].set_yticks(range(len(shown)), [name for name, _ in shown], fontsize=9)
         axes[0].set_ylim(len(shown) - 0.5, -0.5)
         figure.supxlabel("intervals that hold the mean of the other siblings (%); dotted: 95", fontsize=10)
@@ -119,6 +109,19 @@ def coverage(track: Track) -> str:
         shown_once = {label: one for handles, labels in drawn for one, label in zip(handles, labels, strict=True)}
         figure.legend(shown_once.values(), shown_once.keys(), loc="outside upper right", ncols=2, fontsize=9)
         return svg(figure, "Coverage of siblings by set", "coverage")
+
+
+def _coverage_of(axis: Any, name: str, shares: Sequence[Mapping[str, tuple[float, float]]]) -> None:
+    """One quantity: a row a set, from the methods' own share to the stated one."""
+    axis.axvline(NOMINAL, color=MUTED, lw=0.8, ls=":")
+    for row, found in enumerate(shares):
+        if name in found:
+            stated, own = found[name]
+            axis.plot([own, stated], [row, row], color=LINE, lw=2.0)
+            axis.plot(own, row, "s", color=ORANGE, ms=5, label="method's own")
+            axis.plot(stated, row, "o", color=BLUE, ms=6, label="stated")
+    axis.set(xlim=(-4, 104), title=readable(name))
+    row_axis(axis)
 
 
 def _shares(panel: Panel) -> dict[str, tuple[float, float]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bench.reporting.grid import Grid, rendered
+from bench.reporting.grid import Grid, rendered, style
 from bench.reporting.tables.track_table import (
     CERTIFIED,
     FREE_RUN,
@@ -39,6 +39,7 @@ def page(track: Track, command: str) -> str:
     sentences = [line.removeprefix("- ") for line in summary(track).splitlines()]
     return rendered(
         "track/track.html.j2",
+        style=style(),
         sentences=sentences,
         overview=_grid(overview(track)),
         coverage=coverage(track),
