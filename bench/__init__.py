@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.contract.belief import Belief, Draws, Marginal, Normal
 from bench.contract.estimate import Cost, Estimate, NoEstimate, Reconstruction, Status
-from bench.contract.method import EVERY_PROBLEM, Card, Identifier, Serves
+from bench.contract.method import EVERY_PROBLEM, Card, Choice, Identifier, Serves
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record, Units
 from bench.contract.progress import report_progress
@@ -37,6 +37,7 @@ __all__ = [
     "Batch",
     "Belief",
     "Card",
+    "Choice",
     "Channel",
     "Components",
     "Cost",

@@ -18,6 +18,15 @@ SILENT = "no sensor shows any motion; check the wiring or choose another record"
 
 
 @dataclass(frozen=True)
+class Choice:
+    """A value of a setting that stands in a table as a row of its own: its name, where it is from, its package."""
+
+    title: str
+    source: str
+    package: str = ""
+
+
+@dataclass(frozen=True)
 class Card:
     """What a reader must know of a method before comparing it, and how tables, figures and the page show it.
 
@@ -29,7 +38,8 @@ class Card:
     stands beside, as ``bench/data/paper_tables.csv`` calls it. ``states_terms``: the messages of its estimates name the
     terms of the equation of motion that it found, after ``terms kept of N:``. ``remarks``: its messages say how a fit
     ended, where those of others are warnings. ``variants``: by the name of a file of ``conf/method`` that starts from
-    this method, the fields of the card that differ for it.
+    this method, the fields of the card that differ for it. ``choices``: by setting and value, what the values of a
+    setting are called that a table compares.
     """
 
     summary: str
@@ -47,6 +57,7 @@ class Card:
     states_terms: bool = False
     remarks: bool = False
     variants: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    choices: Mapping[str, Mapping[str, Choice]] = field(default_factory=dict)
 
     def variant(self, name: str) -> Card:
         """The card of a variant: this one with the fields that differ."""

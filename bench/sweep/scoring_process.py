@@ -25,6 +25,7 @@ from bench.isolation.failure import one_line
 from bench.scenario.scenario import METHOD
 from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
+from bench.scoring.path import path_scores
 from bench.scoring.row import Row
 from bench.scoring.score import score
 from bench.scoring.summary import summarise
@@ -143,7 +144,7 @@ class Scorer:
         try:
             with np.errstate(all="ignore"):
                 estimate = combine_with_prior(estimate.checked(), problem.prior).checked()
-                scores = score(estimate, problem, truth)
+                scores = {**score(estimate, problem, truth), **path_scores(estimate, truth)}
         except Exception as error:  # names or shapes that the contract does not allow
             message = f"the estimate cannot be scored: {one_line(error)}"
             return Scored(Row(status=Status.INVALID, message=message, **common))

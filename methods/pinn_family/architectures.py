@@ -1,0 +1,256 @@
+"""Other functions of time than the paper's tanh network, each as features that a linear layer combines.
+
+An architecture says what shapes its coefficients have, how they start, and what its features are, as jets in scaled
+time; everything else (rows, Jacobian, output layer) is common to all, see :class:`FeatureAnsatz`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from methods.network.ansatz import Adjoints, Ansatz, Basis, Tape
+from methods.pinn_family.jet import Jet
+
+Parts = Sequence[Tensor]
+
+
+@dataclass(frozen=True)
+class Features(ABC):
+    """Features of scaled time on [-1, 1]: ``width`` of them, from layers ``depth`` deep."""
+
+    width: int = 64
+    depth: int = 2
+
+    @abstractmethod
+    def start(self, cycles: float, rng: np.random.Generator) -> list[np.ndarray]:
+        """First coefficients, for a function of about so many oscillations; the last part is the output layer's."""
+
+    @abstractmethod
+    def jet(self, parts: Parts, time: Jet) -> Jet:
+        """The features (..., n_features) of time (..., 1)."""
+
+    def n_features(self) -> int:
+        """How many there are."""
+        return self.width
+
+
+def _glorot(n_out: int, n_in: int, rng: np.random.Generator) -> np.ndarray:
+    """Normal weights of variance 2 / (n_in + n_out): X. Glorot and Y. Bengio, AISTATS 2010."""
+    return rng.standard_normal((n_out, n_in)) * math.sqrt(2.0 / (n_in + n_out))
+
+
+@dataclass(frozen=True)
+class Sine(Features):
+    """Sine activations: V. Sitzmann et al., NeurIPS 2020. The first layer's frequencies reach twice the record's."""
+
+    def start(self, cycles: float, rng: np.random.Generator) -> list[np.ndarray]:
+        fastest = 2.0 * math.pi * max(cycles, 1.0)  # two cycles of scaled time's half-length
+        parts = [rng.uniform(-fastest, fastest, (self.width, 1)), rng.uniform(-math.pi, math.pi, self.width)]
+        for _ in range(self.depth - 1):
+            parts += [rng.uniform(-1.0, 1.0, (self.width, self.width)) * math.sqrt(6.0 / self.width), np.zeros(self.width)]
+        return parts
+
+    def jet(self, parts: Parts, time: Jet) -> Jet:
+        for weight, bias in zip(parts[::2], parts[1::2], strict=True):
+            time = time.linear(weight, bias).sin()
+        return time
+
+
+@dataclass(frozen=True)
+class Fourier(Features):
+    """Random Fourier features before a tanh network: S. Wang, H. Wang and P. Perdikaris, CMAME 384:113938, 2021."""
+
+    def start(self, cycles: float, rng: np.random.Generator) -> list[np.ndarray]:
+        frequencies = rng.standard_normal((self.width // 2, 1)) * math.pi * max(cycles, 1.0)
+        parts, n_in = [frequencies], 2 * (self.width // 2)
+        for _ in range(self.depth):
+            parts += [_glorot(self.width, n_in, rng), np.zeros(self.width)]
+            n_in = self.width
+        return parts
+
+    def jet(self, parts: Parts, time: Jet) -> Jet:
+        waves = time.linear(parts[0].detach())  # the frequencies stay as they are drawn
+        h = waves.sin().beside(Jet(waves.value + 0.5 * math.pi, waves.first, waves.second).sin())
+        for weight, bias in zip(parts[1::2], parts[2::2], strict=True):
+            h = h.linear(weight, bias).tanh()
+        return h
+
+
+@dataclass(frozen=True)
+class KolmogorovArnold(Features):
+    """A Kolmogorov-Arnold network (Z. Liu et al., ICLR 2025) whose edges are Gaussian bumps.
+
+    Bumps in place of B-splines: Z. Li, arXiv:2405.06721, 2024. Between its layers stands tanh, so that values stay on
+    the bumps' grid. The last layer's edges are the output layer.
+    """
+
+    bumps: int = 8
+
+    def _counts(self, cycles: float) -> int:
+        return max(2 * self.bumps, 4 * math.ceil(cycles))
+
+    def start(self, cycles: float, rng: np.random.Generator) -> list[np.ndarray]:
+        hidden = max(self.width // self.bumps, 2)
+        parts, n_in, n_bumps = [], 1, self._counts(cycles)
+        for _ in range(self.depth - 1):
+            parts.append(rng.standard_normal((hidden, n_in * n_bumps)) / math.sqrt(n_in * 2.0))
+            n_in, n_bumps = hidden, self.bumps
+        return parts
+
+    def n_features(self) -> int:
+        return max(self.width // self.bumps, 2) * self.bumps
+
+    def jet(self, parts: Parts, time: Jet) -> Jet:
+        for layer, weight in enumerate(parts):
+            n_bumps = weight.shape[-1] if layer == 0 else self.bumps
+            time = time.gaussians(*_grid(n_bumps, time.value)).linear(weight).tanh()
+        return time.gaussians(*_grid(self.bumps, time.value))
+
+
+def _grid(n: int, like: Tensor) -> tuple[Tensor, float]:
+    """Centres of n bumps on [-1, 1] and their width."""
+    return torch.linspace(-1.0, 1.0, n, dtype=like.dtype, device=like.device), 2.0 / (n - 1)
+
+
+@dataclass(frozen=True)
+class Pirate(Features):
+    """PirateNet: gated residual blocks that start as the identity on Fourier features.
+
+    S. Wang et al., J. Mach. Learn. Res. 25:402, 2024. ``depth`` counts blocks of three layers each.
+    """
+
+    def start(self, cycles: float, rng: np.random.Generator) -> list[np.ndarray]:
+        n = 2 * (self.width // 2)
+        parts = [rng.standard_normal((n // 2, 1)) * math.pi * max(cycles, 1.0)]
+        for _ in range(2 + 3 * max(1, self.depth - 1)):  # two gates, then three layers a block
+            parts += [_glorot(n, n, rng), np.zeros(n)]
+        return [*parts, np.zeros(max(1, self.depth - 1))]
+
+    def n_features(self) -> int:
+        return 2 * (self.width // 2)
+
+    def jet(self, parts: Parts, time: Jet) -> Jet:
+        waves = time.linear(parts[0].detach())
+        h = waves.sin().beside(Jet(waves.value + 0.5 * math.pi, waves.first, waves.second).sin())
+        layers = list(zip(parts[1:-1:2], parts[2:-1:2], strict=True))
+        u, v = (h.linear(*layer).tanh() for layer in layers[:2])
+        for block in range(parts[-1].shape[-1]):
+            first, second, third = layers[2 + 3 * block : 5 + 3 * block]
+            inner = _gated(h.linear(*first).tanh(), u, v)
+            inner = _gated(inner.linear(*second).tanh(), u, v)
+            alpha = parts[-1][..., block]
+            h = h + (inner.linear(*third).tanh() - h).scaled(alpha)
+        return h
+
+
+def _gated(f: Jet, u: Jet, v: Jet) -> Jet:
+    return v + f * (u - v)
+
+
+FEATURES: dict[str, type[Features]] = {
+    "sine": Sine,
+    "fourier": Fourier,
+    "kolmogorov_arnold": KolmogorovArnold,
+    "pirate": Pirate,
+}
+
+
+@dataclass
+class FeatureAnsatz(Ansatz):
+    """A linear combination of trainable features at the points ``tau`` (B, n_points), for each path.
+
+    ``shapes`` are those of the features' coefficients, which stand in a vector before the output layer's (weights path
+    by path, then one constant a path).
+    """
+
+    features: Features
+    shapes: tuple[tuple[int, ...], ...]
+    tau: Tensor
+    rate: Tensor
+    n_paths: int
+
+    def __post_init__(self) -> None:
+        self.sizes = [math.prod(shape) for shape in self.shapes]
+        self.body = sum(self.sizes)
+        self.count = self.body + self.n_paths * (self.features.n_features() + 1)
+
+    def take(self, who: Tensor) -> FeatureAnsatz:
+        return replace(self, tau=self.tau[who], rate=self.rate[who])
+
+    def _features(self, body: Tensor, tau: Tensor, rate: Tensor) -> Tensor:
+        """Streams (3, n, n_features + 1) of features and of one, for one fit's coefficients."""
+        parts = [part.reshape(shape) for part, shape in zip(body.split(self.sizes), self.shapes, strict=True)]
+        jet = self.features.jet(parts, Jet.of_time(tau[:, None], rate))
+        one = Jet(torch.ones_like(tau[:, None]), torch.zeros_like(tau[:, None]), torch.zeros_like(tau[:, None]))
+        return jet.beside(one).stacked()
+
+    def _streams(self, theta: Tensor, tau: Tensor, rate: Tensor) -> Tensor:
+        """Streams (3, n, n_paths) for one fit's coefficients (count,)."""
+        head = theta[self.body :].reshape(self.n_paths, -1)
+        return self._features(theta[: self.body], tau, rate) @ head.mT
+
+    def forward(self, theta: Tensor) -> Tape:
+        own = [self._streams(t, tau, rate) for t, tau, rate in zip(theta, self.tau, self.rate, strict=True)]
+        return Tape([theta], [], torch.stack(own))
+
+    def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
+        return [seeds]
+
+    def pull_back(self, tape: Tape, adjoints: Adjoints, points: Tensor | None, dual: Tensor | None = None) -> Tensor:
+        seeds = adjoints[0] if dual is None else adjoints[0] * dual[:, None, :, None]
+        if points is not None:
+            at_points = seeds.new_zeros(*seeds.shape[:2], self.tau.shape[1], seeds.shape[3])
+            seeds = at_points.index_add_(2, points, seeds)
+        theta = tape.inputs[0].detach().requires_grad_(True)
+        with torch.enable_grad():
+            own = [self._streams(t, tau, rate) for t, tau, rate in zip(theta, self.tau, self.rate, strict=True)]
+            return torch.autograd.grad(torch.stack(own), theta, seeds)[0]
+
+    def jacobian(self, tape: Tape, adjoints: Adjoints, points: Tensor, rows: slice = slice(None)) -> Tensor:
+        own = points[rows]
+        found = []
+        for b, theta in enumerate(tape.inputs[0].detach()):
+
+            def row(seed: Tensor, tau: Tensor, theta: Tensor = theta, b: int = b) -> Tensor:
+                value = lambda t: (self._streams(t, tau[None], self.rate[b])[:, 0] * seed).sum()  # noqa: E731
+                return torch.func.grad(value)(theta)
+
+            with torch.enable_grad():
+                found.append(torch.func.vmap(row)(adjoints[0][b, :, rows].transpose(0, 1), self.tau[b, own]))
+        return torch.stack(found)
+
+    def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
+        j = self.jacobian(tape, adjoints, points)
+        return j @ j.mT
+
+    def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
+        pairs = zip(theta[:, : self.body], self.tau, self.rate, strict=True)
+        return Basis(torch.stack([self._features(*own) for own in pairs]), self.n_paths), theta[:, self.body :]
+
+    def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
+        return torch.cat([theta[:, : self.body], coefficients], 1)
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureResponse:
+    """Paths by time, (n,) to (n_paths, n): a feature network with its coefficients."""
+
+    features: Features
+    shapes: tuple[tuple[int, ...], ...]
+    coefficients: np.ndarray
+    n_paths: int
+    duration: float
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        """The paths at times (n,)."""
+        tau = torch.as_tensor(2.0 * np.asarray(times, float) / self.duration - 1.0)[None]
+        ansatz = FeatureAnsatz(self.features, self.shapes, tau, torch.ones(1, dtype=torch.float64), self.n_paths)
+        with torch.no_grad():
+            return np.asarray(ansatz.forward(torch.as_tensor(self.coefficients)[None]).output[0, 0].T)
