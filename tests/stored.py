@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from bench.config.experiment import Experiment
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
+from bench.reporting.frame import table_experiments
+from bench.scoring.path import MOMENTS
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.store import Store
@@ -116,3 +120,37 @@ def fill(
                 rows = scored(f"{label} {snr} {start}", n, spread=1.0 + 0.3 * i)
                 arrays = recorded(rows, reconstructs=i % 3 != 2, trained=i % 3 == 0)
                 save(store, described(label, snr, start, n=n), rows, arrays)
+
+
+def trained(n: int, off: Callable[[float], float], seconds: float = 5.0, **others: float) -> list[Row]:
+    """Trainings that arrive at the given time (s) and end at twice that: ``off(t)`` is the error of k/m (%) at t.
+
+    ``others`` are further scores; one that is NaN is left out.
+    """
+    told = {f"k_over_m_off_pct_at_{moment:g}s": off(min(moment, 2.0 * seconds)) for moment in MOMENTS}
+    at_end = off(2.0 * seconds)
+    scores = {
+        "k_over_m_error_pct": at_end, "c_over_m_error_pct": 100 * SD_C, "k_over_m_coverage_95": 1.0, "rmse": 0.0107,
+        "training_s": 2.0 * seconds, "loss_over_minimum": 1.0, "certificate": 1e-6, "arrival_s": seconds,
+        "k_over_m_off_pct_at_minimum": at_end, "c_over_m_off_pct_at_minimum": 100 * SD_C, **told, **others,
+    }  # fmt: skip
+    known = {name: value for name, value in scores.items() if not np.isnan(value)}
+    return [Row(i, Status.OK, scores=known, cpu_s=3.0 * seconds, peak_memory_mb=50.0) for i in range(n)]
+
+
+def _falling(last: float, seconds: float) -> float:
+    """An error (%) that falls to its last."""
+    return last + 50.0 / (1.0 + 100.0 * seconds**2)
+
+
+def fill_family(store: Store) -> list[StoredCell]:
+    """Every cell at 20 dB with the start known of the experiment that has a family, each row slower than the last."""
+    name = next(name for name in table_experiments() if Experiment(name).table.get("form") == "family")
+    kept = []
+    cells = [cell for cell in Experiment(name).cells() if cell.scenario.snr_db == 20]
+    for i, cell in enumerate(cell for cell in cells if cell.scenario.initial_state == "known"):
+        rows = trained(3, partial(_falling, 0.5 + 0.01 * i), 0.02 * 1.15**i)
+        summary = {name: vars(line) for name, line in summarise(rows, BOUND).items()}
+        what = {**cell.description(), "label": cell.label, "snr_db": 20.0, "initial_state": "known"}
+        kept.append(store.save(StoredCell(cell.identity, what, tuple(rows), summary, {}, {}, 1.0), None))
+    return kept

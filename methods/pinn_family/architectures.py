@@ -54,7 +54,10 @@ class Sine(Features):
         fastest = 2.0 * math.pi * max(cycles, 1.0)  # two cycles of scaled time's half-length
         parts = [rng.uniform(-fastest, fastest, (self.width, 1)), rng.uniform(-math.pi, math.pi, self.width)]
         for _ in range(self.depth - 1):
-            parts += [rng.uniform(-1.0, 1.0, (self.width, self.width)) * math.sqrt(6.0 / self.width), np.zeros(self.width)]
+            parts += [
+                rng.uniform(-1.0, 1.0, (self.width, self.width)) * math.sqrt(6.0 / self.width),
+                np.zeros(self.width),
+            ]
         return parts
 
     def jet(self, parts: Parts, time: Jet) -> Jet:

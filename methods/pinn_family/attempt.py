@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,8 +15,10 @@ from methods.network.ansatz import Sum
 from methods.network.tanh import Network
 from methods.pinn.block import Spread
 from methods.pinn.engine import Attempt, Fit, Watch, torch_threads
-from methods.pinn.levenberg import Walk, equations, minimise
+from methods.pinn.levenberg import DualEquations, Walk, equations, minimise
+from methods.pinn.residuals import Residuals
 from methods.pinn_family.architectures import FeatureAnsatz
+from methods.pinn_family.beliefs.trained import TrainedFit
 from methods.pinn_family.loss import Loss, best_of
 from methods.pinn_family.optimisers import first_order, gauss_newton, newton_cg, projection, quasi_newton
 from methods.pinn_family.path import Path
@@ -27,7 +28,7 @@ from methods.pinn_family.weighting import WEIGHTINGS, Sizes
 from methods.starts.waves import Guess
 
 if TYPE_CHECKING:
-    from methods.pinn_family.method import PINNFamily
+    from methods.pinn_family.settings import FamilySettings
 
 STAGES = ((30.0, 0.1), (1.0, 0.2), (1.0, 0.7))
 """How soft the physics is and which share of the work it takes, stage by stage, where the noise is estimated."""
@@ -36,7 +37,9 @@ ADAM_SHARE = 0.3
 ROUNDS, SETTLED = 3, 0.03
 """As the engine: how often the last stage may be run again with a noise that has changed by more than this."""
 POLISH, POLISHED = 50, 1e-6
-"""Steps of Levenberg-Marquardt to the minimum that a training is judged by, and the promise, over the loss, to end at."""
+"""Steps of Levenberg-Marquardt to the minimum that a training is judged by, and the promise over the loss to end at."""
+RATES = {"adam": 3e-3, "soap": 3e-3, "muon": 1e-2, "adam_lbfgs": 1e-3}
+"""First learning rates: the paper's where Adam hands over, else the best of 1e-3, 3e-3 and 1e-2 on one system."""
 PARTNER = {"adam_lbfgs": "lbfgs", "nystrom_newton_cg": "newton_cg"}
 
 
@@ -44,7 +47,13 @@ class FamilyAttempt(Attempt):
     """One problem's fit; see the module. Only one at a time, since each optimiser goes its own way."""
 
     def __init__(
-        self, problem: Problem, guess: Guess, settings: PINNFamily, rng: np.random.Generator, watch: Watch, path: Path
+        self,
+        problem: Problem,
+        guess: Guess,
+        settings: FamilySettings,
+        rng: np.random.Generator,
+        watch: Watch,
+        path: Path,
     ) -> None:
         super().__init__([problem], [guess], settings, [rng], watch)
         self.own, self.rng, self.path = settings, rng, path
@@ -100,7 +109,7 @@ class FamilyAttempt(Attempt):
 
     def _minimise(self, z: Tensor, last: bool) -> Tensor:
         """One stage by the optimiser of the settings."""
-        name, loss = self.own.optimizer, self.loss
+        name, loss = str(self.own.optimizer), self.loss
         if name in PARTNER:
             end = loss.limit
             loss.begin(ADAM_SHARE * (end - loss.work))
@@ -116,7 +125,8 @@ class FamilyAttempt(Attempt):
 
     def _steps(self, name: str) -> Callable[[Loss, Tensor], Tensor]:
         """The optimiser of a name."""
-        shapes, rate = self._shapes(), self.own.rate
+        shapes = self._shapes()
+        rate = self.own.rate or RATES.get(self.own.optimizer, RATES["adam_lbfgs"])
         makers: Mapping[str, Callable[[Loss, Tensor], Tensor]] = {
             "adam": lambda loss, z: first_order.adam(loss, z, shapes, rate),
             "soap": lambda loss, z: first_order.soap(loss, z, shapes, rate),
@@ -127,13 +137,15 @@ class FamilyAttempt(Attempt):
             "newton_cg": lambda loss, z: newton_cg.nystrom_newton_cg(loss, z, int(self.rng.integers(2**31))),
             "natural_gradient": lambda loss, z: gauss_newton.natural_gradient(loss, z, 1e-6),
             "variable_projection": lambda loss, z: projection.variable_projection(loss, z, 1e-9),
-            "lm": partial(gauss_newton.levenberg_marquardt, **self._ends()),
+            "lm": self._levenberg_marquardt,
         }
         return makers[name]
 
-    def _ends(self) -> Mapping[str, float]:
-        """Where Levenberg-Marquardt ends: by the log posterior where the loss is one, else by the loss itself."""
-        return {"absolute": self.own.tolerance} if self.own.weighting == "noise" else {"relative": 1e-6}
+    def _levenberg_marquardt(self, loss: Loss, z: Tensor) -> Tensor:
+        """It ends by the log posterior where the loss is one, else by the loss itself."""
+        if self.own.weighting == "noise":
+            return gauss_newton.levenberg_marquardt(loss, z, absolute=self.own.tolerance)
+        return gauss_newton.levenberg_marquardt(loss, z, relative=1e-6)
 
     def _shapes(self) -> list[tuple[int, ...]]:
         """Shapes of the coefficients, layer by layer, and of the other unknowns, in the order of z."""
@@ -149,7 +161,7 @@ class FamilyAttempt(Attempt):
         loss.moving = False
         loss.residuals, loss.expand = heads, lambda own: whole.with_heads(z[None], own[None])[0]  # type: ignore[assignment]
         try:
-            found = best_of(loss, short[0], partial(gauss_newton.levenberg_marquardt, **self._ends()))
+            found = best_of(loss, short[0], self._levenberg_marquardt)
             return loss.expand(found)
         finally:
             loss.residuals, loss.expand, loss.best = whole, lambda own: own, None
@@ -187,20 +199,20 @@ def _ansatz_shapes(ansatz: object) -> list[tuple[int, ...]]:
     return [(ansatz.count,)]  # type: ignore[attr-defined]
 
 
-def certificate(residuals: TrainingResiduals, z: Tensor, deviations: Tensor) -> float:
+def certificate(residuals: Residuals, z: Tensor, deviations: Tensor) -> float:
     """``‖Jᵀ r‖ / (‖J‖ ‖r‖)`` at z (1, n_z), with the Frobenius norm of J."""
     state = residuals.evaluate(z, deviations)
     normal = equations(residuals, state, deviations)
     linear = residuals.linearise(state, deviations)
     gradient = residuals.pull_back(state, linear, state.rows)
-    matrix = normal.gram if hasattr(normal, "gram") else normal.matrix
+    matrix = normal.gram if isinstance(normal, DualEquations) else normal.matrix
     size = math.sqrt(float(matrix.diagonal(dim1=1, dim2=2).sum()))
     return float(gradient.norm()) / max(size * float(state.rows.norm()), 1e-300)
 
 
 def fit(
-    problem: Problem, guess: Guess, settings: PINNFamily, rng: np.random.Generator, path: Path, watch: Watch
-) -> tuple[Fit, float]:
+    problem: Problem, guess: Guess, settings: FamilySettings, rng: np.random.Generator, path: Path, watch: Watch
+) -> tuple[TrainedFit, float]:
     """One attempt from a starting guess, and its work; the fit's history carries the path and its judgement."""
     with torch_threads(settings.threads), torch.no_grad():
         attempt = FamilyAttempt(problem, guess, settings, rng, watch, path)
@@ -209,6 +221,4 @@ def fit(
         attempt.record()
         found = attempt.results()[0]
         found.history = {**found.history, **attempt.judged()}
-        return found, attempt.loss.work
-
-
+        return TrainedFit.of(found, attempt), attempt.loss.work

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from methods.pinn.levenberg import DualEquations, PrimalEquations, equations
-from methods.pinn.residuals import State
+from methods.pinn.residuals import Residuals, State
 from methods.pinn_family.path import Path
 from methods.pinn_family.residuals import TrainingResiduals
 from methods.pinn_family.sampling import Sampling
@@ -25,7 +25,7 @@ is read and written once."""
 
 
 MOVES = 30
-"""How often weights and points move where the optimiser takes whole least-squares steps: before each of the first ones."""
+"""How often weights and points move where the optimiser takes least-squares steps: before each of the first ones."""
 
 
 FIRST_MOVE = 5
@@ -47,7 +47,8 @@ class Loss:
     """
 
     def __init__(self, residuals: TrainingResiduals, weighting: Weighting, sampling: Sampling, path: Path) -> None:
-        self.first = self.residuals = residuals
+        self.first = residuals
+        self.residuals: Residuals = residuals
         self.weighting, self.sampling, self.path = weighting, sampling, path
         self.work, self.limit = 0.0, np.inf
         self.gradients = self.moves = 0
@@ -112,11 +113,14 @@ class Loss:
 
     def adapt(self, z: Tensor, state: State) -> None:
         """Let weights and points move, where it is time."""
-        weigh, sample = (every > 0 and self.gradients % every == 0 for every in (self.weighting.every, self.sampling.every))
+        weigh, sample = (
+            every > 0 and self.gradients % every == 0 for every in (self.weighting.every, self.sampling.every)
+        )
         if weigh or sample:
             self._move(z, state, weigh, sample)
 
     def _move(self, z: Tensor, state: State, weigh: bool, sample: bool) -> None:
+        assert isinstance(self.residuals, TrainingResiduals)  # the output layer's alone are never moved
         if weigh:
             self.weighting.update(self.residuals, state)
             self.residuals.shift = self.weighting.shift

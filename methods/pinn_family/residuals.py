@@ -26,7 +26,9 @@ class TrainingResiduals(Residuals):
     shift: Tensor | None = None
 
     @classmethod
-    def of(cls, residuals: Residuals, problem: Problem, make_ansatz: Callable[[int, Block], Ansatz]) -> TrainingResiduals:
+    def of(
+        cls, residuals: Residuals, problem: Problem, make_ansatz: Callable[[int, Block], Ansatz]
+    ) -> TrainingResiduals:
         """The same vector as ``residuals``, of one fit."""
         own = cls.__new__(cls)
         vars(own).update(vars(residuals))

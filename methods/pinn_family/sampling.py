@@ -51,7 +51,8 @@ class Random(Sampling):
 class Adaptive(Sampling):
     """Drawn with a probability that grows with the residual, every hundred steps.
 
-    Residual-based adaptive distribution with k = c = 1: C. Wu et al., Comput. Methods Appl. Mech. Eng. 403:115671, 2023.
+    Residual-based adaptive distribution with k = c = 1: C. Wu et al., Comput. Methods Appl. Mech. Eng. 403:115671,
+    2023.
     """
 
     every = 100

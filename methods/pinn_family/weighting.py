@@ -61,6 +61,7 @@ class Weighting(ABC):
 
     def begin(self, softness: float) -> None:
         """A stage begins: the noise is known better, and the physics may be asked for softly at first."""
+        return  # most know no noise
 
     def squares(self, rows: Tensor) -> Tensor:
         """Mean square (4,) of each term without dimension, from plain rows (n_rows,)."""
@@ -135,7 +136,9 @@ class TangentKernel(_Gradients):
 
     def update(self, residuals: Residuals, state: State) -> None:
         linear = residuals.linearise(state, self.deviations)
-        squared = residuals.gram(state, linear).diagonal(dim1=1, dim2=2)[0] * (self.deviations / self.sizes.plain)[0] ** 2
+        squared = (
+            residuals.gram(state, linear).diagonal(dim1=1, dim2=2)[0] * (self.deviations / self.sizes.plain)[0] ** 2
+        )
         traces = (self.members.to(torch.float64) @ squared) / self.counts
         used = self.present.clone()
         used[BELIEF] = False
@@ -216,7 +219,9 @@ class ResidualAttention(Weighting):
         for term in (DATA, PHYSICS, START):
             own = self.members[term]
             if self.present[term]:
-                self.attention[own] = self.memory * self.attention[own] + self.rate * size[own] / size[own].max().clamp(min=1e-30)
+                self.attention[own] = self.memory * self.attention[own] + self.rate * size[own] / size[own].max().clamp(
+                    min=1e-30
+                )
         self.deviations = self.scaled(self.attention**2)
 
 

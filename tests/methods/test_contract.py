@@ -23,6 +23,9 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "ddnn": {"name": "ddnn", "iterations": 30, "draws": 30},  # as far as needed: what is asked is not accuracy
     "ls_spline": {"name": "ls", "derivative": "spline"},
     "npe": {"name": "npe", "steps": 150, "batch": 64, "width": 48, "depth": 2},
+    "rival_deepxde": {"name": "rival_deepxde", "adam_steps": 40, "second_steps": 20},
+    "rival_jinns": {"name": "rival_jinns", "adam_steps": 40, "second_steps": 20},
+    "rival_pina": {"name": "rival_pina", "adam_steps": 40, "second_steps": 20},
     "pinn_adam": {"name": "pinn", "optimizer": "adam_lbfgs", "slack": 0.5, "adam_steps": 200, "lbfgs_steps": 300},
 }
 NAMES = sorted({*registered(), *VARIANTS})

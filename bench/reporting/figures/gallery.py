@@ -11,8 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bench.entrants.registry import default_settings
-from bench.errors import InputError
+from bench.reporting.family import changed_settings, is_variant
 from bench.reporting.figures.style import Look, looks
 from bench.reporting.frame import Result, drawn_questions
 from bench.reporting.labels import in_order
@@ -29,14 +28,15 @@ class Nothing(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A figure of matplotlib's and the text that says what to see in it."""
+    """A figure of matplotlib's and the text that says what to see in it; ``name``: of its files, if not its own."""
 
     figure: Any
     caption: str
+    name: str = ""
 
 
 class Gallery:
-    """All cells of a store but those of drawn scenarios, and the look of every method among them.
+    """All cells of a store but those of drawn scenarios and variants of a family, and the look of every method.
 
     Of cells that differ in nothing but a method's settings or the number of replicates one is kept: with the settings
     that this method has most often in the store, then of most replicates.
@@ -44,7 +44,8 @@ class Gallery:
 
     def __init__(self, store: Store) -> None:
         self.store = store
-        kept = [one for one in map(Result.of_stored, store) if one.question not in drawn_questions()]
+        every = (one for one in map(Result.of_stored, store) if not is_variant(one))
+        kept = [one for one in every if one.question not in drawn_questions()]
         found = [(json.dumps(changed_settings(one), sort_keys=True), one) for one in kept]
         often = Counter((one.label, settings) for settings, one in found)
         found.sort(key=lambda pair: (-often[pair[1].label, pair[0]], -pair[1].n, pair[1].identity))
@@ -93,15 +94,6 @@ class Gallery:
         wanted = [one for one in own if one.initial_state == told]
         others = [one for one in own if one.initial_state != told]
         return wanted if 2 * len(wanted) >= len(others) else others
-
-
-def changed_settings(one: Result) -> dict[str, Any]:
-    """The settings of a result that are not at their defaults; all of them where its method is not installed here."""
-    try:
-        usual = default_settings(one.method)
-    except InputError:
-        return dict(one.settings)
-    return {name: value for name, value in one.settings.items() if name not in usual or usual[name] != value}
 
 
 def methods_only(cells: Iterable[Result]) -> list[Result]:

@@ -9,6 +9,7 @@ from bench.reporting.figures.band import draw_band
 from bench.reporting.figures.basin import draw_basin
 from bench.reporting.figures.coverage import draw_coverage
 from bench.reporting.figures.failures import draw_failures
+from bench.reporting.figures.family import draw_family
 from bench.reporting.figures.forest import draw_forest
 from bench.reporting.figures.gallery import Gallery, Picture
 from bench.reporting.figures.noise import draw_noise
@@ -34,6 +35,7 @@ PICTURES: dict[str, Callable[[Gallery], Picture]] = {
     "accuracy_against_time": draw_time,
     "profiles": draw_profiles,
     "failures": draw_failures,
+    "family": draw_family,
 }
 """By file name, what draws it."""
 
@@ -41,8 +43,9 @@ PICTURES: dict[str, Callable[[Gallery], Picture]] = {
 def write_picture(gallery: Gallery, name: str, out: Path) -> list[Path]:
     """Draw a picture and write its files; the paths of the drawings. Raises Nothing where there is nothing to draw."""
     picture = PICTURES[name](gallery)
-    paths = save_figure(picture.figure, out, name)
-    (out / f"{name}.txt").write_text(picture.caption + _changed_names(gallery) + "\n", encoding="utf-8")
+    own = picture.name or name
+    paths = save_figure(picture.figure, out, own)
+    (out / f"{own}.txt").write_text(picture.caption + _changed_names(gallery) + "\n", encoding="utf-8")
     pyplot().close(picture.figure)
     return paths
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 from bench.reporting.frame import Frame
 from bench.reporting.tables.calibration import calibration_table
+from bench.reporting.tables.family import family_table
 from bench.reporting.tables.misspecified import misspecified_table
 from bench.reporting.tables.open_split import open_table
 from bench.reporting.tables.paper_tables import paper_table
@@ -26,5 +27,6 @@ def table_files(frame: Frame, store: Store) -> Mapping[str, str]:
         "systems": system_table,
         "open": open_table,
         "misspecified": misspecified_table,
+        "family": family_table,
     }
     return forms[str(frame.table.get("form", "paper"))](frame)

@@ -18,7 +18,9 @@ Shapes = Sequence[tuple[int, ...]]
 Groups = list[dict[str, Any]]
 
 
-def descend(loss: Loss, z: Tensor, shapes: Shapes, optimizers: Sequence[torch.optim.Optimizer], parts: list[Tensor]) -> Tensor:
+def descend(
+    loss: Loss, z: Tensor, shapes: Shapes, optimizers: Sequence[torch.optim.Optimizer], parts: list[Tensor]
+) -> Tensor:
     """Take steps until the work is used up, which ends in :class:`Exhausted`; the rate falls along a half cosine."""
     first = [group["lr"] for optimizer in optimizers for group in optimizer.param_groups]
     while True:
@@ -38,7 +40,9 @@ def descend(loss: Loss, z: Tensor, shapes: Shapes, optimizers: Sequence[torch.op
 def leaves(z: Tensor, shapes: Shapes) -> list[Tensor]:
     """A vector as parameters of their own shapes."""
     sizes = [math.prod(shape) for shape in shapes]
-    return [part.reshape(shape).clone().requires_grad_(True) for part, shape in zip(z.split(sizes), shapes, strict=True)]
+    return [
+        part.reshape(shape).clone().requires_grad_(True) for part, shape in zip(z.split(sizes), shapes, strict=True)
+    ]
 
 
 def adam(loss: Loss, z: Tensor, shapes: Shapes, rate: float) -> Tensor:

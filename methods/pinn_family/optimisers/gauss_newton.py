@@ -16,8 +16,8 @@ from methods.pinn_family.loss import Loss
 
 FIRST_DAMPING = 1e-6
 """Damping at the start, over the largest squared row of J."""
-NATURAL_DAMPING = 1e-12
-"""The natural gradient's, likewise."""
+NATURAL_DAMPINGS = (1e-12, 1e-9, 1e-6)
+"""The natural gradient's, likewise, one after the other."""
 LENGTHS = 0.5 ** np.arange(0.0, 31.0, 1.0)
 """Lengths that the natural gradient's line search tries, as its authors do: powers of a half down to 2^-30."""
 
@@ -52,20 +52,33 @@ def natural_gradient(loss: Loss, z: Tensor, tolerance: float) -> Tensor:
     """Energy natural gradient: J. Müller and M. Zeinhofer, ICML 2023; by Woodbury's identity, arXiv:2505.12149, 2025.
 
     For a sum of squares its metric is the Gauss-Newton matrix, so the direction is that of Levenberg-Marquardt at a
-    fixed, small damping; the length is the best of a grid.
+    fixed, small damping; the length is the best of a grid. Where no length gains ``tolerance`` of the loss, the damping
+    is raised a thousandfold, twice at most.
     """
+    dampings = iter(NATURAL_DAMPINGS)
+    damping = next(dampings)
     while True:
         state, normal = loss.equations(z)
         value = float(state.loss[0])
-        step, promise = normal.solve(normal.size * NATURAL_DAMPING)
-        if not np.isfinite(float(promise[0])):
-            step, promise = normal.solve(normal.size * 1e3 * NATURAL_DAMPING)
-        values = []
-        for length in LENGTHS:
-            values.append(loss.value(z - length * step[0]))
-            if len(values) > 1 and values[-2] < value and values[-1] >= values[-2]:
-                break  # the best of the grid is behind
-        best = int(np.nanargmin(values)) if np.any(np.isfinite(values)) else 0
-        if not values[best] < value * (1.0 - tolerance):
-            return z
-        z = z - LENGTHS[best] * step[0]
+        step, promise = normal.solve(normal.size * damping)
+        length, least = 0.0, value
+        if np.isfinite(float(promise[0])):
+            length, least = _best_length(loss, z, step[0], value)
+        z = z - length * step[0] if length else z
+        if not least < value * (1.0 - tolerance):
+            more = next(dampings, None)
+            if more is None:
+                return z
+            damping = more
+
+
+def _best_length(loss: Loss, z: Tensor, step: Tensor, value: float) -> tuple[float, float]:
+    """The length of the grid with the least loss, and that loss; zero where none is below ``value``."""
+    best, least = 0.0, value
+    for length in LENGTHS:
+        found = loss.value(z - length * step)
+        if found < least:
+            best, least = length, found
+        elif best:
+            break  # the best of the grid is behind
+    return best, least

@@ -1,9 +1,9 @@
 """Variable projection on random features: the hidden layers stay as they were drawn, the output layer is solved for.
 
 An extreme learning machine (G.-B. Huang et al., Neurocomputing 70:489, 2006; as a PINN V. Dwivedi and B. Srinivasan,
-Neurocomputing 391:96, 2020). For given physical parameters the output layer is that of a least-squares problem, a linear
-one for a linear system; what is left is a function of the parameters alone (G. Golub and V. Pereyra, SIAM J. Numer.
-Anal. 10:413, 1973), which scipy's trust-region least squares minimises.
+Neurocomputing 391:96, 2020). For given physical parameters the output layer is that of a least-squares problem, a
+linear one for a linear system; what is left is a function of the parameters alone (G. Golub and V. Pereyra, SIAM J.
+Numer. Anal. 10:413, 1973), which scipy's trust-region least squares minimises.
 """
 
 from __future__ import annotations
@@ -48,4 +48,3 @@ def variable_projection(loss: Loss, z: Tensor, tolerance: float) -> Tensor:
     first = np.asarray(short[0, where].cpu())
     found = least_squares(rows, first, method="trf", x_scale=1.0, ftol=tolerance, xtol=1e-10, diff_step=1e-6)
     return residuals.with_heads(z[None], inner(found.x))[0]
-

@@ -69,7 +69,7 @@ def _line_search(
     loss: Loss, z: Tensor, value: float, gradient: Tensor, direction: Tensor, before: float | None
 ) -> tuple[float, float, Tensor] | None:
     """A length for the strong Wolfe conditions (scipy's), the loss and the gradient there; None where there is none."""
-    last: dict[str, tuple[float, Tensor]] = {}
+    last: dict[bytes, tuple[float, Tensor]] = {}
 
     def both(x: np.ndarray) -> tuple[float, Tensor]:
         key = x.tobytes()
@@ -81,7 +81,13 @@ def _line_search(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         length, _, _, after, _, slope = line_search(
-            lambda x: both(x)[0], lambda x: plain(both(x)[1]), plain(z), plain(direction), plain(gradient), value, before
+            lambda x: both(x)[0],
+            lambda x: plain(both(x)[1]),
+            plain(z),
+            plain(direction),
+            plain(gradient),
+            value,
+            before,
         )
     if length is None or slope is None or not np.isfinite(after):
         return None

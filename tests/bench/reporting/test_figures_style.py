@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stored import described, fill, recorded, save, scored
+from stored import described, fill, fill_family, recorded, save, scored
 
 from bench.contract.estimate import Status
 from bench.reporting.labels import REFERENCE_CARDS, cards
@@ -114,7 +114,7 @@ def shown_texts(figure: Any) -> list[tuple[str, float, Any]]:
 
 @pytest.fixture(scope="module")
 def full(tmp_path_factory: pytest.TempPathFactory) -> Gallery:
-    """A store of all known methods and ten strange ones, with failures of every kind, and one of two masses."""
+    """All known methods and ten strange ones, with failures of every kind, one of two masses, and a family."""
     store = Store(tmp_path_factory.mktemp("full") / "rows")
     store.prepare()
     fill(store, [*STYLES, *OTHER_SCRIPTS], (40.0, 20.0, 5.0), ("unknown",), n=20)
@@ -128,6 +128,7 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> Gallery:
     arrays = {**arrays, **pair, **samples, "sample_dof": np.repeat([0, 1], 25)}
     chain = {"initial": [[1.0, 0.0], [0.0, 0.0]], "options": {"n": 2}}
     save(store, described("pinn", n=3, **chain), rows, arrays)
+    fill_family(store)
     return Gallery(store)
 
 

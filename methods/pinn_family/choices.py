@@ -1,0 +1,62 @@
+"""What the family compares: the values of its settings, with their names in tables, their sources and packages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from bench import Choice
+
+OPTIMIZERS: Mapping[str, Choice] = {
+    "adam": Choice("Adam", "D. P. Kingma and J. Ba, ICLR 2015", "torch"),
+    "adam_lbfgs": Choice(
+        "Adam, then L-BFGS", "the paper's; D. C. Liu and J. Nocedal, Math. Program. 45:503, 1989", "scipy"
+    ),
+    "lbfgs": Choice("L-BFGS", "D. C. Liu and J. Nocedal, Math. Program. 45:503, 1989", "scipy"),
+    "soap": Choice("SOAP", "N. Vyas et al., ICLR 2025", "pytorch_optimizer"),
+    "muon": Choice("Muon", "K. Jordan et al., 2024", "torch"),
+    "self_scaled_bfgs": Choice("self-scaled BFGS", "J. F. Urbán et al., J. Comput. Phys. 523:113656, 2025"),
+    "self_scaled_broyden": Choice("self-scaled Broyden", "J. F. Urbán et al., J. Comput. Phys. 523:113656, 2025"),
+    "nystrom_newton_cg": Choice("Adam, then Nyström-Newton-CG", "P. Rathore et al., ICML 2024"),
+    "natural_gradient": Choice(
+        "energy natural gradient", "J. Müller and M. Zeinhofer, ICML 2023; a Gauss-Newton step with a line search"
+    ),
+    "variable_projection": Choice(
+        "random features, variable projection", "V. Dwivedi and B. Srinivasan, Neurocomputing 391:96, 2020", "scipy"
+    ),
+    "lm": Choice("Levenberg-Marquardt", "H. B. Nielsen, IMM-REP-1999-05; in residual space as the PINN here"),
+}
+WEIGHTINGS: Mapping[str, Choice] = {
+    "noise": Choice("by the estimated noise", "minus the log posterior, as the PINN here"),
+    "paper": Choice("fixed, all one", "the paper's: selected empirically"),
+    "relobralo": Choice("ReLoBRaLo", "R. Bischof and M. Kraus, arXiv:2110.09813, 2021"),
+    "tangent_kernel": Choice("neural tangent kernel", "S. Wang et al., J. Comput. Phys. 449:110768, 2022"),
+    "gradient_norms": Choice("gradient norms", "S. Wang et al., SIAM J. Sci. Comput. 43:A3055, 2021; arXiv:2308.08468"),
+    "self_adaptive": Choice(
+        "self-adaptive", "L. McClenny and U. Braga-Neto, J. Comput. Phys. 474:111722, 2023", "torch"
+    ),
+    "attention": Choice("residual-based attention", "S. Anagnostopoulos et al., CMAME 421:116805, 2024"),
+    "augmented_lagrangian": Choice("augmented Lagrangian", "D. P. Bertsekas, 1982; PINNverse, arXiv:2504.05248, 2025"),
+    "causal": Choice("causal", "S. Wang et al., CMAME 421:116813, 2024"),
+}
+ARCHITECTURES: Mapping[str, Choice] = {
+    "tanh": Choice("tanh network", "the paper's: two hidden layers of 64", "torch"),
+    "sine": Choice("sine activations", "V. Sitzmann et al., NeurIPS 2020", "torch"),
+    "fourier": Choice("Fourier features", "S. Wang, H. Wang and P. Perdikaris, CMAME 384:113938, 2021", "torch"),
+    "kolmogorov_arnold": Choice("Kolmogorov-Arnold", "Z. Liu et al., ICLR 2025; bumps of arXiv:2405.06721", "torch"),
+    "pirate": Choice("PirateNet", "S. Wang et al., J. Mach. Learn. Res. 25:402, 2024", "torch"),
+    "spline": Choice("B-spline", "J. M. Varah, SIAM J. Sci. Stat. Comput. 3:28, 1982", "scipy"),
+}
+SAMPLINGS: Mapping[str, Choice] = {
+    "uniform": Choice("evenly spaced", "the paper's: 200 points"),
+    "random": Choice("drawn anew each step", "M. Raissi et al., J. Comput. Phys. 378:686, 2019, as commonly trained"),
+    "adaptive": Choice("where the residual is large", "C. Wu et al., CMAME 403:115671, 2023"),
+}
+UNCERTAINTIES: Mapping[str, Choice] = {
+    "laplace": Choice("Laplace, all weights", "D. MacKay, Neural Comput. 4:448, 1992; weights profiled out"),
+    "last_layer": Choice("Laplace, output layer", "E. Daxberger et al., NeurIPS 2021"),
+    "ensemble": Choice("deep ensemble", "the paper's; B. Lakshminarayanan et al., NeurIPS 2017"),
+    "bootstrap": Choice("parametric bootstrap", "B. Efron and R. Tibshirani, An Introduction to the Bootstrap, 1993"),
+    "nuts": Choice("Bayesian PINN, NUTS", "L. Yang et al., J. Comput. Phys. 425:109913, 2021", "blackjax"),
+    "variational": Choice("variational, mean field", "C. Blundell et al., ICML 2015", "torch"),
+    "dropout": Choice("Monte-Carlo dropout", "Y. Gal and Z. Ghahramani, ICML 2016", "torch"),
+}

@@ -1,0 +1,127 @@
+"""The settings of the family, and what represents the response under each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from bench import InputError
+from methods.network.response import Function
+from methods.pinn.collocation import Collocation
+from methods.pinn.method import PINN
+from methods.pinn.physics import PhysicsInformed
+from methods.pinn.settings import Settings
+
+if TYPE_CHECKING:
+    from methods.network.ansatz import Ansatz
+    from methods.pinn.block import Block
+    from methods.pinn_family.architectures import Features
+
+
+@dataclass(frozen=True)
+class FamilySettings(PhysicsInformed):
+    """The settings; those of :class:`methods.pinn.settings.Settings`, and what a row of the table changes.
+
+    ``budget``: work of a fit, all its starts together, in gradients. ``rate``: first learning rate of Adam, SOAP and
+    Muon (None: that of the card). ``width``, ``depth``: of the network.
+    """
+
+    optimizer: Literal[
+        "adam",
+        "adam_lbfgs",
+        "lbfgs",
+        "soap",
+        "muon",
+        "self_scaled_bfgs",
+        "self_scaled_broyden",
+        "nystrom_newton_cg",
+        "natural_gradient",
+        "variable_projection",
+        "lm",
+    ] = "lm"
+    weighting: Literal[
+        "noise",
+        "paper",
+        "relobralo",
+        "tangent_kernel",
+        "gradient_norms",
+        "self_adaptive",
+        "attention",
+        "augmented_lagrangian",
+        "causal",
+    ] = "noise"
+    architecture: Literal["tanh", "sine", "fourier", "kolmogorov_arnold", "pirate", "spline"] = "tanh"
+    sampling: Literal["uniform", "random", "adaptive"] = "uniform"
+    uncertainty: Literal[  # type: ignore[assignment] # wider than the base's
+        "laplace", "ensemble", "bootstrap", "nuts", "variational", "last_layer", "dropout"
+    ] = "laplace"
+    budget: float = 10_000.0
+    rate: float | None = None
+    width: int = 64
+    depth: int = 2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._at_least({"width": 4, "depth": 1})
+        for name, value in (("budget", self.budget), ("rate", self.rate)):
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise InputError(f"method.{name}", value, "a positive number")
+        if self.batch != 1:
+            raise InputError("method.batch", self.batch, "1: each fit of the family goes its own way")
+        if self.optimizer == "variable_projection" and self.weighting not in ("noise", "paper"):
+            raise InputError(
+                "method.weighting", self.weighting, "noise or paper: variable_projection holds weights fixed"
+            )
+
+    def _usual(self) -> Settings | None:
+        """The settings of the tanh network or the spline, which are the engine's own."""
+        if self.architecture == "tanh":
+            return PINN(width=self.width, depth=self.depth, collocation=self.collocation)
+        return Collocation(collocation=self.collocation) if self.architecture == "spline" else None
+
+    def _features(self, resolution: int) -> tuple[Features, tuple[tuple[int, ...], ...]]:
+        """The features of any other architecture, and the shapes of their coefficients."""
+        from methods.pinn_family.architectures import FEATURES
+
+        features = FEATURES[self.architecture](self.width, self.depth)
+        return features, tuple(part.shape for part in features.start(resolution, np.random.default_rng(0)))
+
+    def ansatz(self, block: Block, resolution: int) -> Ansatz:
+        usual = self._usual()
+        if usual is not None:
+            return usual.ansatz(block, resolution)
+        import torch
+
+        from methods.pinn_family.architectures import FeatureAnsatz
+
+        features, shapes = self._features(resolution)
+        device = block.values.device
+        tau = torch.as_tensor(2.0 * block.times / block.duration[:, None] - 1.0, device=device)
+        rate = torch.as_tensor(2.0 / block.duration, device=device)
+        return FeatureAnsatz(features, shapes, tau, rate, block.n_paths)
+
+    def first_coefficients(
+        self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
+    ) -> np.ndarray:
+        usual = self._usual()
+        if usual is not None:
+            return usual.first_coefficients(n_paths, resolution, cycles, rngs)
+        features, _ = self._features(resolution)
+        found = []
+        for rng in rngs:
+            parts = features.start(resolution, rng)
+            head = np.zeros(n_paths * (features.n_features() + 1))
+            found.append(np.concatenate([*[part.ravel() for part in parts], head]))
+        return np.stack(found)
+
+    def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> Function:
+        usual = self._usual()
+        if usual is not None:
+            return usual.response(coefficients, n_paths, resolution, duration)
+        from methods.pinn_family.architectures import FeatureResponse
+
+        features, shapes = self._features(resolution)
+        return FeatureResponse(features, shapes, coefficients, n_paths, duration)

@@ -1,0 +1,251 @@
+"""The inverse PINN of jinns, on JAX in double precision: Adam of optax, then its self-scaled Broyden method.
+
+H. Gangloff, N. Jouvin, arXiv:2412.14132, 2024. Its ``PINN_MLP``, ``LossODE`` and ``solve`` with the first weights of
+equinox; the equation is differentiated by weights and unknowns. A told displacement is its initial condition; it has
+none for a velocity, so that this is a second dynamic loss, which asks at the start whatever the time. The second
+optimiser is the one that it ships beside those of optax, ``scale_by_SSBroyden_family`` (after arXiv:2405.04230), with a
+dense inverse Hessian.
+
+``solve`` is compiled anew for each fit and optimiser: that takes several seconds, which are on the path, but a stage's
+time begins after it. The clock is read, and the path noted, through what the package has for validation: a module that
+it calls on the way and that may end the training.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bench import Card, Estimate
+from methods.rivals.decay import ADAM_RATE, COLLOCATION, HIDDEN, Decay
+from methods.rivals.path import Path
+from methods.rivals.rival import Rival
+
+MOST_A_SECOND = 20_000
+"""Steps that are made room for."""
+ADAM_EVERY = 20
+"""Steps of Adam between two looks at the clock."""
+
+
+@dataclass(frozen=True)
+class Jinns(Rival):
+    """jinns: Adam, then its self-scaled Broyden method; see :class:`methods.rivals.rival.Rival`.
+
+    On how many threads it computes is JAX's own affair, for the whole process.
+    """
+
+    second_steps: int = 300
+
+    card: ClassVar[Card] = Card(
+        summary="inverse PINN of the package jinns: tanh network, Adam, then its self-scaled Broyden method",
+        start="used when known",
+        scale="groups",
+        reconstruction="own",
+        uncertainty="none: the package states none",
+        settings_source="jinns 1.10.2 as it ships; network and collocation of the paper; our start scan",
+        tuning="none",
+        title="jinns",
+        order=1002,
+        colour="#00796B",
+        marker=(6, 0, 0.0),
+        remarks=True,
+    )
+    requires: ClassVar[tuple[str, ...]] = ("jinns", "jax")
+
+    def train(self, decay: Decay, path: Path, seed: int) -> Estimate:
+        import jax
+
+        jax.config.update("jax_enable_x64", True)
+        import optax
+        from jinns.optimizers import scale_by_SSBroyden_family
+        from jinns.solver import GetJinnsVariableName
+
+        keys = jax.random.split(jax.random.PRNGKey(seed), 4)
+        net, params = _network(decay, keys[0])
+        loss = _loss(decay, net, params)
+        data = _data(decay, keys[1], keys[2])
+        extra = {
+            "value": GetJinnsVariableName("train_loss_value"),
+            "grad_pt": GetJinnsVariableName("grads"),
+            "value_fn": get_value_fn,
+            "grad_fn": get_grad_fn,
+        }
+        last = float("nan")
+        stages = [
+            (optax.adam(ADAM_RATE), None, ADAM_EVERY, self.adam_steps),
+            (scale_by_SSBroyden_family(), extra, 1, self.second_steps),
+        ]
+        for seconds, (optimiser, needs, every, most) in zip(self.stages, stages, strict=True):
+            own = _Stage(path, seconds, every, most or int(MOST_A_SECOND * seconds) + 1)
+            params, last = _solve(own, loss, params, data, optimiser, needs)
+        layers = _layers(params)
+        logs = float(params.eq_params.log_k), float(params.eq_params.log_c)
+        return path.end((*logs, last), layers, decay.duration, f"loss {last:.3g} after {path.steps} steps")
+
+
+def get_value_fn(loss: Any, batch: Any) -> Callable[..., Any]:
+    """The loss as a function of the parameters, for a line search; jinns finds its arguments by their names."""
+
+    def value(params: Any, **_: Any) -> Any:
+        return loss(params, batch)[0]
+
+    return value
+
+
+def get_grad_fn(loss: Any, batch: Any) -> Callable[..., Any]:
+    """The gradient of the loss as a function of the parameters; jinns finds its arguments by their names."""
+    import jax
+
+    return jax.grad(lambda params, **_: loss(params, batch)[0])
+
+
+def _network(decay: Decay, key: Any) -> tuple[Any, Any]:
+    """The package's network, and its weights with the unknowns at our start."""
+    import equinox
+    import jax
+    import jax.numpy as jnp
+    from jinns.nn import PINN_MLP
+    from jinns.parameters import Params
+
+    first, second = HIDDEN
+    tanh, linear = (jax.nn.tanh,), equinox.nn.Linear
+    shape = ((linear, 1, first), tanh, (linear, first, second), tanh, (linear, second, 1))
+    net, weights = PINN_MLP.create(key=key, eqx_list=shape, eq_type="ODE")
+    unknowns = {name: jnp.asarray(log) for name, log in zip(("log_k", "log_c"), decay.logs, strict=True)}
+    return net, Params(nn_params=weights, eq_params=unknowns)
+
+
+def _layers(params: Any) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Weights and biases, layer by layer."""
+    import jax
+
+    leaves = [np.array(leaf) for leaf in jax.tree.leaves(params.nn_params)]
+    return list(zip(leaves[::2], leaves[1::2], strict=True))
+
+
+def _loss(decay: Decay, net: Any, params: Any) -> Any:
+    """Equation, told start and data, each with weight 1."""
+    import jax
+    import jax.numpy as jnp
+    from jinns.loss import ODE, LossODE, LossWeightsODE
+    from jinns.parameters import DerivativeKeysODE
+
+    def rate(u: Any, own: Any) -> Callable[[Any], Any]:
+        """The derivative of the network by its time, a number."""
+        return lambda s: jax.grad(lambda at: u(at, own)[0])(s)[0]
+
+    class Motion(ODE):  # type: ignore[misc]
+        def equation(self, t: Any, u: Any, params: Any) -> Any:
+            stiffness = jnp.exp(params.eq_params.log_k - decay.stiffness_unit)
+            damping = jnp.exp(params.eq_params.log_c - decay.damping_unit)
+            first = rate(u, params)
+            second = jax.grad(first)(t)[0]
+            return jnp.array([decay.speed**2 * second + damping * decay.speed * first(t) + stiffness * u(t, params)[0]])
+
+    class Velocity(ODE):  # type: ignore[misc]
+        def equation(self, t: Any, u: Any, params: Any) -> Any:
+            assert decay.told is not None
+            return jnp.array([decay.speed * rate(u, params)(jnp.array([-1.0])) - decay.told[1]])
+
+    told = decay.told is not None
+    keys = DerivativeKeysODE.from_str(
+        params=params, dyn_loss="both", observations="nn_params", initial_condition="nn_params"
+    )
+    return LossODE(
+        u=net,
+        dynamic_loss=(Motion(), Velocity()) if told else Motion(),
+        initial_condition=(jnp.array([-1.0]), jnp.array([decay.told[0]])) if decay.told is not None else None,
+        loss_weights=LossWeightsODE(
+            dyn_loss=(1.0, 1.0) if told else 1.0, initial_condition=1.0 if told else None, observations=1.0
+        ),
+        derivative_keys=keys,
+        params=params,
+    )
+
+
+def _data(decay: Decay, key: Any, other: Any) -> dict[str, Any]:
+    """Collocation points and observations."""
+    import jax.numpy as jnp
+    from jinns.data import DataGeneratorObservations, DataGeneratorODE
+
+    return {
+        "data": DataGeneratorODE(key=key, nt=COLLOCATION, tmin=-1.0, tmax=1.0, method="grid"),
+        "obs_data": DataGeneratorObservations(
+            key=other,
+            observed_pinn_in=jnp.asarray(decay.times[:, None]),
+            observed_values=jnp.asarray(decay.values[:, None]),
+        ),
+    }
+
+
+class _Stage:
+    """One call of ``solve``: at most ``most`` steps and so many seconds from its first, asked each ``every`` steps."""
+
+    def __init__(self, path: Path, seconds: float, every: int, most: int) -> None:
+        self.path, self.seconds, self.every, self.most = path, seconds, every, most
+        self.begun = path.steps
+        self.noted: list[tuple[int, int]] = []  # moments of the path, and the step of this stage that each was at
+
+    def ask(self, log_k: Any, log_c: Any) -> np.ndarray:
+        """Whether to stop, as what the compiled loop takes."""
+        path = self.path
+        if path.steps == self.begun:
+            path.stage(self.seconds, 0)
+        at, moments = path.steps - self.begun, len(path.losses)
+        stop = path.step(lambda: (float(log_k), float(log_c), float("nan")), self.every)
+        if len(path.losses) > moments:
+            self.noted.append((moments, at))
+        return np.array(stop)
+
+    def end(self, losses: np.ndarray) -> float:
+        """Give the moments their losses, with those of all steps, zero where there was none; the last loss."""
+        for moment, at in self.noted:
+            self.path.losses[moment] = float(losses[at])
+        taken = int(np.max(np.flatnonzero(losses), initial=0)) + 1
+        self.path.steps = self.begun + taken
+        return float(losses[taken - 1])
+
+
+def _solve(
+    stage: _Stage, loss: Any, params: Any, data: dict[str, Any], optimiser: Any, needs: Any
+) -> tuple[Any, float]:
+    """Train by one optimiser until the stage ends it; the parameters and the last loss."""
+    import jax
+    import jinns
+
+    done = jinns.solve(
+        n_iter=stage.most,
+        init_params=params,
+        loss=loss,
+        optimizer=optimiser,
+        print_loss_every=stage.most + 1,
+        extra_optax_args_and_kwargs=needs,
+        validation=_clock(stage.ask, stage.every),
+        verbose=False,
+        **data,
+    )
+    jax.effects_barrier()
+    return done[0], stage.end(np.asarray(done[1]))
+
+
+def _clock(ask: Callable[[Any, Any], np.ndarray], every: int) -> Any:
+    """What the package takes for a validation: it asks whether to stop, each so many steps."""
+    import equinox
+    import jax
+    import jax.numpy as jnp
+    from jax.experimental import io_callback
+    from jinns.validation import AbstractValidationModule
+
+    class Clock(AbstractValidationModule):  # type: ignore[misc]
+        call_every: int = equinox.field(kw_only=True, static=True)
+        ask: Callable[[Any, Any], np.ndarray] = equinox.field(kw_only=True, static=True)
+
+        def __call__(self, params: Any) -> tuple[Any, Any, Any, Any]:
+            answer = jax.ShapeDtypeStruct((), bool)
+            stop = io_callback(self.ask, answer, params.eq_params.log_k, params.eq_params.log_c)
+            return self, stop, jnp.zeros(()), jnp.array(False)
+
+    return Clock(call_every=every, ask=ask)

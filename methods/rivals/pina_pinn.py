@@ -1,0 +1,181 @@
+"""The inverse PINN of PINA, on torch and Lightning: Adam, then torch's L-BFGS through its optimiser interface.
+
+D. Coscia, A. Ivagnes, N. Demo, G. Rozza, Journal of Open Source Software 8:5352, 2023. An ``InverseProblem`` with the
+data, the equation and a told start as conditions, its ``FeedForward`` network with torch's first weights, its
+physics-informed solver and trainer, in double precision. L-BFGS has the options that DeepXDE ships, 20 iterations a
+step.
+
+Two things of version 0.3.2 stand in the way of L-BFGS where an equation has unknowns, and are stepped around. Its
+callback that switches optimisers hands on the weights of the network alone, and the unknowns would stay where they are:
+the second optimiser is a second solver of the same network and problem. And a solver adds the unknowns as a second
+group of parameters, of which torch's L-BFGS takes one: ours puts them into the first.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bench import Card, Estimate
+from methods.rivals.decay import ADAM_RATE, COLLOCATION, HIDDEN, Decay
+from methods.rivals.guests import torch_for_a_guest
+from methods.rivals.path import Now, Path
+from methods.rivals.rival import TorchRival
+
+ITERATIONS_A_STEP = 20
+LBFGS = {"lr": 1.0, "history_size": 100, "tolerance_grad": 1e-8, "tolerance_change": 0.0}
+WIDE = 5.0
+"""The unknowns are kept within so much of the logarithms that they start from: the package asks for bounds."""
+
+
+@dataclass(frozen=True)
+class PINA(TorchRival):
+    """PINA: Adam, then L-BFGS; see :class:`methods.rivals.rival.Rival`."""
+
+    card: ClassVar[Card] = Card(
+        summary="inverse PINN of the package PINA: tanh network, Adam, then torch's L-BFGS, in double precision",
+        start="used when known",
+        scale="groups",
+        reconstruction="own",
+        uncertainty="none: the package states none",
+        settings_source="PINA 0.3.2 (pina-mathlab) as it ships; network and collocation of the paper; our start scan",
+        tuning="none",
+        title="PINA",
+        order=1003,
+        colour="#B71C5C",
+        marker=(10, 1, 18.0),
+        remarks=True,
+    )
+    requires: ClassVar[tuple[str, ...]] = ("pina", "torch")
+
+    def train(self, decay: Decay, path: Path, seed: int) -> Estimate:
+        with torch_for_a_guest(self.threads, seed):
+            import torch
+            from pina.model import FeedForward
+            from pina.optim import TorchOptimizer
+            from pina.trainer import Trainer  # noqa: F401 - its import asks for all warnings
+
+            warnings.simplefilter("ignore")
+            problem = _problem(decay)
+            net = FeedForward(input_dimensions=1, output_dimensions=1, layers=list(HIDDEN), func=torch.nn.Tanh)
+            adam, quasi_newton = self.stages
+            path.stage(adam, self.adam_steps)
+            _fit(problem, net, TorchOptimizer(torch.optim.Adam, lr=ADAM_RATE), path, 1)
+            path.stage(quasi_newton, self.second_steps)
+            own = min(ITERATIONS_A_STEP, self.second_steps or ITERATIONS_A_STEP)
+            options = {**LBFGS, "max_iter": own, "max_eval": 50 * own, "line_search_fn": "strong_wolfe"}
+            loss = _fit(problem, net, TorchOptimizer(_lbfgs(), **options), path, own)
+            layers = [
+                (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
+                for layer in net.model
+                if isinstance(layer, torch.nn.Linear)
+            ]
+            return path.end(
+                (*_logs(problem), loss), layers, decay.duration, f"loss {loss:.3g} after {path.steps} steps"
+            )
+
+
+def _lbfgs() -> type[Any]:
+    """Torch's L-BFGS that takes further parameters into its one group."""
+    import torch
+
+    class OneGroup(torch.optim.LBFGS):
+        def add_param_group(self, param_group: dict[str, Any]) -> None:
+            if self.param_groups:
+                self.param_groups[0]["params"].extend(param_group["params"])
+            else:
+                super().add_param_group(param_group)
+
+    return OneGroup
+
+
+def _logs(problem: Any) -> tuple[float, float]:
+    return problem.unknown_parameters["log_k"].item(), problem.unknown_parameters["log_c"].item()
+
+
+def _problem(decay: Decay) -> Any:
+    """The package's statement of the decay, its unknowns at our start."""
+    import torch
+    from pina import Condition, LabelTensor
+    from pina.domain import CartesianDomain
+    from pina.equation import Equation, FixedValue
+    from pina.operator import grad
+    from pina.problem import InverseProblem, TimeDependentProblem
+
+    speed = decay.speed
+
+    def motion(s: Any, u: Any, unknowns: dict[str, Any]) -> Any:
+        stiffness = torch.exp(unknowns["log_k"] - decay.stiffness_unit)
+        damping = torch.exp(unknowns["log_c"] - decay.damping_unit)
+        first = grad(u, s, components=["u"], d=["s"])
+        second = grad(first, s, components=["duds"], d=["s"])
+        return speed**2 * second + damping * speed * first + stiffness * u
+
+    def labelled(values: np.ndarray, label: str) -> Any:
+        return LabelTensor(torch.tensor(values[:, None]), [label])
+
+    stated = {
+        "data": Condition(input=labelled(decay.times, "s"), target=labelled(decay.values, "u")),
+        "motion": Condition(domain="record", equation=Equation(motion)),
+    }
+    if decay.told is not None:
+        x0, v0 = decay.told
+        stated["place"] = Condition(domain="beginning", equation=FixedValue(x0))
+        stated["velocity"] = Condition(
+            domain="beginning", equation=Equation(lambda s, u: speed * grad(u, s, components=["u"], d=["s"]) - v0)
+        )
+    bounds = {name: [log - WIDE, log + WIDE] for name, log in zip(("log_k", "log_c"), decay.logs, strict=True)}
+
+    class FreeDecay(TimeDependentProblem, InverseProblem):  # type: ignore[misc]
+        output_variables: ClassVar[list[str]] = ["u"]
+        temporal_domain = CartesianDomain({"s": [-1.0, 1.0]})
+        unknown_parameter_domain = CartesianDomain(bounds)
+        domains: ClassVar[dict[str, Any]] = {
+            "record": CartesianDomain({"s": [-1.0, 1.0]}),
+            "beginning": CartesianDomain({"s": -1.0}),
+        }
+        conditions: ClassVar[dict[str, Any]] = stated
+
+    problem = FreeDecay()
+    problem.discretise_domain(COLLOCATION, "grid", domains=["record"])
+    problem.discretise_domain(1, "grid", domains=["beginning"])
+    for name, log in zip(("log_k", "log_c"), decay.logs, strict=True):
+        problem.unknown_parameters[name] = torch.nn.Parameter(torch.tensor([log]))
+    return problem
+
+
+def _fit(problem: Any, net: Any, optimiser: Any, path: Path, iterations: int) -> float:
+    """Train by one optimiser, of so many iterations a step, until the path ends it; the last loss."""
+    from lightning.pytorch.callbacks import Callback
+    from pina.solver import PhysicsInformedSingleModelSolver
+    from pina.trainer import Trainer
+
+    class Watch(Callback):
+        loss = float("nan")
+
+        def on_train_batch_end(self, trainer: Any, pl_module: Any, outputs: Any, batch: Any, batch_idx: int) -> None:
+            self.loss = float(outputs["loss"])
+
+            def now() -> Now:
+                return *_logs(problem), self.loss
+
+            trainer.should_stop = path.step(now, iterations)
+
+    watch = Watch()
+    solver = PhysicsInformedSingleModelSolver(problem, net, optimizer=optimiser)
+    trainer = Trainer(
+        solver,
+        max_epochs=-1,
+        accelerator="cpu",
+        devices=1,
+        logger=False,
+        callbacks=[watch],
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+    )
+    trainer.train()
+    return watch.loss

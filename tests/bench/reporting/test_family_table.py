@@ -1,0 +1,315 @@
+"""The table and the picture of a family, from stored cells whose numbers are known beforehand."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from stored import BOUND, fill, fill_family, trained
+
+from bench.config.experiment import Experiment
+from bench.contract.estimate import Status
+from bench.entrants.registry import default_settings, load_method
+from bench.errors import InputError
+from bench.reporting.family import Family, family_of
+from bench.reporting.frame import Frame, Result, experiment_frame
+from bench.reporting.tables.family import family_table
+from bench.reporting.tables.family_numbers import arrival, oracle_seconds, training
+from bench.reporting.tables.family_sentences import errors, optimisers, weightings
+from bench.scenario.scenario import Scenario
+from bench.scoring.row import Row
+from bench.scoring.summary import summarise
+from bench.store.cell import Cell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
+
+FAMILY = "pinn_family"
+CHOICES = load_method(FAMILY).card.choices
+TABLE = Experiment("pinn").table
+LM: dict[str, Any] = {}
+PAPERS = {"optimizer": "adam_lbfgs", "weighting": "paper"}
+PLACE = (20.0, "known")
+
+
+def cell(scenario: Scenario, rows: Sequence[Row] | None, settings: dict[str, Any] | None, method: str) -> Result:
+    """A cell of a method with so much changed; not stored where it has no rows."""
+    usual = default_settings(method)
+    label = " ".join([method, *(f"{name}={value}" for name, value in (settings or {}).items())])
+    own = Cell(scenario, method, {**usual, **(settings or {})}, len(rows or [0]), 1907, label)
+    summary = {name: vars(line) for name, line in summarise(rows, BOUND).items()} if rows else {}
+    return Result.of_cell(own, StoredCell(own.identity, {}, tuple(rows), summary, {}, {}, 1.0) if rows else None)
+
+
+@pytest.fixture
+def place(reference: Scenario) -> Scenario:
+    return reference
+
+
+def frame(*results: Result) -> Frame:
+    return Frame("pinn", "The family", TABLE, results)
+
+
+def steady(error: float) -> list[Row]:
+    """Two trainings with this error of k/m (%) from the beginning on."""
+    return trained(2, lambda t: error)
+
+
+def drawn(stiffness: np.ndarray, damping: float) -> list[Row]:
+    """Rows with these errors of k/m and this one of c/m (%)."""
+    row = trained(1, lambda t: 0.5)[0]
+    both = [{"k_over_m_error_pct": float(one), "c_over_m_error_pct": damping} for one in stiffness]
+    return [replace(row, replicate=i, scores={**row.scores, **own}) for i, own in enumerate(both)]
+
+
+def titles(family: Family) -> dict[str, list[str]]:
+    return {f"{one.heading}, {one.base}": [row.title for row in one.rows] for one in family.every}
+
+
+def panel(text: str, heading: str) -> list[list[list[str]]]:
+    """The tables under a heading, each by line and cell."""
+    body = text.split(f"\n## {heading}\n")[1].split("\n## ")[0]
+    found: list[list[list[str]]] = [[]]
+    for line in body.splitlines():
+        if line.startswith("|") and not line.startswith("|-"):
+            found[-1].append([cell.strip() for cell in line.strip("|").split("|")])
+        elif not line and found[-1]:
+            found.append([])
+    return [table for table in found if table]
+
+
+# ---- which row stands where
+
+
+def test_a_row_stands_under_what_it_differs_in_and_the_base_first(place: Scenario) -> None:
+    kinds: list[dict[str, Any]] = [
+        {"weighting": "paper"}, {"architecture": "spline"}, {"collocation": 500}, {"collocation": 50}, LM,
+        {"optimizer": "soap"}, PAPERS, {**PAPERS, "architecture": "sine"}, {"start": "exact"},
+    ]  # fmt: skip
+    found = titles(family_of(frame(*(cell(place, None, settings, FAMILY) for settings in kinds))))
+    optimizer, weighting = CHOICES["optimizer"], CHOICES["weighting"]
+    architecture = CHOICES["architecture"]
+    assert found == {
+        "Optimisers, our base": [optimizer["lm"].title, optimizer["soap"].title],
+        # the paper's weights under Levenberg-Marquardt are one thing apart from either base
+        "Optimisers, the paper's base": [optimizer["adam_lbfgs"].title, optimizer["lm"].title],
+        "Weightings, our base": [weighting["noise"].title, weighting["paper"].title],
+        "Functions of time, our base": [
+            f"{architecture['tanh'].title}; start in the loss", architecture["spline"].title, "start built in",
+        ],
+        "Functions of time, the paper's base": [
+            f"{architecture['tanh'].title}; start in the loss", architecture["sine"].title
+        ],
+        "Collocation, our base": [f"200 points; {CHOICES['sampling']['uniform'].title}", "50 points", "500 points"],
+    }  # fmt: skip
+
+
+def test_what_is_two_things_apart_and_what_is_another_package_are_not_lost(place: Scenario) -> None:
+    both = {"optimizer": "soap", "architecture": "sine"}
+    uncertain = {"uncertainty": "ensemble"}
+    rows = [cell(place, None, settings, FAMILY) for settings in (LM, both, uncertain)]
+    found = titles(family_of(frame(*rows, cell(place, None, None, "ls"), cell(place, None, None, "oracle"))))
+    assert found["Functions of time, several settings at once"] == [
+        f"{CHOICES['optimizer']['soap'].title}; {CHOICES['architecture']['sine'].title}"
+    ]
+    assert found["Ways of stating uncertainty, our base"][1:] == [CHOICES["uncertainty"]["ensemble"].title]
+    assert found["Reference rows, "] == ["oracle"]
+    assert found["Other packages, "] == [load_method("ls").card.title]
+
+
+def test_an_experiment_without_a_family_is_said_to_have_none(place: Scenario) -> None:
+    with pytest.raises(InputError, match="choices"):
+        family_of(frame(cell(place, None, None, "ls")))
+
+
+def test_a_store_without_its_cells_gives_no_table(place: Scenario) -> None:
+    assert family_table(frame(cell(place, None, LM, FAMILY), cell(place, steady(1.0), None, "oracle"))) == {}
+
+
+# ---- numbers
+
+
+def test_the_excess_is_root_mean_square_over_the_bound(place: Scenario) -> None:
+    """Errors of k/m of 0.3 % and 0.9 % over a bound of 0.5 %: sqrt((0.09 + 0.81) / 2) / 0.5 = 1.342."""
+    rows = [replace(row, replicate=i) for i, row in enumerate(trained(1, lambda t: 0.3) + trained(1, lambda t: 0.9))]
+    soap = cell(place, rows, {"optimizer": "soap"}, FAMILY)
+    files = family_table(frame(cell(place, steady(0.5), LM, FAMILY), soap))
+    known, told = panel(files[f"{FAMILY}.md"], "Optimisers, our base")
+    assert known[2][:6] == ["SOAP", "2/2", "1.34", "1.00", "1.00", "100"]
+    assert known[1][:3] == ["Levenberg-Marquardt (base)", "2/2", "1.00"]
+    assert told[2][1] == "2/2"
+    assert "1.34" in told[2]  # the error at the minimum is that of the end here
+    lines = csv.DictReader(io.StringIO(files[f"{FAMILY}.csv"]))
+    (line,) = [one for one in lines if one["row"] == "SOAP" and one["quantity"] == "k_over_m_excess"]
+    assert float(line["value"]) == pytest.approx(np.sqrt(0.45) / 0.5, rel=1e-4)
+    assert (line["section"], line["base"], line["n_ok"]) == ("Optimisers", "our base", "2")
+    assert line["settings"] == '{"optimizer": "soap"}'
+    assert "SOAP" in files[f"{FAMILY}.tex"]
+    assert "1.34" in files[f"{FAMILY}.tex"]
+    assert "optimizer=" not in files[f"{FAMILY}.md"]
+
+
+def test_only_those_that_arrive_are_timed_and_never_is_said(place: Scenario) -> None:
+    there, nowhere = trained(1, lambda t: 0.5, 3.0), trained(1, lambda t: 0.5, arrival_s=np.nan)
+    half = cell(place, [*there, replace(nowhere[0], replicate=1)], {"optimizer": "soap"}, FAMILY)
+    none = cell(place, nowhere, {"optimizer": "muon"}, FAMILY)
+    assert arrival(half) == (0.5, 3.0)
+    text = family_table(frame(cell(place, steady(0.5), LM, FAMILY), half, none))[f"{FAMILY}.md"]
+    _, told = panel(text, "Optimisers, our base")
+    seconds = told[0].index("s to within 1 % of the minimum")
+    assert {row[0]: row[seconds] for row in told[1:]} == {
+        "Levenberg-Marquardt (base)": "5", "SOAP": "3 (1/2)", "Muon": "never"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("off", "expected"),
+    [
+        (lambda t: 0.5, 0.01),
+        (lambda t: 0.2 if t < 0.1 else 3.0 if t < 2 else 0.54, 2.0),  # near by luck, off again, near for good
+        (lambda t: 0.56, np.inf),
+    ],
+)
+def test_as_good_as_the_oracle_is_for_good(place: Scenario, off: Any, expected: float) -> None:
+    """The oracle has an error of 0.5 %, so 0.55 % is near enough; its further replicates do not count."""
+    rows = [*trained(2, lambda t: 0.5), replace(trained(1, lambda t: 50.0)[0], replicate=2)]
+    assert oracle_seconds(cell(place, trained(2, off), LM, FAMILY), cell(place, rows, None, "oracle")) == expected
+
+
+def test_of_a_method_that_tells_no_training_nothing_is_said(place: Scenario) -> None:
+    rows = [Row(0, Status.OK, scores={"k_over_m_error_pct": 0.5}, cpu_s=2.0)]
+    own = training(cell(place, rows, None, "oracle"), None)
+    assert {name for name, value in own.items() if value == value} == {"fit_s"}
+
+
+def test_a_failed_fit_is_counted_and_its_reason_told(place: Scenario) -> None:
+    rows = [*trained(1, lambda t: 0.5), Row(1, Status.DIVERGED, "it went away")]
+    text = family_table(frame(cell(place, rows, {"optimizer": "soap"}, FAMILY)))[f"{FAMILY}.md"]
+    known, _ = panel(text, "Optimisers, our base")
+    assert known[2][:3] == ["SOAP", "1/2", "1.00"]
+    assert "- 1 × SOAP: diverged, it went away" in text
+
+
+def test_what_is_not_stored_stands_there_as_not_computed(place: Scenario) -> None:
+    missing = cell(place, None, {"optimizer": "soap"}, FAMILY)
+    files = family_table(frame(cell(place, steady(0.5), LM, FAMILY), missing))
+    for table in panel(files[f"{FAMILY}.md"], "Optimisers, our base"):
+        assert table[2][:3] == ["SOAP", "-", "not computed"]
+    assert "SOAP" in files[f"{FAMILY}.tex"]
+    lines = [one for one in csv.DictReader(io.StringIO(files[f"{FAMILY}.csv"])) if one["row"] == "SOAP"]
+    assert {(one["n"], one["value"]) for one in lines} == {("0", "")}
+
+
+# ---- sentences
+
+
+def test_the_sentence_on_optimisers_follows_the_numbers(place: Scenario) -> None:
+    def said(seconds: float, arrives: float = 1.0) -> str:
+        rows = trained(2, lambda t: 0.5, seconds, **({} if arrives else {"arrival_s": np.nan}))
+        papers = cell(place, rows, PAPERS, FAMILY)
+        own = [cell(place, trained(2, lambda t: 0.5, 0.1), kind, FAMILY) for kind in (LM, {"weighting": "paper"})]
+        return optimisers(family_of(frame(*own, cell(place, None, {"optimizer": "soap"}, FAMILY), papers)), PLACE)
+
+    text = said(20.0)
+    assert "On our base 1 of 1 optimisers" in text
+    assert "1 of 2 rows are not computed" in text
+    assert "in 20 s: 200 times as long as Levenberg-Marquardt on our base" in text
+    assert "in 30 s: 300 times" in said(30.0)
+    assert "In no fit does the paper's base itself" in said(20.0, 0.0)
+
+
+def test_the_sentence_on_weightings_names_the_one_whose_minimum_is_nearest_the_bound(place: Scenario) -> None:
+    def said(error: float) -> str:
+        own = cell(place, trained(2, lambda t: 0.6), LM, FAMILY)
+        return weightings(family_of(frame(own, cell(place, steady(error), {"weighting": "causal"}, FAMILY))), PLACE)
+
+    assert "nearest the bound is by the estimated noise (1.20, 1.00); then causal (3.00, 1.00)" in said(1.5)
+    assert "nearest the bound is causal (1.10, 1.00); then by the estimated noise" in said(0.55)
+    assert "50 %" in said(0.55)  # 1 / sqrt(2 n) of two data sets
+
+
+def test_the_sentence_on_errors_finds_a_winner_only_beyond_chance(place: Scenario) -> None:
+    def said(factor: float, n: int = 30) -> str:
+        usual = np.abs(np.random.default_rng(1).normal(0.0, 0.5, n))
+        own = cell(place, drawn(usual, 3.5), LM, FAMILY)
+        other = cell(place, drawn(factor * usual, factor * 3.5), {"optimizer": "soap"}, FAMILY)
+        return errors(family_of(frame(own, other)))
+
+    assert said(0.5).startswith(
+        "1 of 1 rows beat Levenberg-Marquardt (our base) in the errors of k/m and c/m together beyond chance: "
+        "SOAP (median ratio of errors 0.50)"
+    )
+    assert "30 common data sets" in said(0.5)
+    assert "Worse beyond chance: 1" in said(2.0)
+    assert said(1.0).startswith("None of 1 rows beats")
+    assert said(0.5, 3).startswith("None of 1 rows beats")  # three pairs tell nothing
+
+
+def test_sentences_say_what_cannot_be_said(place: Scenario) -> None:
+    kinds = (LM, PAPERS, {"optimizer": "soap"}, {"weighting": "paper"}, {"weighting": "causal"})
+    family = family_of(frame(*(cell(place, None, kind, FAMILY) for kind in kinds)))
+    assert "Which optimisers reach the minimum on our base is not known. 2 of 2 rows" in optimisers(family, PLACE)
+    assert "How long the paper's base itself (Adam, then L-BFGS) takes is not known" in optimisers(family, PLACE)
+    assert weightings(family, PLACE).startswith("Which weighting's own minimum is nearest the bound is not known.")
+    assert errors(family).startswith("Whether any row beats Levenberg-Marquardt (our base) in error is not known.")
+
+
+# ---- the picture
+
+
+@pytest.fixture
+def full(tmp_path: Path) -> Store:
+    """Every cell of the experiment at 20 dB with the start known."""
+    store = Store(tmp_path / "rows")
+    store.prepare()
+    fill_family(store)
+    return store
+
+
+def test_the_picture_shows_the_error_over_the_bound_at_every_moment(full: Store) -> None:
+    pytest.importorskip("matplotlib")
+    from bench.reporting.figures.family import family_picture
+    from bench.scoring.path import MOMENTS
+
+    stored = experiment_frame("pinn", full)
+    figure = family_picture(stored).figure
+    assert [axis.get_title("left") for axis in figure.axes] == [
+        "Optimisers, our base", "Optimisers, the paper's base", "Weightings, our base", "Functions of time, our base"
+    ]  # fmt: skip
+    base = next(one for one in stored if one.label.startswith(FAMILY) and one.stored)
+    ends = base.scores("training_s").max()
+    seconds = [moment for moment in MOMENTS if moment < ends]
+    expected = [base.scores(f"k_over_m_off_pct_at_{moment:g}s")[0] / 0.5 for moment in seconds]
+    line = next(own for own in figure.axes[0].get_lines() if own.get_color() == "black" and len(own.get_xdata()) > 2)
+    assert np.allclose(line.get_xdata(), [*seconds, ends])
+    assert np.allclose(line.get_ydata()[:-1], expected, rtol=1e-4)
+    names = {text.get_text().replace("\n", " ") for text in figure.axes[2].texts}
+    assert names == {CHOICES["weighting"][name].title for name in CHOICES["weighting"]}
+
+
+def test_the_command_draws_it_under_the_family_s_name_and_no_variant_elsewhere(full: Store, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    from bench.commands.figures import main
+    from bench.reporting.figures.gallery import Gallery
+
+    fill(full, ["shooting"])
+    assert main([f"store={full.folder}", f"out={tmp_path / 'out'}"]) == 0
+    for ending in ("png", "svg", "txt"):
+        assert (tmp_path / "out" / f"{FAMILY}.{ending}").is_file()
+    assert not [one.label for one in Gallery(full).cells if one.method == FAMILY]
+
+
+def test_names_beside_a_panel_lie_apart_and_near_what_they_name() -> None:
+    from bench.reporting.figures.family import spread
+
+    wanted, sizes = np.array([0.5, 0.5, 0.9, 0.52]), np.full(4, 0.1)
+    found = spread(wanted, sizes)
+    assert np.all(np.diff(np.sort(found)) >= 0.1 - 1e-9)
+    assert found[2] == pytest.approx(0.9)  # nobody is near it
+    assert np.mean(found[[0, 1, 3]]) == pytest.approx(np.mean(wanted[[0, 1, 3]]))
+    assert spread(np.array([0.0]), np.array([0.2]))[0] == pytest.approx(0.1)  # inside the panel

@@ -1,0 +1,69 @@
+"""Scores of a training's path, by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench import Estimate, Normal, Status
+from bench.config.experiment import expand
+from bench.scenario.truth import Truth
+from bench.scoring.path import path_scores
+from bench.systems import SDOF
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    """Of the reference system: k/m = 8, c/m = 0.4."""
+    scenario = expand(["method=prior"], multirun=False)[0].scenario
+    return next(iter(scenario.replicates(0, 1)))[1]
+
+
+def estimate(**traces: np.ndarray) -> Estimate:
+    return Estimate(SDOF(), parameters=Normal(("m", "c", "k"), np.zeros(3), None, log=True), traces=traces)
+
+
+def path(losses: list[float], least: float) -> dict[str, np.ndarray]:
+    """Four moments at which k/m is 16, 12, 8.8 and 8.08."""
+    parameters = np.array([[1.0, 0.4, 16.0], [1.0, 0.4, 12.0], [1.0, 0.4, 8.8], [2.0, 0.8, 16.16]])
+    return {
+        "path_cpu_s": np.array([0.015, 0.3, 1.5, 4.0]),
+        "path_parameters": parameters,
+        "path_loss": np.array(losses),
+        "minimum_loss": np.array([least]),
+        "minimum_parameters": np.array([1.0, 0.4, 8.4]),
+        "certificate": np.array([1e-4]),
+    }
+
+
+def test_errors_are_those_of_the_last_moment_before(truth: Truth) -> None:
+    scores = path_scores(estimate(**path([9.0, 3.0, 1.5, 1.0], 1.0)), truth)
+    assert "k_over_m_off_pct_at_0.01s" not in scores, "nothing is known before the first moment"
+    assert scores["k_over_m_off_pct_at_0.02s"] == pytest.approx(100.0)
+    assert scores["k_over_m_off_pct_at_0.5s"] == pytest.approx(50.0)
+    assert scores["k_over_m_off_pct_at_2s"] == pytest.approx(10.0)
+    assert scores["k_over_m_off_pct_at_100s"] == pytest.approx(1.0)
+    assert scores["k_over_m_off_pct_at_minimum"] == pytest.approx(5.0)
+    assert scores["training_s"] == 4.0
+
+
+@pytest.mark.parametrize(
+    ("losses", "arrival"), [([9.0, 3.0, 1.005, 1.0], 1.5), ([1.0, 3.0, 1.5, 1.0], 4.0), ([1.0, 1.0, 1.0, 1.0], 0.015)]
+)
+def test_a_training_arrives_where_its_loss_stays_near_the_minimum(
+    losses: list[float], arrival: float, truth: Truth
+) -> None:
+    assert path_scores(estimate(**path(losses, 1.0)), truth)["arrival_s"] == arrival
+
+
+def test_a_training_that_ends_elsewhere_never_arrives(truth: Truth) -> None:
+    scores = path_scores(estimate(**path([9.0, 3.0, 1.5, 1.2], 1.0)), truth)
+    assert "arrival_s" not in scores
+    assert scores["loss_over_minimum"] == pytest.approx(1.2)
+
+
+def test_no_path_no_scores(truth: Truth) -> None:
+    assert path_scores(estimate(), truth) == {}
+    assert path_scores(replace(estimate(**path([1.0] * 4, 1.0)), status=Status.DIVERGED), truth) == {}
