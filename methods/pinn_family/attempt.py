@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,6 @@ from methods.pinn.engine import Attempt, Fit, Watch, torch_threads
 from methods.pinn.levenberg import DualEquations, Walk, equations, minimise
 from methods.pinn.residuals import Residuals
 from methods.pinn_family.architectures import FeatureAnsatz
-from methods.pinn_family.beliefs.trained import TrainedFit
 from methods.pinn_family.loss import Loss, best_of
 from methods.pinn_family.optimisers import first_order, gauss_newton, newton_cg, projection, quasi_newton
 from methods.pinn_family.path import Path
@@ -208,6 +208,19 @@ def certificate(residuals: Residuals, z: Tensor, deviations: Tensor) -> float:
     matrix = normal.gram if isinstance(normal, DualEquations) else normal.matrix
     size = math.sqrt(float(matrix.diagonal(dim1=1, dim2=2).sum()))
     return float(gradient.norm()) / max(size * float(state.rows.norm()), 1e-300)
+
+
+@dataclass(eq=False)
+class TrainedFit(Fit):
+    """A fit that remembers its training. ``draws`` (n, n_parameters): log-parameters, where draws are the belief."""
+
+    attempt: FamilyAttempt | None = None
+    draws: np.ndarray | None = None
+
+    @staticmethod
+    def of(fit: Fit, attempt: FamilyAttempt) -> TrainedFit:
+        """The same fit with its training."""
+        return TrainedFit(**{**vars(fit), "attempt": attempt})
 
 
 def fit(

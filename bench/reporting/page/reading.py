@@ -11,6 +11,7 @@ from typing import Any
 
 from bench.config.drawn import drawn_scenarios
 from bench.config.experiment import Experiment
+from bench.reporting.family import is_variant
 from bench.reporting.frame import (
     ERROR,
     Result,
@@ -145,10 +146,11 @@ def read(store: Store) -> Reading:
     """Read a store; raises InputError where there is none, where it is empty, or for a file that is no cell.
 
     Scenarios that were drawn, hundreds with one data set each, say something together only: they are left to their
-    table.
+    table. So are the variants of a family, dozens of one method.
     """
     described = [_table(name) for name in table_experiments() if not drawn_scenarios(name)]
-    results = [result for result in stored_results(store) if result.question not in drawn_questions()]
+    stored = [result for result in stored_results(store) if result.question not in drawn_questions()]
+    results = [result for result in stored if not is_variant(result)]
     grouped = group(results, lambda result: result.question)
     found = [one for one in described if one.scenarios & set(grouped)]
     experiments = tuple(sorted(found, key=lambda one: (one.number is None, one.number or 0, one.name)))

@@ -2,8 +2,9 @@
 
 Y. Gal and Z. Ghahramani, ICML 2016; as for PINNs D. Zhang et al., J. Comput. Phys. 397:108850, 2019. The units are those
 that the output layer combines, each silent with probability :data:`RATE`, the others larger by ``1 / (1 - RATE)``.
-Training goes on with a new mask at each step of Adam. Then, for each mask of the answer, the response is the masked
-network's, and the parameters are those of least squared residuals (equation of motion and prior) for that response.
+Training goes on with a new mask at each step of Adam, at the weights of the rows that it ended with. Then, for each mask
+of the answer, the response is the masked network's, and the parameters are those of least squared residuals (equation of
+motion and prior) for that response.
 """
 
 from __future__ import annotations
@@ -48,12 +49,12 @@ class Masks:
 
 def dropout(posterior: Posterior, fit: TrainedFit, rng: np.random.Generator, members: int) -> TrainedFit:
     """Mean and spread over masks, after training has gone on with them."""
-    masks, residuals = Masks(posterior, rng), posterior.residuals
+    masks, residuals, deviations = Masks(posterior, rng), posterior.residuals, posterior.attempt.loss.deviations
     z = posterior.z.clone().requires_grad_(True)
     optimizer = torch.optim.Adam([z], lr=LEARNING_RATE)
     for step in range(STEPS):
         mask = masks.draw()
-        _, gradient = residuals.gradient(z.detach() * mask, posterior.deviations)
+        _, gradient = residuals.gradient(z.detach() * mask, deviations)
         z.grad = gradient * mask / residuals.n_rows
         for group in optimizer.param_groups:
             group["lr"] = LEARNING_RATE * 0.5 * (1.0 + math.cos(math.pi * step / STEPS))

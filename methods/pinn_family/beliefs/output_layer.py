@@ -110,7 +110,7 @@ class Coordinates:
 
     def point(self, u: np.ndarray) -> Tensor:
         """z (1, n_z) at u."""
-        z, y, _, _ = self._placed(torch.as_tensor(u, device=self.posterior.z.device))
+        z, y, _, _ = self._placed(torch.tensor(u, device=self.posterior.z.device))
         return self.posterior.residuals.with_heads(z, y[None])
 
     def density(self, u: Tensor) -> Tensor:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -13,28 +12,12 @@ from torch import Tensor
 from methods.network.ansatz import Ansatz, Sum
 from methods.network.response import Band, Function
 from methods.network.tanh import Network
-from methods.pinn.engine import Fit
 from methods.pinn_family.architectures import FeatureAnsatz
+from methods.pinn_family.attempt import FamilyAttempt, TrainedFit
 from methods.pinn_family.residuals import TrainingResiduals
-
-if TYPE_CHECKING:
-    from methods.pinn_family.attempt import FamilyAttempt
 
 CURVES = 50
 """The most responses that are averaged in a reconstruction."""
-
-
-@dataclass(eq=False)
-class TrainedFit(Fit):
-    """A fit that remembers its training. ``draws`` (n, n_parameters): log-parameters, where draws are the belief."""
-
-    attempt: FamilyAttempt | None = None
-    draws: np.ndarray | None = None
-
-    @staticmethod
-    def of(fit: Fit, attempt: FamilyAttempt) -> TrainedFit:
-        """The same fit with its training."""
-        return TrainedFit(**{**vars(fit), "attempt": attempt})
 
 
 class Posterior:
