@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -292,6 +292,16 @@ class Exact(Identifier):
         covariance = np.diag([0.04, 0.0025])
         mean = np.array([self.k_over_m, self.c_over_m])
         return Estimate(problem.system, groups=Normal(("k_over_m", "c_over_m"), mean, covariance, log=False))
+
+
+@dataclass(frozen=True)
+class Sole(Exact):
+    """The same values without any uncertainty."""
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        found = super().estimate(problem, rng)
+        assert found.groups is not None
+        return replace(found, groups=replace(found.groups, covariance=None))
 
 
 class NotAMethod:

@@ -143,8 +143,10 @@ class Scorer:
         common["evaluations"] = estimate.cost.evaluations
         try:
             with np.errstate(all="ignore"):
+                sure = estimate.groups is None or estimate.groups.covariance is not None
                 estimate = combine_with_prior(estimate.checked(), problem.prior).checked()
                 scores = {**score(estimate, problem, truth), **path_scores(estimate, truth)}
+                scores = scores if sure else {name: own for name, own in scores.items() if not is_of_belief(name)}
         except Exception as error:  # names or shapes that the contract does not allow
             message = f"the estimate cannot be scored: {one_line(error)}"
             return Scored(Row(status=Status.INVALID, message=message, **common))
@@ -191,6 +193,11 @@ class Scorer:
         except OSError as error:
             return error.strerror or str(error)
         return ""
+
+
+def is_of_belief(name: str) -> bool:
+    """Whether a score judges a stated uncertainty; a method that states none has it from the prior's step alone."""
+    return any(mark in name for mark in ("_coverage_", "_pit", "_interval_score_pct", "_crps_pct"))
 
 
 def facts(truth: Truth) -> dict[str, Any]:

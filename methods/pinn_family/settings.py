@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from methods.pinn.block import Block
     from methods.pinn_family.architectures import Features
 
+Uncertainty = Literal["laplace", "ensemble", "bootstrap", "nuts", "variational", "last_layer", "dropout"]
+
 
 @dataclass(frozen=True)
 class FamilySettings(PhysicsInformed):
@@ -55,9 +57,7 @@ class FamilySettings(PhysicsInformed):
     ] = "noise"
     architecture: Literal["tanh", "sine", "fourier", "kolmogorov_arnold", "pirate", "spline"] = "tanh"
     sampling: Literal["uniform", "random", "adaptive"] = "uniform"
-    uncertainty: Literal[  # type: ignore[assignment] # wider than the base's
-        "laplace", "ensemble", "bootstrap", "nuts", "variational", "last_layer", "dropout"
-    ] = "laplace"
+    uncertainty: Uncertainty = "laplace"  # type: ignore[assignment] # more ways than the base has
     budget: float = 10_000.0
     rate: float | None = None
     width: int = 64

@@ -8,21 +8,18 @@ import numpy as np
 import torch
 
 from methods.pinn.engine import torch_threads
-from methods.pinn_family.beliefs.dropout import dropout
-from methods.pinn_family.beliefs.last_layer import last_layer
-from methods.pinn_family.beliefs.nuts import nuts
+from methods.pinn_family.beliefs import dropout, last_layer, nuts, variational
 from methods.pinn_family.beliefs.trained import Posterior, TrainedFit
-from methods.pinn_family.beliefs.variational import variational
 from methods.pinn_family.settings import FamilySettings
 
 Way = Callable[[Posterior, TrainedFit, np.random.Generator, int], TrainedFit]
 """States a fit's uncertainty from its posterior, at random, with so many members where it has any."""
 
 WAYS: Mapping[str, Way] = {
-    "nuts": nuts,
-    "variational": variational,
-    "last_layer": last_layer,
-    "dropout": dropout,
+    "nuts": nuts.stated,
+    "variational": variational.stated,
+    "last_layer": last_layer.stated,
+    "dropout": dropout.stated,
 }
 
 

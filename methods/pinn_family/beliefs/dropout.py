@@ -1,10 +1,13 @@
 """Monte-Carlo dropout: the spread over networks of which a random few hidden units are silent.
 
-Y. Gal and Z. Ghahramani, ICML 2016; as for PINNs D. Zhang et al., J. Comput. Phys. 397:108850, 2019. The units are those
-that the output layer combines, each silent with probability :data:`RATE`, the others larger by ``1 / (1 - RATE)``.
-Training goes on with a new mask at each step of Adam, at the weights of the rows that it ended with. Then, for each mask
-of the answer, the response is the masked network's, and the parameters are those of least squared residuals (equation of
-motion and prior) for that response.
+Y. Gal and Z. Ghahramani, ICML 2016; as for PINNs D. Zhang et al., J. Comput. Phys. 397:108850, 2019. The units are
+those that the output layer combines, each silent with probability :data:`RATE`, the others ``1 / (1 - RATE)`` times as
+large. Training goes on with a new mask at each step of Adam, at the weights of the rows that it ended with. Then, for
+each mask of the answer, the response is the masked network's, and the parameters are those of least squared residuals
+(equation of motion and prior) for that response.
+
+A network whose output weights are large and cancel, as a second-order method leaves them, does not bear this: without
+a unit its response is another.
 """
 
 from __future__ import annotations
@@ -47,7 +50,7 @@ class Masks:
         return residuals.with_heads(torch.ones_like(z), torch.cat([*short, rest], 1))
 
 
-def dropout(posterior: Posterior, fit: TrainedFit, rng: np.random.Generator, members: int) -> TrainedFit:
+def stated(posterior: Posterior, fit: TrainedFit, rng: np.random.Generator, members: int) -> TrainedFit:
     """Mean and spread over masks, after training has gone on with them."""
     masks, residuals, deviations = Masks(posterior, rng), posterior.residuals, posterior.attempt.loss.deviations
     z = posterior.z.clone().requires_grad_(True)

@@ -11,7 +11,7 @@ from methods.pinn.laplace import laplace
 from methods.pinn_family.beliefs.trained import Posterior, TrainedFit, linearised
 
 
-def last_layer(posterior: Posterior, fit: TrainedFit, rng: np.random.Generator, members: int) -> TrainedFit:
+def stated(posterior: Posterior, fit: TrainedFit, rng: np.random.Generator, members: int) -> TrainedFit:
     """The Gauss-Newton covariance of parameters and response over output layer and parameters alone."""
     heads, short = posterior.residuals.heads(posterior.z)
     state = heads.evaluate(short, posterior.deviations)

@@ -8,8 +8,8 @@ The hidden weights are stiff even so, and what the step size allows them would h
 finds their step, and they are then as heavy as makes it that of the others.
 
 Two chains. Whether they agree is judged on parameters, offsets, the displacement at :data:`PLACES` times, and the log
-density, by the split R-hat and the effective draws of A. Vehtari et al., Bayesian Analysis 16:667, 2021; not on weights,
-which many permutations give the same function of time. The answer says where they do not.
+density, by the split R-hat and the effective draws of A. Vehtari et al., Bayesian Analysis 16:667, 2021; not on
+weights, of which many permutations give the same function of time. The answer says where they do not.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ R_HAT, EFFECTIVE = 1.05, 50.0
 PLACES = 10
 
 
-def nuts(posterior: Posterior, fit: TrainedFit, rng: np.random.Generator, members: int) -> TrainedFit:
+def stated(posterior: Posterior, fit: TrainedFit, rng: np.random.Generator, members: int) -> TrainedFit:
     """Draws of all weights and parameters."""
     coordinates = Coordinates(posterior)
     chains = [_chain(coordinates, rng) for _ in range(CHAINS)]
@@ -113,10 +113,11 @@ def _chain(coordinates: Coordinates, rng: np.random.Generator) -> tuple[np.ndarr
         u, step = first, begun
         for steps in WARMUP:
             keys = jax.random.split(jax.random.key(int(rng.integers(2**31))), steps)
-            u, step = (np.asarray(own) for own in warm(keys, u, step, metric))
+            place, tuned = warm(keys, u, step, metric)
+            u, step = np.asarray(place), float(tuned)
             if steps == WARMUP[0] and coordinates.n_hidden:
-                metric = np.where(hidden, min(1.0, (float(step) / STEP) ** 2), 1.0)
-                step = np.asarray(STEP)
+                metric = np.where(hidden, min(1.0, (step / STEP) ** 2), 1.0)
+                step = STEP
         keys = jax.random.split(jax.random.key(int(rng.integers(2**31))), DRAWS)
         path, density = (np.asarray(own) for own in sample(keys, u, step, metric))
     finally:

@@ -40,10 +40,10 @@ def functions(ansatz: Ansatz, theta: Tensor) -> Tensor:
 
 
 class Coordinates:
-    """Takes u (n,), hidden weights and then v, to the log posterior density with a standard normal prior of all weights.
+    """Takes u (n,), hidden weights and then v, to the log posterior density; all weights have a standard normal prior.
 
-    ``first`` is where u starts, the trained point; ``n_hidden`` of its entries are hidden weights. Weights that training
-    never moves (random frequencies) are no unknowns.
+    ``first`` is where u starts, the trained point; ``n_hidden`` of its entries are hidden weights. Weights that
+    training never moves (random frequencies) are no unknowns.
     """
 
     def __init__(self, posterior: Posterior) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -30,9 +31,9 @@ class Posterior:
 
     def __init__(self, attempt: FamilyAttempt) -> None:
         self.attempt = attempt
-        whole = attempt.residuals
-        self.residuals = TrainingResiduals.of(whole, whole.problem, whole.make_ansatz)
-        self.residuals.shift = None
+        self.residuals = copy.copy(attempt.residuals)
+        if isinstance(self.residuals, TrainingResiduals):
+            self.residuals.shift = None
         self.deviations = self.residuals.deviations(attempt.spread())
         self.z = attempt.walk.z.clone()
         self.n_weights = self.residuals.n_coefficients

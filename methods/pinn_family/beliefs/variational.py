@@ -1,9 +1,10 @@
 """Mean-field variational inference: an independent normal for each weight and each parameter.
 
-Its mean and deviations maximise the evidence lower bound by stochastic gradients of reparametrised draws (C. Blundell et
-al., ICML 2015), with a standard normal prior of the weights. The mean starts at the trained point, each deviation at
-that of its unknown with all others fixed, ``(JᵀJ + I)^(-1/2)`` on the diagonal, which is the optimum where the posterior
-is a normal. Steps are counted in deviations, for the posterior's axes differ in length by many orders of ten.
+Its mean and deviations maximise the evidence lower bound by stochastic gradients of reparametrised draws (C. Blundell
+et al., ICML 2015), with a standard normal prior of the weights. The mean starts at the trained point, each deviation at
+that of its unknown with all others fixed, ``(JᵀJ + I)^(-1/2)`` on the diagonal, which is the optimum where the
+posterior is a normal (C. Bishop, Pattern Recognition and Machine Learning, 2006, section 10.1.2). Steps are counted in
+deviations, for the posterior's axes differ in length by many orders of ten.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ LEAST = 1e-12
 """Precision of an unknown that neither data nor prior tell of."""
 
 
-def variational(posterior: Posterior, fit: TrainedFit, rng: np.random.Generator, members: int) -> TrainedFit:
+def stated(posterior: Posterior, fit: TrainedFit, rng: np.random.Generator, members: int) -> TrainedFit:
     """The normal of independent unknowns that is nearest to the posterior, from below."""
     residuals, deviations, z, n = posterior.residuals, posterior.deviations, posterior.z, posterior.n_weights
     first = squares(posterior)

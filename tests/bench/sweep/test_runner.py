@@ -29,7 +29,7 @@ from bench.sweep.workers import Limits
 @pytest.fixture(autouse=True)
 def _plugins(plugins: Plugins) -> None:
     """Register the test doubles as an installed package would."""
-    plugins("Wrong", "Draw", "Spy", "Needy", "FreeOnly", "Exact", "NotAMethod", "Missing")
+    plugins("Wrong", "Draw", "Spy", "Needy", "FreeOnly", "Exact", "Sole", "NotAMethod", "Missing")
 
 
 @pytest.fixture
@@ -56,6 +56,14 @@ def test_a_method_never_meets_the_truth(reference: Scenario, store: Store) -> No
     oracle, spied = run(store, a_cell(reference, "oracle", 4), a_cell(reference, "spy", 4))
     assert (oracle.n_ok, spied.n_ok) == (4, 4)
     assert {row.message for row in spied.rows} == {"given [] alive [] saw Problem"}
+
+
+def test_values_without_uncertainty_are_not_judged_by_intervals(reference: Scenario, store: Store) -> None:
+    """The prior's step, which gives them a scale, makes no belief of them."""
+    stated, alone = run(store, a_cell(reference, "exact", 2), a_cell(reference, "sole", 2))
+    assert "k_over_m_coverage_95" in stated.rows[0].scores
+    assert not [name for name in alone.rows[0].scores if "coverage" in name or "pit" in name or "crps" in name]
+    assert alone.rows[0].scores["k_over_m_error_pct"] == pytest.approx(12.5, abs=0.1)
 
 
 def test_the_spy_does_find_a_truth_where_there_is_one(reference: Scenario) -> None:

@@ -1,0 +1,364 @@
+"""Ways to state the uncertainty of a fit, against scipy, finite differences, and what is known of each."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from functools import partial
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from bench import Channel, Draws, Estimate, Force, InitialState, Prior, Problem, Record, Status, System, simulate
+from bench.systems import SDOF, Chain, Duffing
+from methods.pinn_family import PINNFamily
+from methods.pinn_family.choices import UNCERTAINTIES
+from methods.pinn_family.settings import Uncertainty
+
+torch = pytest.importorskip("torch")
+
+from methods.pinn.task import Task  # noqa: E402
+from methods.pinn_family.attempt import fit  # noqa: E402
+from methods.pinn_family.beliefs import WAYS, dropout, last_layer, nuts, variational  # noqa: E402
+from methods.pinn_family.beliefs.output_layer import Coordinates  # noqa: E402
+from methods.pinn_family.beliefs.trained import Posterior, TrainedFit, hidden_units  # noqa: E402
+from methods.pinn_family.path import Clock, Path  # noqa: E402
+
+TRUE = {"m": 1.7, "c": 0.9, "k": 14.0}
+PRIOR = Prior({"m": 1.68, "c": 1.5, "k": 9.0}, {"m": 0.02, "c": 1.0, "k": 0.5})
+BEYOND = sorted(WAYS)
+
+
+def problem(noise: float = 0.05, known: bool = True, prior: Prior | None = PRIOR, seed: int = 0) -> Problem:
+    times = np.linspace(0.0, 8.0, 25)
+    start = InitialState(np.array([0.6]), np.array([-0.8]))
+    clean = simulate(SDOF(), TRUE, start, times).displacement[0]
+    values = clean + noise * np.random.default_rng(seed).standard_normal(25)
+    return Problem(SDOF(), (Record((Channel(times, values),), (), start if known else None),), prior)
+
+
+def trained(own: Problem, **settings: Any) -> tuple[TrainedFit, Posterior]:
+    """A fit of the problem in natural units, and the posterior at its end."""
+    method = PINNFamily(**settings)
+    task = Task(own.expressed_in(own.natural_units()), np.random.default_rng(0))
+    found, _ = fit(task.scaled, task.guesses[0], method, task.rng, Path(Clock()), lambda results: None)
+    assert found.attempt is not None
+    return found, Posterior(found.attempt)
+
+
+def deviation(covariance: np.ndarray, *weights: float) -> float:
+    """Standard deviation of a combination of log-parameters m, c, k."""
+    return float(np.sqrt(np.array(weights) @ covariance @ np.array(weights)))
+
+
+K_OVER_M, C_OVER_M = (-1.0, 0.0, 1.0), (-1.0, 1.0, 0.0)
+
+
+@pytest.fixture
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few steps and draws: what is tested is not how good they are."""
+    for module, values in (
+        (nuts, {"WARMUP": (4, 4), "DRAWS": 6, "DOUBLINGS": 2}),
+        (variational, {"STEPS": 20, "DRAWS": 12}),
+        (dropout, {"STEPS": 20, "MASKS": 6}),
+    ):
+        for name, value in values.items():
+            monkeypatch.setattr(module, name, value)
+    nuts.compiled.cache_clear()
+
+
+def little(way: str, **settings: Any) -> PINNFamily:
+    if way == "nuts":
+        pytest.importorskip("blackjax")
+    architecture = {"nuts": "spline", "dropout": "fourier"}.get(way, "tanh")
+    few: dict[str, Any] = {"architecture": architecture, "collocation": 60, "width": 16, "members": 3, **settings}
+    return PINNFamily(uncertainty=way, **few)  # type: ignore[arg-type]
+
+
+def checked(estimate: Estimate) -> None:
+    assert estimate.status is Status.OK, estimate.message
+    belief = estimate.belief
+    assert belief is not None
+    assert belief.finite()
+    for quantity in estimate.system.groups:
+        marginal = estimate.marginal(quantity)
+        assert marginal is not None
+        low, high = marginal.interval(0.95)
+        assert 0.0 < high - low < np.inf
+    for record in (pickle.loads(pickle.dumps(estimate)),):
+        band = record.bands[0](np.linspace(0.5, 7.5, 40))
+        assert np.all(np.isfinite(band))
+        assert np.all(band > 0)
+
+
+def test_every_way_of_the_setting_is_named_and_made() -> None:
+    assert set(get_args(Uncertainty)) == set(UNCERTAINTIES)
+    assert set(WAYS) == set(UNCERTAINTIES) - {"laplace", "ensemble", "bootstrap"}
+    assert PINNFamily.card.choices["uncertainty"] is UNCERTAINTIES
+
+
+@pytest.mark.parametrize("way", [*BEYOND, "ensemble", "bootstrap"])
+def test_an_answer_has_intervals_and_a_band_and_hangs_on_the_seed_alone(way: str, brief: None) -> None:
+    method, own = little(way), problem()
+    one, again, other = (method.identify(own, np.random.default_rng(seed)) for seed in (0, 0, 1))
+    checked(one)
+    quantity = SDOF().quantity("k_over_m")
+    low, same, redrawn = (found.marginal(quantity).interval(0.8)[0] for found in (one, again, other))  # type: ignore[union-attr]
+    assert low == same
+    assert low != redrawn
+    times = np.linspace(0.0, 8.0, 30)
+    np.testing.assert_array_equal(one.bands[0](times), again.bands[0](times))
+
+
+@pytest.mark.parametrize("way", [*BEYOND, "ensemble"])
+def test_without_prior_and_start_the_groups_are_told(way: str, brief: None) -> None:
+    estimate = little(way).identify(problem(known=False, prior=None), np.random.default_rng(0))
+    checked(estimate)
+    assert estimate.parameters is None
+    assert estimate.groups is not None
+
+
+def forced_chain() -> Problem:
+    system = Chain(2)
+    times, rng = np.linspace(0.0, 6.0, 40), np.random.default_rng(0)
+    true = {name: {"m": 1.0, "c": 0.3, "k": 9.0}[name[0]] for name in system.names}
+    force = Force(np.linspace(0.0, 6.0, 200), np.sin(2.5 * np.linspace(0.0, 6.0, 200)))
+    start = InitialState(np.zeros(2), np.zeros(2))
+    clean = simulate(system, true, start, times, (force,)).displacement
+    channels = tuple(Channel(times, own + 0.005 * rng.standard_normal(40), dof=i) for i, own in enumerate(clean))
+    return Problem(system, (Record(channels, (force,), start),), Prior(true, dict.fromkeys(true, 0.3)))
+
+
+def duffing() -> Problem:
+    system: System = Duffing()
+    times = np.linspace(0.0, 6.0, 40)
+    true = dict(zip(system.names, (1.0, 0.3, 6.0, 4.0), strict=True))
+    start = InitialState(np.array([1.0]), np.array([0.0]))
+    values = simulate(system, true, start, times).displacement[0]
+    values = values + 0.01 * np.random.default_rng(0).standard_normal(40)
+    return Problem(system, (Record((Channel(times, values),), (), start),), Prior(true, dict.fromkeys(true, 0.3)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [forced_chain, duffing])
+@pytest.mark.parametrize("way", BEYOND)
+def test_other_systems_and_an_exact_start_are_served(way: str, make: Any, brief: None) -> None:
+    for settings in ({}, {"start": "exact"}):
+        estimate = little(way, **settings).identify(make(), np.random.default_rng(0))
+        assert estimate.status is Status.OK, estimate.message
+        assert estimate.belief is not None
+        assert estimate.belief.finite()
+        assert np.all(np.isfinite(estimate.bands[0](np.linspace(0.5, 5.5, 40))))
+
+
+@pytest.mark.parametrize("settings", [{"architecture": "spline"}, {"width": 4, "architecture": "fourier"}])
+def test_the_density_is_the_posterior_times_the_volume_of_the_coordinates(settings: dict[str, Any]) -> None:
+    """By the Jacobian of u to z, from finite differences; and its slope by finite differences of itself."""
+    _, posterior = trained(problem(), collocation=20, budget=400.0, **settings)
+    with torch.no_grad():
+        coordinates = Coordinates(posterior)
+        u = coordinates.first.numpy() + 0.1 * np.random.default_rng(0).standard_normal(coordinates.first.numel())
+        value, slope = coordinates.value_and_slope(u)
+        moved = np.array([coordinates.point(u + e)[0].numpy() - coordinates.point(u - e)[0].numpy() for e in steps(u)])
+        free = np.flatnonzero(np.any(moved != 0, axis=0))
+        assert free.size == u.size
+        z = coordinates.point(u)
+        weights = z[0, free[free < posterior.n_weights]]
+        state = posterior.residuals.evaluate(z, posterior.deviations)
+        log_posterior = -float(state.loss[0]) - 0.5 * float(weights @ weights)
+        volume = np.linalg.slogdet(moved[:, free] / (2.0 * STEP))[1]
+        assert value == pytest.approx(log_posterior + volume, abs=1e-3 * max(1.0, abs(volume)))
+        other = u + 1e-3 * np.random.default_rng(1).standard_normal(u.size)
+        for e in steps(other)[:: max(1, u.size // 12)]:
+            value, slope = coordinates.value_and_slope(other)
+            rise = coordinates.value_and_slope(other + e)[0] - coordinates.value_and_slope(other - e)[0]
+            own = slope[int(np.argmax(e))]
+            assert rise / (2.0 * STEP) == pytest.approx(own, rel=1e-3, abs=1e-3 * np.abs(slope).max())
+
+
+STEP = 1e-6
+
+
+def steps(u: np.ndarray) -> np.ndarray:
+    return STEP * np.eye(u.size)
+
+
+def with_unit_prior(posterior: Posterior) -> tuple[np.ndarray, np.ndarray]:
+    """scipy's mode of the log-parameters, and their covariance by its Jacobian, with a unit prior of the weights."""
+
+    def rows(z: np.ndarray) -> np.ndarray:
+        own = posterior.residuals.evaluate(torch.as_tensor(z[None]), posterior.deviations).rows[0].numpy()
+        return np.concatenate([own, z[: posterior.n_weights]])
+
+    found = least_squares(rows, posterior.z[0].numpy(), xtol=1e-12, ftol=1e-12)
+    covariance = np.linalg.inv(found.jac.T @ found.jac)
+    return found.x[posterior.n_weights :], covariance[posterior.n_weights :, posterior.n_weights :]
+
+
+def test_nuts_draws_are_those_of_the_nearly_normal_posterior_of_a_spline() -> None:
+    pytest.importorskip("blackjax")
+    nuts.compiled.cache_clear()
+    found, posterior = trained(problem(0.02), architecture="spline", collocation=60)
+    mode, covariance = with_unit_prior(posterior)
+    with torch.no_grad():
+        answer = nuts.stated(posterior, found, np.random.default_rng(0), 2)
+    assert "have converged" in answer.reason
+    draws = answer.draws
+    assert draws is not None
+    assert draws.shape == (nuts.CHAINS * nuts.DRAWS, 3)
+    for weights in (K_OVER_M, C_OVER_M):
+        expected, own = deviation(covariance, *weights), draws @ np.array(weights)
+        # of 100 effective draws a mean is known to a tenth of the deviation, and that to 7 %; three times that
+        assert abs(own.mean() - mode @ np.array(weights)) < 0.3 * expected
+        assert own.std(ddof=1) == pytest.approx(expected, rel=0.22)
+
+
+def test_chains_that_differ_are_said_to() -> None:
+    pytest.importorskip("blackjax")
+    same = np.random.default_rng(0).standard_normal((2, 150, 3))
+    r_hat, effective = nuts._health(same)
+    assert r_hat <= nuts.R_HAT
+    assert effective >= nuts.EFFECTIVE
+    apart = same + np.array([0.0, 2.0])[:, None, None]
+    assert nuts._health(apart)[0] > nuts.R_HAT
+    slow = np.cumsum(same, axis=1)
+    assert nuts._health(slow)[1] < nuts.EFFECTIVE
+
+
+def test_a_chain_too_short_is_not_passed_over_in_silence(brief: None) -> None:
+    estimate = little("nuts").identify(problem(), np.random.default_rng(0))
+    assert "have not converged" in estimate.message
+    assert estimate.traces["r_hat"].shape == (3,)
+    assert isinstance(estimate.parameters, Draws)
+    assert estimate.parameters.samples.shape == (nuts.CHAINS * nuts.DRAWS, 3)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_fixed_hidden_layers_make_no_interval_wider(known: bool) -> None:
+    """To condition on some of the unknowns of a normal takes from the variance of the others."""
+    found, posterior = trained(problem(known=known))
+    with torch.no_grad():
+        own = last_layer.stated(posterior, found, np.random.default_rng(0), 2)
+    for weights in (K_OVER_M, C_OVER_M):
+        assert deviation(own.covariance, *weights) <= 1.001 * deviation(found.covariance, *weights)
+
+
+def test_last_layer_is_the_linear_models_own() -> None:
+    """Against the inverse of JᵀJ over output layer and parameters, J by finite differences of the rows."""
+    found, posterior = trained(problem(), architecture="fourier", width=8, collocation=60)
+    with torch.no_grad():
+        own = last_layer.stated(posterior, found, np.random.default_rng(0), 2)
+        heads, short = posterior.residuals.heads(posterior.z)
+
+        def rows(z: np.ndarray) -> np.ndarray:
+            return heads.evaluate(torch.as_tensor(z[None]), posterior.deviations).rows[0].numpy()  # type: ignore[no-any-return]
+
+        j = slopes(rows, short[0].numpy())
+    expected = np.linalg.inv(j.T @ j)[-3:, -3:]
+    for weights in (K_OVER_M, C_OVER_M):
+        assert deviation(own.covariance, *weights) == pytest.approx(deviation(expected, *weights), rel=0.01)
+
+
+def slopes(rows: Any, z: np.ndarray) -> np.ndarray:
+    return np.stack([(rows(z + e) - rows(z - e)) / 2e-5 for e in 1e-5 * np.eye(z.size)], 1)
+
+
+def test_mean_field_has_the_deviations_of_each_unknown_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The independent normals nearest to a normal have the reciprocal roots of the diagonal of its precision: narrower.
+
+    C. Bishop, Pattern Recognition and Machine Learning, 2006, section 10.1.2. The rows are linear in all but products.
+    """
+    monkeypatch.setattr(variational, "STEPS", 1000)
+    found, posterior = trained(problem(0.02), architecture="spline", collocation=60)
+    mode, covariance = with_unit_prior(posterior)
+    with torch.no_grad():
+        own = variational.stated(posterior, found, np.random.default_rng(0), 2)
+
+        def rows(z: np.ndarray) -> np.ndarray:
+            return posterior.residuals.evaluate(torch.as_tensor(z[None]), posterior.deviations).rows[0].numpy()  # type: ignore[no-any-return]
+
+        j = slopes(rows, posterior.z[0].numpy())[:, posterior.n_weights :]
+    np.testing.assert_allclose(np.sqrt(np.diag(own.covariance)), (j**2).sum(0) ** -0.5, rtol=0.15)
+    np.testing.assert_array_equal(own.covariance, np.diag(np.diag(own.covariance)))
+    assert own.covariance[2, 2] < 0.5 * covariance[2, 2]
+    # the steps of the mean are small beside what is between the trained point and the mode
+    assert np.all(np.abs(own.logs - mode) < 2.0 * np.sqrt(np.diag(covariance)))
+
+
+def test_masks_silence_units_and_keep_the_mean() -> None:
+    _, posterior = trained(problem(), collocation=60, width=8, budget=300.0)
+    with torch.no_grad():
+        masks = dropout.Masks(posterior, np.random.default_rng(0))
+        drawn = torch.stack([masks.draw()[0] for _ in range(400)]).numpy()
+        short = posterior.residuals.heads(posterior.z)[1]
+        ones = posterior.residuals.with_heads(torch.zeros_like(posterior.z), torch.ones_like(short))[0].numpy() == 1
+    assert np.all(drawn[:, ~ones] == 1)
+    units = hidden_units(posterior.residuals.ansatzes[0])
+    moved = np.flatnonzero(np.ptp(drawn, axis=0) > 0)
+    assert moved.size == units
+    assert np.all(ones[moved])
+    share = np.mean(drawn[:, moved] == 0)
+    assert share == pytest.approx(dropout.RATE, abs=4.0 * np.sqrt(dropout.RATE / (400 * units)))
+    assert drawn[:, moved].mean() == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_masked_responses_parameters_are_scipys() -> None:
+    _, posterior = trained(problem(), architecture="fourier", collocation=60)
+    with torch.no_grad():
+        z = posterior.z * dropout.Masks(posterior, np.random.default_rng(1)).draw()
+        own = dropout.fitted(posterior, z)[0, posterior.n_weights :].numpy()
+
+        def rows(free: np.ndarray) -> np.ndarray:
+            at = z.clone()
+            at[0, posterior.n_weights :] = torch.as_tensor(free)
+            return posterior.residuals.evaluate(at, posterior.deviations).rows[0].numpy()  # type: ignore[no-any-return]
+
+        expected = least_squares(rows, z[0, posterior.n_weights :].numpy(), xtol=1e-12, ftol=1e-12).x
+    assert np.any(np.abs(own - z[0, posterior.n_weights :].numpy()) > 1e-3)
+    np.testing.assert_allclose(own, expected, atol=2e-3)
+
+
+@pytest.mark.slow
+def test_bootstrap_spreads_as_the_linearisation_and_the_ensemble_hardly_at_all() -> None:
+    def interval(method: PINNFamily) -> float:
+        marginal = method.identify(problem(), np.random.default_rng(0)).marginal(SDOF().quantity("k_over_m"))
+        assert marginal is not None
+        low, high = marginal.interval(0.68)
+        return high - low
+
+    laplace = interval(PINNFamily())
+    assert interval(PINNFamily(uncertainty="bootstrap", members=40)) == pytest.approx(laplace, rel=0.35)
+    assert interval(PINNFamily(uncertainty="ensemble", members=5)) < 0.1 * laplace
+
+
+def test_members_are_trained_by_the_familys_own_optimiser() -> None:
+    """A member has the path of a training of the family, which the engine's own fits lack."""
+    from methods.pinn_family.beliefs.members import members
+
+    method = PINNFamily(optimizer="adam", budget=60.0, uncertainty="ensemble", members=2, collocation=60, width=8)
+    own = problem()
+    task = Task(own.expressed_in(own.natural_units()), np.random.default_rng(0))
+    method.attempt([task])
+    best = task.best
+    assert best is not None
+    found = members(task, best, replace(method, budget=20.0))
+    assert len(found) == 2
+    assert all(member.evaluations <= 20 for member in found)
+    assert all("path_loss" in member.history for member in found)
+    assert len({float(member.logs[2]) for member in found}) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["last_layer", "variational"])
+def test_weights_of_the_training_do_not_enter_the_posterior(way: str) -> None:
+    """A training by the paper's weights to the minimum: intervals at the estimated noise all the same."""
+    run = partial(PINNFamily, uncertainty=way)
+    widths = []
+    for method in (run(), run(weighting="paper")):
+        marginal = method.identify(problem(), np.random.default_rng(0)).marginal(SDOF().quantity("k_over_m"))
+        assert marginal is not None
+        low, high = marginal.interval(0.68)
+        widths.append(high - low)
+    assert widths[1] == pytest.approx(widths[0], rel=0.7)
