@@ -99,7 +99,9 @@ def test_levenberg_marquardt_of_the_family_ends_where_the_pinn_does(known: bool)
     assert own_sd == pytest.approx(sd, rel=0.03)
 
 
-@pytest.mark.parametrize("optimizer", ["natural_gradient", "variable_projection", "lbfgs"])
+@pytest.mark.parametrize(
+    "optimizer", ["natural_gradient", "variable_projection", pytest.param("lbfgs", marks=pytest.mark.slow)]
+)
 def test_other_ways_end_at_the_same_minimum(optimizer: Any) -> None:
     least, sd = log_k_over_m(PINNFamily(), problem())
     own, _ = log_k_over_m(PINNFamily(optimizer=optimizer, budget=4000.0), problem())
@@ -129,7 +131,14 @@ def test_a_training_is_the_same_every_time(optimizer: Any) -> None:
     assert np.array_equal(first.traces["path_parameters"], second.traces["path_parameters"])
 
 
-@pytest.mark.parametrize("weighting", [name for name in WEIGHTINGS if name != "noise"])
+@pytest.mark.parametrize(
+    "weighting",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] if name == "augmented_lagrangian" else [])
+        for name in WEIGHTINGS
+        if name != "noise"
+    ],
+)
 def test_each_weighting_recovers_a_clean_record(weighting: Any) -> None:
     estimate = PINNFamily(weighting=weighting).identify(problem(noise=1e-3), np.random.default_rng(0))
     k_over_m = estimate.marginal(SDOF().quantity("k_over_m"))
