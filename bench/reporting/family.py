@@ -3,14 +3,14 @@
 The family is the method of an experiment whose card has choices. The experiment's ``table`` names the ``bases`` (what
 each has not at its default), the ``factors`` (settings by heading), the ``references``, and the ``names`` of values
 that have none on the card. A variant stands in the section of the factor and base that it is one setting apart from;
-it may stand in several.
+it may stand in several. What differs in several of the settings that ``product`` names is one of their combinations.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,18 +82,27 @@ class Section:
     settings: tuple[str, ...]
     rows: tuple[Row, ...]
 
+    def common(self, place: Place) -> int:
+        """How many data sets all rows have that are computed there: the first of the same."""
+        return min((one.n for row in self.rows if (one := row.member.at(place))), default=0)
+
 
 @dataclass(frozen=True)
 class Family:
-    """All sections; ``places`` are the scenarios in order, ``bases`` what each base is in words."""
+    """All sections; ``places`` are the scenarios in order, ``bases`` what each base is in words.
+
+    ``combinations`` are the variants that differ from every base in several of its ``settings`` and in no other.
+    """
 
     method: str
     places: tuple[Place, ...]
     bases: Mapping[str, str]
     references: Section
     sections: tuple[Section, ...]
+    combinations: Section
     others: Section
     members: tuple[Member, ...]
+    names: Names
 
     def section(self, setting: str, base: int) -> Section | None:
         """The section that varies a setting around the first or the second base."""
@@ -119,15 +128,21 @@ def family_of(frame: Frame) -> Family:
     references = [Row(m.name, m) for name in wanted for m in members if m.method == name]
     others = [Row(m.name, m) for m in members if m.method not in (method, *wanted)]
     stated: Mapping[str, Mapping[str, Any]] = frame.table.get("bases", {"base": {}})
+    product = tuple(map(str, frame.table.get("product", [])))
     bases = {name: {s: v for s, v in own.items() if names.usual.get(s) != v} for name, own in stated.items()}
+    near = list(_sections(own, bases, frame.table.get("factors", {}), names, method))
+    left = _left(own, bases.values(), near)
+    combined = [member for member in left if set(member.settings) <= set(product)]
     return Family(
         method=method,
         places=tuple(sorted({place(one): None for one in frame}, key=lambda at: at[1])),
         bases={base: names.whole(settings) for base, settings in bases.items()},
         references=Section("Reference rows", "", (), tuple(references)),
-        sections=tuple(_sections(own, bases, frame.table.get("factors", {}), names, method)),
+        sections=(*near, *_several([one for one in left if one not in combined], frame.table.get("factors", {}))),
+        combinations=Section("Combinations", "", product, tuple(Row(one.name, one) for one in combined)),
         others=Section("Other packages", "", (), tuple(others)),
         members=tuple(members),
+        names=names,
     )
 
 
@@ -198,18 +213,25 @@ def _sections(
     names: Names,
     method: str,
 ) -> Iterable[Section]:
-    """A section a factor and base that has more than its base; then what is more than one setting from every base."""
-    placed: set[Member] = set()
+    """A section a factor and base that has more than its base."""
     for heading, settings in factors.items():
         for base, usual in bases.items():
             near = _near(members, usual, settings, names)
             first = next((m for m in members if not apart(m.settings, usual)), Member(method, base, usual, {}))
-            placed |= {first, *(row.member for row in near)}
             if near:
                 called = names.together({setting: usual.get(setting, names.usual.get(setting)) for setting in settings})
                 yield Section(heading, base, tuple(settings), (Row(called, first, True), *near))
-    left = [member for member in members if member not in placed]
-    for heading, own in group(left, lambda member: _heading(member, factors)).items():
+
+
+def _left(members: Sequence[Member], bases: Collection[Mapping[str, Any]], sections: Iterable[Section]) -> list[Member]:
+    """The members that are no base and stand in no section."""
+    placed = {row.member for section in sections for row in section.rows}
+    return [one for one in members if one not in placed and all(apart(one.settings, base) for base in bases)]
+
+
+def _several(members: Sequence[Member], factors: Mapping[str, Sequence[str]]) -> Iterable[Section]:
+    """Sections of what is more than one setting from every base."""
+    for heading, own in group(members, lambda member: _heading(member, factors)).items():
         yield Section(heading, "several settings at once", (), tuple(Row(member.name, member) for member in own))
 
 

@@ -285,10 +285,10 @@ class Result:
         values = self.scores(metric)
         return np.where(np.isnan(values), math.inf, values)
 
-    def successful(self, name: str) -> np.ndarray:
-        """The finite scores of the replicates that succeeded, shape (at most n,)."""
-        values = self.scores(name)
-        return np.asarray(values[self.ok & np.isfinite(values)])
+    def successful(self, name: str, n: int | None = None) -> np.ndarray:
+        """The finite scores of the replicates that succeeded, of the first ``n`` alone where given, (at most n,)."""
+        values = self.scores(name)[:n]
+        return np.asarray(values[self.ok[:n] & np.isfinite(values)])
 
     def first(self, name: str) -> float:
         """The score of replicate 0, the one whose arrays are kept."""

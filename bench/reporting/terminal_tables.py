@@ -55,6 +55,7 @@ def cell_table(cell: Cell, stored: StoredCell) -> str:
     seconds = [row.wall_s for row in stored.rows if math.isfinite(row.wall_s)]
     if seconds:
         lines.append(f"median {number(sorted(seconds)[len(seconds) // 2])} s a fit")
+    lines += [wrapped(sentence) for sentence in _searched(stored)]
     legend = "median over replicates, with its 95 % interval; bound: Cramér-Rao bound on the root mean square;"
     lines.append(wrapped(f"{legend} excess: root mean square / bound; cover: how often 95 % intervals hold the truth"))
     if any(row[0].endswith(" *") for row in rows):
@@ -70,6 +71,23 @@ def _score_row(stored: StoredCell, name: str, label: str) -> list[str]:
     cover = "-" if math.isnan(coverage) or name in RMSES else f"{100 * coverage:.0f}"
     numbers = rounded(s["median"], s["ci_low"], s["ci_high"])
     return [label + star, *numbers, number(s["bound"]), _excess(s["excess"]), cover]
+
+
+def _searched(stored: StoredCell) -> list[str]:
+    """Where the searches of a cell ended: how many starts reached the best end, and whether that is a minimum."""
+    scores = [row.scores for row in stored.rows]
+    searched = [own for own in scores if own.get("starts", 1.0) > 1.0]
+    sentences = []
+    if searched:
+        starts, best = (sum(own[name] for own in searched) for name in ("starts", "starts_at_best"))
+        alone = sum(own["starts_at_best"] == 1 for own in searched)
+        said = f"; in {alone} of {len(searched)} fits the best end was reached from one start alone" if alone else ""
+        sentences.append(f"{best:.0f} of {starts:.0f} starts ended at the best objective of their fit{said}")
+    certificates = [own["certificate"] for own in scores if "certificate" in own]
+    if certificates:
+        text = f"is it a minimum? gradient over its largest possible length: {max(certificates):.1g} at most"
+        sentences.append(f"{text} (0 at a minimum)")
+    return sentences
 
 
 def _failures(stored: StoredCell) -> dict[tuple[str, str], int]:

@@ -2,8 +2,7 @@
 
 These traces are looked for (each may be absent): ``path_cpu_s`` (n,), processor seconds since the fit began;
 ``path_parameters`` (n, n_parameters), the parameters at these moments; ``path_loss`` (n,); ``minimum_loss`` (1,) and
-``minimum_parameters`` (n_parameters,), those of the minimum of that loss; ``certificate`` (1,), the length of the
-gradient over those of Jacobian and residual, zero at a minimum.
+``minimum_parameters`` (n_parameters,), those of the minimum of that loss.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ ARRIVED = 1.01
 def path_scores(estimate: Estimate, truth: Truth) -> dict[str, float]:
     """Named scores of a training; none without its traces, or where the estimate failed.
 
-    ``training_s``: processor seconds to its end; ``loss_over_minimum`` at its end; ``certificate``; ``arrival_s``: when
+    ``training_s``: processor seconds to its end; ``loss_over_minimum`` at its end; ``arrival_s``: when
     the loss came within 1 % of the minimum for good (absent if never); ``<group>_off_pct_at_<t>s``: the error of an
     identifiable group at a moment; ``<group>_off_pct_at_minimum``: that of the loss's own minimum.
     """
@@ -33,8 +32,6 @@ def path_scores(estimate: Estimate, truth: Truth) -> dict[str, float]:
         return {}
     seconds = traces["path_cpu_s"]
     scores = {"training_s": float(seconds[-1])}
-    if "certificate" in traces:
-        scores["certificate"] = float(traces["certificate"][0])
     if "minimum_loss" in traces and "path_loss" in traces:
         scores |= _arrival(seconds, traces["path_loss"], float(traces["minimum_loss"][0]))
     for moment in MOMENTS:

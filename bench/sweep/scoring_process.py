@@ -28,6 +28,7 @@ from bench.scoring.combination import combine_with_prior
 from bench.scoring.path import path_scores
 from bench.scoring.row import Row
 from bench.scoring.score import score
+from bench.scoring.search import search_scores
 from bench.scoring.summary import summarise
 from bench.store.bounds import load_bounds
 from bench.store.cell import Cell
@@ -145,7 +146,7 @@ class Scorer:
             with np.errstate(all="ignore"):
                 sure = estimate.groups is None or estimate.groups.covariance is not None
                 estimate = combine_with_prior(estimate.checked(), problem.prior).checked()
-                scores = {**score(estimate, problem, truth), **path_scores(estimate, truth)}
+                scores = {**score(estimate, problem, truth), **path_scores(estimate, truth), **search_scores(estimate)}
                 scores = scores if sure else {name: own for name, own in scores.items() if not is_of_belief(name)}
         except Exception as error:  # names or shapes that the contract does not allow
             message = f"the estimate cannot be scored: {one_line(error)}"

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench import Batch, Cost, Estimate, NoEstimate, OutputError, estimate_at
+from bench import SIGMA_FLOOR, Batch, Cost, Estimate, NoEstimate, OutputError, estimate_at
+from methods.trajectory.ends import ends
 from methods.trajectory.fineness import Fineness
 from methods.trajectory.stepped import Stepped
 from methods.trajectory.student import student_fit
@@ -31,13 +32,17 @@ class Maximum:
     used: float
     iterations: int
     message: str = ""
+    objectives: tuple[float, ...] = ()
+    """Minus the log posterior where the search from each start ended."""
 
     def estimate(self) -> Estimate:
         """The answer. Raises NoEstimate where the data leave a parameter open."""
         covariance, cost = self.model.covariance(self.slopes, self.sigma), Cost(self.iterations, self.iterations)
         if covariance is None:
             raise NoEstimate("the data leave a parameter open; give more samples, a known force or a prior", cost=cost)
-        return estimate_at(self.model, self.theta, covariance, self.used, cost, self.message)
+        found = estimate_at(self.model, self.theta, covariance, self.used, cost, self.message)
+        sigma = np.maximum(self.sigma, SIGMA_FLOOR * self.model.rms)
+        return replace(found, traces=ends(self.model, self.theta, self.slopes, sigma, self.objectives))
 
 
 def with_student_errors(found: Maximum, fineness: Fineness) -> Maximum:

@@ -27,7 +27,7 @@ Hessian. The searches are :mod:`methods.trajectory.single`; linear systems of on
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -48,6 +48,7 @@ from bench import (
 from methods.starts.candidates import screening
 from methods.starts.equation_error import regression_starts
 from methods.starts.scan import records_by_load, unloaded
+from methods.trajectory.ends import ends
 from methods.trajectory.held import HELD, held, opened
 from methods.trajectory.screened import Screening, screened_starts
 from methods.trajectory.single import Found, Searches
@@ -145,7 +146,8 @@ class SingleShooting(Identifier):
             again = self._searches.ends([wide], [theta])[0]
             if isinstance(again, Found):
                 return _answer(wide, again, _spent([*good, again]), HELD)
-        return _answer(model, best, spent)
+        objectives = [0.5 * model.profile_of(end.theta, end.residuals) for end in good]
+        return _answer(model, best, spent, objectives=objectives)
 
     def _from_cold(self, models: Sequence[OutputError]) -> list[Estimate]:
         """Where the search from each problem's one start ends."""
@@ -208,12 +210,18 @@ def _covariance(model: OutputError, found: Found) -> np.ndarray | None:
     return model.covariance(found.slopes, model.noise(found.residuals, found.used, floor=0.0))
 
 
-def _answer(model: OutputError, found: Found, cost: Cost, said: str = "") -> Estimate:
-    """The estimate that a fit gives, with a message of what is wrong with it after what is ``said`` already."""
+def _answer(model: OutputError, found: Found, cost: Cost, said: str = "", objectives: Sequence[float] = ()) -> Estimate:
+    """The estimate that a fit gives, with a message of what is wrong with it after what is ``said`` already.
+
+    ``objectives``: minus the log posterior where the search from each start ended; its own where there was one start.
+    """
     covariance = _covariance(model, found)
     left = float(np.sum((found.residuals / model.rms[model.channel_of]) ** 2)) / model.data.size
     message = "; ".join(part for part in (said, _message(left, covariance is None, found.stopped)) if part)
-    return estimate_at(model, found.theta, covariance, found.used, cost, message)
+    estimate = estimate_at(model, found.theta, covariance, found.used, cost, message)
+    own = objectives or [0.5 * model.profile_of(found.theta, found.residuals)]
+    sigma = model.noise(found.residuals, found.used)
+    return replace(estimate, traces=ends(model, found.theta, found.slopes, sigma, own))
 
 
 def _message(left: float, open_direction: bool, stopped: bool) -> str:

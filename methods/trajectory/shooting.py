@@ -160,7 +160,8 @@ class Shooting(Identifier):
             sentence = "IPOPT found no solution from any start; raise max_iterations or give a prior"
             raise NoEstimate(sentence, cost=Cost(iterations=iterations))
         best = min(good, key=lambda fit: fit.profile)
-        return Maximum(model, best.theta, best.slopes, best.sigma, best.used, iterations, message)
+        objectives = tuple(0.5 * fit.profile for fit in good)
+        return Maximum(model, best.theta, best.slopes, best.sigma, best.used, iterations, message, objectives)
 
     def _fits(self, model: OutputError, starts: Sequence[np.ndarray], exact: bool = False) -> list[_Fit]:
         """The solutions from these starts."""
@@ -238,7 +239,9 @@ def _maximum(model: OutputError, found: Solution, rules: Rules) -> Maximum | Non
         covariance = model.covariance(found.slopes, found.sigma)
     if covariance is None:
         return None
-    return Maximum(model, found.theta, found.slopes, found.sigma, found.used, found.iterations, message)
+    return Maximum(
+        model, found.theta, found.slopes, found.sigma, found.used, found.iterations, message, found.objectives
+    )
 
 
 def _closed(model: OutputError, fits: Sequence[_Fit]) -> bool:

@@ -52,6 +52,8 @@ class Solution:
     iterations: int
     first: np.ndarray
     """The first start as the data gave it, before any step."""
+    objectives: tuple[float, ...]
+    """Minus the log posterior where the search from each start ended."""
 
 
 def solve_together(models: Sequence[OutputError], rules: Rules) -> list[Solution | None]:
@@ -106,6 +108,7 @@ def _fitted(batch: Batch, starts: Starts, rules: Rules) -> list[Solution | None]
                 used=float(fits.used[best]),
                 iterations=int(fits.iterations[own].sum()),
                 first=starts.first[problem],
+                objectives=tuple(map(float, 0.5 * fits.profile[own])),
             )
         )
     return found

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.errors import InputError
-from bench.reporting.claims import free_decay, off_table, studies, systems, wider
+from bench.reporting.claims import family, free_decay, off_table, studies, systems, wider
 from bench.reporting.claims.allowed import ALLOWED
 from bench.reporting.claims.claim import Claim, Said
 from bench.reporting.claims.evidence import Evidence
@@ -22,12 +22,13 @@ SECTIONS: Mapping[str, Sequence[Claim]] = {
     "wrong models": off_table.WRONG,
     "open split": off_table.OPEN,
     "engine": studies.ENGINE,
+    "family": family.CLAIMS,
     "systems": systems.CLAIMS,
     "reach": studies.REACH,
     "measured": studies.MEASURED,
 }
 """The passages of README.md by the name in their comment: ``<!-- claims: cost -->`` to ``<!-- /claims -->``."""
-PASSAGE = re.compile(r"(<!-- claims: (?P<name>[\w ]+) -->\n)(?P<text>.*?)(\n<!-- /claims -->)", re.DOTALL)
+PASSAGE = re.compile(r"(<!-- claims: (?P<name>[\w ]+) -->\n)(?P<text>(?:(?!<!--).)*?)\n?(<!-- /claims -->)", re.DOTALL)
 PANEL = re.compile(r"(<!-- (?P<table>table \d) -->\n).*?(\n<!-- /(?P=table) -->)", re.DOTALL)
 """A passage that shows what a table of results has for a known start."""
 SET_ASIDE = (
@@ -94,7 +95,7 @@ def filled(document: str, checked: Sequence[Checked]) -> str:
         names = [claim.name for claim in SECTIONS[found["name"]]]
         if not set(names) <= set(texts):
             return found[0]
-        return found[1] + "\n".join(texts[name] for name in names) + found[4]
+        return found[1] + "\n".join(texts[name] for name in names) + "\n" + found[4]
 
     passages(document)
     return PASSAGE.sub(passage, document)

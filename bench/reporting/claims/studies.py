@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from bench.reporting.claims.claim import Said, claim, number, said, span
+from bench.reporting.claims.claim import Said, claim, exceptions, number, said, span
 from bench.reporting.claims.evidence import Evidence
 
 
@@ -108,33 +108,48 @@ def engine_initialisation(e: Evidence) -> Said:
     )
 
 
+AT_ORACLE = 1.15
+"""Errors over the oracle's up to which parameters are said to be as good."""
+
+
 @claim
 def engine_reach(e: Evidence) -> Said:
-    """- It reaches the oracle (errors within {near} % of it) up to {cycles} cycles in the record and up to {masses}
-    masses; with {more} masses it ends in another minimum, and so does the spline. The PINN takes {cheaper} times
-    as long as the spline.
+    """- It was tried in chains of up to {masses} masses and records of up to {cycles} cycles, the spline to
+    {spline_masses} masses (from a cold start in {seconds} s) and {spline_cycles} cycles. Their parameters are as good
+    as the oracle's (errors at most {near} % above) but for the PINN's at {worse} and the spline's at {spline_worse},
+    the errors over the oracle's in brackets: with many samples the share of the noise by which the equation of motion
+    is softened shows. It shows in the displacement, too, which is up to {off} times as far off as the oracle's. The
+    PINN takes {cheaper} times as long as the spline.
     """
     table = e.study("pinn.md", "Cost and reach")
-    table["error"], table["seconds"] = _floats(table["largest error / oracle"]), _floats(table["CPU s a fit"])
-    table["count"], table["kind"] = _floats(table["size"]), table["size"].str.split().str[-1]
+    table["error"], table["seconds"] = _floats(table["groups / oracle"]), _floats(table["CPU s a fit"])
+    table["off"], table["count"] = _floats(table["displacement / oracle"]), _floats(table["size"])
+    table["kind"] = table["size"].str.split().str[-1]
     pinn, spline = (table[table.method == one].set_index("size") for one in ("pinn", "collocation"))
-    reached = pinn[pinn.error < 1.15]
-    cycles, masses = (reached[reached.kind == kind]["count"].max() for kind in ("cycles", "masses"))
-    beyond = pinn[(pinn.kind == "masses") & (pinn["count"] > masses)]
-    lost = spline.loc[beyond.index]
-    more = beyond["count"].min()
-    ratio = pinn.seconds / spline.seconds
+    (cycles, masses), (spline_cycles, spline_masses) = (
+        [own[own.kind == kind]["count"].max() for kind in ("cycles", "masses")] for own in (pinn, spline)
+    )
+    largest = spline[(spline.kind == "masses") & (spline["count"] == spline_masses)]
+    ratio = pinn.seconds / spline.seconds.reindex(pinn.index)
+    both = pd.concat([pinn, spline])
+    worse, spline_worse = (exceptions(list(own.error.items()), AT_ORACLE) for own in (pinn, spline))
     return said(
         {
-            "some number of masses is too many": more > masses,
-            "for the spline too": lost.error.min() > 1.15,
-            "every number of cycles is reached": cycles == pinn[pinn.kind == "cycles"]["count"].max(),
+            "most sizes are reached": (both.error < AT_ORACLE).mean() > 0.9,
+            "the largest are": bool((largest.error < AT_ORACLE).all()),
+            "the spline goes further": spline_masses > masses and spline_cycles > cycles,
             "the spline is cheaper": ratio.min() > 1,
+            "the displacement is not as good": both.off.max() > AT_ORACLE,
         },
-        near=f"{100 * (reached[reached.kind != 'residuals'].error.max() - 1):.0f}",
+        near=f"{max(0.0, 100 * (both.error[both.error < AT_ORACLE].max() - 1)):.0f}",
         cycles=f"{cycles:.0f}",
         masses=f"{masses:.0f}",
-        more=f"{more:.0f}",
+        worse=worse,
+        spline_cycles=f"{spline_cycles:.0f}",
+        spline_masses=f"{spline_masses:.0f}",
+        spline_worse=spline_worse,
+        seconds=number(largest.seconds.iloc[0]),
+        off=number(both.off.max()),
         cheaper=span(ratio, number),
     )
 

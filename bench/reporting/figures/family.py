@@ -72,7 +72,8 @@ def family_picture(frame: Frame) -> Picture:
     return Picture(
         figure,
         f"How the ways of training reach their answer ({where(scene)}): root mean square error of k/m of the answer so "
-        "far over its Cramér-Rao bound (grey line), against processor time; a dot is where the longest training ended, "
+        "far over its Cramér-Rao bound (grey line), in a panel on the same data sets, against processor time; a dot is "
+        "where the longest training ended, "
         "black is the base that the others are one thing apart from.",
         family.method,
     )
@@ -84,19 +85,23 @@ def _sections(family: Family) -> Iterator[Section]:
 
 
 def curves(section: Section) -> Iterator[Curve]:
-    """The curves of a section's rows that are stored with the way of their training."""
+    """The curves of a section's rows that are stored with the way of their training, all on the same data sets."""
+    n = section.common(PLACE)
     for row in section.rows:
         one = row.member.at(PLACE)
         if one and one.successful("training_s").size:
-            seconds, ratios = errors(one)
+            seconds, ratios = errors(one, n)
             if seconds.size:
                 yield Curve(row, seconds, ratios, float(one.successful("training_s").max()))
 
 
-def errors(one: Result) -> tuple[np.ndarray, np.ndarray]:
-    """The moments (s) at which every successful fit has an answer, and the error of k/m over the bound there."""
-    bound = one.bound(GROUP + ERROR)
-    values = np.array([rms(one.scores(moment_score(moment))[one.ok]) / bound for moment in MOMENTS])
+def errors(one: Result, n: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """The moments (s) at which every successful fit has an answer, and the error of k/m over the bound there.
+
+    With ``n``, of the first n replicates alone.
+    """
+    bound, ok = one.bound(GROUP + ERROR), one.ok[:n]
+    values = np.array([rms(one.scores(moment_score(moment))[:n][ok]) / bound for moment in MOMENTS])
     known = np.isfinite(values) & (values > 0)
     return np.array(MOMENTS)[known], values[known]
 

@@ -20,6 +20,7 @@ from bench.reporting.figures.style import pyplot, save_figure
 from bench.reporting.figures.time import draw_time
 from bench.reporting.figures.training import draw_training
 from bench.reporting.figures.two_masses import draw_two_masses
+from bench.reporting.figures.waterfall import draw_waterfall
 
 PICTURES: dict[str, Callable[[Gallery], Picture]] = {
     "record": draw_record,
@@ -36,6 +37,7 @@ PICTURES: dict[str, Callable[[Gallery], Picture]] = {
     "profiles": draw_profiles,
     "failures": draw_failures,
     "family": draw_family,
+    "waterfall": draw_waterfall,
 }
 """By file name, what draws it."""
 

@@ -24,12 +24,14 @@ from bench.reporting.tables.family_numbers import (
     text,
     training,
 )
+from bench.reporting.tables.family_product import combinations
 from bench.reporting.tables.family_sentences import sentences
 from bench.reporting.tables.family_sources import sources
 from bench.scoring.path import MOMENTS
 
 LEGEND = """A row is one way of training the network on the same data. It differs from a base in one thing.
 {bases} The base is the first row of each section. A row may stand in two sections.
+Slow rows have fewer data sets, the first of the same: below the base stands what it does on those alone.
 
 **Accuracy.** n: fits that gave an answer, of all; where the noise levels differ, one after the other. k/m, c/m, x
 (displacement): root mean square error over the Cramér-Rao bound: 1 is the best an unbiased method can do. It is over
@@ -43,7 +45,8 @@ the fits that gave an answer. 95 %: the share of the 95 % intervals of k/m that 
   it stands how many did, where not all.
 - *s to {near:g} × oracle*: from when on the error of k/m stays within {near:g} times the oracle's on the same data,
   both root mean square. It is read off at {moments} fixed moments from {first:g} s to {last:g} s.
-- *k/m at minimum*, *c/m at minimum*: the error over the bound, had each training ended at the minimum of its own loss.
+- *k/m at minimum*, *c/m at minimum*: the error over the bound, had each training ended at the minimum of its own loss;
+  on the data sets that all rows of the section have.
 - *whole fit s*: with the start scan, the intervals and all else. *memory*: by how much the process grew.
 
 A dash: the method tells no such thing."""
@@ -66,7 +69,8 @@ def family_table(frame: Frame) -> Mapping[str, str]:
 
 def lines(family: Family) -> list[Line]:
     """One line a row, cell and quantity; a cell that is not computed has n = 0 and the quantities of accuracy."""
-    return [line for section in family.every for row in section.rows for line in _lines(family, section, row)]
+    sections = (*family.every, family.combinations)
+    return [line for section in sections for row in section.rows for line in _lines(family, section, row)]
 
 
 def _lines(family: Family, section: Section, row: Row) -> Iterable[Line]:
@@ -74,7 +78,9 @@ def _lines(family: Family, section: Section, row: Row) -> Iterable[Line]:
     for place in family.places:
         one = member.at(place)
         values = (
-            {**accuracy(one), **training(one, _oracle(family, place))} if one else dict.fromkeys(ACCURACY, float("nan"))
+            {**accuracy(one), **training(one, _oracle(family, place), section.common(place))}
+            if one
+            else dict.fromkeys(ACCURACY, float("nan"))
         )
         for quantity, value in values.items():
             if value == value or quantity in ACCURACY:
@@ -103,6 +109,7 @@ def markdown(frame: Frame, family: Family) -> str:
     ]
     for section in family.every:
         parts += _section(family, section)
+    parts += combinations(family)
     parts += ["## Sources", sources(family)]
     notes = failure_notes(_unique(family))
     parts += ["## What failed", notes] if notes else []
@@ -139,7 +146,25 @@ def _accuracy(section: Section, levels: Sequence[Place]) -> Rows:
     for row in section.rows:
         cells = [cell for place in levels for cell in accuracy_cells(row.member.at(place))]
         rows.append([_title(row), _counts(row.member, levels), *cells])
+        if row.base:
+            rows += [_base_on_fewer(row.member, n, levels) for n in _fewer(section, levels)]
     return rows, headers
+
+
+def _fewer(section: Section, levels: Sequence[Place]) -> list[int]:
+    """The numbers of data sets that rows have where the base has more, the largest first."""
+    base = section.rows[0].member
+    pairs = [(row.member.at(at), base.at(at)) for row in section.rows[1:] for at in levels]
+    return sorted({one.n for one, other in pairs if one and other and one.n < other.n}, reverse=True)
+
+
+def _base_on_fewer(base: Member, n: int, levels: Sequence[Place]) -> list[str]:
+    """The line of the base on its first n data sets; a dash at noise levels where it has no more."""
+    cells: list[str] = []
+    for at in levels:
+        one = base.at(at)
+        cells += accuracy_cells(one, n) if one and one.n > n else ["-", *[""] * (len(ACCURACY) - 1)]
+    return [f"the base on {n} data sets", str(n), *cells]
 
 
 def _counts(member: Member, levels: Sequence[Place]) -> str:
@@ -150,16 +175,16 @@ def _counts(member: Member, levels: Sequence[Place]) -> str:
 
 
 def _training(section: Section, oracle: Result | None) -> Rows:
-    rows = []
+    rows, n = [], section.common(PLACE)
     for row in section.rows:
         one = row.member.at(PLACE)
-        cells = _training_cells(one, oracle) if one else ["-", MISSING, *[""] * (len(TRAINING) - 1)]
+        cells = _training_cells(one, oracle, n) if one else ["-", MISSING, *[""] * (len(TRAINING) - 1)]
         rows.append([_title(row), *cells])
     return rows, ["row", "n", *TRAINING.values()]
 
 
-def _training_cells(one: Result, oracle: Result | None) -> list[str]:
-    values = training(one, oracle)
+def _training_cells(one: Result, oracle: Result | None, n: int) -> list[str]:
+    values = training(one, oracle, n)
     cells = {name: text(name, values[name]) for name in TRAINING}
     if 0 < values["arrived_share"] < 1:
         cells["arrival_s"] += f" ({round(values['arrived_share'] * one.n)}/{one.n})"

@@ -35,16 +35,25 @@ TRAINING = {
 """The quantities of a training, likewise; ``arrived_share`` stands beside the second of the times."""
 
 
-def accuracy(one: Result) -> dict[str, float]:
-    """Root mean square errors over the bound, and the share of the 95 % intervals of k/m that held the truth."""
+def accuracy(one: Result, n: int | None = None) -> dict[str, float]:
+    """Root mean square errors over the bound, and the share of the 95 % intervals of k/m that held the truth.
+
+    With ``n``, of the first n replicates alone.
+    """
+    hits = one.successful(f"{GROUP}_coverage_95", n)
     return {
-        "k_over_m_excess": one.excess(GROUP + ERROR), "c_over_m_excess": one.excess(OTHER + ERROR),
-        "displacement_excess": one.excess("rmse"), "k_over_m_coverage_95": one.covered(GROUP),
-    }  # fmt: skip
+        "k_over_m_excess": rms(one.successful(GROUP + ERROR, n)) / one.bound(GROUP + ERROR),
+        "c_over_m_excess": rms(one.successful(OTHER + ERROR, n)) / one.bound(OTHER + ERROR),
+        "displacement_excess": rms(one.successful("rmse", n)) / one.bound("rmse"),
+        "k_over_m_coverage_95": float(np.mean(hits)) if hits.size else math.nan,
+    }
 
 
-def training(one: Result, oracle: Result | None) -> dict[str, float]:
-    """How the training went; NaN for what is not known of this method, infinite for what never came."""
+def training(one: Result, oracle: Result | None, n: int | None = None) -> dict[str, float]:
+    """How the training went; NaN for what is not known of this method, infinite for what never came.
+
+    The errors at the minimum are those of the first n replicates.
+    """
     share, seconds = arrival(one)
     memory = np.array([row.peak_memory_mb for row in one.rows])
     return {
@@ -52,16 +61,19 @@ def training(one: Result, oracle: Result | None) -> dict[str, float]:
         "certificate": one.statistic("certificate", "median"),
         "training_s": one.statistic("training_s", "median"),
         "arrival_s": seconds, "arrived_share": share, "oracle_s": oracle_seconds(one, oracle),
-        "k_over_m_excess_at_minimum": at_minimum(one)[0],
-        "c_over_m_excess_at_minimum": at_minimum(one)[1],
+        "k_over_m_excess_at_minimum": at_minimum(one, n)[0],
+        "c_over_m_excess_at_minimum": at_minimum(one, n)[1],
         "fit_s": median(one.cpu_s), "peak_memory_mb": median(memory),
     }  # fmt: skip
 
 
-def at_minimum(one: Result) -> tuple[float, float]:
-    """Errors of k/m and c/m over the bound, had each training ended at the minimum of its own loss."""
+def at_minimum(one: Result, n: int | None = None) -> tuple[float, float]:
+    """Errors of k/m and c/m over the bound, had each training ended at the minimum of its own loss.
+
+    With ``n``, of the first n replicates alone.
+    """
     first, second = (
-        rms(one.successful(f"{group}_off_pct_at_minimum")) / one.bound(group + ERROR) for group in (GROUP, OTHER)
+        rms(one.successful(f"{group}_off_pct_at_minimum", n)) / one.bound(group + ERROR) for group in (GROUP, OTHER)
     )
     return first, second
 
@@ -108,11 +120,11 @@ def median(values: np.ndarray) -> float:
     return float(np.median(own)) if own.size else math.nan
 
 
-def accuracy_cells(one: Result | None) -> list[str]:
+def accuracy_cells(one: Result | None, n: int | None = None) -> list[str]:
     """The quantities of accuracy as texts; of a cell that is not stored, one text that says so."""
     if one is None:
         return [MISSING, *[""] * (len(ACCURACY) - 1)]
-    return [text(name, value) for name, value in accuracy(one).items()]
+    return [text(name, value) for name, value in accuracy(one, n).items()]
 
 
 def text(quantity: str, value: float) -> str:

@@ -50,7 +50,7 @@ def _who_arrives(section: Section, known: Sequence[Arrival], place: Place) -> st
     if not known:
         return f"Which optimisers reach the minimum on {section.base} is not known.{missing}"
     there = [f"{row.title} in {text('arrival_s', seconds)} s" for row, share, seconds in known if share > HALF]
-    listed = f": {'; '.join(there)}" if there else ""
+    listed = f", first {there[0]}" + (f", last {there[-1]}" if there[1:] else "") if there else ""
     first = f"{len(there)} of {len(known)} optimisers come within 1 % of the minimum in most of their fits"
     return f"On {section.base} {first}{listed}.{missing}"
 
@@ -81,18 +81,19 @@ def weightings(family: Family, place: Place) -> str:
     if section is None:
         return "No weightings are compared."
     own = {row: one for row in section.rows if (one := row.member.at(place))}
-    found = {row: at_minimum(one) for row, one in own.items() if not math.isnan(sum(at_minimum(one)))}
+    n = section.common(place)
+    found = {row: at for row, one in own.items() if not math.isnan(sum(at := at_minimum(one, n)))}
     missing = _missing(section.rows, place)
     if not found:
         return f"Which weighting's own minimum is nearest the bound is not known.{missing}"
     ranked = sorted(found, key=lambda row: abs(math.log(max(math.hypot(*found[row]) / math.sqrt(2.0), 1e-300))))
     first, *others = [f"{row.title} ({', '.join(text('excess', one) for one in found[row])})" for row in ranked]
-    chance = 100.0 / math.sqrt(2.0 * min(own[row].n_ok for row in found))
-    behind = f"; then {'; '.join(others)}" if others else ""
+    chance = 100.0 / math.sqrt(2.0 * n)
+    behind = f"; then {others[0]}" + (f"; last {others[-1]}" if others[1:] else "") if others else ""
     return (
         f"Of {len(found)} weightings on {section.base}, the one whose own minimum is nearest the bound is {first}"
-        f"{behind}. In brackets: the errors of k/m and c/m there over the bound, each uncertain by about "
-        f"{chance:.0f} % with so few data sets.{missing}"
+        f"{behind}. In brackets: the errors of k/m and c/m there over the bound on the same {n} data sets, each "
+        f"uncertain by about {chance:.0f} %.{missing}"
     )
 
 
@@ -104,7 +105,7 @@ def errors(family: Family) -> str:
     base = next((s.rows[0] for setting in (OPTIMIZER, WEIGHTING) if (s := family.section(setting, 0))), None)
     if base is None:
         return "No errors are compared."
-    rows = (row for section in (*family.sections, family.others) for row in section.rows)
+    rows = (row for section in (*family.sections, family.combinations, family.others) for row in section.rows)
     others = [member for member in dict.fromkeys(row.member for row in rows) if member is not base.member]
     found = [(member, c) for member in others if (c := against(member, base.member, family.places))]
     missing = _uncomputed(len(others) - len(found), len(others))

@@ -90,6 +90,12 @@ def test_a_passage_of_an_unknown_name_is_an_error() -> None:
         passages("<!-- claims: nothing of ours -->\nx\n<!-- /claims -->")
 
 
+def test_an_empty_passage_ends_before_the_next() -> None:
+    text = "<!-- claims: cost -->\n<!-- /claims -->\nkept\n<!-- claims: open split -->\nx\n<!-- /claims -->\n"
+    assert passages(text) == {"cost": "", "open split": "x"}
+    assert "\nkept\n" in filled(text, check(text, evidence()))
+
+
 # ---- numbers from the files by another way
 
 

@@ -110,16 +110,47 @@ def test_a_row_stands_under_what_it_differs_in_and_the_base_first(place: Scenari
 
 
 def test_what_is_two_things_apart_and_what_is_another_package_are_not_lost(place: Scenario) -> None:
-    both = {"optimizer": "soap", "architecture": "sine"}
+    both = {"optimizer": "soap", "collocation": 500}
     uncertain = {"uncertainty": "ensemble"}
     rows = [cell(place, None, settings, FAMILY) for settings in (LM, both, uncertain)]
     found = titles(family_of(frame(*rows, cell(place, None, None, "ls"), cell(place, None, None, "oracle"))))
-    assert found["Functions of time, several settings at once"] == [
-        f"{CHOICES['optimizer']['soap'].title}; {CHOICES['architecture']['sine'].title}"
-    ]
+    assert found["Collocation, several settings at once"] == [f"500 points; {CHOICES['optimizer']['soap'].title}"]
     assert found["Ways of stating uncertainty, our base"][1:] == [CHOICES["uncertainty"]["ensemble"].title]
     assert found["Reference rows, "] == ["oracle"]
     assert found["Other packages, "] == [load_method("ls").card.title]
+
+
+def test_settings_combined_stand_in_a_table_of_their_own(place: Scenario) -> None:
+    """Errors of k/m of 1 % and 2 % over a bound of 0.5 %; the one that is not computed says so."""
+    both = {"optimizer": "soap", "weighting": "paper"}
+    third = {"optimizer": "soap", "weighting": "causal", "architecture": "sine"}
+    kinds = [(both, steady(0.5)), ({**both, "architecture": "sine"}, steady(1.0)), (third, None)]
+    cells = [cell(place, rows, settings, FAMILY) for settings, rows in [(LM, drawn(np.full(5, 0.5), 3.5)), *kinds]]
+    text = family_table(frame(*cells))[f"{FAMILY}.md"]
+    (table,) = panel(text, "All combinations of optimizer, weighting, architecture")
+    names = [CHOICES["weighting"][name].title for name in ("paper", "causal")]
+    assert table[0] == ["optimizer", "architecture", *names]
+    assert table[1] == ["SOAP", CHOICES["architecture"]["sine"].title, "2.00, 1.00 (15 s)", "not computed"]
+    assert "several settings at once" not in text
+
+
+def test_the_base_stands_beside_rows_of_fewer_data_sets(place: Scenario) -> None:
+    """The base's errors of k/m are 0.5 % in its first two data sets and 1.5 % in the others, over a bound of 0.5 %."""
+    base = cell(place, drawn(np.array([0.5, 0.5, 1.5, 1.5]), 3.5), LM, FAMILY)
+    soap = cell(place, steady(0.6), {"optimizer": "soap"}, FAMILY)
+    known, _ = panel(family_table(frame(base, soap))[f"{FAMILY}.md"], "Optimisers, our base")
+    assert known[1][:3] == ["Levenberg-Marquardt (base)", "4/4", "2.24"]  # sqrt((1 + 9) / 2)
+    assert known[2][:3] == ["the base on 2 data sets", "2", "1.00"]
+    assert known[3][:3] == ["SOAP", "2/2", "1.20"]
+
+
+def test_minima_are_compared_on_the_data_sets_that_all_have(place: Scenario) -> None:
+    """The base's minima are off by 0.5 % in its first two data sets and 1.5 % in the others, over a bound of 0.5 %."""
+    rows = [replace(one, replicate=i) for i, one in enumerate([*steady(0.5), *steady(1.5)])]
+    base, soap = cell(place, rows, LM, FAMILY), cell(place, steady(0.6), {"optimizer": "soap"}, FAMILY)
+    _, told = panel(family_table(frame(base, soap))[f"{FAMILY}.md"], "Optimisers, our base")
+    at = told[0].index("k/m at minimum")
+    assert [row[at] for row in told[1:]] == ["1.00", "1.20"]
 
 
 def test_an_experiment_without_a_family_is_said_to_have_none(place: Scenario) -> None:

@@ -16,7 +16,7 @@ from bench.store.store import Store
 pytest.importorskip("matplotlib")
 ALONE = {
     "record", "reconstruction", "training_loss", "scatter", "basin", "band", "error_against_noise", "forest",
-    "coverage", "accuracy_against_time",
+    "coverage", "accuracy_against_time", "waterfall",
 }  # fmt: skip
 """What a method alone gives on one mass that never failed: no comparison, no failure, no second mass."""
 

@@ -33,6 +33,7 @@ from bench.reporting.figures.scatter import bound_covariance, draw_scatter, elli
 from bench.reporting.figures.time import draw_time
 from bench.reporting.figures.training import draw_training
 from bench.reporting.figures.two_masses import band, draw_two_masses
+from bench.reporting.figures.waterfall import draw_waterfall
 
 REFERENCE_COVARIANCE = np.array([[SD_K**2, CORRELATION * SD_K * SD_C], [CORRELATION * SD_K * SD_C, SD_C**2]])
 
@@ -358,3 +359,21 @@ def test_what_cannot_be_drawn_says_why(store: Store) -> None:
         with pytest.raises(Nothing, match=r"stored|needs"):
             draw(gallery)
     assert [text.get_text() for text in draw_failures(gallery).figure.axes[0].texts] == ["100o"]
+
+
+def test_the_waterfall_draws_the_stored_ends_in_order(store: Store) -> None:
+    rows = [replace(row, scores={**row.scores, "starts": 3.0, "starts_at_best": 2.0}) for row in scored("shooting", 5)]
+    arrays = {**recorded(rows, False, False), "trace_start_objectives": np.array([-5.0, 2.0, -5.0 + 1e-3])}
+    save(store, described("shooting", n=5), rows, arrays)
+    gallery = Gallery(store)
+    picture = draw_waterfall(gallery)
+    drawn = curves(picture.figure.axes[0], gallery.looks["shooting"].colour)[0]
+    assert np.allclose(drawn, [[1, 2, 3], [1e-4, 1e-3, 7.0]], rtol=1e-3)
+    assert "2 of 3" in picture.caption
+
+
+def test_no_waterfall_of_one_start(store: Store) -> None:
+    rows = [replace(row, scores={**row.scores, "starts": 1.0}) for row in scored("shooting", 5)]
+    save(store, described("shooting", n=5), rows, recorded(rows, False, False))
+    with pytest.raises(Nothing, match="several starts"):
+        draw_waterfall(Gallery(store))

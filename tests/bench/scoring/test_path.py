@@ -34,7 +34,6 @@ def path(losses: list[float], least: float) -> dict[str, np.ndarray]:
         "path_loss": np.array(losses),
         "minimum_loss": np.array([least]),
         "minimum_parameters": np.array([1.0, 0.4, 8.4]),
-        "certificate": np.array([1e-4]),
     }
 
 

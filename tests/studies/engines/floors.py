@@ -13,6 +13,8 @@ from bench.entrants.registry import default_settings
 from tests.studies.engines.rows import Row
 
 ELEMENTS, ORDER, TURNS = 4_000, 512, 7
+TURN_S = 0.1
+"""The least length of a turn, of processor time: some clocks move in steps of 10 ms."""
 FORMULAS = {
     "elementary": "evaluated responses × samples × time of exp + cos + sin of an element",
     "pencil": "records (the measured and the bootstrap's) × rows × columns² × 2 of their data matrix / rate of dgemm",
@@ -31,13 +33,21 @@ class Rates:
 
 
 def least(step: Callable[[], object], turns: int = TURNS, calls: int = 20) -> float:
-    """The least processor time of a step (s)."""
+    """The least processor time of a step (s).
+
+    Args:
+        step: What is timed.
+        turns: How often.
+        calls: Steps between two looks at the clock. A turn goes on until it is long enough for the clock.
+    """
     seconds = []
     for _ in range(turns):
-        started = time.process_time()
-        for _ in range(calls):
-            step()
-        seconds.append((time.process_time() - started) / calls)
+        started, done, elapsed = time.process_time(), 0, 0.0
+        while elapsed < TURN_S:
+            for _ in range(calls):
+                step()
+            done, elapsed = done + calls, time.process_time() - started
+        seconds.append(elapsed / done)
     return min(seconds)
 
 

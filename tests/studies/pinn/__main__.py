@@ -23,7 +23,18 @@ from bench.isolation.processes import single_threaded
 from bench.store.store import Store
 from tests.studies.pinn.common import Part
 
-PARTS = ("rivals", "memory", "accuracy", "systems", "initialisations", "starting_values", "loss", "steps", "scaling")
+PARTS = (
+    "rivals",
+    "memory",
+    "accuracy",
+    "systems",
+    "initialisations",
+    "starting_values",
+    "loss",
+    "steps",
+    "reach",
+    "scaling",
+)
 USAGE = """usage: python -m tests.studies.pinn [part=<a,b>] [replicates=100] [out=results]
                                         [peers=<folder of rival scripts> [peer_python=<python with DeepXDE>] [seeds=3]]
 parts: """ + ", ".join(PARTS)
@@ -54,7 +65,7 @@ def options(arguments: Sequence[str]) -> dict[str, str]:
 
 def run(part: str, chosen: dict[str, str]) -> Part:
     """One part, with a progress bar where it is long."""
-    from tests.studies.pinn import rivals, robustness, scaling
+    from tests.studies.pinn import reach, rivals, robustness, scaling
 
     adam = dict(expand(["method=pinn_adam"], multirun=False)[0].cell().settings)
     replicates = int(chosen["replicates"])
@@ -73,6 +84,7 @@ def run(part: str, chosen: dict[str, str]) -> Part:
             "starting_values": (400, lambda: robustness.starting_values(bar.update)),
             "loss": (0, lambda: robustness.loss(adam)),
             "steps": (len(robustness.BUDGETS) * 6, lambda: robustness.steps(adam, bar.update)),
+            "reach": (reach.COUNT, lambda: reach.reach(few, bar.update)),
             "scaling": (scaling.COUNT, lambda: scaling.scaling(few, bar.update)),
         }
         bar.total, compute = parts[part]

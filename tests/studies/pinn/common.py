@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from bench import Identifier
+from bench import Identifier, Problem
 from bench.config.experiment import expand
 from bench.entrants.reference import oracle_estimate
 from bench.scenario.scenario import METHOD, Scenario
+from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import score
 from bench.scoring.summary import metric_bounds
@@ -53,41 +54,73 @@ def error_names(scenario: Scenario) -> list[str]:
     return ["rmse", *(f"{group.name}_error_pct" for group in scenario.make_system().groups)]
 
 
+METHODS = ("pinn", "collocation", "shooting")
+"""The network, what stands in its place, and maximum likelihood: the methods that are compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """Data sets of a scenario with their truths, and what the errors of a method on them are held against.
+
+    ``oracle`` and ``bounds`` (n_names,) are root mean square errors; NaN where they were not asked for.
+    """
+
+    scenario: Scenario
+    pairs: list[tuple[Problem, Truth]]
+    names: list[str]
+    oracle: np.ndarray
+    bounds: np.ndarray
+
+
+def trials(scenario: Scenario, replicates: int, bound: bool = False, oracle: bool = True) -> Trials:
+    """The first ``replicates`` data sets of a scenario, with bound and oracle, if asked."""
+    pairs, names = scenario.replicates(SEED, replicates), error_names(scenario)
+    unknown = np.full(len(names), np.nan)
+    theirs = [score(oracle_estimate(problem, truth), problem, truth) for problem, truth in pairs] if oracle else []
+    return Trials(
+        scenario,
+        pairs,
+        names,
+        root_mean_squares(theirs, names) if oracle else unknown,
+        bound_values(scenario, names) if bound else unknown,
+    )
+
+
 @dataclass
 class Comparison:
-    """Root mean square errors over the oracle's on the same data and over the bound; median processor seconds a fit."""
+    """Root mean square errors over the oracle's on the same data and over the bound; median processor seconds a fit.
+
+    Of ``fits``, ``failed`` gave no answer, and ``capped`` ended at their largest number of iterations.
+    """
 
     names: list[str]
     over_oracle: np.ndarray
     over_bound: np.ndarray
     seconds: float
+    fits: int
     failed: int
+    capped: int
 
 
-def compare(
-    method: Identifier, scenario: Scenario, replicates: int, bound: bool = False, oracle: bool = True
-) -> Comparison:
-    """Fit ``replicates`` data sets of a scenario, one after the other, and score them beside the oracle, if asked."""
-    own, theirs, seconds = [], [], []
-    for i, (problem, truth) in enumerate(scenario.replicates(SEED, replicates)):
-        rng = scenario.stream(METHOD, SEED, i)
+def compare(method: Identifier, on: Trials) -> Comparison:
+    """Fit the data sets one after the other."""
+    own, seconds, capped = [], [], 0
+    for i, (problem, truth) in enumerate(on.pairs):
+        rng = on.scenario.stream(METHOD, SEED, i)
         started = time.process_time()
         estimate = method.identify(problem, rng)
         seconds.append(time.process_time() - started)
+        capped += "number of iterations was reached" in estimate.message
         own.append(score(combine_with_prior(estimate, problem.prior).checked(), problem, truth))
-        if oracle:
-            theirs.append(score(oracle_estimate(problem, truth), problem, truth))
-    names = error_names(scenario)
-    errors = root_mean_squares(own, names)
-    bounds = np.full(len(names), np.nan)
-    if bound:
-        bounds = bound_values(scenario, names)
+    errors = root_mean_squares(own, on.names)
     return Comparison(
-        names,
-        errors / root_mean_squares(theirs, names) if oracle else np.full(len(names), np.nan),
-        errors / bounds,
+        on.names,
+        errors / on.oracle,
+        errors / on.bounds,
         float(np.median(seconds)),
+        len(own),
         sum(not s for s in own),
+        capped,
     )
 
 

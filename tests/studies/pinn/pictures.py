@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 
 from bench.reporting.figures.style import FULL, MM, legend_below, looks, pyplot, save_figure
+from tests.studies.pinn.common import METHODS
 
 LABELS = {
     "pinn": "PINN (Levenberg-Marquardt)",
     "pinn_adam": "PINN (paper's training)",
     "collocation": "spline collocation",
+    "shooting": "multiple shooting",
 }
 
 
@@ -40,30 +42,42 @@ def _positive(values: list[float]) -> np.ndarray:
     return np.where(array > 0, array, np.nan)
 
 
+TOP = 2.0
+"""The largest ratio of errors that is drawn; what is larger is a triangle at the edge."""
+
+
+def _shown(axis: Any, sizes: np.ndarray, values: np.ndarray, colour: str) -> np.ndarray:
+    """The values, those beyond the edge marked there and left out."""
+    beyond = ~(values <= TOP)
+    if beyond.any():
+        axis.plot(sizes[beyond], np.full(beyond.sum(), 0.96 * TOP), "^", color=colour, ms=6)
+    return np.where(beyond, np.nan, values)
+
+
 def scaling_picture(data: dict[str, Any], out: Path) -> list[Path]:
     """Seconds a fit, and error over the oracle's, against size."""
     plt = pyplot()
     labels = {"residuals": "residuals", "masses": "masses in the chain", "cycles": "cycles in the record"}
     figure, axes = plt.subplots(2, 3, figsize=(FULL, 92.0 * MM), layout="constrained", sharex="col", sharey="row")
     for column, (kind, label) in enumerate(labels.items()):
-        for name in ("pinn", "collocation"):
+        for name in METHODS:
             own = [point for point in data[kind] if point["method"] == name]
             look = looks([name])[name]
             size = [point["size"] for point in own]
             for row, what in enumerate(("seconds", "ratio")):
-                values = [point[what] for point in own]
+                values = np.array([point[what] for point in own], float)
+                if what == "ratio":
+                    values = _shown(axes[row, column], np.array(size, float), values, look.colour)
                 axes[row, column].plot(size, values, color=look.colour, marker=look.marker, ms=4, label=LABELS[name])
         axes[1, column].axhline(1.0, color="0.7", lw=0.8)
         axes[1, column].set_xlabel(label)
         axes[0, column].set_yscale("log")
         ticks = sorted({point["size"] for point in data[kind]})
-        if kind == "residuals":
-            axes[1, column].set_xscale("log")
-            axes[1, column].minorticks_off()
+        axes[1, column].set_xscale("log")
+        axes[1, column].minorticks_off()
         axes[1, column].set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    ratios = [point["ratio"] for own in data.values() for point in own]
-    axes[1, 0].set_ylim(0.0, min(max(2.0, 1.1 * np.nanmax(ratios)), 10.0))
+    axes[1, 0].set_ylim(0.0, TOP)
     axes[0, 0].set_ylabel("time of a fit (s)")
-    axes[1, 0].set_ylabel("error / oracle's (−)")
-    legend_below(figure, axes[0, 0].get_legend_handles_labels()[0])
+    axes[1, 0].set_ylabel("errors / oracle's (−)")
+    legend_below(figure, axes[0, 1].get_legend_handles_labels()[0])
     return save_figure(figure, out, "pinn_scaling")

@@ -15,7 +15,7 @@ from methods.pinn.method import PINN
 from methods.pinn.physics import PhysicsInformed
 from methods.pinn.task import Task
 from methods.starts.waves import Guess
-from tests.studies.pinn.common import SEED, Part, compare, scenario
+from tests.studies.pinn.common import SEED, Part, compare, scenario, trials
 
 Advance = Callable[[int], object]
 """Told how many more fits are done."""
@@ -29,7 +29,7 @@ def accuracy(replicates: int, advance: Advance) -> Part:
         for told in ("known", "unknown"):
             for snr in SNRS:
                 cell = scenario(system="sdof", snr=snr, initial_state=told)
-                found = compare(make_method(name, {}), cell, replicates, bound=True)
+                found = compare(make_method(name, {}), trials(cell, replicates, bound=True))
                 over_oracle = [f"{value:.3f}" for value in found.over_oracle]
                 over_bound = [f"{value:.2f}" for value in found.over_bound]
                 ok = f"{replicates - found.failed}/{replicates}"
@@ -53,7 +53,7 @@ def systems(replicates: int, advance: Advance) -> Part:
             for told in ("known", "unknown"):
                 cell = scenario(system=system, snr=30, initial_state=told)
                 # no oracle here: for a nonlinear system it takes longer than the fit
-                found = compare(make_method(name, {}), cell, replicates, bound=True, oracle=False)
+                found = compare(make_method(name, {}), trials(cell, replicates, bound=True, oracle=False))
                 worst = int(np.argmax(found.over_bound))
                 worst_name = found.names[worst].removesuffix("_error_pct")
                 ok = f"{replicates - found.failed}/{replicates}"
