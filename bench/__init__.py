@@ -10,11 +10,22 @@ from typing import TYPE_CHECKING, Any
 from bench.contract.belief import Belief, Draws, Marginal, Normal
 from bench.contract.estimate import Cost, Estimate, NoEstimate, Reconstruction, Status
 from bench.contract.method import EVERY_PROBLEM, Card, Choice, Identifier, Serves
+from bench.contract.online import (
+    Layout,
+    OnlineCard,
+    OnlineIdentifier,
+    Sample,
+    SampleStatus,
+    Sensor,
+    Standing,
+    Tracker,
+)
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record, Units
 from bench.contract.progress import report_progress
 from bench.dynamics.compiled_path import compiled_path
 from bench.dynamics.fixed_step import Steps, rk4_path, rk4_scan, rk4_step, step_counts
+from bench.dynamics.held import HeldModel
 from bench.dynamics.intervals import interval_polynomials
 from bench.dynamics.mechanics import acceleration, mass_matrix, regression_columns, state_matrix, state_rate
 from bench.dynamics.ops import array_ops, nan_ops, numpy_ops, ops_from
@@ -45,13 +56,17 @@ __all__ = [
     "Draws",
     "Estimate",
     "Force",
+    "HeldModel",
     "Identification",
     "Identifier",
     "InitialState",
     "InputError",
+    "Layout",
     "Marginal",
     "NoEstimate",
     "Normal",
+    "OnlineCard",
+    "OnlineIdentifier",
     "Ops",
     "OutputError",
     "Parameter",
@@ -62,14 +77,19 @@ __all__ = [
     "Reconstruction",
     "Record",
     "Results",
+    "Sample",
+    "SampleStatus",
     "Search",
+    "Sensor",
     "Serves",
     "SimulatedResponse",
     "Standardised",
+    "Standing",
     "Start",
     "Status",
     "Steps",
     "System",
+    "Tracker",
     "Units",
     "acceleration",
     "array_ops",

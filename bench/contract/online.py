@@ -1,0 +1,292 @@
+"""The contract of an online identifier: a layout without data, one sample at a time, what is believed after each.
+
+A tracker sees the past only. What it holds is bounded, and a sample costs the same however many came before. What
+every tracker needs is done here, once: the clock of the samples (a gap, a repeated time stamp), values that say nothing
+(missing, at the limit of the range), and a step that went wrong.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any, ClassVar, Self, final
+
+import numpy as np
+
+from bench.contract.belief import Marginal, Normal
+from bench.contract.problem import Measures
+from bench.errors import InputError
+from bench.systems import MEASURED, Quantity, System
+
+STUCK = 4
+"""So many equal values in a row, as extreme as any before, are a sensor at its limit."""
+LONGEST_GAP = 10_000
+"""Sampling intervals; behind a longer gap the motion is taken to be unknown, as at the start."""
+
+
+class SampleStatus(StrEnum):
+    """What became of one sample."""
+
+    OK = "ok"
+    WARMING_UP = "warming_up"
+    MISSING = "missing"
+    GAP = "gap"
+    REPEATED = "repeated"
+    SATURATED = "saturated"
+    OUTLIER = "outlier"
+    SENSOR_JUMP = "sensor_jump"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What a channel measures and where; ``limits`` of its range, beyond which it says nothing, where they are told."""
+
+    measures: Measures = "displacement"
+    dof: int = 0
+    limits: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.measures not in MEASURED:
+            raise InputError("sensor.measures", self.measures, f"one of {', '.join(MEASURED)}")
+        if self.limits is not None and not self.limits[0] < self.limits[1]:
+            raise InputError("sensor.limits", self.limits, "the lower limit first, and below the upper")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A problem without data: system, sensors, sampling interval (s), and on which DOFs a force acts.
+
+    ``forced``: DOFs under a force that is told with each sample and held until the next. ``ambient``: DOFs under a
+    force that nobody measures. Without a known force, free or ambient motion tells ratios to one mass only, the
+    system's groups; with one, every parameter. Raises InputError where the parts do not fit.
+    """
+
+    system: System
+    sensors: tuple[Sensor, ...]
+    interval: float
+    forced: tuple[int, ...] = ()
+    ambient: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = self.system.n_dof
+        if not self.sensors:
+            raise InputError("sensors", 0, "at least one sensor is needed")
+        for dof in (*(s.dof for s in self.sensors), *self.forced, *self.ambient):
+            if not 0 <= dof < n:
+                raise InputError("dof", dof, f"{self.system.name} has DOFs 0 to {n - 1}")
+        if not 0 < self.interval < float("inf"):
+            raise InputError("interval", self.interval, "a positive number of seconds")
+
+    @property
+    def scale_told(self) -> bool:
+        """Whether the data tell every parameter, by a known force."""
+        return bool(self.forced)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The parameters that a tracker estimates: all, or all but the gauge, which is then one unit of mass."""
+        names = self.system.names
+        return names if self.scale_told else tuple(name for name in names if name != self.system.gauge)
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What the data tell: parameters, groups and modal quantities, or the last two alone."""
+        if self.scale_told:
+            return self.system.quantities
+        return tuple(self.system.groups) + tuple(self.system.modal)
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One instant: time (s), a value a sensor (NaN where one is missing), the force (N) on each forced DOF from now on."""
+
+    time: float
+    values: tuple[float, ...]
+    forces: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """What a tracker believes after a sample, from the past alone.
+
+    ``belief``: normal, in the logarithms of the layout's free parameters (or of quantities by name); None where there
+    is none yet. ``prediction`` and ``prediction_sd``, shape (n_sensors,): of this sample before it was seen, in the
+    sensors' units. ``alarm``: what a detector of changes stands at, compared with a threshold of the user's choice;
+    NaN where the method has none. ``message``: a sentence where the status is not ``ok``.
+    """
+
+    time: float
+    status: SampleStatus
+    belief: Normal | None = None
+    prediction: np.ndarray | None = None
+    prediction_sd: np.ndarray | None = None
+    alarm: float = float("nan")
+    message: str = ""
+
+    def marginal(self, quantity: Quantity) -> Marginal | None:
+        """The belief about a quantity of :attr:`Layout.quantities`; None where there is none."""
+        if self.belief is None:
+            return None
+        if quantity.name in self.belief.names:
+            quantity = replace(quantity, exponents={quantity.name: 1.0}, coefficient=1.0)
+        held = set(self.belief.names)
+        known = {name: power for name, power in quantity.exponents.items() if name in held}
+        return self.belief.marginal(replace(quantity, exponents=known))
+
+
+@dataclass(frozen=True)
+class OnlineCard:
+    """What a reader must know of an online method, and how tables and figures call it."""
+
+    summary: str
+    source: str
+    settings_source: str
+    title: str
+    order: int = 1000
+    colour: str = ""
+
+
+class Tracker(ABC):
+    """What follows one stream. Subclass it and write :meth:`step`; callers use :meth:`update`.
+
+    ``holds`` names the attributes that a step changes: numbers, texts, arrays, or lists of these. They are what is
+    saved; everything else follows from the settings and the layout.
+    """
+
+    holds: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, layout: Layout) -> None:
+        """Begin before the first sample."""
+        self.layout = layout
+        self.samples = 0
+        self.last: float | None = None
+        self._standing: Standing | None = None
+        n = len(layout.sensors)
+        self.previous, self.repeats = np.full(n, np.nan), np.zeros(n, int)
+        self.lowest, self.highest = np.full(n, np.inf), np.full(n, -np.inf)
+
+    @abstractmethod
+    def step(self, sample: Sample, steps: int) -> Standing:
+        """Write this: what is believed after a sample.
+
+        Args:
+            sample: its values are NaN where they say nothing.
+            steps: sampling intervals since the sample before; 1 but after a gap, 0 for the first.
+        """
+
+    def reset_motion(self) -> None:
+        """Forget the motion, but not the parameters: behind a long gap. By default nothing."""
+
+    def smooth(self) -> list[Standing]:
+        """What is believed of the samples still held, given all of them; empty where a method has none."""
+        return []
+
+    @final
+    def update(self, sample: Sample) -> Standing:
+        """Take a sample and say what is believed. Raises InputError for a sample that does not fit the layout."""
+        if len(sample.values) != len(self.layout.sensors) or len(sample.forces) != len(self.layout.forced):
+            wanted = f"{len(self.layout.sensors)} value(s) and {len(self.layout.forced)} force(s)"
+            raise InputError("sample", f"{len(sample.values)} and {len(sample.forces)}", wanted)
+        if not np.isfinite(sample.time):
+            return self._unread(sample, SampleStatus.REPEATED, "its time is not a finite number; left out")
+        steps = 0 if self.last is None else round((sample.time - self.last) / self.layout.interval)
+        if self.last is not None and steps <= 0:
+            return self._unread(sample, SampleStatus.REPEATED, "its time is not after the one before; left out")
+        if not np.all(np.isfinite(sample.forces)):
+            sample = replace(sample, forces=tuple(0.0 if not np.isfinite(f) else f for f in sample.forces))
+        usable, status = self._usable(np.asarray(sample.values, float))
+        self.last = sample.time
+        self.samples += 1
+        if steps > LONGEST_GAP:
+            self.reset_motion()
+            steps = 1
+        found = self._stepped(replace(sample, values=tuple(usable)), steps)
+        if found.status is SampleStatus.OK:
+            if status is not SampleStatus.OK:
+                found = replace(found, status=status, message=SENTENCES[status])
+            elif steps > 1:
+                found = replace(found, status=SampleStatus.GAP, message=f"{steps - 1} sample(s) are not there")
+        self._standing = found
+        return found
+
+    def _stepped(self, sample: Sample, steps: int) -> Standing:
+        try:
+            return self.step(sample, steps)
+        except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
+            before = self._standing
+            belief = before.belief if before else None
+            said = f"{type(error).__name__}: {error}"
+            return Standing(sample.time, SampleStatus.FAILED, belief, message=f"the step went wrong ({said})")
+
+    def _unread(self, sample: Sample, status: SampleStatus, message: str) -> Standing:
+        before = self._standing
+        alarm = before.alarm if before else float("nan")
+        return Standing(sample.time, status, before.belief if before else None, alarm=alarm, message=message)
+
+    def _usable(self, values: np.ndarray) -> tuple[np.ndarray, SampleStatus]:
+        """The values that say something, NaN for the others, and why."""
+        values = values.copy()
+        status = SampleStatus.OK
+        if not np.all(np.isfinite(values)):
+            values[~np.isfinite(values)] = np.nan
+            status = SampleStatus.MISSING
+        equal = values == self.previous
+        self.repeats = np.where(equal, self.repeats + 1, 0)
+        self.lowest, self.highest = np.fmin(self.lowest, values), np.fmax(self.highest, values)
+        self.previous = np.where(np.isfinite(values), values, self.previous)
+        stuck = (self.repeats >= STUCK - 1) & ((values <= self.lowest) | (values >= self.highest))
+        for i, sensor in enumerate(self.layout.sensors):
+            if sensor.limits is not None and np.isfinite(values[i]):
+                stuck[i] |= not sensor.limits[0] < values[i] < sensor.limits[1]
+        if np.any(stuck):
+            values[stuck] = np.nan
+            status = SampleStatus.SATURATED
+        return values, status
+
+    @final
+    def saved(self) -> dict[str, Any]:
+        """All that it holds, as numbers, texts, lists and arrays by name: what :meth:`restored` goes on from."""
+        return {name: getattr(self, name) for name in (*CLOCK, *self.holds)}
+
+    @final
+    def restored(self, state: Mapping[str, Any]) -> Self:
+        """Itself in a saved state; raises InputError for one of something else."""
+        names = (*CLOCK, *self.holds)
+        if set(state) != set(names):
+            raise InputError("state", sorted(set(state) ^ set(names)), "the state of this method in this version")
+        for name in names:
+            setattr(self, name, state[name])
+        return self
+
+
+CLOCK = ("samples", "last", "previous", "repeats", "lowest", "highest")
+"""What every tracker holds: the clock of the samples, and what shows a sensor at its limit."""
+
+SENTENCES = {
+    SampleStatus.MISSING: "a value is missing",
+    SampleStatus.SATURATED: "a sensor is at the limit of its range",
+}
+"""What is said of a sample that tells less than it should."""
+
+
+class OnlineIdentifier(ABC):
+    """An online method: a frozen dataclass whose fields are its settings; ``start`` makes a tracker of a layout.
+
+    Register it by an entry point in the group ``bench.trackers``.
+    """
+
+    card: ClassVar[OnlineCard]
+    requires: ClassVar[tuple[str, ...]] = ()
+    extra: ClassVar[str] = ""
+
+    @abstractmethod
+    def start(self, layout: Layout) -> Tracker:
+        """A tracker before its first sample."""
+
+    def objection(self, layout: Layout) -> str | None:
+        """Why this method cannot follow such a stream, in a sentence; None where it can."""
+        return None
+

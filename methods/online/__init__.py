@@ -1,0 +1,1 @@
+"""Methods that follow parameters while the samples arrive."""
