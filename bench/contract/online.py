@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from math import isfinite
 from typing import Any, ClassVar, Self, final
 
 import numpy as np
@@ -163,6 +164,7 @@ class Tracker(ABC):
         self.layout = layout
         self.samples = 0
         self.last: float | None = None
+        self.forces = np.zeros(0)
         self._standing: Standing | None = None
         n = len(layout.sensors)
         self.previous, self.repeats = np.full(n, np.nan), np.zeros(n, int)
@@ -195,9 +197,12 @@ class Tracker(ABC):
         steps = 0 if self.last is None else round((sample.time - self.last) / self.layout.interval)
         if self.last is not None and steps <= 0:
             return self._unread(sample, SampleStatus.REPEATED, "its time is not after the one before; left out")
-        if not np.all(np.isfinite(sample.forces)):
-            sample = replace(sample, forces=tuple(0.0 if not np.isfinite(f) else f for f in sample.forces))
         usable, status = self._usable(np.asarray(sample.values, float))
+        if not all(map(isfinite, sample.forces)):
+            held = self.forces if self.forces.size else np.zeros(len(sample.forces))
+            known = [f if isfinite(f) else float(before) for f, before in zip(sample.forces, held, strict=True)]
+            sample, status = replace(sample, forces=tuple(known)), SampleStatus.MISSING
+        self.forces = np.array(sample.forces)
         self.last = sample.time
         self.samples += 1
         if steps > LONGEST_GAP:
@@ -249,7 +254,8 @@ class Tracker(ABC):
     @final
     def saved(self) -> dict[str, Any]:
         """All that it holds, as numbers, texts, lists and arrays by name: what :meth:`restored` goes on from."""
-        return {name: getattr(self, name) for name in (*CLOCK, *self.holds)}
+        every = {name: getattr(self, name) for name in (*CLOCK, *self.holds)}
+        return {name: np.array(value) if hasattr(value, "__array__") else value for name, value in every.items()}
 
     @final
     def restored(self, state: Mapping[str, Any]) -> Self:
@@ -259,14 +265,18 @@ class Tracker(ABC):
             raise InputError("state", sorted(set(state) ^ set(names)), "the state of this method in this version")
         for name in names:
             setattr(self, name, state[name])
+        self.rebuild()
         return self
 
+    def rebuild(self) -> None:
+        """Make again what follows from a restored state. By default nothing."""
 
-CLOCK = ("samples", "last", "previous", "repeats", "lowest", "highest")
+
+CLOCK = ("samples", "last", "forces", "previous", "repeats", "lowest", "highest")
 """What every tracker holds: the clock of the samples, and what shows a sensor at its limit."""
 
 SENTENCES = {
-    SampleStatus.MISSING: "a value is missing",
+    SampleStatus.MISSING: "a value, or a force, is missing; a force is taken to be as before",
     SampleStatus.SATURATED: "a sensor is at the limit of its range",
 }
 """What is said of a sample that tells less than it should."""

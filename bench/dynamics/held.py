@@ -3,8 +3,8 @@
 The joint state is ``[motion, ambient force, sensor offset, log-parameters]``: displacements, velocities and hidden
 states; the force (N) that nobody measures, one a DOF; an offset a sensor; the logarithms of the layout's free
 parameters. Over an interval the motion follows the residual by Runge-Kutta steps of order four; offsets and
-log-parameters stay. The step is short against the interval, so that at the Nyquist frequency its error is below 1e-4
-of the amplitude, and at a tenth of that frequency below 1e-8.
+log-parameters stay. With five samples a cycle the steps bend a frequency by a part in 10 000, with twenty by less than
+one in a million.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import numpy as np
 
 from bench.contract.online import Layout
 from bench.dynamics.fixed_step import rk4_step
-from bench.dynamics.mechanics import acceleration
+from bench.dynamics.mechanics import acceleration, state_rate
 from bench.dynamics.ops import array_ops
 
-SUBSTEPS = 8
+SUBSTEPS = 4
 """Runge-Kutta steps in an interval."""
 
 
@@ -88,13 +88,33 @@ class HeldModel:
         import jax
         import jax.numpy as jnp
 
-        ops, force = array_ops(jnp), self._force(known, ambient)
+        ops, force, h = array_ops(jnp), self._force(known, ambient), interval / SUBSTEPS
+        if self.layout.system.linear:
+            return self._moved_linearly(p, motion, force, h)
 
         def step(_: Any, now: Any) -> Any:
-            forces = (force, force, force)
-            return jnp.stack(rk4_step(self.layout.system, p, list(now), interval / SUBSTEPS, forces, ops))
+            return jnp.stack(rk4_step(self.layout.system, p, list(now), h, (force, force, force), ops))
 
         return jax.lax.fori_loop(0, SUBSTEPS, step, motion)
+
+    def _moved_linearly(self, p: Mapping[str, Any], motion: Any, force: list[Any], h: Any) -> Any:
+        """The same steps of a linear system, in products with its matrix: ``s + h (I + Z/2 (I + Z/3 (I + Z/4))) s'``."""
+        import jax
+        import jax.numpy as jnp
+
+        n, ops = self.n_motion, array_ops(jnp)
+
+        def rate(state: Any) -> Any:
+            return jnp.stack(state_rate(self.layout.system, p, [state[i] for i in range(n)], force, ops))
+
+        push, matrix = rate(jnp.zeros(n)), jax.jacfwd(rate)(jnp.zeros(n))
+        for _ in range(SUBSTEPS):
+            slope = matrix @ motion + push
+            total = slope
+            for order in (4, 3, 2):
+                total = slope + h / order * (matrix @ total)
+            motion = motion + h * total
+        return motion
 
     def advance(self, joint: Any, known: Any, interval: Any, memory: Any) -> Any:
         """The joint state after an interval; ``memory`` is what the unknown force keeps of itself (0: white)."""

@@ -1,0 +1,75 @@
+"""How a parameter runs over a record: a factor on its value at time 0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal, get_args
+
+import numpy as np
+
+from bench.errors import InputError
+from bench.scenario.declaration import STRICT, Positive, Within
+
+Kind = Literal["constant", "step", "ramp", "sinusoid", "random_walk"]
+
+
+@dataclass(frozen=True)
+class Course:
+    """The factor on a parameter, by ``kind``:
+
+    - ``constant``: 1;
+    - ``step``: ``1 + change`` from ``at`` on;
+    - ``ramp``: from 1 at ``at`` linearly to ``1 + change`` at ``until``;
+    - ``sinusoid``: ``1 + change sin(2π periods t / T)`` over the record's length T;
+    - ``random_walk``: the logarithm walks, with standard deviation ``spread`` over the record.
+
+    ``at`` and ``until`` are parts of the record's length.
+    """
+
+    __pydantic_config__ = STRICT
+    kind: Kind = "constant"
+    change: Annotated[float, Within(gt=-1.0, le=10.0)] = -0.1
+    at: Annotated[float, Within(ge=0.0, le=1.0)] = 0.5
+    until: Annotated[float, Within(ge=0.0, le=1.0)] = 1.0
+    periods: Positive = 2.0
+    spread: Positive = 0.1
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(Kind):
+            raise InputError("system.varying", self.kind, f"one of {', '.join(get_args(Kind))}")
+        if self.kind == "ramp" and not self.at < self.until:
+            raise InputError("system.varying.until", self.until, f"after at ({self.at:g})")
+
+    def factors(self, samples: int, rng: np.random.Generator) -> np.ndarray:
+        """The factor over the interval that begins at each sample, shape (samples,)."""
+        part = np.arange(samples) / max(samples - 1, 1)
+        if self.kind == "step":
+            return np.where(part >= self.at, 1.0 + self.change, 1.0)
+        if self.kind == "ramp":
+            return 1.0 + self.change * np.clip((part - self.at) / (self.until - self.at), 0.0, 1.0)
+        if self.kind == "sinusoid":
+            return np.asarray(1.0 + self.change * np.sin(2.0 * np.pi * self.periods * part))
+        if self.kind == "random_walk":
+            steps = rng.standard_normal(samples) * self.spread / np.sqrt(max(samples - 1, 1))
+            return np.asarray(np.exp(np.cumsum(steps) - steps[0]))
+        return np.ones(samples)
+
+    def increment_variances(self, samples: int) -> np.ndarray:
+        """What the log-factor moves from a sample to the next, mean square, shape (samples,); the last is 0.
+
+        A step moves at its instant, by its own size; a ramp moves evenly while it lasts; a sinusoid evenly over the
+        record, with the mean square of its slope. This is the process noise of the walk that the bound is stated for.
+        """
+        found = np.zeros(samples)
+        if self.kind == "random_walk":
+            found[:-1] = self.spread**2 / max(samples - 1, 1)
+        elif self.kind != "constant":
+            squares = np.diff(np.log(self.factors(samples, np.random.default_rng(0)))) ** 2
+            moving = np.ones(samples - 1, bool) if self.kind == "sinusoid" else squares > 0
+            found[:-1][moving] = np.mean(squares[moving]) if np.any(moving) else 0.0
+        return found
+
+    @property
+    def settled(self) -> bool:
+        """Whether it jumps once and stays: a change whose delay can be told."""
+        return self.kind == "step" and self.change != 0 and 0 < self.at < 1

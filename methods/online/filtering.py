@@ -1,0 +1,241 @@
+"""What the filters of the joint state share: how they begin, what a gap does to them, and samples that are far off.
+
+**Beginning.** The first samples are kept until they tell the parameters well enough (:data:`VAGUE`), at most
+:data:`MOST` times as many as asked for; then the likelihood is maximised (:mod:`methods.online.likelihood`), and from
+there on a sample is an update and nothing is kept.
+
+**Far-off samples.** A value more than :data:`GATE` standard deviations from what every member of the bank expects is
+left out. :data:`IN_A_ROW` of them are no spikes: something has jumped, the sensor's zero or the system, and the belief
+about offset, parameters and motion is opened so that the data can tell.
+
+**Gaps.** The belief coasts. A known force is not known in a gap, so behind one the motion is open by as much as it has
+been moving.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from math import isfinite
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bench import HeldModel, Layout, Normal, Sample, SampleStatus, Standing, Tracker
+from methods.online.bank import Bank, Rule, Told
+from methods.online.likelihood import Head, beginning
+
+GATE = 6.0
+"""Standard deviations."""
+IN_A_ROW = 5
+OPENED = 0.3
+"""Standard deviation by which log-parameters are opened behind a jump."""
+VAGUE = 0.35
+"""Standard deviation of a log-stiffness, or log-mass, above which the first samples do not tell enough."""
+MOST = 8
+REMEMBERED = 0.998
+"""Forgetting of the mean square of the motion."""
+OPENING = "several samples in a row are far off: the sensor's zero or the system has jumped, the belief is opened"
+
+
+class FilterTracker(Tracker):
+    """A bank of filters of the joint state. Subclasses say which members, and how they are weighted.
+
+    ``walk`` (M, n_free): process noise of each member's log-parameters a sample, as a variance. ``chain``: forgetting
+    of the weights, or a transition matrix where members mix.
+    """
+
+    holds: ClassVar[tuple[str, ...]] = (
+        "begun", "head_values", "head_forces", "means", "spreads", "weights", "sigma", "push", "memory", "square",
+        "before", "far",
+    )  # fmt: skip
+    mixes: ClassVar[bool] = False
+
+    def __init__(self, layout: Layout, warm_up: int, rule: Rule, walk: np.ndarray, chain: Any) -> None:
+        super().__init__(layout)
+        self.model, self.warm_up, self.rule, self.chain = HeldModel(layout), warm_up, rule, chain
+        self.walk = walk
+        self.begun = False
+        self.head_values, self.head_forces = np.zeros((0, len(layout.sensors))), np.zeros((0, len(layout.forced)))
+        members, d = len(walk), self.model.size
+        self.means, self.spreads, self.weights = np.zeros((members, d)), np.zeros((members, d, d)), np.zeros(members)
+        self.sigma, self.push = np.zeros(len(layout.sensors)), np.zeros(len(layout.ambient))
+        self.memory, self.square = np.zeros(len(layout.ambient)), np.zeros(self.model.n_motion)
+        self.before, self.far = np.zeros(len(layout.forced)), 0
+        self._bank = Bank(layout, members, rule, self.mixes)
+        self._step, self._coast = self._bank.functions()
+        self._constants: Any = None
+
+    def step(self, sample: Sample, steps: int) -> Standing:
+        """Keep the first samples; then coast over a gap, update, and let the subclass have its say."""
+        values, forces = np.asarray(sample.values, float), np.asarray(sample.forces, float)
+        if not self.begun:
+            return self._collected(sample, values, forces, steps)
+        if steps > 1:
+            self._gap(steps - 1)
+        there = np.isfinite(values)
+        row = np.concatenate([np.where(there, values, 0.0), there, forces, self.before])
+        state = (self.means, self.spreads, self.weights)
+        (self.means, self.spreads, self.weights), numbers = self._step(state, row, self.constants)
+        self.before = forces
+        told = self._bank.told(np.asarray(numbers))
+        if not (isfinite(told.total) and isfinite(float(np.sum(told.mean)))):
+            return self._lost(sample)
+        self.square = REMEMBERED * self.square + (1.0 - REMEMBERED) * told.mean[: self.model.n_motion] ** 2
+        alarm = self.judged(told)
+        status, message = SampleStatus.OK, ""
+        if told.outlier.any():
+            status, message = self._outlying()
+        else:
+            self.far = 0
+        belief = self.belief(told.mean, told.covariance)
+        return Standing(sample.time, status, belief, told.expected, np.sqrt(told.spread), alarm, message)
+
+    @property
+    def constants(self) -> Any:
+        """What a compiled step needs beside state and sample, as arrays of the library that compiled it."""
+        if self._constants is None:
+            import jax
+
+            noise, levels = (self._noise(), self.memory), (self.sigma**2, self.chain, GATE**2)
+            self._constants = jax.tree.map(jax.numpy.asarray, (self.layout.interval, noise, levels))
+        return self._constants
+
+    def rebuild(self) -> None:
+        """The constants follow from what is held."""
+        self._constants = None
+
+    def belief(self, mean: np.ndarray, cov: np.ndarray) -> Normal:
+        """The log-parameters of a joint belief."""
+        logs = self.model.logs
+        return Normal(self.layout.free, mean[logs], cov[logs, logs], log=True)
+
+    @abstractmethod
+    def judged(self, told: Told) -> float:
+        """Do what the method does between samples; the alarm, NaN where it has none."""
+
+    def _noise(self) -> np.ndarray:
+        walk = np.zeros((len(self.walk), self.model.size))
+        walk[:, self.model.logs] = self.walk
+        walk[:, self.model.ambient] = self.push**2 * (1.0 - self.memory**2)
+        return walk
+
+    def _collected(self, sample: Sample, values: np.ndarray, forces: np.ndarray, steps: int) -> Standing:
+        if steps > 1:  # rows without values; under a known force the motion of a gap is anybody's: begin again
+            rows = steps - 1
+            if self.layout.forced or rows > self.warm_up:
+                self.head_values, self.head_forces = self.head_values[:0], self.head_forces[:0]
+            else:
+                self.head_values = np.concatenate([self.head_values, np.full((rows, values.size), np.nan)])
+                self.head_forces = np.concatenate([self.head_forces, np.zeros((rows, forces.size))])
+        self.head_values = np.concatenate([self.head_values, values[None]])
+        self.head_forces = np.concatenate([self.head_forces, forces[None]])
+        n = len(self.head_values)
+        waiting = Standing(sample.time, SampleStatus.WARMING_UP, message="the first samples are kept")
+        if n not in (self.warm_up << i for i in range(MOST.bit_length())):  # at each doubling
+            return waiting
+        size = float(np.nanmax(np.abs(self.head_values), initial=0.0))
+        if size == 0.0 or np.sum(np.isfinite(self.head_values)) < self.warm_up // 2:
+            self.head_values, self.head_forces = self.head_values[-1:], self.head_forces[-1:]
+            return Standing(sample.time, SampleStatus.WARMING_UP, message="no sensor shows any motion")
+        found = beginning(Head(self.layout, _without_spikes(self.head_values), self.head_forces))
+        finite = np.all(np.isfinite(found.mean)) and np.all(np.isfinite(found.covariance))
+        if n < MOST * self.warm_up and not (finite and not self._vague(found.covariance)):
+            return Standing(sample.time, SampleStatus.WARMING_UP, message="the first samples do not tell enough yet")
+        if not finite:
+            self.head_values, self.head_forces = self.head_values[-1:], self.head_forces[-1:]
+            return Standing(sample.time, SampleStatus.FAILED, message="no parameters explain the first samples")
+        self._begin(found.mean, found.covariance)
+        self.sigma, self.push, self.memory = found.levels.sigma, found.levels.push, found.levels.memory
+        self.square = np.full(self.model.n_motion, 0.0) + found.mean[: self.model.n_motion] ** 2
+        self.square = np.maximum(self.square, np.diag(found.covariance)[: self.model.n_motion])
+        self.before, self.begun = forces, True
+        self.rebuild()
+        self.head_values, self.head_forces = self.head_values[:0], self.head_forces[:0]
+        return Standing(sample.time, SampleStatus.OK, self.belief(found.mean, found.covariance))
+
+    def _vague(self, covariance: np.ndarray) -> bool:
+        kinds = {p.name: p.kind for p in self.layout.system.parameters}
+        sds = np.sqrt(np.diag(covariance)[self.model.logs])
+        told = [sd for name, sd in zip(self.layout.free, sds, strict=True) if kinds[name] in ("mass", "stiffness")]
+        return max(told) > VAGUE
+
+    def _begin(self, mean: np.ndarray, covariance: np.ndarray) -> None:
+        """All members at one belief."""
+        members = len(self.walk)
+        self.means = np.tile(mean, (members, 1))
+        self.spreads = np.tile(self.rooted(covariance), (members, 1, 1))
+        self.weights = np.log(self.first_weights())
+
+    def first_weights(self) -> np.ndarray:
+        """Of the members at first: alike, unless a subclass knows better."""
+        return np.full(len(self.walk), 1.0 / len(self.walk))
+
+    def rooted(self, covariance: np.ndarray) -> np.ndarray:
+        """The covariance, or its root, as the rule holds it."""
+        if self.rule != "square_root":
+            return covariance
+        values, axes = np.linalg.eigh(covariance)
+        return np.asarray(axes * np.sqrt(np.maximum(values, 0.0)))
+
+    def covariances(self) -> np.ndarray:
+        """Of all members, (M, d, d)."""
+        spreads = np.asarray(self.spreads)
+        return spreads @ spreads.swapaxes(1, 2) if self.rule == "square_root" else spreads
+
+    def opened(self, added: np.ndarray) -> None:
+        """Add variances (d,) to every member."""
+        covs = self.covariances() + np.diag(added)
+        self.spreads = np.stack([self.rooted(cov) for cov in covs])
+
+    def _gap(self, missing: int) -> None:
+        interval, noise, _ = self.constants
+        for _ in range(missing):
+            self.means, self.spreads = self._coast(self.means, self.spreads, self.before, interval, noise)
+        if self.layout.forced:
+            self._open_motion()
+
+    def _open_motion(self) -> None:
+        added = np.zeros(self.model.size)
+        added[: self.model.n_motion] = self.square
+        self.opened(added)
+
+    def _outlying(self) -> tuple[SampleStatus, str]:
+        self.far += 1
+        if self.far < IN_A_ROW:
+            return SampleStatus.OUTLIER, f"a value is more than {GATE:g} standard deviations off; left out"
+        self.far = 0
+        added = np.zeros(self.model.size)
+        model = self.model
+        added[: model.n_motion] = self.square
+        added[model.offsets] = 10.0 * np.max(self.square[: self.layout.system.n_dof])
+        added[model.logs] = OPENED**2
+        self.opened(added)
+        return SampleStatus.SENSOR_JUMP, OPENING
+
+    def _lost(self, sample: Sample) -> Standing:
+        """Begin again: no number of a bank that is not finite can be used."""
+        self.begun, self.far = False, 0
+        self.head_values, self.head_forces = np.zeros((0, self.sigma.size)), np.zeros((0, self.before.size))
+        return Standing(sample.time, SampleStatus.FAILED, message="the filter is lost; it begins again")
+
+    def reset_motion(self) -> None:
+        """Behind a long gap the motion is as open as it has been moving; parameters keep their belief."""
+        if not self.begun:
+            self.head_values, self.head_forces = self.head_values[:0], self.head_forces[:0]
+            return
+        means = np.array(self.means)
+        means[:, : self.model.n_motion] = 0.0
+        self.means = means
+        self._open_motion()
+
+
+def _without_spikes(values: np.ndarray) -> np.ndarray:
+    """The first samples without single values far beyond both of their neighbours, by the spread of such distances."""
+    values = values.copy()
+    for column in values.T:
+        middle = 0.5 * (column[:-2] + column[2:])
+        off = column[1:-1] - middle
+        scale = 1.4826 * np.nanmedian(np.abs(off - np.nanmedian(off)))
+        far = np.abs(off) > 8.0 * scale
+        column[1:-1][far] = np.nan
+    return values
