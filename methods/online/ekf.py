@@ -21,7 +21,9 @@ RATES = (0.0, 3e-4, 2e-3, 1e-2)
 """Standard deviations of the random walk of a log-parameter, a sample."""
 
 
-class _Rates(FilterTracker):
+class Rates(FilterTracker):
+    """Filters of several rates, mixed by a Markov chain."""
+
     mixes = True
 
     def judged(self, told: Told) -> float:
@@ -69,7 +71,7 @@ class OnlineEKF(OnlineIdentifier):
     def start(self, layout: Layout) -> FilterTracker:
         """A bank before its first sample."""
         walk = np.repeat(np.square(RATES)[:, None], len(layout.free), axis=1)
-        return _Rates(layout, self.warm_up, self.rule, walk, settling(len(RATES), self.changes, self.settles))
+        return Rates(layout, self.warm_up, self.rule, walk, settling(len(RATES), self.changes, self.settles))
 
 
 @dataclass(frozen=True)

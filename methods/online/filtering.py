@@ -29,7 +29,7 @@ GATE = 6.0
 IN_A_ROW = 5
 OPENED = 0.3
 """Standard deviation by which log-parameters are opened behind a jump."""
-VAGUE = 0.35
+VAGUE = 0.05
 """Standard deviation of a log-stiffness, or log-mass, above which the first samples do not tell enough."""
 MOST = 8
 REMEMBERED = 0.998

@@ -1,0 +1,74 @@
+"""A tracker driven along a stream: what it believed after each sample, and what that took."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.contract.online import Layout, OnlineIdentifier, SampleStatus, Standing, Tracker
+from bench.online.scenario import Stream
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """The path of a tracker over one stream of n samples.
+
+    ``means`` and ``sds`` (n, n_quantities): of the logarithm of each quantity of the layout, NaN where there is no
+    belief; ``alarms`` (n,); ``status`` (n,); ``micros`` (n,): wall time of a sample; ``held_bytes``: what the tracker
+    holds at the end.
+    """
+
+    means: np.ndarray
+    sds: np.ndarray
+    alarms: np.ndarray
+    status: np.ndarray
+    micros: np.ndarray
+    held_bytes: int
+
+
+def moments(standing: Standing, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation of the logarithm of each quantity; NaN where the belief does not tell it."""
+    n = len(layout.quantities)
+    means, sds, belief = np.full(n, np.nan), np.full(n, np.nan), standing.belief
+    if belief is None or belief.covariance is None:
+        return means, sds
+    for i, quantity in enumerate(layout.quantities):
+        if quantity.name in belief.names:
+            j = belief.names.index(quantity.name)
+            means[i], sds[i] = belief.mean[j], np.sqrt(belief.covariance[j, j])
+        elif set(layout.free) <= set(belief.names):
+            weights = np.array(quantity.vector(belief.names))
+            means[i] = weights @ belief.mean + np.log(quantity.coefficient)
+            sds[i] = np.sqrt(max(weights @ belief.covariance @ weights, 0.0))
+    return means, sds
+
+
+def held_bytes(tracker: Tracker) -> int:
+    """Size of all arrays that a tracker holds."""
+    return int(sum(np.asarray(value).nbytes for value in tracker.saved().values()))
+
+
+def follow(method: OnlineIdentifier, stream: Stream) -> Followed:
+    """Give a tracker all samples of a stream."""
+    layout, samples = stream.layout, stream.samples()
+    tracker = method.start(layout)
+    n, q = len(samples), len(layout.quantities)
+    means, sds = np.full((n, q), np.nan), np.full((n, q), np.nan)
+    alarms, micros, status = np.full(n, np.nan), np.empty(n), np.empty(n, dtype="<U12")
+    before: Standing | None = None
+    for i, sample in enumerate(samples):
+        started = time.perf_counter()
+        standing = tracker.update(sample)
+        micros[i] = 1e6 * (time.perf_counter() - started)
+        same = before is not None and standing.belief is before.belief
+        means[i], sds[i] = (means[i - 1], sds[i - 1]) if same else moments(standing, layout)
+        alarms[i], status[i], before = standing.alarm, standing.status.value, standing
+    return Followed(means, sds, alarms, status, micros, held_bytes(tracker))
+
+
+def begun(path: Followed) -> int:
+    """The first sample with a belief; the number of samples where there is none."""
+    there = np.flatnonzero(np.all(np.isfinite(path.means), axis=1) & (path.status != SampleStatus.WARMING_UP.value))
+    return int(there[0]) if there.size else len(path.means)

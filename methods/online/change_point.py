@@ -1,0 +1,106 @@
+"""Bayesian online change-point detection: filters that each assume one last change, weighted by what they predicted.
+
+A hypothesis is a filter of constant parameters that began, at some sample, from the belief of then with one parameter
+opened (R. P. Adams, D. J. C. MacKay, arXiv:0710.3742, with the Kalman filter's predictive density in place of a
+conjugate one; P. Fearnhead, Z. Liu, J. Royal Statistical Society B 69:589, 2007, for bounding their number). Every few
+samples one is born for each parameter; the least likely of those that have had their time make room. The answer is the
+mixture, so between changes it is nearly that of a filter of constants, and behind one that of a filter that knew.
+
+Alarm: the logarithm (base 10) of the odds that something has changed within the samples that the bank remembers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from bench import InputError, Layout, OnlineCard, OnlineIdentifier
+from methods.online.bank import Rule, Told
+from methods.online.filtering import FilterTracker
+
+CHANGE = 0.3
+"""Standard deviation of a jump of a log-parameter: a factor of 1.35."""
+
+
+OLD = 1_000_000
+"""Age (samples) of a hypothesis that was there from the beginning."""
+
+
+class ChangePointTracker(FilterTracker):
+    """``born`` samples between births, ``hazard`` a change a sample; member 0 at first is the one without a change."""
+
+    holds = (*FilterTracker.holds, "ages", "since")
+
+    def __init__(self, layout: Layout, warm_up: int, members: int, born: int, hazard: float, rule: Rule) -> None:
+        super().__init__(layout, warm_up, rule, np.zeros((members, len(layout.free))), 1.0)
+        self.born, self.hazard = born, hazard
+        self.ages, self.since = np.full(members, OLD), 0
+
+    def first_weights(self) -> np.ndarray:
+        """All on the first."""
+        found = np.full(len(self.walk), 1e-300)
+        found[0] = 1.0
+        return found
+
+    def judged(self, told: Told) -> float:
+        """Let hypotheses be born when it is time; the odds of a recent change."""
+        self.since += 1
+        self.ages = self.ages + 1
+        weights = np.asarray(self.weights)
+        share = np.exp(weights - np.max(weights))
+        share = share / share.sum()
+        remembered = self.born * len(self.walk) // len(self.layout.free)
+        recent = float(np.sum(share[self.ages <= remembered]))
+        if self.since >= self.born:
+            self.since = 0
+            self._bear(told, share)
+        return float(np.log10(max(recent, 1e-300) / max(1.0 - recent, 1e-12)))
+
+    def _bear(self, told: Told, share: np.ndarray) -> None:
+        """One hypothesis a parameter, in the places of the least likely."""
+        means, spreads, kinds = np.array(self.means), np.array(self.spreads), len(self.layout.free)
+        spared = (self.ages < self.born * len(share) // (2 * kinds)) | (share == np.max(share))
+        places = np.argsort(np.where(spared, np.inf, share))[:kinds]
+        chance = self.hazard * self.born
+        share = share * (1.0 - chance)
+        for parameter, place in enumerate(places):
+            covariance = told.covariance.copy()
+            i = self.model.logs.start + parameter
+            covariance[i, i] += CHANGE**2
+            means[place], spreads[place] = told.mean, self.rooted(covariance)
+            share[place], self.ages[place] = chance / kinds, 0
+        self.means, self.spreads = means, spreads
+        self.weights = np.log(np.maximum(share / share.sum(), 1e-300))
+
+
+@dataclass(frozen=True)
+class ChangePoint(OnlineIdentifier):
+    """``members`` hypotheses, born every ``born`` samples; ``hazard``: probability of a change, a sample."""
+
+    warm_up: int = 150
+    members: int = 36
+    born: int = 8
+    hazard: float = 1e-4
+    card: ClassVar[OnlineCard] = OnlineCard(
+        "Bayesian online change-point detection with extended Kalman filters of constant parameters",
+        "R. P. Adams, D. J. C. MacKay, arXiv:0710.3742; P. Fearnhead, Z. Liu, JRSS B 69:589, 2007",
+        "a change in 10 000 samples, of a factor of 1.35 in one parameter",
+        "change points",
+        40,
+        "#AA4499",
+    )
+
+    def __post_init__(self) -> None:
+        if self.warm_up < 20:
+            raise InputError("method.warm_up", self.warm_up, "at least 20 samples")
+        if not 0 < self.hazard < 1:
+            raise InputError("method.hazard", self.hazard, "a probability between 0 and 1")
+        if self.members < 4 or self.born < 1:
+            raise InputError("method.members", self.members, "at least 4 hypotheses, born every 1 or more samples")
+
+    def start(self, layout: Layout) -> ChangePointTracker:
+        """A bank before its first sample."""
+        members = max(self.members, 4 * len(layout.free))
+        return ChangePointTracker(layout, self.warm_up, members, self.born, self.hazard, "extended")
