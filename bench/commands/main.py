@@ -44,7 +44,7 @@ fields (defaults in brackets):
   fixed.<p>      a parameter that is told: fixed.l=1
   nominal.<p>    what is stated of a measured system (with prior=)
   start          its displacement and velocity (with initial_state=known)
-  experiment     {experiments}, measured
+  experiment     {experiments}, measured, online
   method.<setting>, system.<field>, disturbance.size
                  any setting of a method, any field of a system
   hydra/launcher [local] ray, submitit_slurm (extras ray, slurm), with
@@ -61,6 +61,7 @@ see also:
   python -m bench.identifiability system=chain2 snr=10   what data can tell"""
 
 MEASURED_TRACK = "experiment=measured"
+ONLINE_TRACK = "experiment=online"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -89,6 +90,10 @@ def _main(arguments: list[str]) -> int:
         from bench.commands.track import tracked
 
         return tracked([text for text in arguments if text not in {*flags, MEASURED_TRACK}])
+    if ONLINE_TRACK in arguments:
+        from bench.commands.online import followed_online
+
+        return followed_online([text for text in arguments if text not in {*flags, ONLINE_TRACK}])
     from bench.config.overrides import of_launcher, read_overrides
 
     launcher = [text for text in arguments if of_launcher(text)]

@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 from math import isfinite
 from typing import Any, ClassVar, Self, final
 
@@ -86,13 +87,13 @@ class Layout:
         """Whether the data tell every parameter, by a known force."""
         return bool(self.forced)
 
-    @property
+    @cached_property
     def free(self) -> tuple[str, ...]:
         """The parameters that a tracker estimates: all, or all but the gauge, which is then one unit of mass."""
         names = self.system.names
         return names if self.scale_told else tuple(name for name in names if name != self.system.gauge)
 
-    @property
+    @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
         """What the data tell: parameters, groups and modal quantities, or the last two alone."""
         if self.scale_told:
@@ -167,8 +168,8 @@ class Tracker(ABC):
         self.forces = np.zeros(0)
         self._standing: Standing | None = None
         n = len(layout.sensors)
-        self.previous, self.repeats = np.full(n, np.nan), np.zeros(n, int)
-        self.lowest, self.highest = np.full(n, np.inf), np.full(n, -np.inf)
+        self.previous, self.repeats = [float("nan")] * n, [0] * n
+        self.lowest, self.highest = [float("inf")] * n, [float("-inf")] * n
 
     @abstractmethod
     def step(self, sample: Sample, steps: int) -> Standing:
@@ -233,22 +234,18 @@ class Tracker(ABC):
 
     def _usable(self, values: np.ndarray) -> tuple[np.ndarray, SampleStatus]:
         """The values that say something, NaN for the others, and why."""
-        values = values.copy()
-        status = SampleStatus.OK
-        if not np.all(np.isfinite(values)):
-            values[~np.isfinite(values)] = np.nan
-            status = SampleStatus.MISSING
-        equal = values == self.previous
-        self.repeats = np.where(equal, self.repeats + 1, 0)
-        self.lowest, self.highest = np.fmin(self.lowest, values), np.fmax(self.highest, values)
-        self.previous = np.where(np.isfinite(values), values, self.previous)
-        stuck = (self.repeats >= STUCK - 1) & ((values <= self.lowest) | (values >= self.highest))
-        for i, sensor in enumerate(self.layout.sensors):
-            if sensor.limits is not None and np.isfinite(values[i]):
-                stuck[i] |= not sensor.limits[0] < values[i] < sensor.limits[1]
-        if np.any(stuck):
-            values[stuck] = np.nan
-            status = SampleStatus.SATURATED
+        values, status = values.copy(), SampleStatus.OK
+        for i, (value, sensor) in enumerate(zip(values.tolist(), self.layout.sensors, strict=True)):
+            if not isfinite(value):
+                values[i], status = np.nan, SampleStatus.MISSING
+                continue
+            self.repeats[i] = self.repeats[i] + 1 if value == self.previous[i] else 0
+            self.previous[i] = value
+            extreme = not self.lowest[i] < value < self.highest[i]
+            self.lowest[i], self.highest[i] = min(self.lowest[i], value), max(self.highest[i], value)
+            beyond = sensor.limits is not None and not sensor.limits[0] < value < sensor.limits[1]
+            if beyond or (extreme and self.repeats[i] >= STUCK - 1):
+                values[i], status = np.nan, SampleStatus.SATURATED
         return values, status
 
     @final

@@ -73,3 +73,13 @@ class Course:
     def settled(self) -> bool:
         """Whether it jumps once and stays: a change whose delay can be told."""
         return self.kind == "step" and self.change != 0 and 0 < self.at < 1
+
+    def describe(self) -> str:
+        """In words."""
+        if self.kind == "step":
+            return f"a step of {self.change:+.0%} at {self.at:.0%} of the record"
+        if self.kind == "ramp":
+            return f"a ramp of {self.change:+.0%} from {self.at:.0%} to {self.until:.0%} of the record"
+        if self.kind == "sinusoid":
+            return f"a sinusoid of {self.change:.0%}, {self.periods:g} periods"
+        return f"a random walk of {self.spread:.0%} over the record" if self.kind == "random_walk" else "constant"

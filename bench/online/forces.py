@@ -64,3 +64,11 @@ class HeldForce:
     def kept(self) -> float:
         """What an unknown force keeps of itself over an interval."""
         return self.memory if self.kind == "coloured" else 0.0
+
+    def describe(self) -> str:
+        """In words."""
+        told = "known" if self.told else "unknown"
+        if self.kind == "impulses":
+            return f"{told} impulses of {self.amplitude:g} N over one interval, every {self.period:g} s"
+        bands = {"multisine": f", {self.low_hz:g} to {self.high_hz:g} Hz", "coloured": f", memory {self.memory:g}"}
+        return f"{told} {self.kind} force of {self.amplitude:g} N{bands.get(self.kind, '')}"

@@ -130,6 +130,14 @@ class OnlineScenario:
         courses = [self.varying.get(name, nothing) for name in self.make_system().names]
         return np.stack([course.increment_variances(self.samples) for course in courses], axis=1)
 
+    def describe(self) -> str:
+        """The scenario in a sentence."""
+        values = ", ".join(f"{name} {value:g}" for name, value in self.parameters.items())
+        forces = "; ".join(force.describe() for force in self.forces) or "no force"
+        changes = "; ".join(f"{name}: {course.describe()}" for name, course in self.varying.items())
+        length = f"{self.samples} samples at {self.rate:g} Hz, {self.snr_db:g} dB"
+        return f"`{self.system}` with {values}; {forces}; {length}; {changes or 'no parameter changes'}."
+
     def stream(self, seed: int, replicate: int) -> Stream:
         """A replicate: the same for every tracker."""
         system, layout, times = self.make_system(), self.layout(), self.times

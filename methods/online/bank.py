@@ -16,7 +16,7 @@ models: H. A. P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic Control 33:780, 1988
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -42,17 +42,20 @@ class Bank:
         """(step, coast), compiled: the one takes a sample, the other an interval without one."""
         return _functions(self)
 
-    def told(self, row: np.ndarray) -> Told:
-        """What a step tells, from the row of numbers that it hands out."""
-        d, c, q, m = self.size, len(self.layout.sensors), len(self.layout.free), self.members
-        ends = np.cumsum([d, d * d, c, c, c, 1, m])
-        mean, cov, expected, spread, outlier, total, gained, moves = np.split(row, ends)
-        return Told(mean, cov.reshape(d, d), expected, spread, outlier > 0, float(total[0]), gained, moves.reshape(m, q))
-
-    @property
+    @cached_property
     def size(self) -> int:
         """Of the joint state."""
         return HeldModel(self.layout).size
+
+    def told(self, row: np.ndarray) -> Told:
+        """What a step tells, from the row of numbers that it hands out."""
+        d, c, q = self.size, len(self.layout.sensors), len(self.layout.free)
+        at = d + d * d
+        expected, spread, outlier = row[at : at + c], row[at + c : at + 2 * c], row[at + 2 * c : at + 3 * c]
+        gained = row[at + 3 * c + 1 : at + 3 * c + 1 + self.members]
+        moves = row[at + 3 * c + 1 + self.members :].reshape(self.members, q)
+        covariance = row[d:at].reshape(d, d)
+        return Told(row[:d], covariance, expected, spread, outlier > 0, float(row[at + 3 * c]), gained, moves)
 
 
 class Told(NamedTuple):

@@ -64,6 +64,7 @@ class FilterTracker(Tracker):
         self._bank = Bank(layout, members, rule, self.mixes)
         self._step, self._coast = self._bank.functions()
         self._constants: Any = None
+        self._logs = self.model.logs
 
     def step(self, sample: Sample, steps: int) -> Standing:
         """Keep the first samples; then coast over a gap, update, and let the subclass have its say."""
@@ -80,7 +81,7 @@ class FilterTracker(Tracker):
         told = self._bank.told(np.asarray(numbers))
         if not (isfinite(told.total) and isfinite(float(np.sum(told.mean)))):
             return self._lost(sample)
-        self.square = REMEMBERED * self.square + (1.0 - REMEMBERED) * told.mean[: self.model.n_motion] ** 2
+        self.square = REMEMBERED * self.square + (1.0 - REMEMBERED) * told.mean[: self.square.size] ** 2
         alarm = self.judged(told)
         status, message = SampleStatus.OK, ""
         if told.outlier.any():
@@ -106,7 +107,7 @@ class FilterTracker(Tracker):
 
     def belief(self, mean: np.ndarray, cov: np.ndarray) -> Normal:
         """The log-parameters of a joint belief."""
-        logs = self.model.logs
+        logs = self._logs
         return Normal(self.layout.free, mean[logs], cov[logs, logs], log=True)
 
     @abstractmethod
