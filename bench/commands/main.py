@@ -87,7 +87,7 @@ def _main(arguments: list[str]) -> int:
         print(__version__)
         return 0
     if MEASURED_TRACK in arguments:
-        from bench.commands.track import tracked
+        from bench.commands.measured_track import tracked
 
         return tracked([text for text in arguments if text not in {*flags, MEASURED_TRACK}])
     if ONLINE_TRACK in arguments:

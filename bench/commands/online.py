@@ -54,26 +54,37 @@ def _listed(text: str) -> list[str]:
 def _tasks(fields: Mapping[str, str]) -> tuple[list[Task], list[Line]]:
     """What is to be there, and a line for each method that cannot take a scenario."""
     from bench.config.online import online_scenario, online_track, scenario_names
-    from bench.entrants.online import make_online, online_card
+    from bench.entrants.online import make_online
     from bench.online.paths import Task
     from bench.reporting.tables.online_table import Line
 
     content = online_track()
     methods = _listed(fields["method"]) or content["methods"]
-    made = {name: make_online(name) for name in methods}
+    settings = {name: dict(own) for name, own in content["variants"].items()}
+    registered = {name: settings.get(name, {}).pop("method", name) for name in methods}
+    made = {name: make_online(registered[name], settings.get(name, {})) for name in methods}
     tasks, refused = [], []
     for name in _listed(fields["scenario"]) or scenario_names():
         scenario = online_scenario(name)
         for method, identifier in made.items():
             objection = identifier.objection(scenario.layout())
             if objection:
-                refused.append(Line(name, method, online_card(method).title, message=objection))
+                refused.append(Line(name, method, _title(method, registered[method]), message=objection))
                 continue
             n = content["replicates_by_method"].get(method, content["replicates"])
             if fields["replicates"]:
                 n = min(n, whole("replicates", fields["replicates"]))
-            tasks.append(Task(scenario, method, {}, n, whole("seed", fields["seed"], least=0)))
+            seed = whole("seed", fields["seed"], least=0)
+            tasks.append(Task(scenario, registered[method], settings.get(method, {}), n, seed, method))
     return tasks, refused
+
+
+def _title(label: str, method: str) -> str:
+    """What a method is called; a variant by its settings' name."""
+    from bench.entrants.online import online_card
+
+    title = online_card(method).title
+    return title if label == method else f"{title} ({label.removeprefix(method).strip('_')})"
 
 
 def _run(tasks: Sequence[Task], paths: Paths, left: int, workers: int) -> None:
@@ -85,7 +96,7 @@ def _run(tasks: Sequence[Task], paths: Paths, left: int, workers: int) -> None:
         for task, replicate, error in run(tasks, paths, workers):
             bar.update()
             if error:
-                bar.write(f"{task.scenario.label}, {task.method}, replicate {replicate}: {error}", file=sys.stderr)
+                bar.write(f"{task.scenario.label}, {task.label}, replicate {replicate}: {error}", file=sys.stderr)
 
 
 def _write(tasks: Sequence[Task], refused: Sequence[Line], paths: Paths, out: Path) -> None:
@@ -114,7 +125,6 @@ def _write(tasks: Sequence[Task], refused: Sequence[Line], paths: Paths, out: Pa
 
 def _scored(scenario: OnlineScenario, tasks: Sequence[Task], paths: Paths) -> tuple[list[Line], Any]:
     """A line a method, and what the picture of the first replicate shows."""
-    from bench.entrants.online import online_card
     from bench.online.bound import bound_variances
     from bench.online.score import score, scored
     from bench.reporting.figures.online import Shown
@@ -127,11 +137,11 @@ def _scored(scenario: OnlineScenario, tasks: Sequence[Task], paths: Paths) -> tu
     lines, drawn = [], {}
     for task in tasks:
         kept = {i: path for i in range(task.replicates) if (path := paths.get(task.key(i))) is not None}
-        title = online_card(task.method).title
+        title = _title(task.label, task.method)
         good = {i: path for i, path in kept.items() if np.isfinite(path.means).all(axis=1).any()}
         if not good:
             said = "no run gave an estimate" if kept else "not run yet"
-            lines.append(Line(scenario.label, task.method, title, replicates=task.replicates, message=said))
+            lines.append(Line(scenario.label, task.label, title, replicates=task.replicates, message=said))
             continue
         scores = {
             name: score(scenario, [scored(streams[i], path, bounds[i], name) for i, path in good.items()])
@@ -140,7 +150,7 @@ def _scored(scenario: OnlineScenario, tasks: Sequence[Task], paths: Paths) -> tu
         micros = _micros(list(good.values()))
         size = max(path.held_bytes for path in good.values())
         lines.append(
-            Line(scenario.label, task.method, title, scores, len(good), task.replicates, micros, size)
+            Line(scenario.label, task.label, title, scores, len(good), task.replicates, micros, size)
         )  # fmt: skip
         if 0 in good:
             drawn[title] = (good[0], scores[quantities[0]].excess)

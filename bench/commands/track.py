@@ -1,142 +1,305 @@
-"""``python -m bench.track``: the measured track, real records fitted by every method, as Table 11.
+"""``python -m bench.track``: the live twin. Reads samples as lines, writes what is believed after each as JSON.
 
-Small records travel with the package; the others are found below ``data_root``, and one that is not there is a row
-that says so. Finished fits are kept in ``store``, and the same command goes on from them.
+A line holds the time (s), a value a sensor, and a force (N) a forced DOF, with commas, semicolons, tabs or blanks
+between them; an empty field or nan is a missing value. It ends with the stream; Ctrl-C ends it too, with its state kept
+where ``state`` says.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TextIO
 
 from bench.commands.guard import command, read_fields, whole
 from bench.errors import InputError
 
 if TYPE_CHECKING:
-    from bench.measured.track import Fit, Task
-    from bench.reporting.tables.track_table import FreeRun, Panel, Track
+    from bench.contract.online import Layout, OnlineIdentifier, Tracker
+    from bench.twin.page import Page
+    from bench.twin.pressure import Intake
 
 FIELDS = {
-    "data_root": "", "set": "", "method": "", "timeout_s": "120", "store": "outputs/measured", "out": "results",
-    "dry_run": "false", "fit": "true",
+    "system": "sdof", "method": "ekf", "sensors": "", "forced": "", "ambient": "", "limits": "", "rate": "",
+    "from": "-", "follow": "false", "out": "-", "view": "false", "page": "false", "port": "0", "policy": "lag",
+    "queue": "2000", "state": "", "save_every": "1000", "resume": "false", "alarm": "",
 }  # fmt: skip
-USAGE = """usage: python -m bench -m experiment=measured [data_root=<folder>] [set=<a,b>] [method=<a,b>] [timeout_s=120]
-                                              [store=outputs/measured] [out=results] [dry_run=false] [fit=true]
-dry_run=true says how many fits there are to do; fit=false makes the table of those that are kept"""
-COMMAND = "python -m bench -m experiment=measured data_root=<folder>"
-KEPT = "interrupted; finished fits are kept, the same command goes on from here"
+USAGE = """usage: python -m bench.track system=sdof method=ekf [field=value ...] < stream
+
+  system     [sdof] a system of conf/system, for its equations alone
+  method     [ekf] {methods}
+             or window_<batch method> (length=150 every=10); method.<setting>=
+  sensors    [displacement of every DOF] displacement:0,acceleration:1
+  forced     DOFs whose force stands in the lines, e.g. 0; without: none
+  ambient    DOFs under a force that nobody measures
+  limits     lo:hi, the range of the sensors
+  rate       samples a second; without: from the first lines
+  from       [-] a file or pipe; follow=true waits for more
+  out        [-] where the JSON lines go: a file, - or none
+  view       [false] show the twin in the terminal (on the error stream)
+  page       [false] serve a page on this machine alone; port [0: any free one]
+  policy     [lag] or decimate, where samples come faster than the method
+  queue      [2000] samples that may wait
+  state      a file to keep the state in, every save_every [1000] samples and at
+             the end; resume=true goes on from it, and counts nothing twice
+  alarm      threshold of the method's alarm; without: none rings"""
+INTERRUPTED = "interrupted; the state is kept where state= says"
+FIRST_LINES = 20
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """``python -m bench.track [data_root=...] [set=...] [method=...]``; exit status 2 for bad input."""
-    return command("bench.track", f"{USAGE}\n\n{__doc__}", argv, tracked, KEPT)
+    """``python -m bench.track [field=value ...]``; exit status 2 for bad input, 130 when interrupted."""
+    return command("bench.track", _usage(), argv, tracked, INTERRUPTED)
+
+
+def _usage() -> str:
+    from bench.entrants.online import registered_online
+
+    return f"{USAGE.format(methods=', '.join(registered_online()))}\n\n{__doc__}"
 
 
 def tracked(arguments: Sequence[str]) -> int:
-    """Run the track and write its table; raises InputError."""
-    from bench.config.records import track_methods
-    from bench.measured.sets import measured_set, set_names
-    from bench.measured.track import Fits, run, tasks
-    from bench.reporting.tables.track_table import Track
+    """Run the twin until its stream ends."""
+    fields, settings = _read(arguments)
+    method = _method(fields["method"], settings)
+    shape = _shape(fields)
+    intake = _intake(fields, shape)
+    content = _state(fields)
+    held: list[Any] = []
+    interval = content["interval"] if content else _interval(fields["rate"], intake, held)
+    layout = _layout(shape, interval)
+    objection = method.objection(layout)
+    if objection:
+        raise InputError("method", fields["method"], objection)
+    from bench.twin.state import resumed
 
-    fields = read_fields(arguments, FIELDS)
-    timeout_s, root = float(whole("timeout_s", fields["timeout_s"])), _root(fields["data_root"])
-    names, methods = _listed(fields["set"]) or set_names(), _listed(fields["method"]) or track_methods()
-    fits = Fits(Path(fields["store"]))
-    every = {name: list(tasks(name, measured_set(name), methods, root, timeout_s)) for name in names}
-    missing = sum(fits.get(task.key, timeout_s) is None for own in every.values() for task in own)
-    print(f"bench: {sum(map(len, every.values()))} fits, {missing} to do", file=sys.stderr)
-    if _flag(fields, "dry_run"):
-        return 0
-    fitting = _flag(fields, "fit")
-    panels, free_runs = [], []
-    for name, own in every.items():
-        kept = [fit for task in own if (fit := fits.get(task.key, 0.0))]
-        found = _panels(name, own, run(own, fits, timeout_s, _say) if fitting else kept, root)
-        panels += found
-        free_runs += [one for panel in found for one in _free_runs(panel, root)]
-    _write(Track(panels, free_runs, 0 if fitting else missing), Path(fields["out"]))
+    tracker = resumed(Path(fields["state"]), content, method, layout) if content else method.start(layout)
+    tracker.prepare()
+    page = _page(fields, layout)
+    try:
+        _follow(fields, method, tracker, intake, held, page)
+    finally:
+        if page is not None:
+            page.close()
     return 0
 
 
-def _flag(fields: Mapping[str, str], name: str) -> bool:
-    if fields[name] not in ("true", "false"):
-        raise InputError(name, fields[name], "true or false")
-    return fields[name] == "true"
+def _read(arguments: Sequence[str]) -> tuple[dict[str, str], dict[str, Any]]:
+    """Fields, and the settings of the method."""
+    from bench.config.suggest import did_you_mean
+
+    settings, rest = {}, []
+    for argument in arguments:
+        key, _, value = argument.partition("=")
+        if key.startswith("method.") and value:
+            settings[key.removeprefix("method.")] = _value(value)
+        else:
+            rest.append(argument)
+            if key not in FIELDS:
+                raise InputError("argument", argument, f"{did_you_mean(key, list(FIELDS))}see --help")
+    fields = read_fields(rest, FIELDS)
+    for name in ("follow", "view", "page", "resume"):
+        if fields[name] not in ("true", "false"):
+            raise InputError(name, fields[name], "true or false")
+    if fields["policy"] not in ("lag", "decimate"):
+        raise InputError("policy", fields["policy"], "lag or decimate")
+    return fields, settings
 
 
-def _listed(text: str) -> list[str]:
-    return [part.strip() for part in text.split(",") if part.strip()]
+def _value(text: str) -> Any:
+    import yaml
+
+    return yaml.safe_load(text)
 
 
-def _root(text: str) -> Path | None:
-    if text and not Path(text).is_dir():
-        raise InputError("data_root", text, "there is no such folder")
-    return Path(text) if text else None
+def _method(name: str, settings: Mapping[str, Any]) -> OnlineIdentifier:
+    from bench.config.suggest import did_you_mean
+    from bench.entrants.online import make_online, online_names
+
+    if name not in online_names():
+        near = did_you_mean(name, online_names())
+        raise InputError("method", name, f"{near}online methods: {', '.join(online_names())}")
+    return make_online(name, settings)
 
 
-def _say(fit: Fit) -> None:
-    print(f"{fit.set} {fit.system}, {fit.sibling}: {fit.method} {fit.trust}, {fit.wall_s:.1f} s", file=sys.stderr)
+def _shape(fields: Mapping[str, str]) -> dict[str, Any]:
+    """The layout but for its interval."""
+    from bench.config.choices import check_choice
+    from bench.config.files import read_yaml
+    from bench.contract.online import Sensor
+    from bench.systems import make_system
+
+    check_choice("system", fields["system"])
+    stated = read_yaml("system", fields["system"])
+    for base in stated.get("defaults", []):
+        if isinstance(base, str) and base != "_self_":
+            stated = {**read_yaml("system", base), **stated}
+    system = make_system(stated.get("kind", "sdof"), stated.get("options", {}))  # equations alone, no true value
+    limits = _limits(fields["limits"])
+    named = fields["sensors"] or ",".join(f"displacement:{dof}" for dof in range(system.n_dof))
+    sensors = []
+    for text in named.split(","):
+        kind, _, dof = text.strip().partition(":")
+        sensors.append(Sensor(kind, whole("sensors", dof or "0", least=0), limits))  # type: ignore[arg-type]
+    dofs = {
+        name: tuple(whole(name, text.strip(), least=0) for text in fields[name].split(",") if text.strip())
+        for name in ("forced", "ambient")
+    }
+    return {"system": system, "sensors": tuple(sensors), **dofs}
 
 
-def _panels(name: str, own: Sequence[Task], fits: Sequence[Fit], root: Path | None) -> list[Panel]:
-    """A panel a system of a set; one that says so where its files are not there."""
-    from bench.measured.sets import measured_set
-    from bench.reporting.tables.track_table import Panel
-
-    of = measured_set(name)
-    if not own:
-        place = f"{of.folder}/{of.files[0]}"
-        said = f"not found under data_root={root or ''}: {place}" if root else f"not found under data_root=: {place}"
-        return [Panel(name, of, system, absent=said) for system in of.systems]
-    return [Panel(name, of, system, [fit for fit in fits if fit.system == system]) for system in of.systems]
-
-
-def _free_runs(panel: Panel, root: Path | None) -> Iterator[FreeRun]:
-    """Models simulated over the test parts: shooting's, at its median parameters, and what others have published."""
-    import numpy as np
-
-    from bench.config.records import primary_method
-    from bench.measured.free_run import free_run_error, part_problem
-    from bench.reporting.tables.track_table import FreeRun
-
-    place = panel.of.place(root)
-    if panel.absent or not panel.of.tests or place is None:
-        return
-    parts = [part_problem(panel.of, panel.system, part, place) for part in panel.of.tests.values()]
-    names = parts[0][0].names
-    models = {}
-    found = [fit for fit in panel.own(primary_method()) if set(names) <= set(fit.estimates)]
-    if found:
-        offset = float(np.nanmedian([fit.offset for fit in found]))
-        p = {name: float(np.median([fit.estimates[name].value for fit in found])) for name in names}
-        models[f"shooting, median of {len(found)} siblings"] = p, offset
-    if set(names) <= set(panel.of.known):
-        models["published parameters"] = {name: panel.of.known[name].value for name in names}, 0.0
-    for model, (p, offset) in models.items():
-        errors = [free_run_error(system, p, record, offset, panel.of.unscored) for system, record in parts]
-        yield FreeRun(f"{panel.name} {panel.system}", model, tuple(1e3 * error for error in errors))
-
-
-def _write(track: Track, out: Path) -> None:
-    """The table, and where the packages of the page are there, the page."""
-    from bench.reporting.tables.track_table import track_table
-    from bench.store.store import Store
-
-    Store(out).prepare()
-    made = dict(track_table(track, COMMAND))
+def _limits(text: str) -> tuple[float, float] | None:
+    if not text:
+        return None
     try:
-        from bench.reporting.track.page import page
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise InputError("limits", text, "lo:hi, e.g. -0.1:0.1") from None
+    return low, high
 
-        made["table11.html"] = page(track, COMMAND)
+
+def _layout(shape: Mapping[str, Any], interval: float) -> Layout:
+    from bench.contract.online import Layout
+
+    return Layout(shape["system"], shape["sensors"], interval, shape["forced"], shape["ambient"])
+
+
+def _intake(fields: Mapping[str, str], shape: Mapping[str, Any]) -> Intake:
+    from bench.twin.lines import Form, lines, opened
+    from bench.twin.pressure import Intake
+
+    follow = fields["follow"] == "true"
+    if follow and fields["from"] == "-":
+        raise InputError("follow", "true", "with from=<file>; standard input is waited on anyway")
+    form = Form(len(shape["sensors"]), len(shape["forced"]))
+    source = lines(opened(fields["from"]), fields["from"], follow)
+    return Intake(source, form, fields["policy"], whole("queue", fields["queue"], least=10))  # type: ignore[arg-type]
+
+
+def _state(fields: Mapping[str, str]) -> dict[str, Any] | None:
+    from bench.twin.state import read
+
+    if fields["resume"] == "true" and not fields["state"]:
+        raise InputError("resume", "true", "with state=<file>")
+    return read(Path(fields["state"])) if fields["resume"] == "true" else None
+
+
+def _interval(rate: str, intake: Intake, held: list[Any]) -> float:
+    """Of the samples (s): as told, or the median of the first; what was read for it is held."""
+    if rate:
+        try:
+            return 1.0 / float(rate)
+        except (ValueError, ZeroDivisionError):
+            raise InputError("rate", rate, "samples a second, a positive number") from None
+    while len(held) < FIRST_LINES:
+        sample = intake.get()
+        held.append(sample)
+        if sample is None:
+            break
+    times = sorted({sample.time for sample in held if sample is not None})
+    steps = sorted(b - a for a, b in zip(times, times[1:], strict=False))
+    if not steps:
+        wanted = f"lines that read {intake.form.columns}; or say rate="
+        raise InputError("stream", f"{len(times)} sample(s)", wanted)
+    return float(steps[len(steps) // 2])
+
+
+def _page(fields: Mapping[str, str], layout: Layout) -> Page | None:
+    if fields["page"] != "true":
+        return None
+    try:
+        from bench.twin.page import Page
     except ImportError as error:
-        said = f"bench: no page, since {error.name} is missing: pip install 'vibration-bench[report]'"
-        print(said, file=sys.stderr)
-    for name, content in made.items():
-        (out / name).write_text(content, encoding="utf-8")
-        print(out / name)
+        raise InputError("page", "true", f"needs {error.name}: pip install 'vibration-bench[twin]'") from None
+    page = Page(layout, whole("port", fields["port"], least=0, most=65535))
+    print(f"bench.track: {page.url}", file=sys.stderr, flush=True)
+    return page
+
+
+def _follow(
+    fields: Mapping[str, str], method: OnlineIdentifier, tracker: Tracker, intake: Intake, held: list[Any],
+    page: Page | None,
+) -> None:  # fmt: skip
+    """Take samples until the stream ends; keep the state on the way, at the end, and when interrupted."""
+    from bench.twin.report import content, line
+    from bench.twin.state import save
+    from bench.twin.terminal import View
+
+    alarm_at = _threshold(fields["alarm"])
+    every, place = whole("save_every", fields["save_every"]), fields["state"]
+    view = View(tracker.layout) if fields["view"] == "true" else None
+    last, again = tracker.last, 0
+    with _Output(fields["out"], tracker.samples if fields["resume"] == "true" else None) as out:
+        try:
+            while (sample := held.pop(0) if held else intake.get()) is not None:
+                if last is not None and sample.time <= last:
+                    again += 1
+                    continue
+                found = content(tracker.samples + 1, sample, tracker.update(sample), tracker.layout, alarm_at)
+                found |= {"waiting": intake.waiting, "decimated": intake.decimated, "unreadable": intake.unreadable}
+                out.write(line(found))
+                for shown in (view, page):
+                    if shown is not None:
+                        shown.add(found)
+                if place and tracker.samples % every == 0:
+                    save(Path(place), method, tracker)
+        finally:
+            if place:
+                save(Path(place), method, tracker)
+            if again:
+                print(f"bench.track: {again} sample(s) had been seen before; left out", file=sys.stderr)
+
+
+def _threshold(text: str) -> float | None:
+    try:
+        return float(text) if text else None
+    except ValueError:
+        raise InputError("alarm", text, "a number, compared with the method's alarm") from None
+
+
+class _Output:
+    """Where the lines go: a file, the output, or nowhere. Further than a state, a file's lines are written anew."""
+
+    def __init__(self, place: str, seen: int | None) -> None:
+        self.file: TextIO | None = None
+        self.own = place not in ("-", "none")
+        if place == "-":
+            self.file = sys.stdout
+        elif self.own:
+            try:
+                before = [] if seen is None else _until(Path(place), seen)
+                self.file = open(place, "w", encoding="utf-8")  # noqa: SIM115 - closed on exit
+                self.file.writelines(before)
+            except OSError as error:
+                raise InputError("out", place, f"cannot be written: {error.strerror}") from None
+
+    def write(self, text: str) -> None:
+        """A line, at once."""
+        if self.file is not None:
+            self.file.write(text + "\n")
+            self.file.flush()
+
+    def __enter__(self) -> _Output:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.own and self.file is not None:
+            self.file.close()
+
+
+def _until(place: Path, seen: int) -> list[str]:
+    """The lines of an earlier run of samples that the state has seen."""
+    import json
+
+    kept = []
+    for text in place.read_text(encoding="utf-8").splitlines(keepends=True) if place.is_file() else []:
+        try:
+            if json.loads(text)["sample"] <= seen:
+                kept.append(text)
+        except (ValueError, KeyError):
+            continue  # half of a line, where a run was killed
+    return kept
 
 
 if __name__ == "__main__":

@@ -180,6 +180,9 @@ class Tracker(ABC):
             steps: sampling intervals since the sample before; 1 but after a gap, 0 for the first.
         """
 
+    def prepare(self) -> None:
+        """Do what takes long and needs no sample, such as compiling. By default nothing."""
+
     def reset_motion(self) -> None:
         """Forget the motion, but not the parameters: behind a long gap. By default nothing."""
 

@@ -34,13 +34,14 @@ HARNESS = (("bench.online.scenario", "OnlineScenario"), ("bench.online.follow", 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """All replicates of a scenario by a method."""
+    """All replicates of a scenario by a method; ``label`` is what the table calls it, a variant by its own name."""
 
     scenario: OnlineScenario
     method: str
     settings: dict[str, Any]
     replicates: int
     seed: int = 0
+    label: str = ""
 
     @cached_property
     def source(self) -> str:

@@ -66,6 +66,21 @@ class FilterTracker(Tracker):
         self._constants: Any = None
         self._logs = self.model.logs
 
+    def prepare(self) -> None:
+        """Compile, by a search in noise and a step from nowhere, neither of which is kept."""
+        rng = np.random.default_rng(0)
+        values = rng.standard_normal((self.warm_up, self.sigma.size))
+        forces = rng.standard_normal((self.warm_up, self.before.size))
+        beginning(Head(self.layout, values, forces))
+        row = np.concatenate([values[0], np.ones(self.sigma.size), forces[0], self.before])
+        begun = np.tile(np.eye(self.model.size), (len(self.walk), 1, 1))
+        levels = np.ones(self.sigma.size), self.chain, GATE**2
+        import jax
+
+        constants = jax.tree.map(jax.numpy.asarray, (self.layout.interval, (self._noise(), self.memory), levels))
+        state, _ = self._step((self.means, begun, self.weights), row, constants)
+        self._step(state, row, constants)
+
     def step(self, sample: Sample, steps: int) -> Standing:
         """Keep the first samples; then coast over a gap, update, and let the subclass have its say."""
         values, forces = np.asarray(sample.values, float), np.asarray(sample.forces, float)

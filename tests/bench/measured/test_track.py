@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bench import InputError
-from bench.commands.track import tracked
+from bench.commands.measured_track import tracked
 from bench.measured import track
 from bench.measured.free_run import free_run_error, part_problem
 from bench.measured.reading import Recording, Signal

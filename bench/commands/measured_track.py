@@ -1,0 +1,131 @@
+"""``python -m bench -m experiment=measured``: the measured track, real records fitted by every method, as Table 11.
+
+Small records travel with the package; the others are found below ``data_root``, and one that is not there is a row
+that says so. Finished fits are kept in ``store``, and the same command goes on from them.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.commands.guard import read_fields, whole
+from bench.errors import InputError
+
+if TYPE_CHECKING:
+    from bench.measured.track import Fit, Task
+    from bench.reporting.tables.track_table import FreeRun, Panel, Track
+
+FIELDS = {
+    "data_root": "", "set": "", "method": "", "timeout_s": "120", "store": "outputs/measured", "out": "results",
+    "dry_run": "false", "fit": "true",
+}  # fmt: skip
+COMMAND = "python -m bench -m experiment=measured data_root=<folder>"
+
+
+def tracked(arguments: Sequence[str]) -> int:
+    """Run the track and write its table; raises InputError."""
+    from bench.config.records import track_methods
+    from bench.measured.sets import measured_set, set_names
+    from bench.measured.track import Fits, run, tasks
+    from bench.reporting.tables.track_table import Track
+
+    fields = read_fields(arguments, FIELDS)
+    timeout_s, root = float(whole("timeout_s", fields["timeout_s"])), _root(fields["data_root"])
+    names, methods = _listed(fields["set"]) or set_names(), _listed(fields["method"]) or track_methods()
+    fits = Fits(Path(fields["store"]))
+    every = {name: list(tasks(name, measured_set(name), methods, root, timeout_s)) for name in names}
+    missing = sum(fits.get(task.key, timeout_s) is None for own in every.values() for task in own)
+    print(f"bench: {sum(map(len, every.values()))} fits, {missing} to do", file=sys.stderr)
+    if _flag(fields, "dry_run"):
+        return 0
+    fitting = _flag(fields, "fit")
+    panels, free_runs = [], []
+    for name, own in every.items():
+        kept = [fit for task in own if (fit := fits.get(task.key, 0.0))]
+        found = _panels(name, own, run(own, fits, timeout_s, _say) if fitting else kept, root)
+        panels += found
+        free_runs += [one for panel in found for one in _free_runs(panel, root)]
+    _write(Track(panels, free_runs, 0 if fitting else missing), Path(fields["out"]))
+    return 0
+
+
+def _flag(fields: Mapping[str, str], name: str) -> bool:
+    if fields[name] not in ("true", "false"):
+        raise InputError(name, fields[name], "true or false")
+    return fields[name] == "true"
+
+
+def _listed(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _root(text: str) -> Path | None:
+    if text and not Path(text).is_dir():
+        raise InputError("data_root", text, "there is no such folder")
+    return Path(text) if text else None
+
+
+def _say(fit: Fit) -> None:
+    print(f"{fit.set} {fit.system}, {fit.sibling}: {fit.method} {fit.trust}, {fit.wall_s:.1f} s", file=sys.stderr)
+
+
+def _panels(name: str, own: Sequence[Task], fits: Sequence[Fit], root: Path | None) -> list[Panel]:
+    """A panel a system of a set; one that says so where its files are not there."""
+    from bench.measured.sets import measured_set
+    from bench.reporting.tables.track_table import Panel
+
+    of = measured_set(name)
+    if not own:
+        place = f"{of.folder}/{of.files[0]}"
+        said = f"not found under data_root={root or ''}: {place}" if root else f"not found under data_root=: {place}"
+        return [Panel(name, of, system, absent=said) for system in of.systems]
+    return [Panel(name, of, system, [fit for fit in fits if fit.system == system]) for system in of.systems]
+
+
+def _free_runs(panel: Panel, root: Path | None) -> Iterator[FreeRun]:
+    """Models simulated over the test parts: shooting's, at its median parameters, and what others have published."""
+    import numpy as np
+
+    from bench.config.records import primary_method
+    from bench.measured.free_run import free_run_error, part_problem
+    from bench.reporting.tables.track_table import FreeRun
+
+    place = panel.of.place(root)
+    if panel.absent or not panel.of.tests or place is None:
+        return
+    parts = [part_problem(panel.of, panel.system, part, place) for part in panel.of.tests.values()]
+    names = parts[0][0].names
+    models = {}
+    found = [fit for fit in panel.own(primary_method()) if set(names) <= set(fit.estimates)]
+    if found:
+        offset = float(np.nanmedian([fit.offset for fit in found]))
+        p = {name: float(np.median([fit.estimates[name].value for fit in found])) for name in names}
+        models[f"shooting, median of {len(found)} siblings"] = p, offset
+    if set(names) <= set(panel.of.known):
+        models["published parameters"] = {name: panel.of.known[name].value for name in names}, 0.0
+    for model, (p, offset) in models.items():
+        errors = [free_run_error(system, p, record, offset, panel.of.unscored) for system, record in parts]
+        yield FreeRun(f"{panel.name} {panel.system}", model, tuple(1e3 * error for error in errors))
+
+
+def _write(track: Track, out: Path) -> None:
+    """The table, and where the packages of the page are there, the page."""
+    from bench.reporting.tables.track_table import track_table
+    from bench.store.store import Store
+
+    Store(out).prepare()
+    made = dict(track_table(track, COMMAND))
+    try:
+        from bench.reporting.track.page import page
+
+        made["table11.html"] = page(track, COMMAND)
+    except ImportError as error:
+        said = f"bench: no page, since {error.name} is missing: pip install 'vibration-bench[report]'"
+        print(said, file=sys.stderr)
+    for name, content in made.items():
+        (out / name).write_text(content, encoding="utf-8")
+        print(out / name)
+

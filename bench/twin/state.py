@@ -1,0 +1,79 @@
+"""The state of a twin in a file: all that its tracker holds, as JSON, so that a killed run goes on where it was.
+
+Numbers only, nothing that could be executed. A state belongs to one method with its settings, one layout and one
+source: it is refused by any other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.contract.online import Layout, OnlineIdentifier, Tracker
+from bench.errors import InputError
+
+FORMAT = 1
+
+
+def digest(method: OnlineIdentifier, layout: Layout) -> str:
+    """What a state belongs to."""
+    return hashlib.sha256(f"{FORMAT} {method!r} {layout!r}".encode()).hexdigest()[:20]
+
+
+def save(path: Path, method: OnlineIdentifier, tracker: Tracker) -> None:
+    """Write the state; the file is there whole or as it was. Raises InputError where it cannot be written."""
+    content = {
+        "format": FORMAT, "of": digest(method, tracker.layout), "interval": tracker.layout.interval,
+        "samples": tracker.samples, "tracker": {name: plain(value) for name, value in tracker.saved().items()},
+    }  # fmt: skip
+    part = path.with_name(f"{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(json.dumps(content), encoding="utf-8")
+        os.replace(part, path)
+    except OSError as error:
+        raise InputError("state", path, f"cannot be written: {error.strerror}") from None
+
+
+def read(path: Path) -> dict[str, Any]:
+    """The content of a state file; raises InputError."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["format"] != FORMAT:
+            raise InputError("state", path, f"it has format {content['format']}, this version reads {FORMAT}")
+        return dict(content)
+    except FileNotFoundError:
+        raise InputError("state", path, "there is no such file; leave resume out to begin") from None
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError("state", path, "it is not a state file of this command") from None
+
+
+def resumed(path: Path, content: dict[str, Any], method: OnlineIdentifier, layout: Layout) -> Tracker:
+    """The tracker of a state; raises InputError for a state of something else."""
+    if content["of"] != digest(method, layout):
+        raise InputError("state", path, "it belongs to another method, setting or layout; give those, or another file")
+    try:
+        return method.start(layout).restored({name: restored(value) for name, value in content["tracker"].items()})
+    except (KeyError, TypeError, ValueError):
+        raise InputError("state", path, "it is not a state file of this command") from None
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON holds it."""
+    if isinstance(value, np.ndarray):
+        return {"array": value.ravel().tolist(), "shape": list(value.shape), "type": value.dtype.str}
+    if isinstance(value, list):
+        return [plain(item) for item in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def restored(value: Any) -> Any:
+    """A value from what :func:`plain` made of it."""
+    if isinstance(value, dict):
+        return np.array(value["array"], dtype=np.dtype(value["type"])).reshape(value["shape"])
+    return [restored(item) for item in value] if isinstance(value, list) else value
