@@ -22,8 +22,8 @@ from bench.contract.problem import Measures
 from bench.errors import InputError
 from bench.systems import MEASURED, Quantity, System
 
-STUCK = 4
-"""So many equal values in a row, as extreme as any before, are a sensor at its limit."""
+STUCK = 2
+"""A value that is the most extreme so far to the last digit, for the so-manieth time again, is a sensor at its limit."""
 LONGEST_GAP = 10_000
 """Sampling intervals; behind a longer gap the motion is taken to be unknown, as at the start."""
 
@@ -168,7 +168,7 @@ class Tracker(ABC):
         self.forces = np.zeros(0)
         self._standing: Standing | None = None
         n = len(layout.sensors)
-        self.previous, self.repeats = [float("nan")] * n, [0] * n
+        self.repeats = [0] * n
         self.lowest, self.highest = [float("inf")] * n, [float("-inf")] * n
 
     @abstractmethod
@@ -242,12 +242,13 @@ class Tracker(ABC):
             if not isfinite(value):
                 values[i], status = np.nan, SampleStatus.MISSING
                 continue
-            self.repeats[i] = self.repeats[i] + 1 if value == self.previous[i] else 0
-            self.previous[i] = value
-            extreme = not self.lowest[i] < value < self.highest[i]
+            held = value in (self.lowest[i], self.highest[i])
+            self.repeats[i] = self.repeats[i] + 1 if held else self.repeats[i]
+            if not self.lowest[i] <= value <= self.highest[i]:
+                self.repeats[i] = 0
             self.lowest[i], self.highest[i] = min(self.lowest[i], value), max(self.highest[i], value)
             beyond = sensor.limits is not None and not sensor.limits[0] < value < sensor.limits[1]
-            if beyond or (extreme and self.repeats[i] >= STUCK - 1):
+            if beyond or (held and self.repeats[i] >= STUCK):
                 values[i], status = np.nan, SampleStatus.SATURATED
         return values, status
 
@@ -272,7 +273,7 @@ class Tracker(ABC):
         """Make again what follows from a restored state. By default nothing."""
 
 
-CLOCK = ("samples", "last", "forces", "previous", "repeats", "lowest", "highest")
+CLOCK = ("samples", "last", "forces", "repeats", "lowest", "highest")
 """What every tracker holds: the clock of the samples, and what shows a sensor at its limit."""
 
 SENTENCES = {

@@ -5,8 +5,8 @@
 there on a sample is an update and nothing is kept.
 
 **Far-off samples.** A value more than :data:`GATE` standard deviations from what every member of the bank expects is
-left out. :data:`IN_A_ROW` of them are no spikes: something has jumped, the sensor's zero or the system, and the belief
-about offset, parameters and motion is opened so that the data can tell.
+left out. :data:`IN_A_ROW` of them are no spikes: something has jumped. The sensor's offset is opened first, and if that
+explains nothing, parameters and motion too.
 
 **Gaps.** The belief coasts. A known force is not known in a gap, so behind one the motion is open by as much as it has
 been moving.
@@ -101,8 +101,8 @@ class FilterTracker(Tracker):
         status, message = SampleStatus.OK, ""
         if told.outlier.any():
             status, message = self._outlying()
-        else:
-            self.far = 0
+        elif self.far:
+            self.far = max(self.far - 1, 0)
         belief = self.belief(told.mean, told.covariance)
         return Standing(sample.time, status, belief, told.expected, np.sqrt(told.spread), alarm, message)
 
@@ -216,15 +216,15 @@ class FilterTracker(Tracker):
         self.opened(added)
 
     def _outlying(self) -> tuple[SampleStatus, str]:
+        """Leave single values out; open the offset behind several in a row, and everything if that was not enough."""
         self.far += 1
-        if self.far < IN_A_ROW:
+        if self.far % IN_A_ROW:
             return SampleStatus.OUTLIER, f"a value is more than {GATE:g} standard deviations off; left out"
-        self.far = 0
-        added = np.zeros(self.model.size)
-        model = self.model
-        added[: model.n_motion] = self.square
+        model, added = self.model, np.zeros(self.model.size)
         added[model.offsets] = 10.0 * np.max(self.square[: self.layout.system.n_dof])
-        added[model.logs] = OPENED**2
+        if self.far > IN_A_ROW:
+            self.far = 0
+            added[: model.n_motion], added[model.logs] = self.square, OPENED**2
         self.opened(added)
         return SampleStatus.SENSOR_JUMP, OPENING
 

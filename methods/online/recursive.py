@@ -1,0 +1,164 @@
+"""Recursive least squares on the equation of motion, with forgetting.
+
+**Equation.** Samples are not differentiated. Over the last ``span`` samples the equation of motion of a linear system is
+multiplied with a bump that is zero at both ends, and integrated by parts (M. Shinbrot, Trans. ASME 79:547, 1957): the
+same residual, with the integrals of ``w x``, ``-w' x``, ``w'' x`` and ``w f`` for displacement, velocity, acceleration
+and force. One equation a degree of freedom every quarter of a span, so that neighbours share little noise.
+
+**Forgetting** of what was learned, a sample:
+
+- ``exponential``: by ``factor`` (L. Ljung, System Identification, 2nd ed. 1999, section 11.2);
+- ``variable``: as much as keeps the weighted sum of squared residuals constant (T. R. Fortescue, L. S. Kershenbaum,
+  B. E. Ydstie, Automatica 17:831, 1981): little while nothing surprises;
+- ``directional``: only in the direction that the new equation tells of (R. Kulhavy, Kybernetika 23:465, 1987).
+
+What is left of the noise in the columns biases the answer towards too soft and too heavily damped; the interval, from
+the residuals of the equations, knows nothing of that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, get_args
+
+import numpy as np
+
+from bench import InputError, Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, Standing, Tracker
+from bench import regression_columns
+
+Forgetting = Literal["exponential", "variable", "directional"]
+DIFFUSE = 1e8
+"""Variance of what is not known yet, over the square of what an equation's size suggests."""
+BUMP = 4
+"""Power of the bump ``(1 - s²)^4``: its first three derivatives are zero at both ends."""
+LEAST = 0.8
+"""Least factor of variable forgetting."""
+
+
+@dataclass(frozen=True)
+class OnlineRLS(OnlineIdentifier):
+    """``span`` samples an equation; ``factor``: what is kept a sample, for the two kinds that use it."""
+
+    forgetting: Forgetting = "exponential"
+    factor: float = 0.995
+    span: int = 40
+    card: ClassVar[OnlineCard] = OnlineCard(
+        "recursive least squares with forgetting, on the equation of motion integrated against a bump",
+        "M. Shinbrot, Trans. ASME 79:547, 1957; L. Ljung, System Identification, 1999, section 11.2",
+        "factor: Ljung, System Identification Toolbox user's guide (0.97 to 0.995)",
+        "RLS",
+        100,
+        "#999999",
+    )
+
+    def __post_init__(self) -> None:
+        if self.forgetting not in get_args(Forgetting):
+            raise InputError("method.forgetting", self.forgetting, f"one of {', '.join(get_args(Forgetting))}")
+        if not 0.5 < self.factor <= 1:
+            raise InputError("method.factor", self.factor, "a number above 0.5, at most 1")
+        if self.span < 8:
+            raise InputError("method.span", self.span, "at least 8 samples")
+
+    def objection(self, layout: Layout) -> str | None:
+        """It needs the displacement of every DOF, a linear system, and to be told the force."""
+        if layout.ambient:
+            return "it takes what the force does not explain for noise of the equation, and here the force is not known"
+        if not (layout.system.linear and layout.system.affine_in_parameters):
+            return "it needs a linear system whose equation is affine in the parameters"
+        told = {sensor.dof for sensor in layout.sensors if sensor.measures == "displacement"}
+        if told != set(range(layout.system.n_dof)):
+            return "it needs the displacement of every degree of freedom"
+        return None
+
+    def start(self, layout: Layout) -> Tracker:
+        """A tracker before its first sample."""
+        return _RLSTracker(layout, self)
+
+
+class _RLSTracker(Tracker):
+    holds = ("values", "pushes", "theta", "inverse", "power", "equations", "waits")
+
+    def __init__(self, layout: Layout, settings: OnlineRLS) -> None:
+        super().__init__(layout)
+        self.settings = settings
+        q = len(layout.free)
+        self.values, self.pushes = np.zeros((0, len(layout.sensors))), np.zeros((0, len(layout.forced)))
+        self.theta, self.inverse = np.zeros(q), np.zeros((q, q))
+        self.power, self.equations, self.waits = 0.0, 0.0, 0
+        s = np.linspace(-1.0, 1.0, settings.span)
+        bump = np.polynomial.Polynomial([1.0, 0.0, -1.0]) ** BUMP
+        half, h = 0.5 * (settings.span - 1) * layout.interval, layout.interval
+        self._weights = h * np.stack([bump.deriv(i)(s) / half**i if i else bump(s) for i in range(3)])
+
+    def step(self, sample: Sample, steps: int) -> Standing:
+        """Take the sample in; an equation every quarter of a span."""
+        span = self.settings.span
+        if steps > 1 or not np.all(np.isfinite(sample.values)):  # no bump may reach across what is not there
+            self.values, self.pushes = self.values[:0], self.pushes[:0]
+            if steps <= 1:
+                return Standing(sample.time, SampleStatus.OK, self._belief())
+        self.values = np.concatenate([self.values, [sample.values]])[-span:]
+        self.pushes = np.concatenate([self.pushes, [sample.forces]])[-span:]
+        self.waits += 1
+        if len(self.values) == span and self.waits >= span // 4:
+            self.waits = 0
+            self._learn(*self._equation())
+        belief = self._belief()
+        status = SampleStatus.OK if belief is not None else SampleStatus.WARMING_UP
+        return Standing(sample.time, status, belief, message="" if belief else "the equations do not tell enough yet")
+
+    def _equation(self) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (n_dof, n_free) and target (n_dof,) of the newest equations."""
+        system, w = self.layout.system, self._weights
+        by_dof = {sensor.dof: column for sensor, column in zip(self.layout.sensors, self.values.T, strict=True)}
+        x = [np.array([w[0] @ by_dof[i]]) for i in range(system.n_dof)]
+        v = [np.array([-(w[1] @ by_dof[i])]) for i in range(system.n_dof)]
+        a = [np.array([w[2] @ by_dof[i]]) for i in range(system.n_dof)]
+        f = [np.zeros(1) for _ in range(system.n_dof)]
+        middle = 0.5 * (w[0][1:] + w[0][:-1])  # a force is held from its sample to the next
+        for dof, column in zip(self.layout.forced, self.pushes.T, strict=True):
+            f[dof] = f[dof] + middle @ column[:-1]
+        columns, offset = regression_columns(system, x, v, a, f)
+        free = [system.names.index(name) for name in self.layout.free]
+        told = [i for i in range(len(system.names)) if i not in free]
+        return columns[:, free], -offset - columns[:, told].sum(axis=1)
+
+    def _learn(self, columns: np.ndarray, target: np.ndarray) -> None:
+        q = len(self.theta)
+        if self.equations == 0:
+            self.inverse = np.diag(DIFFUSE * np.mean(target**2) / np.maximum(np.mean(columns**2, axis=0), 1e-300))
+        keep = self.settings.factor ** (self.settings.span // 4)
+        for i, (phi, y) in enumerate(zip(columns, target, strict=True)):
+            seen = self.inverse @ phi
+            size, left = float(phi @ seen), float(y - phi @ self.theta)
+            rate = self._kept(keep, size, left) if i == 0 else 1.0
+            if self.settings.forgetting == "directional":
+                self.inverse = self.inverse + (1.0 - rate) / rate * np.outer(seen, seen) / max(size, 1e-300)
+            else:
+                self.inverse = self.inverse / rate
+            self.power, self.equations = rate * self.power, rate * self.equations
+            seen = self.inverse @ phi
+            size = float(phi @ seen)
+            self.theta = self.theta + seen * left / (1.0 + size)
+            self.inverse = self.inverse - np.outer(seen, seen) / (1.0 + size)
+            self.inverse = 0.5 * (self.inverse + self.inverse.T)
+            self.equations += 1.0
+            if self.equations > q + 1:  # a residual of the first equations is the diffuse start's
+                self.power += left**2 / (1.0 + size)
+
+    def _kept(self, keep: float, size: float, left: float) -> float:
+        if self.settings.forgetting != "variable":
+            return keep
+        held = 1.0 / (1.0 - keep) if keep < 1 else 1e6
+        level = self.power / max(self.equations, 1.0)
+        if level <= 0:
+            return 1.0
+        return float(np.clip(1.0 - left**2 / (1.0 + size) / (level * held), LEAST, 1.0))
+
+    def _belief(self) -> Normal | None:
+        """Normal in the logarithms, by the delta method; None where an estimate is not positive."""
+        spare = self.equations - len(self.theta)
+        if spare < 2 or np.any(self.theta <= 0) or self.power <= 0:
+            return None
+        covariance = self.power / spare * self.inverse / np.outer(self.theta, self.theta)
+        return Normal(self.layout.free, np.log(self.theta), covariance, log=True)
