@@ -32,13 +32,13 @@ OPEN_MOTION = 10.0
 
 def bound_variances(scenario: OnlineScenario, stream: Stream) -> dict[str, np.ndarray]:
     """The bound on the variance of the logarithm of each quantity of the layout after each sample, each (n,)."""
-    covariances = _riccati(scenario, stream)
+    covariances = _covariances(scenario, stream)
     free = stream.layout.free
     weights = {quantity.name: np.array(quantity.vector(free)) for quantity in stream.layout.quantities}
     return {name: np.einsum("i,kij,j->k", w, covariances, w) for name, w in weights.items()}
 
 
-def _riccati(scenario: OnlineScenario, stream: Stream) -> np.ndarray:
+def _covariances(scenario: OnlineScenario, stream: Stream) -> np.ndarray:
     """Covariances of the log-parameters after each sample, (n, n_free, n_free)."""
     layout, truth = stream.layout, stream.truth
     model = HeldModel(layout)
@@ -64,7 +64,9 @@ def _riccati(scenario: OnlineScenario, stream: Stream) -> np.ndarray:
     first[: model.n_motion] = (OPEN_MOTION * np.maximum(size, 1e-12 * size.max())) ** 2
     first[model.ambient] = level**2
     first[model.logs] = OPEN_LOG_SD**2
-    return np.asarray(_compiled(layout)(joints, truth.told, walk, np.diag(first), np.diag(truth.sigma**2), kept))
+    transitions, slopes = (np.asarray(part) for part in _slopes(layout)(joints, truth.told, kept))
+    found = riccati(transitions, slopes, walk, np.diag(first), np.diag(truth.sigma**2))
+    return found[:, model.logs, model.logs]
 
 
 def _exponents(layout: Layout) -> np.ndarray:
@@ -84,27 +86,38 @@ def _group(groups: dict[str, Any], name: str) -> set[str]:
     return next(set(q.exponents) for q in groups.values() if name in q.exponents)
 
 
+def riccati(
+    transitions: np.ndarray, slopes: np.ndarray, walk: np.ndarray, first: np.ndarray, noise: np.ndarray
+) -> np.ndarray:
+    """Covariances after each sample of a linear model, (n, d, d).
+
+    Args:
+        transitions: from each sample to the next, (n, d, d).
+        slopes: of what is measured, (n, c, d).
+        walk: variances of the process noise behind each sample, (n, d).
+        first: covariance before the first sample, (d, d).
+        noise: covariance of the measurements, (c, c).
+    """
+    covariance, found = first, np.empty((len(walk), *first.shape))
+    for k, (f, h) in enumerate(zip(transitions, slopes, strict=True)):
+        cross = covariance @ h.T
+        gain = np.linalg.solve(h @ cross + noise, cross.T).T
+        left = np.eye(len(first)) - gain @ h
+        found[k] = left @ covariance @ left.T + gain @ noise @ gain.T
+        covariance = f @ found[k] @ f.T + np.diag(walk[k])
+    return found
+
+
 @lru_cache(maxsize=32)
-def _compiled(layout: Layout) -> Any:
-    """(joint states, told forces, process noise, first covariance, noise, memory) -> covariances after each sample."""
+def _slopes(layout: Layout) -> Any:
+    """(joint states, told forces, memory) -> transitions and slopes of what is measured, at every sample."""
     import jax
-    import jax.numpy as jnp
 
     jax.config.update("jax_enable_x64", True)
     model = HeldModel(layout)
     advance, observe = jax.jacfwd(model.advance), jax.jacfwd(model.observe)
 
-    def run(joints: Any, told: Any, walk: Any, first: Any, noise: Any, kept: Any) -> Any:
-        def step(covariance: Any, inputs: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-            joint, force, moved = inputs
-            h = observe(joint, force)
-            cross = covariance @ h.T
-            gain = jnp.linalg.solve(h @ cross + noise, cross.T).T
-            left = jnp.eye(model.size) - gain @ h
-            after = left @ covariance @ left.T + gain @ noise @ gain.T
-            f = advance(joint, force, layout.interval, kept)
-            return f @ after @ f.T + jnp.diag(moved), after[model.logs, model.logs]
+    def both(joint: Any, force: Any, kept: Any) -> tuple[Any, Any]:
+        return advance(joint, force, layout.interval, kept), observe(joint, force)
 
-        return jax.lax.scan(step, first, (joints, told, walk))[1]
-
-    return jax.jit(run)
+    return jax.jit(jax.vmap(both, in_axes=(0, 0, None)))

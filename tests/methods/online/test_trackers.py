@@ -1,0 +1,158 @@
+"""Online methods on streams that were made without them: errors, intervals, faults, memory, restarts."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from bench.entrants.online import make_online, registered_online
+from bench.online.bound import bound_variances
+from bench.online.course import Course
+from bench.online.follow import follow, held_bytes
+from bench.online.forces import HeldForce
+from bench.online.scenario import OnlineScenario
+
+SDOF = {"m": 0.8, "c": 0.35, "k": 14.0}
+FILTERS = ("ekf", "ukf", "square_root", "imm", "change_points", "cusum", "glr")
+
+
+def scenario(**changes) -> OnlineScenario:
+    stated = {"label": "x", "system": "sdof", "parameters": SDOF, "rate": 12.0, "samples": 400, "forces": (HeldForce(),)}
+    return OnlineScenario(**(stated | changes))
+
+
+@pytest.fixture(scope="module")
+def constant():
+    made = scenario()
+    stream = made.stream(0, 0)
+    return made, stream, bound_variances(made, stream)
+
+
+def errors(stream, path, name: str) -> np.ndarray:
+    i = [q.name for q in stream.layout.quantities].index(name)
+    true = np.log(stream.layout.quantities[i].value(stream.truth.parameters))
+    return path.means[:, i] - true
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_filter_ends_within_four_bounds_of_the_truth_and_says_about_the_bound(name, constant) -> None:
+    made, stream, bound = constant
+    path = follow(make_online(name), stream)
+    for i, quantity in enumerate(stream.layout.quantities):
+        sd = np.sqrt(bound[quantity.name][-1])
+        assert abs(errors(stream, path, quantity.name)[-1]) < 4 * sd
+        assert path.sds[-1, i] > 0.8 * sd
+        assert path.sds[-1, i] < 8 * sd
+
+
+def test_the_three_rules_agree_where_the_motion_is_nearly_linear_in_what_is_not_known(constant) -> None:
+    _, stream, bound = constant
+    ends = [follow(make_online(name), stream).means[-1] for name in ("ekf", "ukf", "square_root")]
+    sds = np.sqrt([bound[q.name][-1] for q in stream.layout.quantities])
+    assert np.all(np.ptp(ends, axis=0) < 0.3 * sds)
+
+
+@pytest.mark.parametrize("name", ["ekf", "imm", "change_points", "glr"])
+def test_a_step_is_followed(name) -> None:
+    made = scenario(varying={"k": Course("step", change=-0.2)}, samples=700)
+    stream = made.stream(0, 0)
+    path = follow(make_online(name), stream)
+    left = np.abs(errors(stream, path, "k_over_m"))
+    assert left[made.change_at] > 0.15
+    assert left[-1] < 0.02
+
+
+def test_under_an_unknown_force_the_groups_are_found() -> None:
+    made = scenario(forces=(HeldForce("white", told=False),), samples=1500)
+    stream = made.stream(0, 0)
+    path = follow(make_online("ekf"), stream)
+    bound = bound_variances(made, stream)
+    for name in ("k_over_m", "c_over_m"):
+        assert abs(errors(stream, path, name)[-1]) < 4 * np.sqrt(bound[name][-1])
+
+
+def faulty(kind: str, stream) -> list:
+    samples, sigma = stream.samples(), stream.truth.sigma[0]
+
+    def changed(i: int, value: float):
+        return dataclasses.replace(samples[i], values=(value,))
+
+    if kind == "nan":
+        samples[250:253] = [changed(i, float("nan")) for i in range(250, 253)]
+    elif kind == "gap":
+        del samples[250:262]
+    elif kind == "repeated":
+        samples.insert(251, changed(250, 5.0))
+    elif kind == "spike":
+        for i in (230, 250, 270):
+            samples[i] = changed(i, samples[i].values[0] + 10 * sigma)
+    elif kind == "jump":
+        samples[250:] = [changed(i, samples[i].values[0] + 20 * sigma) for i in range(250, len(samples))]
+    return samples
+
+
+@pytest.mark.parametrize("kind", ["nan", "gap", "repeated", "spike", "jump"])
+def test_a_filter_recovers_from_a_fault(kind, constant) -> None:
+    _, stream, bound = constant
+    tracker = make_online("ekf").start(stream.layout)
+    standings = [tracker.update(sample) for sample in faulty(kind, stream)]
+    end = standings[-1].marginal(next(q for q in stream.layout.quantities if q.name == "k_over_m"))
+    assert abs(np.log(end.value * SDOF["m"] / SDOF["k"])) < 4 * np.sqrt(bound["k_over_m"][-1])
+    wanted = {"nan": "missing", "gap": "gap", "repeated": "repeated", "spike": "outlier", "jump": "sensor_jump"}[kind]
+    assert wanted in {standing.status.value for standing in standings}
+
+
+@pytest.mark.parametrize("name", ["ekf", "change_points", "cusum", "glr", "rls", "window_ls"])
+def test_a_restored_tracker_goes_on_to_the_digit(name, constant) -> None:
+    _, stream, _ = constant
+    samples = stream.samples()
+    whole, part = (make_online(name).start(stream.layout) for _ in range(2))
+    for sample in samples:
+        last = whole.update(sample)
+    for sample in samples[:300]:
+        part.update(sample)
+    part = make_online(name).start(stream.layout).restored(part.saved())
+    for sample in samples[300:]:
+        again = part.update(sample)
+    assert np.array_equal(last.belief.mean, again.belief.mean)
+
+
+@pytest.mark.parametrize("name", sorted(registered_online()))
+def test_memory_does_not_grow_with_the_record(name) -> None:
+    made = scenario(samples=900)
+    stream, method = made.stream(0, 0), make_online(name)
+    assert method.objection(stream.layout) is None
+    tracker, sizes = method.start(stream.layout), []
+    for i, sample in enumerate(stream.samples()):
+        tracker.update(sample)
+        if i in (450, 899):
+            sizes.append(held_bytes(tracker))
+    assert sizes[0] == sizes[1]
+
+
+def test_what_a_method_cannot_follow_it_says() -> None:
+    unknown = scenario(forces=(HeldForce("white", told=False),)).layout()
+    for name in ("rls", "window_ls"):
+        assert "force" in make_online(name).objection(unknown)
+
+
+def test_recursive_least_squares_without_noise_is_the_truth() -> None:
+    made = scenario(snr_db=100.0, rate=40.0, samples=1200)
+    stream = made.stream(0, 0)
+    for forgetting in ("exponential", "variable", "directional"):
+        path = follow(make_online("rls", {"forgetting": forgetting}), stream)
+        for name in ("m", "c", "k"):
+            assert abs(errors(stream, path, name)[-1]) < 0.02
+
+
+def test_a_window_leaves_spikes_out() -> None:
+    made = scenario(snr_db=30.0, samples=200)
+    stream = made.stream(0, 0)
+    clean, spiked = stream.samples(), stream.samples()
+    for i in (90, 140, 170):
+        spiked[i] = dataclasses.replace(spiked[i], values=(spiked[i].values[0] + 1.0,))
+    ends = []
+    for samples in (clean, spiked):
+        tracker = make_online("window_shooting", {"length": 120, "every": 40}).start(stream.layout)
+        ends.append([tracker.update(sample) for sample in samples][-1].belief.mean)
+    assert np.max(np.abs(ends[0] - ends[1])) < 0.05
