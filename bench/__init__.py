@@ -20,7 +20,7 @@ from bench.contract.online import (
     Standing,
     Tracker,
 )
-from bench.contract.prior import Prior
+from bench.contract.prior import Prior, dimension_scale
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record, Units
 from bench.contract.progress import report_progress
 from bench.dynamics.compiled_path import compiled_path
@@ -94,6 +94,7 @@ __all__ = [
     "acceleration",
     "array_ops",
     "compiled_path",
+    "dimension_scale",
     "estimate_at",
     "experiment",
     "fastest_rates",

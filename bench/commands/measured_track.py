@@ -128,4 +128,3 @@ def _write(track: Track, out: Path) -> None:
     for name, content in made.items():
         (out / name).write_text(content, encoding="utf-8")
         print(out / name)
-

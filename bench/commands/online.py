@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.commands.guard import read_fields, whole
-from bench.errors import InputError
 
 if TYPE_CHECKING:
     from bench.online.follow import Followed

@@ -7,6 +7,7 @@ where ``state`` says.
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -64,14 +65,14 @@ def tracked(arguments: Sequence[str]) -> int:
     fields, settings = _read(arguments)
     method = _method(fields["method"], settings)
     shape = _shape(fields)
+    objection = method.objection(_layout(shape, 1.0))
+    if objection:
+        raise InputError("method", fields["method"], objection)
     intake = _intake(fields, shape)
     content = _state(fields)
     held: list[Any] = []
     interval = content["interval"] if content else _interval(fields["rate"], intake, held)
     layout = _layout(shape, interval)
-    objection = method.objection(layout)
-    if objection:
-        raise InputError("method", fields["method"], objection)
     from bench.twin.state import resumed
 
     tracker = resumed(Path(fields["state"]), content, method, layout) if content else method.start(layout)
@@ -198,7 +199,7 @@ def _interval(rate: str, intake: Intake, held: list[Any]) -> float:
         if sample is None:
             break
     times = sorted({sample.time for sample in held if sample is not None})
-    steps = sorted(b - a for a, b in zip(times, times[1:], strict=False))
+    steps = sorted(b - a for a, b in itertools.pairwise(times))
     if not steps:
         wanted = f"lines that read {intake.form.columns}; or say rate="
         raise InputError("stream", f"{len(times)} sample(s)", wanted)

@@ -23,7 +23,7 @@ from bench.errors import InputError
 from bench.systems import MEASURED, Quantity, System
 
 STUCK = 2
-"""A value that is the most extreme so far to the last digit, for the so-manieth time again, is a sensor at its limit."""
+"""So often again the most extreme value so far, to the last digit, is a sensor at its limit."""
 LONGEST_GAP = 10_000
 """Sampling intervals; behind a longer gap the motion is taken to be unknown, as at the start."""
 
@@ -103,7 +103,7 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One instant: time (s), a value a sensor (NaN where one is missing), the force (N) on each forced DOF from now on."""
+    """One instant: time (s), a value a sensor (NaN: missing), and the force (N) on each forced DOF from now on."""
 
     time: float
     values: tuple[float, ...]
@@ -180,10 +180,10 @@ class Tracker(ABC):
             steps: sampling intervals since the sample before; 1 but after a gap, 0 for the first.
         """
 
-    def prepare(self) -> None:
+    def prepare(self) -> None:  # noqa: B027 - most have nothing to do
         """Do what takes long and needs no sample, such as compiling. By default nothing."""
 
-    def reset_motion(self) -> None:
+    def reset_motion(self) -> None:  # noqa: B027
         """Forget the motion, but not the parameters: behind a long gap. By default nothing."""
 
     def smooth(self) -> list[Standing]:
@@ -269,7 +269,7 @@ class Tracker(ABC):
         self.rebuild()
         return self
 
-    def rebuild(self) -> None:
+    def rebuild(self) -> None:  # noqa: B027
         """Make again what follows from a restored state. By default nothing."""
 
 
@@ -300,4 +300,3 @@ class OnlineIdentifier(ABC):
     def objection(self, layout: Layout) -> str | None:
         """Why this method cannot follow such a stream, in a sentence; None where it can."""
         return None
-

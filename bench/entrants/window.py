@@ -24,7 +24,7 @@ FEWEST = 10
 
 @dataclass(frozen=True)
 class Window(OnlineIdentifier):
-    """The batch method ``batch``, with its ``settings``, on the last ``length`` samples, after every ``every`` new ones.
+    """The batch method ``batch``, with its ``settings``, on the last ``length`` samples, every ``every`` new ones.
 
     The state at the start of a window is not told. Windows overlap, so estimates one behind the other share samples;
     each is a fit of its own, and nothing is counted twice.
@@ -142,7 +142,12 @@ def _without_spikes(problem: Problem, estimate: Estimate) -> Problem | None:
 def _log_belief(estimate: Estimate, layout: Layout) -> tuple[Normal | None, str]:
     """Normal in logarithms: of the parameters as they are, of groups by their 95 % intervals."""
     belief = estimate.belief
-    if isinstance(belief, Normal) and belief.log and belief.covariance is not None and set(belief.names) >= set(layout.free):
+    if (
+        isinstance(belief, Normal)
+        and belief.log
+        and belief.covariance is not None
+        and set(belief.names) >= set(layout.free)
+    ):
         return belief, ""
     names, means, sds, width = [], [], [], 2.0 * float(standard_quantile(0.975, None))
     for quantity in layout.quantities:

@@ -1,7 +1,8 @@
 """The track's runs: each tracker over each replicate of each scenario, kept as one file of arrays a replicate.
 
 A file is named by what the run hangs on: scenario, method with its settings and the source that they use, seed and
-replicate. So a method that changes is run anew, and what is stored is never misread. It holds numbers only, so that nothing in a store can be executed.
+replicate. So a method that changes is run anew, and what is stored is never misread. It holds numbers only, so that
+nothing in a store can be executed.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ def opened(place: str) -> TextIO:
     if not Path(place).exists():
         raise InputError("from", place, "there is no such file or pipe; - is standard input")
     try:
-        return open(place, encoding="utf-8", errors="replace")  # noqa: SIM115 - read until its end, by a thread
+        return open(place, encoding="utf-8", errors="replace")
     except OSError as error:
         raise InputError("from", place, f"cannot be read: {error.strerror}") from None
 
@@ -69,22 +69,26 @@ def lines(source: TextIO, place: str, follow: bool) -> Iterator[str]:
     A line without its end is half a line: it is waited for, and left out at the end of a stream.
     """
     half = ""
-    while True:
-        text = source.readline()
-        if text.endswith("\n"):
-            yield half + text
-            half = ""
-        elif text:
-            half += text
-        elif not follow:
-            if half:
-                yield half
-            return
-        else:
-            if _replaced(source, place):
-                source.close()
-                source, half = opened(place), ""
-            time.sleep(LOOK_S)
+    try:
+        while True:
+            text = source.readline()
+            if text.endswith("\n"):
+                yield half + text
+                half = ""
+            elif text:
+                half += text
+            elif not follow:
+                if half:
+                    yield half
+                return
+            else:
+                if _replaced(source, place):
+                    source.close()
+                    source, half = opened(place), ""
+                time.sleep(LOOK_S)
+    finally:
+        if source is not sys.stdin:
+            source.close()
 
 
 def _replaced(source: TextIO, place: str) -> bool:

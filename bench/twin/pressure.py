@@ -21,7 +21,7 @@ END = None
 
 
 class Intake:
-    """Reads lines in a thread and hands out samples; ``decimated`` and ``unreadable`` count what did not come through."""
+    """Reads lines in a thread and hands out samples; ``decimated`` and ``unreadable`` count what stayed behind."""
 
     def __init__(self, source: Iterable[str], form: Form, policy: Policy, size: int) -> None:
         self.source, self.form, self.policy = source, form, policy
@@ -66,10 +66,10 @@ class Intake:
         if self.policy == "decimate":
             if full > 0.5 and self.thinned < MOST_THINNED:
                 self.thinned *= 2
-                _say(f"samples come faster than the method: every {self.thinned}th is taken (policy=decimate)")
+                _say(f"samples come faster than the method: one sample in {self.thinned} is taken (policy=decimate)")
             elif full < 0.1 and self.thinned > 1:
                 self.thinned //= 2
-                _say(f"every {self.thinned}th sample is taken" if self.thinned > 1 else "every sample is taken again")
+                _say(f"one sample in {self.thinned} is taken" if self.thinned > 1 else "every sample is taken again")
         elif full > 0.5 and not self._said_full:
             self._said_full = True
             _say(f"samples come faster than the method: {self.waiting} wait, none is left out (policy=lag)")

@@ -17,8 +17,8 @@ def content(number: int, sample: Sample, standing: Standing, layout: Layout, ala
     means, sds = moments(standing, layout)
     quantities = {
         q.name: {
-            "value": _number(math.exp(m)), "low": _number(math.exp(m - Z95 * s)), "high": _number(math.exp(m + Z95 * s)),
-            "unit": q.unit,
+            "value": _number(math.exp(m)), "low": _number(math.exp(m - Z95 * s)),
+            "high": _number(math.exp(m + Z95 * s)), "unit": q.unit,
         }
         for q, m, s in zip(layout.quantities, means.tolist(), sds.tolist(), strict=True)
         if math.isfinite(m) and s < 20.0

@@ -160,7 +160,9 @@ class _Members:
         after = jnp.sum(joint, axis=0)
         given = (joint / after).T
         mixed = jax.vmap(_mixture, in_axes=(0, None, None))(given, means, self._covariances(spreads))
-        covs = jnp.linalg.cholesky(mixed[1] + 1e-18 * jnp.eye(self.model.size)) if self.rule == "square_root" else mixed[1]
+        covs = (
+            jnp.linalg.cholesky(mixed[1] + 1e-18 * jnp.eye(self.model.size)) if self.rule == "square_root" else mixed[1]
+        )
         return mixed[0], covs, jnp.log(after)
 
     # -------------------------------------------------------------------------------------------- prediction by rule
@@ -226,7 +228,7 @@ class _Members:
             s = (seen @ seen if rooted else h @ cross) + r
             gain = cross / s
             off = left[i] - h @ (mean - begun)
-            gained = gained - jnp.where(used[i], 0.5 * (off**2 / s + jnp.log(2.0 * jnp.pi * s)), 0.0)
+            gained = gained - jnp.where(used[i], 0.5 * (off**2 / s + jnp.log(2.0 * jnp.pi * s)), 0.0)  # type: ignore[assignment]
             mean = mean + gain * off
             if rooted:  # Potter's form
                 spread = spread - jnp.outer(gain / (1.0 + jnp.sqrt(r / s)), seen)

@@ -5,9 +5,9 @@ that they should have, are white noise of unit variance while nothing changes, a
 Basseville, I. Nikiforov, Detection of Abrupt Changes, 1993, chapters 2 and 8). Two sums a parameter, one each way, each
 less an allowance, are compared with a threshold.
 
-**Generalised likelihood ratio** (A. S. Willsky, H. L. Jones, IEEE Trans. Automatic Control 21:108, 1976): filters opened
-at earlier samples, each in one parameter, against the one that was not; the alarm is the largest logarithm of a ratio
-of their likelihoods since then.
+**Generalised likelihood ratio** (A. S. Willsky, H. L. Jones, IEEE Trans. Automatic Control 21:108, 1976): filters
+opened at earlier samples, each in one parameter, against the one that was not; the alarm is the largest logarithm of a
+ratio of their likelihoods since then.
 
 Behind an alarm the CUSUM's filter is opened in all parameters; the ratio's goes on from the filter that won.
 """

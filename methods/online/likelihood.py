@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import HeldModel, Layout
-from bench.contract.prior import dimension_scale
+from bench import HeldModel, Layout, dimension_scale
 
 RATIOS = (0.01, 0.05, 0.25)
 """Damping ratios of the scan."""
@@ -109,7 +108,9 @@ def beginning(head: Head) -> Beginning:
             return (value, slope) if good else (1e12, np.zeros_like(eta))
 
         limits = _limits(head, starts[i])
-        end = minimize(objective, starts[i], jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": ITERATIONS})
+        end = minimize(
+            objective, starts[i], jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": ITERATIONS}
+        )
         if end.fun < best:
             best, found = float(end.fun), end.x
     mean, covariance = like.belief(found, head.values, head.forces, first)
@@ -240,7 +241,6 @@ class Likelihood:
 
         carry, means = jax.lax.scan(step, (zero, start, 0.0), (values, forces))
         return carry[2], means
-
 
     def _belief(self, eta: Any, values: Any, forces: Any, first: Any) -> tuple[Any, Any]:
         """Mean and covariance of the joint state at the last sample, with no prior of the log-parameters.

@@ -1,9 +1,9 @@
 """Recursive least squares on the equation of motion, with forgetting.
 
-**Equation.** Samples are not differentiated. Over the last ``span`` samples the equation of motion of a linear system is
-multiplied with a bump that is zero at both ends, and integrated by parts (M. Shinbrot, Trans. ASME 79:547, 1957): the
-same residual, with the integrals of ``w x``, ``-w' x``, ``w'' x`` and ``w f`` for displacement, velocity, acceleration
-and force. One equation a degree of freedom every quarter of a span, so that neighbours share little noise.
+**Equation.** Samples are not differentiated. Over the last ``span`` samples the equation of motion of a linear system
+is multiplied with a bump that is zero at both ends, and integrated by parts (M. Shinbrot, Trans. ASME 79:547, 1957):
+the same residual, with the integrals of ``w x``, ``-w' x``, ``w'' x`` and ``w f`` for displacement, velocity,
+acceleration and force. One equation a degree of freedom every quarter of a span, so that neighbours share little noise.
 
 **Forgetting** of what was learned, a sample:
 
@@ -23,8 +23,18 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from bench import InputError, Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, Standing, Tracker
-from bench import regression_columns
+from bench import (
+    InputError,
+    Layout,
+    Normal,
+    OnlineCard,
+    OnlineIdentifier,
+    Sample,
+    SampleStatus,
+    Standing,
+    Tracker,
+    regression_columns,
+)
 
 Forgetting = Literal["exponential", "variable", "directional"]
 DIFFUSE = 1e8

@@ -1,4 +1,4 @@
-"""The picture of the online track: a quantity along one record, what trackers believed, and the bound about the truth."""
+"""The picture of the online track: a quantity along one record, what trackers believed, the bound about the truth."""
 
 from __future__ import annotations
 

@@ -13,7 +13,14 @@ SDOF = {"m": 1.3, "c": 0.6, "k": 25.0}
 
 
 def scenario(**changes) -> OnlineScenario:
-    stated = {"label": "x", "system": "sdof", "parameters": SDOF, "rate": 10.0, "samples": 120, "forces": (HeldForce(),)}
+    stated = {
+        "label": "x",
+        "system": "sdof",
+        "parameters": SDOF,
+        "rate": 10.0,
+        "samples": 120,
+        "forces": (HeldForce(),),
+    }
     return OnlineScenario(**(stated | changes))
 
 

@@ -17,7 +17,14 @@ FILTERS = ("ekf", "ukf", "square_root", "imm", "change_points", "cusum", "glr")
 
 
 def scenario(**changes) -> OnlineScenario:
-    stated = {"label": "x", "system": "sdof", "parameters": SDOF, "rate": 12.0, "samples": 400, "forces": (HeldForce(),)}
+    stated = {
+        "label": "x",
+        "system": "sdof",
+        "parameters": SDOF,
+        "rate": 12.0,
+        "samples": 400,
+        "forces": (HeldForce(),),
+    }
     return OnlineScenario(**(stated | changes))
 
 
@@ -36,7 +43,7 @@ def errors(stream, path, name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_a_filter_ends_within_four_bounds_of_the_truth_and_says_about_the_bound(name, constant) -> None:
-    made, stream, bound = constant
+    _, stream, bound = constant
     path = follow(make_online(name), stream)
     for i, quantity in enumerate(stream.layout.quantities):
         sd = np.sqrt(bound[quantity.name][-1])
