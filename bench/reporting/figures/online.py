@@ -36,7 +36,7 @@ def draw_online(shown: Sequence[Shown], folder: Path) -> list[Path]:
     """Draw a panel a scenario; returns the files."""
     if not shown:
         return []
-    figure, axes = panels(len(shown), 2, 2.3, "time (s)")
+    figure, axes = panels(len(shown), 2, 48.0, "time (s)")
     for axis, one in zip(axes, shown, strict=False):
         _panel(axis, one)
     handles, labels = axes[0].get_legend_handles_labels()
