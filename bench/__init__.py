@@ -23,6 +23,7 @@ from bench.contract.online import (
 from bench.contract.prior import Prior, dimension_scale
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record, Units
 from bench.contract.progress import report_progress
+from bench.contract.window import WindowTracker
 from bench.dynamics.compiled_path import compiled_path
 from bench.dynamics.fixed_step import Steps, rk4_path, rk4_scan, rk4_step, step_counts
 from bench.dynamics.held import HeldModel
@@ -91,6 +92,7 @@ __all__ = [
     "System",
     "Tracker",
     "Units",
+    "WindowTracker",
     "acceleration",
     "array_ops",
     "compiled_path",

@@ -65,8 +65,11 @@ def _tasks(fields: Mapping[str, str]) -> tuple[list[Task], list[Line]]:
     tasks, refused = [], []
     for name in _listed(fields["scenario"]) or scenario_names():
         scenario = online_scenario(name)
+        left_out = content["left_out"].get(name, {"methods": [], "why": ""})
         for method, identifier in made.items():
             objection = identifier.objection(scenario.layout())
+            if not objection and method in left_out["methods"] and not _listed(fields["method"]):
+                objection = left_out["why"]
             if objection:
                 refused.append(Line(name, method, _title(method, registered[method]), message=objection))
                 continue
@@ -125,15 +128,19 @@ def _write(tasks: Sequence[Task], refused: Sequence[Line], paths: Paths, out: Pa
 def _scored(scenario: OnlineScenario, tasks: Sequence[Task], paths: Paths) -> tuple[list[Line], Any]:
     """A line a method, and what the picture of the first replicate shows."""
     from bench.online.bound import bound_variances
-    from bench.online.score import score, scored
+    from bench.online.score import score, score_bound, scored
     from bench.reporting.figures.online import Shown
-    from bench.reporting.tables.online_table import Line
+    from bench.reporting.tables.online_table import BOUND, Line
 
     count = max(task.replicates for task in tasks)
     streams = [scenario.stream(tasks[0].seed, i) for i in range(count)]
     bounds = [bound_variances(scenario, stream) for stream in streams]
     quantities = [q.name for q in streams[0].layout.system.groups]
-    lines, drawn = [], {}
+    by_name = {q.name: q for q in streams[0].layout.quantities}
+    least = {
+        name: score_bound(scenario, streams, [bound[name] for bound in bounds], by_name[name]) for name in quantities
+    }
+    lines, drawn = [Line(scenario.label, BOUND, BOUND, least, count, count)], {}
     for task in tasks:
         kept = {i: path for i in range(task.replicates) if (path := paths.get(task.key(i))) is not None}
         title = _title(task.label, task.method)

@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from bench.twin.pressure import Intake
 
 FIELDS = {
-    "system": "sdof", "method": "ekf", "sensors": "", "forced": "", "ambient": "", "limits": "", "rate": "",
+    "system": "sdof", "method": "", "sensors": "", "forced": "", "ambient": "", "limits": "", "rate": "",
     "from": "-", "follow": "false", "out": "-", "view": "false", "page": "false", "port": "0", "policy": "lag",
     "queue": "2000", "state": "", "save_every": "1000", "resume": "false", "alarm": "",
 }  # fmt: skip
-USAGE = """usage: python -m bench.track system=sdof method=ekf [field=value ...] < stream
+USAGE = """usage: python -m bench.track system=sdof method=<name> [field=value ...] < stream
 
   system     [sdof] a system of conf/system, for its equations alone
-  method     [ekf] {methods}
+  method     [{first}] {methods}
              or window_<batch method> (length=150 every=10); method.<setting>=
   sensors    [displacement of every DOF] displacement:0,acceleration:1
   forced     DOFs whose force stands in the lines, e.g. 0; without: none
@@ -55,9 +55,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _usage() -> str:
-    from bench.entrants.online import registered_online
+    from bench.entrants.online import first_online, registered_online
 
-    return f"{USAGE.format(methods=', '.join(registered_online()))}\n\n{__doc__}"
+    return f"{USAGE.format(first=first_online(), methods=', '.join(registered_online()))}\n\n{__doc__}"
 
 
 def tracked(arguments: Sequence[str]) -> int:
@@ -116,8 +116,9 @@ def _value(text: str) -> Any:
 
 def _method(name: str, settings: Mapping[str, Any]) -> OnlineIdentifier:
     from bench.config.suggest import did_you_mean
-    from bench.entrants.online import make_online, online_names
+    from bench.entrants.online import first_online, make_online, online_names
 
+    name = name or first_online()
     if name not in online_names():
         near = did_you_mean(name, online_names())
         raise InputError("method", name, f"{near}online methods: {', '.join(online_names())}")

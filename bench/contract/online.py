@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
-from math import isfinite
+from math import isfinite, nan
 from typing import Any, ClassVar, Self, final
 
 import numpy as np
@@ -165,7 +165,7 @@ class Tracker(ABC):
         self.layout = layout
         self.samples = 0
         self.last: float | None = None
-        self.forces = np.zeros(0)
+        self.forces = list[float]()
         self._standing: Standing | None = None
         n = len(layout.sensors)
         self.repeats = [0] * n
@@ -196,23 +196,19 @@ class Tracker(ABC):
         if len(sample.values) != len(self.layout.sensors) or len(sample.forces) != len(self.layout.forced):
             wanted = f"{len(self.layout.sensors)} value(s) and {len(self.layout.forced)} force(s)"
             raise InputError("sample", f"{len(sample.values)} and {len(sample.forces)}", wanted)
-        if not np.isfinite(sample.time):
+        if not isfinite(sample.time):
             return self._unread(sample, SampleStatus.REPEATED, "its time is not a finite number; left out")
         steps = 0 if self.last is None else round((sample.time - self.last) / self.layout.interval)
         if self.last is not None and steps <= 0:
             return self._unread(sample, SampleStatus.REPEATED, "its time is not after the one before; left out")
-        usable, status = self._usable(np.asarray(sample.values, float))
-        if not all(map(isfinite, sample.forces)):
-            held = self.forces if self.forces.size else np.zeros(len(sample.forces))
-            known = [f if isfinite(f) else float(before) for f, before in zip(sample.forces, held, strict=True)]
-            sample, status = replace(sample, forces=tuple(known)), SampleStatus.MISSING
-        self.forces = np.array(sample.forces)
+        sample, status = self._usable(sample)
+        self.forces = list(sample.forces)
         self.last = sample.time
         self.samples += 1
         if steps > LONGEST_GAP:
             self.reset_motion()
             steps = 1
-        found = self._stepped(replace(sample, values=tuple(usable)), steps)
+        found = self._stepped(sample, steps)
         if found.status is SampleStatus.OK:
             if status is not SampleStatus.OK:
                 found = replace(found, status=status, message=SENTENCES[status])
@@ -235,28 +231,36 @@ class Tracker(ABC):
         alarm = before.alarm if before else float("nan")
         return Standing(sample.time, status, before.belief if before else None, alarm=alarm, message=message)
 
-    def _usable(self, values: np.ndarray) -> tuple[np.ndarray, SampleStatus]:
-        """The values that say something, NaN for the others, and why."""
-        values, status = values.copy(), SampleStatus.OK
-        for i, (value, sensor) in enumerate(zip(values.tolist(), self.layout.sensors, strict=True)):
+    def _usable(self, sample: Sample) -> tuple[Sample, SampleStatus]:
+        """The sample with NaN for values that say nothing and forces as before for missing ones; and why."""
+        values, forces, status = list(sample.values), list(sample.forces), SampleStatus.OK
+        for i, (value, sensor) in enumerate(zip(sample.values, self.layout.sensors, strict=True)):
             if not isfinite(value):
-                values[i], status = np.nan, SampleStatus.MISSING
+                values[i], status = nan, SampleStatus.MISSING
                 continue
-            held = value in (self.lowest[i], self.highest[i])
-            self.repeats[i] = self.repeats[i] + 1 if held else self.repeats[i]
-            if not self.lowest[i] <= value <= self.highest[i]:
+            low, high = self.lowest[i], self.highest[i]
+            held = value in (low, high)
+            if held:
+                self.repeats[i] += 1
+            elif not low <= value <= high:
                 self.repeats[i] = 0
-            self.lowest[i], self.highest[i] = min(self.lowest[i], value), max(self.highest[i], value)
+                self.lowest[i], self.highest[i] = min(low, value), max(high, value)
             beyond = sensor.limits is not None and not sensor.limits[0] < value < sensor.limits[1]
             if beyond or (held and self.repeats[i] >= STUCK):
-                values[i], status = np.nan, SampleStatus.SATURATED
-        return values, status
+                values[i], status = nan, SampleStatus.SATURATED
+        if not all(map(isfinite, forces)):
+            before = self.forces or [0.0] * len(forces)
+            forces = [f if isfinite(f) else held for f, held in zip(forces, before, strict=True)]
+            status = SampleStatus.MISSING
+        if status is SampleStatus.OK:
+            return sample, status
+        return Sample(sample.time, tuple(values), tuple(forces)), status
 
     @final
     def saved(self) -> dict[str, Any]:
         """All that it holds, as numbers, texts, lists and arrays by name: what :meth:`restored` goes on from."""
         every = {name: getattr(self, name) for name in (*CLOCK, *self.holds)}
-        return {name: np.array(value) if hasattr(value, "__array__") else value for name, value in every.items()}
+        return {name: _copied(value) for name, value in every.items()}
 
     @final
     def restored(self, state: Mapping[str, Any]) -> Self:
@@ -271,6 +275,13 @@ class Tracker(ABC):
 
     def rebuild(self) -> None:  # noqa: B027
         """Make again what follows from a restored state. By default nothing."""
+
+
+def _copied(value: Any) -> Any:
+    """A value that a later step cannot change; arrays of another library become numpy's."""
+    if isinstance(value, list):
+        return [_copied(item) for item in value]
+    return np.array(value) if hasattr(value, "__array__") else value
 
 
 CLOCK = ("samples", "last", "forces", "repeats", "lowest", "highest")

@@ -25,6 +25,11 @@ def registered_online() -> dict[str, EntryPoint]:
     return {point.name: point for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)}
 
 
+def first_online() -> str:
+    """The one whose card stands first: what is taken where none is asked for."""
+    return min(registered_online(), key=lambda name: load_online(name).card.order)
+
+
 def online_names() -> list[str]:
     """All that may be asked for: online methods, then every batch method in windows."""
     return [*registered_online(), *(WINDOW + name for name in registered())]

@@ -100,14 +100,13 @@ def missing(task: Task, paths: Paths) -> list[int]:
 def run(tasks: Sequence[Task], paths: Paths, workers: int) -> Iterator[tuple[Task, int, str]]:
     """Run what is missing, replicate by replicate; (task, replicate, what went wrong) as each ends."""
     single_threaded()
-    jobs = [(task, missing(task, paths)) for task in tasks]
+    jobs = [(task, i) for task in tasks for i in missing(task, paths)]
+    places = {scenario: i for i, scenario in enumerate(dict.fromkeys(task.scenario.identity for task in tasks))}
+    # methods on one stream one behind the other: what they find of its first samples is the same
+    jobs.sort(key=lambda job: (places[job[0].scenario.identity], job[1]))
     context = get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        waiting = {
-            pool.submit(_replicate, task, i, paths.folder): (task, i)
-            for task, numbers in jobs
-            for i in numbers
-        }  # fmt: skip
+        waiting = {pool.submit(_replicate, task, i, paths.folder): (task, i) for task, i in jobs}
         try:
             for done in as_completed(waiting):
                 task, i = waiting[done]

@@ -9,6 +9,7 @@ import numpy as np
 
 from bench.online.follow import Followed
 from bench.online.scenario import OnlineScenario, Stream
+from bench.systems import Quantity
 
 SCORED_FROM = 0.25
 """Part of a record behind which errors are pooled: before, trackers collect what they need to begin."""
@@ -61,6 +62,22 @@ class Score:
     delay: float
     curve: tuple[tuple[float, float], ...]
     n: int
+
+
+def score_bound(
+    scenario: OnlineScenario, streams: Sequence[Stream], bounds: Sequence[np.ndarray], of: Quantity
+) -> Score:
+    """The bound's own row: its error, and the delay of a tracker whose error has just its variance."""
+    first, at = round(SCORED_FROM * scenario.samples), scenario.change_at
+    delays = []
+    for stream, bound in zip(streams, bounds, strict=True):
+        true = np.log(of.value(stream.truth.parameters))
+        delays.append(np.abs(true - true[0]) / np.sqrt(bound))
+    z_old = np.stack(delays)
+    curve = tuple((float("nan"), _delay(z_old, at, level)) for level in LEVELS)
+    after = tuple(1.0 if at is not None else float("nan") for _ in AFTER)
+    rms = 100.0 * float(np.sqrt(np.mean([np.mean(bound[first:]) for bound in bounds])))
+    return Score(1.0, rms, 1.0, float("nan"), after, _delay(z_old, at, Z95), curve, len(bounds))
 
 
 def score(scenario: OnlineScenario, replicates: Sequence[Scored]) -> Score:

@@ -15,6 +15,7 @@ models: H. A. P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic Control 33:780, 1988
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Literal, NamedTuple
@@ -47,15 +48,19 @@ class Bank:
         """Of the joint state."""
         return HeldModel(self.layout).size
 
+    @cached_property
+    def _places(self) -> tuple[int, ...]:
+        """Where the parts of a row end: mean, covariance, prediction, its variance, outliers, total, gains."""
+        d, c = self.size, len(self.layout.sensors)
+        return tuple(itertools.accumulate((d, d * d, c, c, c, 1, self.members)))
+
     def told(self, row: np.ndarray) -> Told:
         """What a step tells, from the row of numbers that it hands out."""
-        d, c, q = self.size, len(self.layout.sensors), len(self.layout.free)
-        at = d + d * d
-        expected, spread, outlier = row[at : at + c], row[at + c : at + 2 * c], row[at + 2 * c : at + 3 * c]
-        gained = row[at + 3 * c + 1 : at + 3 * c + 1 + self.members]
-        moves = row[at + 3 * c + 1 + self.members :].reshape(self.members, q)
-        covariance = row[d:at].reshape(d, d)
-        return Told(row[:d], covariance, expected, spread, outlier > 0, float(row[at + 3 * c]), gained, moves)
+        d, cov, expected, spread, outlier, total, gained = self._places
+        return Told(
+            row[:d], row[d:cov].reshape(d, d), row[cov:expected], row[expected:spread], row[spread:outlier] > 0,
+            float(row[outlier]), row[total:gained], row[gained:].reshape(self.members, -1),
+        )  # fmt: skip
 
 
 class Told(NamedTuple):

@@ -29,8 +29,11 @@ GATE = 6.0
 IN_A_ROW = 5
 OPENED = 0.3
 """Standard deviation by which log-parameters are opened behind a jump."""
-VAGUE = 0.05
-"""Standard deviation of a log-stiffness, or log-mass, above which the first samples do not tell enough."""
+VAGUE = {"mass": 0.05, "stiffness": 0.05, "damping": 0.7}
+"""Standard deviations of a log-parameter above which the first samples do not tell enough."""
+OPEN_RATIO, OPEN_DAMPING = 0.01, 1.5
+"""Where even the longest beginning leaves a damping open, this damping ratio, with that standard deviation of its
+logarithm: a filter about a damping of nothing would never learn."""
 MOST = 8
 REMEMBERED = 0.998
 """Forgetting of the mean square of the motion."""
@@ -60,17 +63,19 @@ class FilterTracker(Tracker):
         self.means, self.spreads, self.weights = np.zeros((members, d)), np.zeros((members, d, d)), np.zeros(members)
         self.sigma, self.push = np.zeros(len(layout.sensors)), np.zeros(len(layout.ambient))
         self.memory, self.square = np.zeros(len(layout.ambient)), np.zeros(self.model.n_motion)
-        self.before, self.far = np.zeros(len(layout.forced)), 0
+        self.before, self.far = [0.0] * len(layout.forced), 0
         self._bank = Bank(layout, members, rule, self.mixes)
         self._step, self._coast = self._bank.functions()
         self._constants: Any = None
         self._logs = self.model.logs
+        kinds = {p.name: p.kind for p in layout.system.parameters}
+        self._kinds = [kinds[name] for name in layout.free]
 
     def prepare(self) -> None:
         """Compile, by a search in noise and a step from nowhere, neither of which is kept."""
         rng = np.random.default_rng(0)
         values = rng.standard_normal((self.warm_up, self.sigma.size))
-        forces = rng.standard_normal((self.warm_up, self.before.size))
+        forces = rng.standard_normal((self.warm_up, len(self.before)))
         beginning(Head(self.layout, values, forces))
         row = np.concatenate([values[0], np.ones(self.sigma.size), forces[0], self.before])
         begun = np.tile(np.eye(self.model.size), (len(self.walk), 1, 1))
@@ -83,20 +88,21 @@ class FilterTracker(Tracker):
 
     def step(self, sample: Sample, steps: int) -> Standing:
         """Keep the first samples; then coast over a gap, update, and let the subclass have its say."""
-        values, forces = np.asarray(sample.values, float), np.asarray(sample.forces, float)
         if not self.begun:
-            return self._collected(sample, values, forces, steps)
+            return self._collected(sample, np.asarray(sample.values), np.asarray(sample.forces), steps)
         if steps > 1:
             self._gap(steps - 1)
-        there = np.isfinite(values)
-        row = np.concatenate([np.where(there, values, 0.0), there, forces, self.before])
+        there = [isfinite(value) for value in sample.values]
+        filled = [value if known else 0.0 for value, known in zip(sample.values, there, strict=True)]
+        row = np.array([*filled, *there, *sample.forces, *self.before], float)
         state = (self.means, self.spreads, self.weights)
         (self.means, self.spreads, self.weights), numbers = self._step(state, row, self.constants)
-        self.before = forces
+        self.before = list(sample.forces)
         told = self._bank.told(np.asarray(numbers))
-        if not (isfinite(told.total) and isfinite(float(np.sum(told.mean)))):
+        if not (isfinite(told.total) and isfinite(told.mean.sum())):
             return self._lost(sample)
-        self.square = REMEMBERED * self.square + (1.0 - REMEMBERED) * told.mean[: self.square.size] ** 2
+        moved = told.mean[: self.model.n_motion]
+        self.square = REMEMBERED * self.square + (1.0 - REMEMBERED) * moved * moved
         alarm = self.judged(told)
         status, message = SampleStatus.OK, ""
         if told.outlier.any():
@@ -154,26 +160,40 @@ class FilterTracker(Tracker):
             self.head_values, self.head_forces = self.head_values[-1:], self.head_forces[-1:]
             return Standing(sample.time, SampleStatus.WARMING_UP, message="no sensor shows any motion")
         found = beginning(Head(self.layout, _without_spikes(self.head_values), self.head_forces))
-        finite = np.all(np.isfinite(found.mean)) and np.all(np.isfinite(found.covariance))
+        finite = np.all(np.isfinite(found.mean)) and bool(np.all(np.diag(found.covariance)[self._logs] > 0))
         if n < MOST * self.warm_up and not (finite and not self._vague(found.covariance)):
             return Standing(sample.time, SampleStatus.WARMING_UP, message="the first samples do not tell enough yet")
         if not finite:
             self.head_values, self.head_forces = self.head_values[-1:], self.head_forces[-1:]
             return Standing(sample.time, SampleStatus.FAILED, message="no parameters explain the first samples")
-        self._begin(found.mean, found.covariance)
+        self._begin(*self._settled(found.mean, found.covariance))
         self.sigma, self.push, self.memory = found.levels.sigma, found.levels.push, found.levels.memory
         self.square = np.full(self.model.n_motion, 0.0) + found.mean[: self.model.n_motion] ** 2
         self.square = np.maximum(self.square, np.diag(found.covariance)[: self.model.n_motion])
-        self.before, self.begun = forces, True
+        self.before, self.begun = forces.tolist(), True
         self.rebuild()
         self.head_values, self.head_forces = self.head_values[:0], self.head_forces[:0]
         return Standing(sample.time, SampleStatus.OK, self.belief(found.mean, found.covariance))
 
     def _vague(self, covariance: np.ndarray) -> bool:
-        kinds = {p.name: p.kind for p in self.layout.system.parameters}
-        sds = np.sqrt(np.diag(covariance)[self.model.logs])
-        told = [sd for name, sd in zip(self.layout.free, sds, strict=True) if kinds[name] in ("mass", "stiffness")]
-        return max(told) > VAGUE
+        sds = np.sqrt(np.diag(covariance)[self._logs])
+        return any(sd > VAGUE.get(kind, np.inf) for kind, sd in zip(self._kinds, sds, strict=True))
+
+    def _settled(self, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The belief with dampings that the first samples left open put where they can be learned."""
+        mean, covariance = mean.copy(), covariance.copy()
+        values = self.layout.system
+        logs = dict.fromkeys(values.names, 0.0) | dict(zip(self.layout.free, mean[self._logs], strict=True))
+        sizes = {kind: [logs[p.name] for p in values.parameters if p.kind == kind] for kind in ("mass", "stiffness")}
+        for i, kind in enumerate(self._kinds):
+            at = self._logs.start + i
+            if kind != "damping" or not all(sizes.values()) or covariance[at, at] <= VAGUE["damping"] ** 2:
+                continue
+            size = 0.5 * (np.mean(sizes["mass"]) + np.mean(sizes["stiffness"])) + np.log(2.0 * OPEN_RATIO)
+            mean[at] = max(mean[at], size)
+            covariance[at], covariance[:, at] = 0.0, 0.0
+            covariance[at, at] = OPEN_DAMPING**2
+        return mean, covariance
 
     def _begin(self, mean: np.ndarray, covariance: np.ndarray) -> None:
         """All members at one belief."""
@@ -204,9 +224,9 @@ class FilterTracker(Tracker):
         self.spreads = np.stack([self.rooted(cov) for cov in covs])
 
     def _gap(self, missing: int) -> None:
-        interval, noise, _ = self.constants
+        (interval, noise, _), before = self.constants, np.array(self.before)
         for _ in range(missing):
-            self.means, self.spreads = self._coast(self.means, self.spreads, self.before, interval, noise)
+            self.means, self.spreads = self._coast(self.means, self.spreads, before, interval, noise)
         if self.layout.forced:
             self._open_motion()
 
@@ -231,7 +251,7 @@ class FilterTracker(Tracker):
     def _lost(self, sample: Sample) -> Standing:
         """Begin again: no number of a bank that is not finite can be used."""
         self.begun, self.far = False, 0
-        self.head_values, self.head_forces = np.zeros((0, self.sigma.size)), np.zeros((0, self.before.size))
+        self.head_values, self.head_forces = np.zeros((0, self.sigma.size)), np.zeros((0, len(self.before)))
         return Standing(sample.time, SampleStatus.FAILED, message="the filter is lost; it begins again")
 
     def reset_motion(self) -> None:

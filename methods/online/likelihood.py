@@ -89,8 +89,18 @@ class Beginning:
 def beginning(head: Head) -> Beginning:
     """Find the most likely parameters and levels of the first samples, and the belief after the last of them.
 
-    Not finite where no start of the scan leads anywhere.
+    Not finite where no start of the scan leads anywhere. Methods that follow the same stream share the answer.
     """
+    return _beginning(head.layout, head.values.shape, head.values.tobytes(), head.forces.tobytes())
+
+
+@lru_cache(maxsize=8)
+def _beginning(layout: Layout, shape: tuple[int, int], values: bytes, forces: bytes) -> Beginning:
+    given = np.frombuffer(forces).reshape(shape[0], len(layout.forced))
+    return _searched(Head(layout, np.frombuffer(values).reshape(shape), given))
+
+
+def _searched(head: Head) -> Beginning:
     from scipy.optimize import minimize  # slow to import
 
     like = compiled(head.layout)

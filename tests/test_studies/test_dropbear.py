@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from tests.studies.dropbear import REFERENCE, followed, main, read, stays
 
 PLACES = [os.environ.get("BENCH_SHARED_DATA"), Path(__file__).parents[2].parent / "shared" / "data"]

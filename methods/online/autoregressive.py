@@ -1,0 +1,305 @@
+"""Recursive prediction-error identification of a discrete model with forgetting; its poles are the oscillator's.
+
+A sampled oscillator obeys ``y_k + a1 y_(k-1) + a2 y_(k-2) = b1 f_(k-1) + b2 f_(k-2) + e_k + c1 e_(k-1) + c2 e_(k-2)``
+exactly: ``f`` a known force held between samples, ``e`` the innovations. An autoregression by least squares leaves the
+moving average out, and is biased by the noise in its columns. Here
+
+- an unknown white force and the sensor's noise together are an autoregression with a moving average (ARMA);
+- under a known force the sensor's white noise makes the moving average equal to the autoregression (output error), so
+  that what stands in the columns is the model's own answer, which has no noise.
+
+All coefficients follow a Gauss-Newton step a sample on the squared prediction error (recursive maximum likelihood: T.
+Söderström, L. Ljung, I. Gustavsson, Automatica 14:231, 1978; L. Ljung, T. Söderström, Theory and Practice of Recursive
+Identification, 1983, section 3.7). Poles ``z`` give ``s = ln z / h``, hence ``k/m = s1 s2`` and
+``c/m = -(s1 + s2)``; the gain at rest gives ``1/k``.
+
+It begins at the least squared prediction error of the first samples, found by a batch search from several starts; the
+motion before them is then free.
+"""
+
+from __future__ import annotations
+
+import cmath
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from bench import InputError, Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, Standing, Tracker
+
+RADII = (0.5, 0.9, 0.98)
+"""Starts of the moving average under an unknown force: the poles of the autoregression, drawn in to this."""
+RATIOS = (0.01, 0.05, 0.2)
+"""Starts of the damping ratio."""
+GATE = 6.0
+IN_A_ROW = 5
+FADED = 0.1
+"""Behind a gap nothing is learned until what was there before has faded to this in the innovations."""
+DIFFUSE = 1e4
+LEAST_MOVE = 1e-3
+
+
+@dataclass(frozen=True)
+class OnlineAR(OnlineIdentifier):
+    """``factor``: what is kept of what was learned, a sample; ``warm_up`` samples are kept to begin."""
+
+    factor: float = 0.998
+    warm_up: int = 150
+    card: ClassVar[OnlineCard] = OnlineCard(
+        "recursive maximum likelihood of a discrete ARMA model, or output error under a known force, with forgetting",
+        "Söderström, Ljung and Gustavsson, Automatica 14:231, 1978",
+        "factor: Ljung, System Identification Toolbox user's guide (0.98 to 0.998)",
+        "AR, recursive",
+        110,
+        "#999933",
+    )
+
+    def __post_init__(self) -> None:
+        if not 0.5 < self.factor <= 1:
+            raise InputError("method.factor", self.factor, "a number above 0.5, at most 1")
+        if self.warm_up < 30:
+            raise InputError("method.warm_up", self.warm_up, "at least 30 samples")
+
+    def objection(self, layout: Layout) -> str | None:
+        """It needs one linear mass with one sensor, and the force of a known force's answer as a displacement."""
+        if layout.system.n_dof > 1 or not layout.system.linear or len(layout.system.names) != 3:
+            return "its two poles are those of one mass, spring and damper"
+        if len(layout.sensors) != 1 or (layout.forced and layout.sensors[0].measures != "displacement"):
+            return "it takes one sensor, under a known force of the displacement"
+        if layout.forced and layout.ambient:
+            return "a known and an unknown force at once have one moving average too few"
+        return None
+
+    def start(self, layout: Layout) -> Tracker:
+        """A tracker before its first sample."""
+        return _ARTracker(layout, self)
+
+
+class _ARTracker(Tracker):
+    """Coefficients in units of the first samples' sizes: ``theta`` is a1, a2, then b1, b2 where forced, else c1, c2.
+
+    ``recent``: what they multiply in the next prediction; ``slopes``: its last two derivatives by ``theta``.
+    """
+
+    holds = (
+        "begun", "head_values", "head_forces", "theta", "inverse", "information", "power", "weight", "recent",
+        "slopes", "sizes", "far", "settling",
+    )  # fmt: skip
+
+    def __init__(self, layout: Layout, settings: OnlineAR) -> None:
+        super().__init__(layout)
+        self.settings, self.forced = settings, bool(layout.forced)
+        self.head_values, self.head_forces = np.zeros(0), np.zeros(0)
+        self.begun, self.far, self.settling = False, 0, 0
+        self.sizes = np.ones(2)
+        self._forget_everything(np.zeros(4))
+
+    def _forget_everything(self, theta: np.ndarray) -> None:
+        q = theta.size
+        self.theta, self.inverse, self.information = theta, DIFFUSE * np.eye(q), np.zeros((q, q))
+        self.power = self.weight = 0.0
+        self.recent, self.slopes = np.zeros(q), np.zeros((2, q))
+
+    def step(self, sample: Sample, steps: int) -> Standing:
+        """Collect the first samples; then one Gauss-Newton step a sample."""
+        value, force = float(sample.values[0]), float(sample.forces[0]) if self.forced else 0.0
+        if not self.begun:
+            return self._collected(sample, value, force, steps)
+        if steps > 1:
+            self.recent, self.slopes = np.zeros_like(self.recent), np.zeros_like(self.slopes)
+            radius = float(np.clip(np.sqrt(abs(self._average[1])), 0.5, 0.995))
+            self.settling = 4 + int(np.log(FADED) / np.log(radius))
+        y, f = value / self.sizes[0], force / self.sizes[1]
+        predicted = float(self.recent @ self.theta)
+        level = self.power / max(self.weight, 1.0)
+        status, message = SampleStatus.OK, ""
+        if not np.isfinite(y):
+            self._pass_by(predicted, f)
+        elif self.settling:
+            self.settling -= 1
+            self._pass_by(y, f)
+        elif (y - predicted) ** 2 > GATE**2 * level and self.far < IN_A_ROW:
+            self.far += 1
+            self._pass_by(predicted, f)
+            status, message = SampleStatus.OUTLIER, f"a value is more than {GATE:g} standard deviations off; left out"
+        else:
+            self.far = 0
+            self._learn(y, f, self.settings.factor)
+        if not np.all(np.isfinite(self.theta)):
+            self.begun = False
+            self.head_values, self.head_forces = np.zeros(0), np.zeros(0)
+            return Standing(sample.time, SampleStatus.FAILED, message="the recursion is lost; it begins again")
+        belief = self._belief()
+        if belief is None:
+            return Standing(sample.time, SampleStatus.FAILED, message="its poles are not those of an oscillator")
+        sd = self.sizes[0] * np.sqrt(np.array([level]))
+        return Standing(sample.time, status, belief, self.sizes[0] * np.array([predicted]), sd, message=message)
+
+    def _collected(self, sample: Sample, value: float, force: float, steps: int) -> Standing:
+        if steps > 1:
+            self.head_values, self.head_forces = np.zeros(0), np.zeros(0)
+        if np.isfinite(value):
+            self.head_values, self.head_forces = np.append(self.head_values, value), np.append(self.head_forces, force)
+        waiting = Standing(sample.time, SampleStatus.WARMING_UP, message="the first samples are kept")
+        if self.head_values.size < self.settings.warm_up:
+            return waiting
+        values, forces = self.head_values, self.head_forces
+        self.head_values, self.head_forces = np.zeros(0), np.zeros(0)
+        self.sizes = np.array([np.sqrt(np.mean(values**2)) or 1.0, np.sqrt(np.mean(forces**2)) or 1.0])
+        if not self._begin(values / self.sizes[0], forces / self.sizes[1]):
+            return Standing(sample.time, SampleStatus.FAILED, message="no model explains the first samples")
+        self.begun = True
+        return Standing(sample.time, SampleStatus.OK, self._belief())
+
+    def _begin(self, y: np.ndarray, f: np.ndarray) -> bool:
+        """Hold the best model of the first samples, and what they tell of it; False where there is none."""
+        from scipy.optimize import least_squares  # slow to import
+
+        errors = _output_errors if self.forced else _innovations
+        ends = []
+        for start in self._starts(y):
+            try:
+                end = least_squares(lambda eta: errors(eta, y, f)[0], start, method="lm", max_nfev=200)
+            except (ValueError, np.linalg.LinAlgError):
+                continue
+            theta = errors(end.x, y, f)[1]
+            self._forget_everything(theta)
+            self.power, self.weight, self.inverse = 2.0 * float(end.cost), float(y.size), np.eye(4)
+            if _invertible(self._average) and self._belief() is not None:
+                ends.append((end.cost, end.x))
+        if not ends:
+            return False
+        cost, eta = min(ends, key=lambda each: each[0])
+        left, theta = errors(eta, y, f)
+        self._forget_everything(theta)
+        for value, force in zip(y.tolist(), f.tolist(), strict=True):
+            slope = self._slope()
+            self.information = self.information + np.outer(slope, slope)
+            self._shift(slope, value, force)
+        shown = y - left
+        if self.forced:  # with the free motion from before the first sample
+            self.recent = np.array([-shown[-1], -shown[-2], f[-1], f[-2]])
+        self.inverse = np.asarray(np.linalg.pinv(self.information, hermitian=True), float)
+        self.power, self.weight = 2.0 * cost, float(y.size - (2 if self.forced else 0))
+        return self._belief() is not None
+
+    def _starts(self, values: np.ndarray) -> list[np.ndarray]:
+        """Logarithms of frequency (a sample) and damping ratio, and under an unknown force the moving average."""
+        power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))) ** 2
+        peaks = 1 + np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:]))
+        strongest = sorted(peaks.tolist() or [1], key=lambda i: -power[i])[:3]
+        if self.forced:  # the strongest may be the force's
+            strongest = np.geomspace(1.0, values.size / 3.0, 12).tolist()
+        poles = [np.log([2.0 * np.pi * i / values.size, ratio]) for i in strongest for ratio in RATIOS]
+        if self.forced:
+            return poles
+        return [np.concatenate([eta, _coefficients(eta) * [r, r**2]]) for eta in poles for r in RADII]
+
+    @property
+    def _average(self) -> np.ndarray:
+        """The moving average: that of its own, or the autoregression."""
+        return self.theta[:2] if self.forced else self.theta[2:]
+
+    def _slope(self) -> np.ndarray:
+        """Derivative of the next prediction by the coefficients."""
+        c = self._average
+        return np.asarray(self.recent - c[0] * self.slopes[0] - c[1] * self.slopes[1])
+
+    def _learn(self, y: float, f: float, keep: float) -> None:
+        """A Gauss-Newton step; the moving average stays invertible."""
+        theta, slope = self.theta, self._slope()
+        seen = self.inverse @ slope
+        size, left = float(slope @ seen), y - float(self.recent @ theta)
+        gain, move = seen / (keep + size), 1.0
+        at = slice(0, 2) if self.forced else slice(2, 4)
+        while move > LEAST_MOVE and not _invertible(theta[at] + move * gain[at] * left):
+            move *= 0.5
+        self.theta = theta + move * gain * left if move > LEAST_MOVE else theta
+        self.inverse = (self.inverse - np.outer(gain, seen)) / keep
+        self.inverse = 0.5 * (self.inverse + self.inverse.T)
+        self.information = keep**2 * self.information + np.outer(slope, slope)
+        self.weight = keep * self.weight + 1.0
+        if self.weight > theta.size:
+            self.power = keep * self.power + left**2 / (1.0 + size / keep)
+        self._shift(slope, y, f)
+
+    def _pass_by(self, y: float, f: float) -> None:
+        """A sample that nothing is learned from; one that says nothing is as predicted."""
+        self._shift(self._slope(), y, f)
+
+    def _shift(self, slope: np.ndarray, y: float, f: float) -> None:
+        """Go on to the next sample."""
+        expected, old = float(self.recent @ self.theta), self.recent
+        self.slopes = np.stack([slope, self.slopes[0]])
+        self.recent = np.array([-expected, old[0], f, old[2]] if self.forced else [-y, old[0], y - expected, old[2]])
+
+    def _belief(self) -> Normal | None:
+        """Normal in the logarithms by the delta method; None where the poles are no oscillator's."""
+        centre = self._logs(self.theta)
+        spare = self.weight - self.theta.size
+        if centre is None or spare < 2 or self.power <= 0:
+            return None
+        jacobian = np.zeros((centre.size, self.theta.size))
+        for i in range(4 if self.forced else 2):
+            h = np.zeros(self.theta.size)
+            h[i] = 1e-6
+            up, down = self._logs(self.theta + h), self._logs(self.theta - h)
+            if up is None or down is None:
+                return None
+            jacobian[:, i] = (up - down) / 2e-6
+        # weights that fall off as keep^n: the sum of their squares stands between two inverses of their sum
+        spread = self.inverse @ self.information @ self.inverse * self.power / spare
+        return Normal(self.layout.free, centre, jacobian @ spread @ jacobian.T, log=True)
+
+    def _logs(self, theta: np.ndarray) -> np.ndarray | None:
+        """Logarithms of the layout's free parameters: c, k in units of the mass, or m, c, k."""
+        a1, a2, h = float(theta[0]), float(theta[1]), self.layout.interval
+        root = cmath.sqrt(a1 * a1 / 4.0 - a2)
+        poles = [-a1 / 2.0 + root, -a1 / 2.0 - root]
+        if any(z == 0 or (z.imag == 0 and z.real <= 0) for z in poles):
+            return None
+        s = [cmath.log(z) / h for z in poles]
+        k_over_m, c_over_m = (s[0] * s[1]).real, -(s[0] + s[1]).real
+        if not (k_over_m > 0 and c_over_m > 0):
+            return None
+        if not self.forced:
+            return np.log([c_over_m, k_over_m])
+        gain = float(theta[2] + theta[3]) / (1.0 + a1 + a2) * self.sizes[0] / self.sizes[1]
+        if not gain > 0:
+            return None
+        k = 1.0 / gain
+        return np.log([k / k_over_m, k / k_over_m * c_over_m, k])
+
+
+def _invertible(c: np.ndarray) -> bool:
+    """Whether the roots of ``z² + c1 z + c2`` lie within the unit circle (Jury's conditions)."""
+    return bool(abs(c[1]) < 0.9995 and abs(c[0]) < 1.0 + c[1])
+
+
+def _coefficients(eta: np.ndarray) -> np.ndarray:
+    """a1, a2 of a logarithm of frequency (radians a sample) and of damping ratio."""
+    omega, ratio = np.exp(np.clip(eta[:2], -12.0, 3.0))
+    decay, turn = np.exp(-omega * ratio), omega * np.sqrt(abs(1.0 - ratio**2))
+    return np.array([-2.0 * decay * (np.cos(turn) if ratio <= 1 else np.cosh(turn)), decay**2])
+
+
+def _innovations(eta: np.ndarray, y: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """One-step prediction errors of an autoregression with a moving average, and its coefficients."""
+    from scipy.signal import lfilter
+
+    a, c = _coefficients(eta), eta[2:4]
+    if not _invertible(c):
+        return np.full(y.size, 10.0 * (1.0 + abs(c[1]))), np.concatenate([a, c])
+    return lfilter([1.0, *a], [1.0, *c], y), np.concatenate([a, c])
+
+
+def _output_errors(eta: np.ndarray, y: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What the model's answer to the force and a free motion leave, and its coefficients; these by least squares."""
+    from scipy.signal import lfilter
+
+    a, n = _coefficients(eta), y.size
+    given = np.zeros((n, 4))
+    given[1:, 0], given[2:, 1], given[0, 2], given[1, 3] = f[:-1], f[:-2], 1.0, 1.0
+    columns = lfilter([1.0], [1.0, *a], given, axis=0)
+    found = np.linalg.lstsq(columns, y, rcond=None)[0]
+    return y - columns @ found, np.concatenate([a, found[:2]])

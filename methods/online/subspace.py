@@ -1,0 +1,148 @@
+"""Stochastic subspace identification in windows, as the health of structures is monitored under ambient force.
+
+Correlations of the samples at lags of one and more (at lag zero stands the sensor's noise) fill a block Hankel matrix,
+which is the product of what can be observed and what can be reached; its strongest two directions are those of one
+mass, and the shift that maps an observation on the next has the oscillator's poles (P. Van Overschee, B. De Moor,
+Subspace Identification for Linear Systems, 1996; B. Peeters, G. De Roeck, Mech. Syst. Signal Process. 13:855, 1999).
+``k/m = s1 s2`` and ``c/m = -(s1 + s2)`` of ``s = ln z / h``, as for a free decay.
+
+Interval: the window is cut into blocks, and the estimate made once without each (jackknife). A known force is not used.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from bench import InputError, Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, Standing, Tracker
+
+BLOCKS = 12
+FEWEST_ROWS, MOST_ROWS = 4, 120
+"""Of the Hankel matrix: two cycles, within these."""
+CYCLES = 2.0
+SPIKE = 8.0
+"""Robust standard deviations of a sample off its neighbours, beyond which it is left out."""
+
+
+@dataclass(frozen=True)
+class OnlineSSI(OnlineIdentifier):
+    """Windows of ``length`` samples, every ``every``."""
+
+    length: int = 1500
+    every: int = 25
+    card: ClassVar[OnlineCard] = OnlineCard(
+        "covariance-driven stochastic subspace identification in windows",
+        "B. Peeters, G. De Roeck, Mech. Syst. Signal Process. 13:855, 1999",
+        "rows: two cycles; window: 100 cycles or fewer at 15 samples a cycle",
+        "SSI, window",
+        120,
+        "#882255",
+    )
+
+    def __post_init__(self) -> None:
+        if self.length < 200:
+            raise InputError("method.length", self.length, "at least 200 samples")
+        if self.every < 1:
+            raise InputError("method.every", self.every, "at least 1 sample")
+
+    def objection(self, layout: Layout) -> str | None:
+        """It needs an unknown force, and one linear mass."""
+        if layout.system.n_dof > 1 or not layout.system.linear or len(layout.system.names) != 3:
+            return "it finds the poles of one mass, spring and damper"
+        if not layout.ambient:
+            return "it needs an unknown force that is white; it cannot use a known one"
+        return None
+
+    def start(self, layout: Layout) -> Tracker:
+        """A tracker before its first sample."""
+        return _SSITracker(layout, self)
+
+
+class _SSITracker(Tracker):
+    holds = ("values", "unseen", "mean", "covariance")
+
+    def __init__(self, layout: Layout, settings: OnlineSSI) -> None:
+        super().__init__(layout)
+        self.settings = settings
+        self.values, self.unseen = np.zeros((0, len(layout.sensors))), 0
+        self.mean, self.covariance = np.zeros(0), np.zeros((0, 0))
+
+    def step(self, sample: Sample, steps: int) -> Standing:
+        """Fit the window where it is time. Missing samples are left out of the correlations."""
+        missing = np.full((min(max(steps - 1, 0), self.settings.length), len(self.layout.sensors)), np.nan)
+        self.values = np.concatenate([self.values, missing, [sample.values]])[-self.settings.length :]
+        self.unseen += 1
+        if len(self.values) < self.settings.length or self.unseen < self.settings.every:
+            waits = not self.mean.size
+            status = SampleStatus.WARMING_UP if waits else SampleStatus.OK
+            return Standing(sample.time, status, self._belief(), message="the window is not full" if waits else "")
+        self.unseen = 0
+        found = self._fitted()
+        if found is None:
+            said = "the strongest two directions of the window are no oscillator's"
+            return Standing(sample.time, SampleStatus.FAILED, self._belief(), message=said)
+        self.mean, self.covariance = found
+        return Standing(sample.time, SampleStatus.OK, self._belief())
+
+    def _belief(self) -> Normal | None:
+        return Normal(self.layout.free, self.mean, self.covariance, log=True) if self.mean.size else None
+
+    def _fitted(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Mean and covariance of log c/m and log k/m."""
+        values = _readable(self.values)
+        rows = self._rows(values)
+        by_block = _products(values, 2 * rows)
+        whole = by_block.sum(axis=0)
+        centre = self._logs(whole, rows)
+        each = [self._logs(whole - own, rows) for own in by_block]
+        if centre is None or any(one is None for one in each):
+            return None
+        off = np.array(each) - np.mean(np.array(each), axis=0)
+        covariance = (BLOCKS - 1) / BLOCKS * off.T @ off
+        return centre, covariance
+
+    def _rows(self, values: np.ndarray) -> int:
+        """As many lags as :data:`CYCLES` cycles of the strongest frequency have samples."""
+        n = len(values)
+        power = np.sum(np.abs(np.fft.rfft(np.nan_to_num(values) * np.hanning(n)[:, None], axis=0)) ** 2, axis=1)
+        top = 1 + int(np.argmax(power[1:]))
+        return int(np.clip(round(CYCLES * n / top), FEWEST_ROWS, MOST_ROWS))
+
+    def _logs(self, products: np.ndarray, rows: int) -> np.ndarray | None:
+        c = products.shape[1]
+        lags = np.arange(rows)[:, None] + np.arange(rows)[None] + 1
+        hankel = products[lags - 1].transpose(0, 2, 1, 3).reshape(rows * c, rows * c)
+        left, sizes, _ = np.linalg.svd(hankel)
+        seen = left[:, :2] * np.sqrt(sizes[:2])
+        poles = np.linalg.eigvals(np.linalg.lstsq(seen[:-c], seen[c:], rcond=None)[0]).astype(complex)
+        if np.any(poles == 0) or np.any((poles.imag == 0) & (poles.real <= 0)):
+            return None
+        s = np.log(poles) / self.layout.interval
+        k_over_m, c_over_m = float((s[0] * s[1]).real), float(-(s[0] + s[1]).real)
+        return np.log([c_over_m, k_over_m]) if k_over_m > 0 and c_over_m > 0 else None
+
+
+def _readable(values: np.ndarray) -> np.ndarray:
+    """Samples about their mean; NaN where one is far from both of its neighbours."""
+    values = values - np.nanmean(values, axis=0)
+    off = np.zeros_like(values)
+    off[1:-1] = values[1:-1] - 0.5 * (values[:-2] + values[2:])
+    scale = 1.4826 * np.nanmedian(np.abs(off), axis=0)
+    return np.where(np.abs(off) > SPIKE * scale, np.nan, values)
+
+
+def _products(values: np.ndarray, lags: int) -> np.ndarray:
+    """Sums of products of samples ``1 ... lags`` apart, by block, (BLOCKS, lags, c, c), as if none were missing."""
+    there = np.isfinite(values)
+    filled, counted = np.where(there, values, 0.0), there.astype(float)
+    edges = np.linspace(0, len(values) - lags, BLOCKS + 1).round().astype(int)
+    found = np.empty((BLOCKS, lags, values.shape[1], values.shape[1]))
+    for lag in range(1, lags + 1):
+        for block, (low, high) in enumerate(itertools.pairwise(edges.tolist())):
+            total = filled[low + lag : high + lag].T @ filled[low:high]
+            number = counted[low + lag : high + lag].T @ counted[low:high]
+            found[block, lag - 1] = total * (high - low) / np.maximum(number, 1.0)
+    return found

@@ -1,0 +1,127 @@
+"""The PINN in a sliding window with a warm start: a window's training begins where that of the window before ended.
+
+This is the digital twin that the paper outlines (Karkadakattil 2026, doi:10.25082/RIMA.2026.02.002). The log-parameters
+are handed on; the network's weights are not, since the response of another window is another function of its time. A
+window that leaves more than :data:`SUSPECT` times the share of the data that the one before left is trained again from
+a cold start, and the better of the two counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bench import (
+    Estimate,
+    InputError,
+    Layout,
+    OnlineCard,
+    OnlineIdentifier,
+    Problem,
+    Status,
+    Tracker,
+    WindowTracker,
+)
+from methods.pinn import PINN
+from methods.pinn.task import SUSPECT, Task
+
+
+@dataclass(frozen=True)
+class ContinuedPINN(PINN):
+    """The PINN, also from the end of an earlier fit."""
+
+    def continued(self, problem: Problem, rng: np.random.Generator, values: np.ndarray) -> Estimate:
+        """Answer a problem from the parameters of an earlier fit, in the problem's units, by name of the system."""
+        units = problem.natural_units()
+        scales = units.scales(problem.system)
+        logs = np.log(values / np.array([scales[name] for name in problem.system.names]))
+        with np.errstate(all="ignore"):
+            task = Task(problem.expressed_in(units), rng)
+            task.guesses, task.rivals = [replace(task.guesses[0], logs=logs, firm=True)], 1
+            self.attempt([task])
+            return self._estimate(task).returned(problem, units)
+
+
+@dataclass(frozen=True)
+class OnlinePINN(OnlineIdentifier):
+    """Windows of ``length`` samples, every ``every``; ``arrival``: with what was learned before (see the window)."""
+
+    length: int = 150
+    every: int = 10
+    arrival: bool = False
+    card: ClassVar[OnlineCard] = OnlineCard(
+        "PINN in a sliding window, each training started at the parameters of the one before",
+        "Karkadakattil 2026, doi:10.25082/RIMA.2026.02.002",
+        "as the PINN's",
+        "PINN, window, warm start",
+        130,
+        "#0072B2",
+    )
+    requires: ClassVar[tuple[str, ...]] = ("torch",)
+    extra: ClassVar[str] = "torch"
+
+    def __post_init__(self) -> None:
+        if self.length < 20:
+            raise InputError("method.length", self.length, "at least 20 samples")
+        if self.every < 1:
+            raise InputError("method.every", self.every, "at least 1 sample")
+
+    def objection(self, layout: Layout) -> str | None:
+        """It needs to be told the force."""
+        if layout.ambient:
+            return "it takes what moves the system for known, and here a force is not"
+        return None
+
+    def start(self, layout: Layout) -> Tracker:
+        """A tracker before its first sample."""
+        return _PINNTracker(layout, self)
+
+
+class _PINNTracker(WindowTracker):
+    holds = (*WindowTracker.holds, "end", "left")
+
+    def __init__(self, layout: Layout, settings: OnlinePINN) -> None:
+        super().__init__(layout, settings.length, settings.every, settings.arrival)
+        self.method = ContinuedPINN()
+        self.end, self.left = np.zeros(0), float("inf")
+
+    def answer(self, problem: Problem) -> Estimate:
+        """From where the window before ended, else, or where that leads nowhere, from a scan of the data."""
+        found = []
+        if self.end.size:
+            found.append(self.method.continued(problem, np.random.default_rng(0), self.end))
+        if not found or not share_left(problem, found[0]) <= SUSPECT * self.left:
+            found.append(self.method.identify(problem, np.random.default_rng(0)))
+        best = min(found, key=lambda estimate: share_left(problem, estimate))
+        values = _values(best)
+        if values is not None:
+            self.end, self.left = values, share_left(problem, best)
+        return best
+
+
+def share_left(problem: Problem, estimate: Estimate) -> float:
+    """Sum of squares that the reconstruction of the displacements leaves, over theirs; infinite without one."""
+    if estimate.status is not Status.OK or not estimate.reconstructions:
+        return float("inf")
+    channels = [c for c in problem.records[0].channels if c.measures == "displacement"]
+    off = [np.sum((c.values - estimate.reconstructions[0](c.times)[c.dof]) ** 2) for c in channels]
+    return float(sum(off) / sum(np.sum(c.values**2) for c in channels)) if channels else 0.0
+
+
+def _values(estimate: Estimate) -> np.ndarray | None:
+    """The parameters in the system's order; with the gauge one unit where the data tell groups only."""
+    belief: Any = estimate.belief
+    if estimate.status is not Status.OK or belief is None:
+        return None
+    told, system = belief.values(), estimate.system
+    if set(system.names) <= set(told):
+        return np.array([told[name] for name in system.names])
+    ratios = {system.gauge: 1.0}
+    for group in system.groups:
+        if group.name in told and sorted(group.exponents.values()) == [-1.0, 1.0]:
+            ratios[next(name for name, power in group.exponents.items() if power == 1.0)] = told[group.name]
+    if set(ratios) != set(system.names) or min(ratios.values()) <= 0:
+        return None
+    return np.array([ratios[name] for name in system.names])
