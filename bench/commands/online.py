@@ -1,7 +1,8 @@
 """``python -m bench -m experiment=online``: trackers on streams whose parameters change, as Table 10.
 
 Finished runs are kept in ``store``, one file a replicate, and the same command goes on from them. ``fit=false`` makes
-the table of those that are kept.
+the table of those that are kept. ``system=<name> system.varying.<parameter>=step,ramp`` follows any system instead of
+the scenarios of the track; what is made of it is written to ``out``, which is then ``outputs/online_own``.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.commands.guard import read_fields, whole
+from bench.errors import InputError
 
 if TYPE_CHECKING:
     from bench.online.follow import Followed
@@ -24,17 +26,21 @@ if TYPE_CHECKING:
 
 FIELDS = {
     "scenario": "", "method": "", "replicates": "", "seed": "0", "workers": "", "store": "outputs/online",
-    "out": "results", "dry_run": "false", "fit": "true",
+    "out": "", "dry_run": "false", "fit": "true", "system": "", "snr": "", "samples": "", "rate": "", "force": "",
 }  # fmt: skip
+OF_SYSTEM = ("snr", "samples", "rate", "force")
+"""Fields of a scenario of one's own."""
 COMMAND = "python -m bench -m experiment=online"
+VARYING = "system.varying."
 
 
 def followed_online(arguments: Sequence[str]) -> int:
     """Run the track and write its table; raises InputError."""
     from bench.online.paths import Paths, missing
 
-    fields = read_fields(arguments, FIELDS)
-    every, refused = _tasks(fields)
+    varying = dict(_varying(text) for text in arguments if text.startswith(VARYING))
+    fields = read_fields([text for text in arguments if not text.startswith(VARYING)], FIELDS)
+    every, refused = _tasks(fields, _scenarios(fields, varying))
     paths = Paths(Path(fields["store"]))
     left = sum(len(missing(task, paths)) for task in every)
     print(f"bench: {sum(task.replicates for task in every)} runs, {left} to do", file=sys.stderr)
@@ -42,33 +48,53 @@ def followed_online(arguments: Sequence[str]) -> int:
         return 0
     if left and fields["fit"] == "true":
         _run(every, paths, left, whole("workers", fields["workers"]) if fields["workers"] else os.cpu_count() or 1)
-    _write(every, refused, paths, Path(fields["out"]))
+    _write(every, refused, paths, Path(fields["out"] or ("outputs/online_own" if fields["system"] else "results")))
     return 0
 
 
-def _listed(text: str) -> list[str]:
-    return [part.strip() for part in text.split(",") if part.strip()]
+def _varying(text: str) -> tuple[str, str]:
+    """A parameter and its courses."""
+    key, _, value = text.partition("=")
+    if not value or key == VARYING:
+        raise InputError("argument", text, "write system.varying.<parameter>=<kind>, e.g. system.varying.k=step")
+    return key.removeprefix(VARYING), value
 
 
-def _tasks(fields: Mapping[str, str]) -> tuple[list[Task], list[Line]]:
+def _scenarios(fields: Mapping[str, str], varying: Mapping[str, str]) -> list[OnlineScenario]:
+    """Those of the track that are asked for, or those of a system of one's own."""
+    from bench.config.online import listed_names, online_scenario, own_scenarios, scenario_names
+
+    if fields["system"]:
+        if fields["scenario"]:
+            raise InputError("scenario", fields["scenario"], "left out, where system= is said")
+        return own_scenarios(fields["system"], {name: fields[name] for name in OF_SYSTEM}, varying)
+    for name in OF_SYSTEM:
+        if fields[name]:
+            raise InputError(name, fields[name], "with system=<name>; the track's scenarios have their own")
+    if varying:
+        raise InputError(f"{VARYING}{next(iter(varying))}", next(iter(varying.values())), "with system=<name>")
+    return [online_scenario(name) for name in listed_names(fields["scenario"]) or scenario_names()]
+
+
+def _tasks(fields: Mapping[str, str], scenarios: Sequence[OnlineScenario]) -> tuple[list[Task], list[Line]]:
     """What is to be there, and a line for each method that cannot take a scenario."""
-    from bench.config.online import online_scenario, online_track, scenario_names
+    from bench.config.online import listed_names, online_track
     from bench.entrants.online import make_online
     from bench.online.paths import Task
     from bench.reporting.tables.online_table import Line
 
     content = online_track()
-    methods = _listed(fields["method"]) or content["methods"]
+    methods = listed_names(fields["method"]) or content["methods"]
     settings = {name: dict(own) for name, own in content["variants"].items()}
     registered = {name: settings.get(name, {}).pop("method", name) for name in methods}
     made = {name: make_online(registered[name], settings.get(name, {})) for name in methods}
     tasks, refused = [], []
-    for name in _listed(fields["scenario"]) or scenario_names():
-        scenario = online_scenario(name)
+    for scenario in scenarios:
+        name = scenario.label
         left_out = content["left_out"].get(name, {"methods": [], "why": ""})
         for method, identifier in made.items():
             objection = identifier.objection(scenario.layout())
-            if not objection and method in left_out["methods"] and not _listed(fields["method"]):
+            if not objection and method in left_out["methods"] and not fields["method"]:
                 objection = left_out["why"]
             if objection:
                 refused.append(Line(name, method, _title(method, registered[method]), message=objection))

@@ -21,8 +21,8 @@ HEAD = f"""# Table 10. The online track
 Parameters that change, followed sample by sample from the past alone. **rms**: root mean square error of the logarithm
 in percent, pooled over samples and replicates behind the first {SCORED_FROM:.0%} of the record. **excess**: that over
 the posterior Cramér-Rao bound along the path. The bound is that of who is told when a parameter may change, and which
-one, and by how much about; a tracker has to find that out, so that on a system that changes none can be expected to
-reach 1. **told**: the part of those samples for which there is a belief at all. **cov.**: 95 % intervals that hold the
+one, and by how much about. A tracker has to find that out, so where a parameter changes none can be expected to reach
+it. **told**: the part of those samples for which there is a belief at all. **cov.**: 95 % intervals that hold the
 truth. **after**: excess by samples since a step. **delay**: median samples from a step until the 95 % interval excludes
 the old value; in the bound's row, until the bound would allow it. **µs**: median and 99 % wall time of a sample, on the
 machine that made the table, with as many processes side by side as it has cores. A method that cannot take a scenario

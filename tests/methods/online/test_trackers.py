@@ -126,13 +126,15 @@ def test_a_restored_tracker_goes_on_to_the_digit(name, constant) -> None:
 
 @pytest.mark.parametrize("name", sorted(registered_online()))
 def test_memory_does_not_grow_with_the_record(name) -> None:
-    made = scenario(samples=900)
-    stream, method = made.stream(0, 0), make_online(name)
+    ambient = name == "ssi"
+    made = scenario(samples=1900 if ambient else 900, forces=(HeldForce("white", told=not ambient),))
+    settings = {"every": 300} if name in ("ssi", "pinn") else {}
+    stream, method = made.stream(0, 0), make_online(name, settings)
     assert method.objection(stream.layout) is None
     tracker, sizes = method.start(stream.layout), []
     for i, sample in enumerate(stream.samples()):
         tracker.update(sample)
-        if i in (450, 899):
+        if i in (made.samples - 301, made.samples - 1):
             sizes.append(held_bytes(tracker))
     assert sizes[0] == sizes[1]
 
