@@ -164,6 +164,7 @@ class Tracker(ABC):
         """Begin before the first sample."""
         self.layout = layout
         self.samples = 0
+        self.owed = 0
         self.last: float | None = None
         self.forces = list[float]()
         self._standing: Standing | None = None
@@ -205,6 +206,7 @@ class Tracker(ABC):
         self.forces = list(sample.forces)
         self.last = sample.time
         self.samples += 1
+        missing, steps = steps - 1, steps + self.owed
         if steps > LONGEST_GAP:
             self.reset_motion()
             steps = 1
@@ -212,15 +214,17 @@ class Tracker(ABC):
         if found.status is SampleStatus.OK:
             if status is not SampleStatus.OK:
                 found = replace(found, status=status, message=SENTENCES[status])
-            elif steps > 1:
-                found = replace(found, status=SampleStatus.GAP, message=f"{steps - 1} sample(s) are not there")
+            elif missing > 0:
+                found = replace(found, status=SampleStatus.GAP, message=f"{missing} sample(s) are not there")
         self._standing = found
         return found
 
     def _stepped(self, sample: Sample, steps: int) -> Standing:
         try:
-            return self.step(sample, steps)
+            found, self.owed = self.step(sample, steps), 0
+            return found
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
+            self.owed = max(steps, 1)  # to the next step it is a gap
             before = self._standing
             belief = before.belief if before else None
             said = f"{type(error).__name__}: {error}"
@@ -284,7 +288,7 @@ def _copied(value: Any) -> Any:
     return np.array(value) if hasattr(value, "__array__") else value
 
 
-CLOCK = ("samples", "last", "forces", "repeats", "lowest", "highest")
+CLOCK = ("samples", "owed", "last", "forces", "repeats", "lowest", "highest")
 """What every tracker holds: the clock of the samples, and what shows a sensor at its limit."""
 
 SENTENCES = {

@@ -48,6 +48,8 @@ DEFINITIONS = (
     r"hold it in 83 % of cases with two siblings, 91 % with four, 93 % with six",
     r"100 \(1 - \|y - h\| / \|y - mean y\|\) of the last 40 %, predicted from a fit of the first 60 %",
     r"1,000 points in each replicate",
+    r"median and 99 % wall time",
+    r"half-width of the interval in standard deviations",
 )
 ON_CLUSTERS = (
     *ALLOWED,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -109,6 +110,8 @@ class _Browser:
             options.add_argument(argument)
         options.add_argument(f"--user-data-dir={(folder / 'browser').absolute()}")
         options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+        os.environ.setdefault("SE_OFFLINE", "true")  # the driver that is installed, without asking anybody
+        os.environ.setdefault("SE_AVOID_STATS", "true")
         try:
             self.driver = webdriver.Chrome(options=options)
         except Exception as error:

@@ -1,0 +1,50 @@
+"""Scenarios of the online track by name, and those of any system from the command line."""
+
+import numpy as np
+import pytest
+
+from bench.commands.main import main
+from bench.config.online import online_scenario, own_scenarios, scenario_names
+
+USUAL = {"snr": "", "samples": "", "rate": "", "force": ""}
+
+
+def test_every_scenario_of_the_track_is_one() -> None:
+    for name in scenario_names():
+        assert online_scenario(name).label == name
+
+
+def test_courses_compose_with_any_system() -> None:
+    found = own_scenarios("duffing", USUAL | {"snr": "30"}, {"k": "step,{kind: ramp, change: -0.2}", "c": "step"})
+    assert [one.varying["k"].kind for one in found] == ["step", "ramp"]
+    assert found[1].varying["k"].change == -0.2
+    assert all(one.varying["c"].kind == "step" and one.snr_db == 30 for one in found)
+    stream = found[0].stream(0, 0)
+    k = stream.truth.parameters["k"]
+    assert k[0] == 8.0
+    assert k[-1] == pytest.approx(7.2)
+    assert np.all(np.isfinite(stream.values))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["system=sdof", "system.varying.q=step"], "parameters of sdof: m, c, k"),
+        (["system=sdof", "system.varying.k=stpe"], "system.varying.k.kind=stpe"),
+        (["system=sdof", "system.varying.k={kind: step, change: -2}"], "system.varying.k.change"),
+        (["system=sdof", "system.varying.k={kind: "], "system.varying.k"),
+        (["system=sdfo"], "did you mean sdof"),
+        (["system.varying.k=step"], "with system=<name>"),
+        (["system=sdof", "snr=loud"], "snr=loud: a number"),
+        (["system=sdof", "force=loud"], "force.kind=loud"),
+        (["system=sdof", "scenario=ramp"], "left out"),
+        (["snr=3"], "with system=<name>"),
+        (["scenario=rmap"], "did you mean ramp"),
+        (["method=efk"], "ekf"),
+    ],
+)
+def test_what_is_mistyped_is_said_in_a_line_with_status_2(arguments, said, capsys) -> None:
+    assert main(["-m", "experiment=online", "dry_run=true", *arguments]) == 2
+    error = capsys.readouterr().err.strip()
+    assert said in error
+    assert "\n" not in error

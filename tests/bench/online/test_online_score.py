@@ -1,0 +1,72 @@
+"""Scores of the online track, against paths whose scores follow by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bench.online.course import Course
+from bench.online.follow import Followed
+from bench.online.forces import HeldForce
+from bench.online.scenario import OnlineScenario
+from bench.online.score import Z95, score, score_bound, scored
+from bench.reporting.tables.online_table import BOUND, Line, best_sentence
+
+
+def stepping(samples: int = 200) -> OnlineScenario:
+    return OnlineScenario(
+        "x", "sdof", {"m": 1.0, "c": 0.5, "k": 9.0}, 10.0, samples, forces=(HeldForce(),),
+        varying={"k": Course("step", change=-0.2)},
+    )  # fmt: skip
+
+
+def path(stream, off: np.ndarray, sd: float) -> Followed:
+    """A tracker that is ``off`` in the logarithm of every quantity, and says so much uncertainty."""
+    true = np.stack([np.log(q.value(stream.truth.parameters)) for q in stream.layout.quantities], axis=1)
+    n, q = true.shape
+    return Followed(true + off[:, None], np.full((n, q), sd), np.full(n, np.nan), np.full(n, "ok"), np.ones(n), 8)
+
+
+def test_an_error_of_twice_the_bound_has_an_excess_of_two_and_no_interval_that_holds() -> None:
+    made = stepping()
+    stream = made.stream(0, 0)
+    bound = {"k_over_m": np.full(200, 0.01**2)}
+    found = score(made, [scored(stream, path(stream, np.full(200, 0.02), 0.01), bound, "k_over_m")])
+    assert found.excess == pytest.approx(2.0)
+    assert found.rms == pytest.approx(2.0)
+    assert found.coverage == 0.0
+
+
+def test_delay_is_counted_from_the_step_to_the_first_interval_without_the_old_value() -> None:
+    made = stepping()
+    stream = made.stream(0, 0)
+    late = np.where((np.arange(200) >= 100) & (np.arange(200) < 117), -math.log(0.8), 0.0)  # finds out 17 samples on
+    found = score(made, [scored(stream, path(stream, late, 0.01), {"k_over_m": np.full(200, 1e-4)}, "k_over_m")])
+    assert found.delay == 17
+
+
+def test_the_delay_of_the_bound_is_when_its_variance_first_excludes_the_old_value() -> None:
+    made = stepping()
+    stream = made.stream(0, 0)
+    change = abs(math.log(0.8))
+    bound = np.where(np.arange(200) < 130, 1.01 * change / Z95, 0.99 * change / Z95) ** 2
+    of = next(q for q in stream.layout.quantities if q.name == "k_over_m")
+    found = score_bound(made, [stream], [bound], of)
+    assert found.delay == 30
+    assert found.excess == 1.0
+
+
+def test_the_sentence_names_the_method_whose_worse_quantity_is_least() -> None:
+    made = stepping()
+    stream = made.stream(0, 0)
+    bound = {"k_over_m": np.full(200, 1e-4), "c_over_m": np.full(200, 1e-4)}
+
+    def line(name: str, k: float, c: float) -> Line:
+        scores = {
+            quantity: score(made, [scored(stream, path(stream, np.full(200, off), 0.01), bound, quantity)])
+            for quantity, off in (("k_over_m", k), ("c_over_m", c))
+        }
+        return Line("x", name, name, scores, 1, 1)
+
+    lines = [line(BOUND, 0.01, 0.01), line("one", 0.011, 0.05), line("other", 0.02, 0.02)]
+    assert "**other** (excess: k/m 2.00, c/m 2.00)" in best_sentence(lines)
