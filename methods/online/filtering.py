@@ -29,11 +29,11 @@ GATE = 6.0
 IN_A_ROW = 5
 OPENED = 0.3
 """Standard deviation by which log-parameters are opened behind a jump."""
-VAGUE = {"mass": 0.05, "stiffness": 0.05, "damping": 0.7}
-"""Standard deviations of a log-parameter above which the first samples do not tell enough."""
-OPEN_RATIO, OPEN_DAMPING = 0.01, 1.5
-"""Where even the longest beginning leaves a damping open, this damping ratio, with that standard deviation of its
-logarithm: a filter about a damping of nothing would never learn."""
+VAGUE = 0.05
+"""Standard deviation of a log-stiffness, or log-mass, above which the first samples do not tell enough."""
+OPEN_ABOVE, OPEN_RATIO, OPEN_DAMPING = 0.7, 0.01, 1.5
+"""A log-damping whose standard deviation is above the first is begun at this damping ratio or more, with the last for a
+standard deviation: a few cycles hardly tell a damping, and a filter about a damping of nothing would never learn."""
 MOST = 8
 REMEMBERED = 0.998
 """Forgetting of the mean square of the motion."""
@@ -166,18 +166,19 @@ class FilterTracker(Tracker):
         if not finite:
             self.head_values, self.head_forces = self.head_values[-1:], self.head_forces[-1:]
             return Standing(sample.time, SampleStatus.FAILED, message="no parameters explain the first samples")
-        self._begin(*self._settled(found.mean, found.covariance))
+        mean, covariance = self._settled(found.mean, found.covariance)
+        self._begin(mean, covariance)
         self.sigma, self.push, self.memory = found.levels.sigma, found.levels.push, found.levels.memory
         self.square = np.full(self.model.n_motion, 0.0) + found.mean[: self.model.n_motion] ** 2
         self.square = np.maximum(self.square, np.diag(found.covariance)[: self.model.n_motion])
         self.before, self.begun = forces.tolist(), True
         self.rebuild()
         self.head_values, self.head_forces = self.head_values[:0], self.head_forces[:0]
-        return Standing(sample.time, SampleStatus.OK, self.belief(found.mean, found.covariance))
+        return Standing(sample.time, SampleStatus.OK, self.belief(mean, covariance))
 
     def _vague(self, covariance: np.ndarray) -> bool:
         sds = np.sqrt(np.diag(covariance)[self._logs])
-        return any(sd > VAGUE.get(kind, np.inf) for kind, sd in zip(self._kinds, sds, strict=True))
+        return any(sd > VAGUE for kind, sd in zip(self._kinds, sds, strict=True) if kind in ("mass", "stiffness"))
 
     def _settled(self, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The belief with dampings that the first samples left open put where they can be learned."""
@@ -187,7 +188,7 @@ class FilterTracker(Tracker):
         sizes = {kind: [logs[p.name] for p in values.parameters if p.kind == kind] for kind in ("mass", "stiffness")}
         for i, kind in enumerate(self._kinds):
             at = self._logs.start + i
-            if kind != "damping" or not all(sizes.values()) or covariance[at, at] <= VAGUE["damping"] ** 2:
+            if kind != "damping" or not all(sizes.values()) or covariance[at, at] <= OPEN_ABOVE**2:
                 continue
             size = 0.5 * (np.mean(sizes["mass"]) + np.mean(sizes["stiffness"])) + np.log(2.0 * OPEN_RATIO)
             mean[at] = max(mean[at], size)
