@@ -79,6 +79,11 @@ def _main(arguments: list[str]) -> int:
     if unknown:
         raise InputError("option", sorted(unknown)[0], _no_option(sorted(unknown)[0]))
     if flags & {"-h", "--help"} or not arguments:
+        if ONLINE_TRACK in arguments:
+            from bench.commands.online import online_usage
+
+            print(online_usage())
+            return 0
         print(_usage())
         return 0 if arguments else 2
     if "--version" in flags:

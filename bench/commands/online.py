@@ -31,7 +31,36 @@ FIELDS = {
 OF_SYSTEM = ("snr", "samples", "rate", "force")
 """Fields of a scenario of one's own."""
 COMMAND = "python -m bench -m experiment=online"
+USAGE = """usage: python -m bench -m experiment=online [field=value ...]
+
+  scenario     {scenarios}
+  method       {methods}
+               or window_<batch method>
+  system       a system of conf/system in place of the scenarios, with
+               system.varying.<parameter>=constant, step, ramp, sinusoid or
+               random_walk, several with commas, or written out:
+               'system.varying.k={{kind: step, change: -0.3, at: 0.5}}'
+  snr, samples, rate, force
+               of that system [20 dB, 2000, 20 a cycle, multisine]; force also
+               white, coloured, impulses or '{{kind: white, told: false}}'
+  replicates   at most so many; without: those of the track
+  seed         [0] of all random streams
+  workers      [one a core] processes
+  store        [outputs/online] where finished runs are kept and found again
+  out          [results] where table and picture go; with system=
+               [outputs/online_own]
+  fit          [true] false: the table of what is kept
+  dry_run      [false] say how much is to do"""
 VARYING = "system.varying."
+
+
+def online_usage() -> str:
+    """The page of help."""
+    from bench.config.online import online_track, scenario_names
+    from bench.reporting.terminal import wrapped
+
+    text = USAGE.format(scenarios=", ".join(scenario_names()), methods=", ".join(online_track()["methods"]))
+    return "\n".join(wrapped(line, " " * 15) for line in text.splitlines())
 
 
 def followed_online(arguments: Sequence[str]) -> int:

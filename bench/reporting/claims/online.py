@@ -64,9 +64,9 @@ def _first_numbers(column: pd.Series) -> pd.Series:
 def online_constant(e: Evidence) -> Said:
     """- **Nothing changes**: at the end of {samples} samples the filters' errors are {k_low} to {k_high} (k/m) and
     {c_low} to {c_high} (c/m) times the bound for all samples, those of shooting in a window {window_k} and
-    {window_c} times the bound for the window; 95 % intervals of k/m hold the truth in {cover_low} to {cover_high} % of up to {records}
-    records. False alarms in {per} samples: change points {change_points} (stated: at most {change_points_most}),
-    CUSUM {cusum} ({cusum_most}), likelihood ratio {glr} ({glr_most}).
+    {window_c} times the bound for the window; 95 % intervals of k/m hold the truth in {cover_low} to {cover_high} %
+    of up to {records} records. False alarms in {per} samples: change points {change_points} (stated:
+    at most {change_points_most}), CUSUM {cusum} ({cusum_most}), likelihood ratio {glr} ({glr_most}).
     """
     table = e.study("online.md", "Nothing changes")
     window = table.method.str.contains("window")

@@ -48,3 +48,11 @@ def test_what_is_mistyped_is_said_in_a_line_with_status_2(arguments, said, capsy
     error = capsys.readouterr().err.strip()
     assert said in error
     assert "\n" not in error
+
+
+def test_the_help_of_the_track_names_its_scenarios_and_methods(capsys) -> None:
+    assert main(["-m", "experiment=online", "--help"]) == 0
+    text = capsys.readouterr().out
+    assert "step10_multisine" in text
+    assert "system.varying" in text
+    assert max(map(len, text.splitlines())) <= 80
