@@ -128,16 +128,13 @@ def _method(name: str, settings: Mapping[str, Any]) -> OnlineIdentifier:
 def _shape(fields: Mapping[str, str]) -> dict[str, Any]:
     """The layout but for its interval."""
     from bench.config.choices import check_choice
-    from bench.config.files import read_yaml
+    from bench.config.online import system_content
     from bench.contract.online import Sensor
     from bench.systems import make_system
 
     check_choice("system", fields["system"])
-    stated = read_yaml("system", fields["system"])
-    for base in stated.get("defaults", []):
-        if isinstance(base, str) and base != "_self_":
-            stated = {**read_yaml("system", base), **stated}
-    system = make_system(stated.get("kind", "sdof"), stated.get("options", {}))  # equations alone, no true value
+    stated = system_content(fields["system"])
+    system = make_system(stated["kind"], stated["options"])  # equations alone, no true value
     limits = _limits(fields["limits"])
     named = fields["sensors"] or ",".join(f"displacement:{dof}" for dof in range(system.n_dof))
     sensors = []

@@ -60,10 +60,9 @@ def own_scenarios(system: str, stated: Mapping[str, str], varying: Mapping[str, 
         varying: by parameter its courses as text: a kind, or ``{kind: step, change: -0.3}``, several with commas.
     """
     check_choice("system", system)
-    found = _system(system)
-    made = make_system(found["kind"], found.get("options", {}))
-    base: dict[str, Any] = {"system": found["kind"], "options": found.get("options", {}),
-                            "parameters": found["parameters"]}  # fmt: skip
+    found = system_content(system)
+    made = make_system(found["kind"], found["options"])
+    base: dict[str, Any] = {"system": found["kind"]} | {name: found[name] for name in ("options", "parameters")}
     frequency = _first_frequency(made, found["parameters"])
     base["rate"] = _number("rate", stated["rate"], A_CYCLE * frequency)
     base["samples"] = round(_number("samples", stated["samples"], float(SAMPLES)))
@@ -86,13 +85,13 @@ def own_scenarios(system: str, stated: Mapping[str, str], varying: Mapping[str, 
     return scenarios
 
 
-def _system(name: str) -> dict[str, Any]:
+def system_content(name: str) -> dict[str, Any]:
     """A file of ``conf/system`` over those that it starts from."""
     stated = read_yaml("system", name)
     for base in stated.get("defaults", []):
         if isinstance(base, str) and base != "_self_":
-            stated = {**_system(base), **stated}
-    return {"kind": "sdof", **stated}
+            stated = {**system_content(base), **stated}
+    return {"kind": "sdof", "options": {}, **stated}
 
 
 def _first_frequency(system: Any, parameters: Mapping[str, float]) -> float:
