@@ -80,6 +80,8 @@ def tracked(arguments: Sequence[str]) -> int:
     page = _page(fields, layout)
     try:
         _follow(fields, method, tracker, intake, held, page)
+        if not tracker.samples and intake.unreadable:
+            raise InputError("stream", f"{intake.unreadable} line(s)", f"lines that read {intake.form.columns}")
     finally:
         if page is not None:
             page.close()
@@ -246,6 +248,8 @@ def _follow(
         finally:
             if place:
                 save(Path(place), method, tracker)
+            if view is not None:
+                view.close()
             if again:
                 print(f"bench.track: {again} sample(s) had been seen before; left out", file=sys.stderr)
 

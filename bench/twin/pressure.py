@@ -27,13 +27,13 @@ class Intake:
         self.source, self.form, self.policy = source, form, policy
         self.queue: queue.Queue[Sample | None] = queue.Queue(size)
         self.size, self.decimated, self.unreadable, self.thinned = size, 0, 0, 1
-        self._said_full = False
+        self._said_full = self._ended = False
         threading.Thread(target=self._read, daemon=True).start()
 
     @property
     def waiting(self) -> int:
         """Samples in the queue."""
-        return self.queue.qsize()
+        return max(self.queue.qsize() - self._ended, 0)
 
     def get(self) -> Sample | None:
         """The next sample, waited for; None at the end of the stream."""
@@ -58,6 +58,7 @@ class Intake:
                 else:
                     self.queue.put(sample)
         finally:
+            self._ended = True
             self.queue.put(END)
 
     def _press(self) -> None:

@@ -25,6 +25,7 @@ class View:
         self.runs: dict[str, deque[float]] = {q.name: deque(maxlen=KEPT) for q in layout.quantities}
         self.in_place = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
         self.shown, self.due, self.each = 0, 0.0, 0
+        self.last: dict[str, Any] | None = None
 
     def add(self, found: dict[str, Any]) -> None:
         """Take an answer in; show it when it is time."""
@@ -33,12 +34,20 @@ class View:
             for name, one in found["quantities"].items():
                 self.runs[name].append(one["value"])
         now = time.monotonic()
-        if now < self.due:
-            return
-        self.due = now + (REFRESH_S if self.in_place else 5.0)
+        self.last = found
+        if now >= self.due:
+            self.due = now + (REFRESH_S if self.in_place else 5.0)
+            self._show(found, whole=self.in_place)
+
+    def close(self) -> None:
+        """Show what stood at the end."""
+        if self.last is not None:
+            self._show(self.last, whole=True)
+
+    def _show(self, found: dict[str, Any], whole: bool) -> None:
         lines = [clipped(text) for text in self._lines(found)]
         up = f"\x1b[{self.shown}F\x1b[J" if self.in_place and self.shown else ""
-        sys.stderr.write(up + "\n".join(lines if self.in_place else lines[:1]) + "\n")
+        sys.stderr.write(up + "\n".join(lines if whole else lines[:1]) + "\n")
         sys.stderr.flush()
         self.shown = len(lines)
 

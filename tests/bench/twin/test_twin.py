@@ -86,6 +86,19 @@ def test_a_line_of_json_comes_out_for_each_sample() -> None:
         assert one["low"] < one["value"] < one["high"]
 
 
+def test_a_stream_without_a_readable_line_is_refused() -> None:
+    done = run(["method=rls", "forced=0", "rate=20"], "one two\nthree\n")
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].endswith("lines that read t, y1, f1")
+
+
+def test_what_stood_at_the_end_is_shown_where_there_is_no_terminal() -> None:
+    done = run([*RLS, "view=true", "out=none"], RECORD)
+    assert done.returncode == 0, done.stderr
+    assert "sample 400" in done.stderr
+    assert "k/m" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
