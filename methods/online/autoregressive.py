@@ -43,12 +43,12 @@ LEAST_MOVE = 1e-3
 class OnlineAR(OnlineIdentifier):
     """``factor``: what is kept of what was learned, a sample; ``warm_up`` samples are kept to begin."""
 
-    factor: float = 0.998
+    factor: float = 0.995
     warm_up: int = 150
     card: ClassVar[OnlineCard] = OnlineCard(
         "recursive maximum likelihood of a discrete ARMA model, or output error under a known force, with forgetting",
         "Söderström, Ljung and Gustavsson, Automatica 14:231, 1978",
-        "factor: Ljung, System Identification Toolbox user's guide (0.98 to 0.998)",
+        "factor: Ljung, System Identification Toolbox user's guide (0.98 to 0.995)",
         "AR, recursive",
         110,
         "#999933",
@@ -118,12 +118,12 @@ class _ARTracker(Tracker):
         elif self.settling:
             self.settling -= 1
             self._pass_by(y, f)
-        elif (y - predicted) ** 2 > GATE**2 * level and self.far < IN_A_ROW:
+        elif (far := (y - predicted) ** 2 > GATE**2 * level) and self.far < IN_A_ROW:
             self.far += 1
             self._pass_by(predicted, f)
             status, message = SampleStatus.OUTLIER, f"a value is more than {GATE:g} standard deviations off; left out"
         else:
-            self.far = 0
+            self.far = self.far if far else 0  # several in a row are no spikes, and all that follow count
             self._learn(y, f, self.settings.factor)
         if not np.all(np.isfinite(self.theta)):
             self.begun = False

@@ -22,6 +22,7 @@ TITLES = {
 def _nearest(e: Evidence, scenario: str) -> dict[str, str]:
     """The method nearest to the bound by the farther of k/m and c/m, its excesses and its delay, and the bound's."""
     table = e.rows("table10", scenario=scenario)
+    table = table[table.ok == table.ok.max()]
     wide = table.pivot(index="method", columns="quantity", values="excess").drop(index=BOUND).dropna()
     best = str(wide.max(axis=1).idxmin())
     delays = table[table.quantity == "k_over_m"].set_index("method").delay

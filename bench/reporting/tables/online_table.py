@@ -82,10 +82,12 @@ under a multisine, by the half-width of the interval in standard deviations."""
 def best_sentence(lines: Sequence[Line]) -> str:
     """Which method is nearest to the bound over all quantities of the panel, and how far its delay is from the bound's.
 
-    The farther of its quantities counts, so that none is bought with another.
+    The farther of its quantities counts, so that none is bought with another; only methods that answered the most
+    replicates are asked.
     """
     quantities = list(dict.fromkeys(name for line in lines for name in line.scores))
     methods = [line for line in lines if line.method != BOUND]
+    methods = [line for line in methods if line.ok == max(other.ok for other in methods)]
     best = min(methods, key=lambda line: max(_best(line, name) for name in quantities))
     excesses = ", ".join(f"{readable(name)} {excess_text(best.scores[name].excess)}" for name in best.scores)
     said = f"Nearest to the bound, by the farther of its quantities: **{best.title}** (excess: {excesses})."
