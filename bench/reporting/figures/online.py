@@ -68,7 +68,8 @@ def _panel(axis: Any, one: Shown) -> None:
         )
     late = slice(len(true) // 10, None)
     centre, reach = float(np.median(true)), max(float(np.ptp(true)), 4.0 * float(np.median((true * half)[late])))
-    axis.set_ylim(centre - 1.1 * reach, centre + 1.1 * reach)
+    axis.set_ylim(centre - 1.1 * reach, centre + 1.6 * reach)  # the legend stands above the curves
     axis.set_title(readable(one.scenario), fontsize=10)
     axis.set_ylabel(readable(one.quantity))
-    axis.legend(fontsize=7, loc="lower left", ncols=2)
+    drawn = [line for line in axis.get_lines() if line.get_label() in one.paths]
+    axis.legend(handles=drawn, fontsize=6, loc="upper right", ncols=3, frameon=False)
