@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.commands.guard import read_fields, whole
+from bench.config.online import VARYING, listed_names, online_scenario, online_track, own_scenarios, scenario_names
 from bench.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,12 +52,10 @@ USAGE = """usage: python -m bench -m experiment=online [field=value ...]
                [outputs/online_own]
   fit          [true] false: the table of what is kept
   dry_run      [false] say how much is to do"""
-VARYING = "system.varying."
 
 
 def online_usage() -> str:
     """The page of help."""
-    from bench.config.online import online_track, scenario_names
     from bench.reporting.terminal import wrapped
 
     text = USAGE.format(scenarios=", ".join(scenario_names()), methods=", ".join(online_track()["methods"]))
@@ -91,8 +90,6 @@ def _varying(text: str) -> tuple[str, str]:
 
 def _scenarios(fields: Mapping[str, str], varying: Mapping[str, str]) -> list[OnlineScenario]:
     """Those of the track that are asked for, or those of a system of one's own."""
-    from bench.config.online import listed_names, online_scenario, own_scenarios, scenario_names
-
     if fields["system"]:
         if fields["scenario"]:
             raise InputError("scenario", fields["scenario"], "left out, where system= is said")
@@ -107,7 +104,6 @@ def _scenarios(fields: Mapping[str, str], varying: Mapping[str, str]) -> list[On
 
 def _tasks(fields: Mapping[str, str], scenarios: Sequence[OnlineScenario]) -> tuple[list[Task], list[Line]]:
     """What is to be there, and a line for each method that cannot take a scenario."""
-    from bench.config.online import listed_names, online_track
     from bench.entrants.online import make_online
     from bench.online.paths import Task
     from bench.reporting.tables.online_table import Line

@@ -69,11 +69,8 @@ def score_bound(
 ) -> Score:
     """The bound's own row: its error, and the delay of a tracker whose error has just its variance."""
     first, at = round(SCORED_FROM * scenario.samples), scenario.change_at
-    delays = []
-    for stream, bound in zip(streams, bounds, strict=True):
-        true = np.log(of.value(stream.truth.parameters))
-        delays.append(np.abs(true - true[0]) / np.sqrt(bound))
-    z_old = np.stack(delays)
+    true = np.log([of.value(stream.truth.parameters) for stream in streams])
+    z_old = np.abs(true - true[:, :1]) / np.sqrt(bounds)
     curve = tuple((float("nan"), _delay(z_old, at, level)) for level in LEVELS)
     after = tuple(1.0 if at is not None else float("nan") for _ in AFTER)
     rms = 100.0 * float(np.sqrt(np.mean([np.mean(bound[first:]) for bound in bounds])))

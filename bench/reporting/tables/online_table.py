@@ -73,10 +73,10 @@ def _markdown(lines: Sequence[Line], described: Mapping[str, str], command: str)
 
 CONSTANT, STEP = "constant_multisine", "step10_multisine"
 A_THOUSAND = 1000
+"""Samples in which the curve counts false alarms."""
 CURVE = f"""Where the interval is wider or narrower than 95 %: false alarms in {A_THOUSAND} samples of the constant
 multisine record (times that the interval begins to exclude the true value) / median delay (samples) behind the step
 under a multisine, by the half-width of the interval in standard deviations."""
-"""Of the curve: false alarms are counted in so many samples."""
 
 
 def best_sentence(lines: Sequence[Line]) -> str:
@@ -111,7 +111,7 @@ def _panel(lines: Sequence[Line]) -> tuple[list[list[str]], list[str]]:
     for line in sorted(lines, key=lambda line: (line.method != BOUND, _best(line, quantities[0]))):
         row = [line.title]
         for i, name in enumerate(quantities):
-            row += _entries(line.scores.get(name), bool(i == 0))
+            row += _entries(line.scores.get(name), i == 0)
         if stepped:
             s = line.scores[quantities[0]]
             row += [excess_text(value) for value in s.after] + [_samples(s.delay)]
