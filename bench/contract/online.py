@@ -24,6 +24,8 @@ from bench.systems import MEASURED, Quantity, System
 
 STUCK = 2
 """So often again the most extreme value so far, to the last digit, is a sensor at its limit."""
+MOST_SKIPPED = 32
+"""Samples whose steps failed, one behind the other, of which the forces are kept."""
 LONGEST_GAP = 10_000
 """Sampling intervals; behind a longer gap the motion is taken to be unknown, as at the start."""
 
@@ -39,6 +41,7 @@ class SampleStatus(StrEnum):
     SATURATED = "saturated"
     OUTLIER = "outlier"
     SENSOR_JUMP = "sensor_jump"
+    AT_REST = "at_rest"
     FAILED = "failed"
 
 
@@ -165,6 +168,7 @@ class Tracker(ABC):
         self.layout = layout
         self.samples = 0
         self.owed = 0
+        self.skipped = list[list[float]]()
         self.last: float | None = None
         self.forces = list[float]()
         self._standing: Standing | None = None
@@ -221,10 +225,12 @@ class Tracker(ABC):
 
     def _stepped(self, sample: Sample, steps: int) -> Standing:
         try:
-            found, self.owed = self.step(sample, steps), 0
+            found = self.step(sample, steps)
+            self.owed, self.skipped = 0, []
             return found
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
-            self.owed = max(steps, 1)  # to the next step it is a gap
+            self.owed = max(steps, 1)  # to the next step it is a gap, whose forces are known
+            self.skipped = [*self.skipped[1 - MOST_SKIPPED :], list(sample.forces)]
             before = self._standing
             belief = before.belief if before else None
             said = f"{type(error).__name__}: {error}"
@@ -288,7 +294,7 @@ def _copied(value: Any) -> Any:
     return np.array(value) if hasattr(value, "__array__") else value
 
 
-CLOCK = ("samples", "owed", "last", "forces", "repeats", "lowest", "highest")
+CLOCK = ("samples", "owed", "skipped", "last", "forces", "repeats", "lowest", "highest")
 """What every tracker holds: the clock of the samples, and what shows a sensor at its limit."""
 
 SENTENCES = {

@@ -6,6 +6,9 @@ the belief that stood when the sample before the window's first had come, so tha
 normal in the logarithms, so their product is. How much the parameters may have changed meanwhile is not set by hand:
 of :data:`WIDTHS` the one is taken under which the difference of the two is most likely. The motion at the start of a
 window is estimated from the window alone.
+
+A sensor's zero that jumps (:mod:`bench.contract.zero`) is taken off; how far it moved is what the fits leave on
+average from then on.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from bench.contract.belief import Normal, standard_quantile
 from bench.contract.estimate import Estimate, Status
 from bench.contract.online import Layout, Sample, SampleStatus, Standing, Tracker
 from bench.contract.problem import Channel, Force, Problem, Record
+from bench.contract.zero import largest_jump
 
 SPIKE = 5.0
 """Robust standard deviations from the reconstruction, beyond which a sample is left out and the window fitted again."""
@@ -35,7 +39,7 @@ class WindowTracker(Tracker):
 
     holds: ClassVar[tuple[str, ...]] = (
         "times", "values", "pushes", "unseen", "belief_mean", "belief_covariance", "belief_names",
-        "past_times", "past_means", "past_covariances",
+        "past_times", "past_means", "past_covariances", "zero", "jumped",
     )  # fmt: skip
 
     def __init__(self, layout: Layout, length: int, every: int, arrival: bool = False) -> None:
@@ -44,6 +48,7 @@ class WindowTracker(Tracker):
         self.times = np.zeros(0)
         self.values, self.pushes = np.zeros((0, len(layout.sensors))), np.zeros((0, len(layout.forced)))
         self.unseen = 0
+        self.zero, self.jumped = np.zeros(len(layout.sensors)), -np.inf  # of the sensors; time of the last jump (s)
         self.belief_mean, self.belief_covariance, self.belief_names = np.zeros(0), np.zeros((0, 0)), list[str]()
         self.past_times, self.past_means, self.past_covariances = list[float](), list[np.ndarray](), list[np.ndarray]()
 
@@ -57,7 +62,7 @@ class WindowTracker(Tracker):
             self.times, self.values, self.pushes = self.times[:0], self.values[:0], self.pushes[:0]
         keep = slice(-(self.length - 1), None)
         self.times = np.append(self.times, sample.time)[-self.length :]
-        self.values = np.concatenate([self.values[keep], [sample.values]])
+        self.values = np.concatenate([self.values[keep], [np.subtract(sample.values, self.zero)]])
         self.pushes = np.concatenate([self.pushes[keep], [sample.forces]])
         self.unseen += 1
         if self.times.size < self.length or self.unseen < self.every:
@@ -65,14 +70,48 @@ class WindowTracker(Tracker):
             status = SampleStatus.WARMING_UP if waits else SampleStatus.OK
             return Standing(sample.time, status, self._belief(), message="the window is not full" if waits else "")
         self.unseen = 0
+        moved = self._levelled()
         found, message = self._fitted()
+        if found is not None and moved:  # the zero is known better now
+            found, message = self._fitted()
         if found is None:
             return Standing(sample.time, SampleStatus.FAILED, self._belief(), message=message)
+        status = SampleStatus.SENSOR_JUMP if moved else SampleStatus.OK
+        message = "the sensor's zero has jumped, and is taken off" if moved else ""
         if self.arrival:
             found = self._joined(found)
         self.belief_names, self.belief_mean = list(found.names), found.mean
         self.belief_covariance = np.asarray(found.covariance)
-        return Standing(sample.time, SampleStatus.OK, self._belief())
+        return Standing(sample.time, status, self._belief(), message=message)
+
+    def _levelled(self) -> bool:
+        """Take a jump of a sensor's zero off the samples behind it; whether there was one."""
+        moved = False
+        if np.ptp(np.diff(self.times)) > 0.5 * self.layout.interval:
+            return moved
+        for own, zero in zip(self.values.T, self._zeros(), strict=True):
+            jump = largest_jump(own)
+            if jump is not None:
+                own[jump.at :] -= jump.size
+                zero += jump.size
+                self.jumped, moved = float(self.times[jump.at]), True
+        return moved
+
+    def _zeros(self) -> list[np.ndarray]:
+        """A view of each sensor's zero."""
+        return [self.zero[i : i + 1] for i in range(self.zero.size)]
+
+    def _relevelled(self, problem: Problem, estimate: Estimate) -> None:
+        """Move the zeros by what a fit leaves on average behind the last jump."""
+        behind = self.jumped - self.times[0]
+        if not estimate.reconstructions or not np.isfinite(behind):
+            return
+        for channel, own, zero in zip(problem.records[0].channels, self.values.T, self._zeros(), strict=True):
+            late = channel.times >= behind - 0.5 * self.layout.interval
+            if channel.measures == "displacement" and late.any():
+                left = channel.values[late] - estimate.reconstructions[0](channel.times[late])[channel.dof]
+                own[self.times - self.times[0] >= behind - 0.5 * self.layout.interval] -= np.median(left)
+                zero += np.median(left)
 
     def _belief(self) -> Normal | None:
         if not self.belief_names:
@@ -107,6 +146,7 @@ class WindowTracker(Tracker):
             estimate = self.answer(clean)
         if estimate.status is not Status.OK:
             return None, estimate.message
+        self._relevelled(problem, estimate)
         return _log_belief(estimate, self.layout)
 
 

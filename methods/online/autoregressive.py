@@ -33,9 +33,13 @@ RATIOS = (0.01, 0.05, 0.2)
 """Starts of the damping ratio."""
 GATE = 6.0
 IN_A_ROW = 5
-FADED = 0.1
+ZEROED = 400
+"""Samples behind a jump of the sensor's zero over which it is estimated."""
+FADED = 0.02
 """Behind a gap nothing is learned until what was there before has faded to this in the innovations."""
 DIFFUSE = 1e4
+MOST = 4
+"""Times as many first samples as asked for are kept, where some of them are missing."""
 LEAST_MOVE = 1e-3
 
 
@@ -83,7 +87,7 @@ class _ARTracker(Tracker):
 
     holds = (
         "begun", "head_values", "head_forces", "theta", "inverse", "information", "power", "weight", "recent",
-        "slopes", "sizes", "far", "settling",
+        "slopes", "sizes", "far", "settling", "zero", "zeroed", "off",
     )  # fmt: skip
 
     def __init__(self, layout: Layout, settings: OnlineAR) -> None:
@@ -92,6 +96,7 @@ class _ARTracker(Tracker):
         self.head_values, self.head_forces = np.zeros(0), np.zeros(0)
         self.begun, self.far, self.settling = False, 0, 0
         self.sizes = np.ones(2)
+        self.zero, self.zeroed, self.off = 0.0, ZEROED, 0.0
         self._forget_everything(np.zeros(4))
 
     def _forget_everything(self, theta: np.ndarray) -> None:
@@ -105,11 +110,14 @@ class _ARTracker(Tracker):
         value, force = float(sample.values[0]), float(sample.forces[0]) if self.forced else 0.0
         if not self.begun:
             return self._collected(sample, value, force, steps)
-        if steps > 1:
+        if steps > 1 and len(self.skipped) == steps - 1:
+            for known in self.skipped:
+                self._pass_by(float(self.recent @ self.theta), known[0] / self.sizes[1] if self.forced else 0.0)
+        elif steps > 1:
             self.recent, self.slopes = np.zeros_like(self.recent), np.zeros_like(self.slopes)
             radius = float(np.clip(np.sqrt(abs(self._average[1])), 0.5, 0.995))
             self.settling = 4 + int(np.log(FADED) / np.log(radius))
-        y, f = value / self.sizes[0], force / self.sizes[1]
+        y, f = value / self.sizes[0] - self.zero, force / self.sizes[1]
         predicted = float(self.recent @ self.theta)
         level = self.power / max(self.weight, 1.0)
         status, message = SampleStatus.OK, ""
@@ -118,12 +126,12 @@ class _ARTracker(Tracker):
         elif self.settling:
             self.settling -= 1
             self._pass_by(y, f)
-        elif (far := (y - predicted) ** 2 > GATE**2 * level) and self.far < IN_A_ROW:
-            self.far += 1
+        elif (y - predicted) ** 2 > GATE**2 * level and self.far < IN_A_ROW:
+            status, message = self._outlying(y - predicted, np.sqrt(level))
             self._pass_by(predicted, f)
-            status, message = SampleStatus.OUTLIER, f"a value is more than {GATE:g} standard deviations off; left out"
         else:
-            self.far = self.far if far else 0  # several in a row are no spikes, and all that follow count
+            self.far = self.far if (y - predicted) ** 2 > GATE**2 * level else 0  # all of a row count, from then on
+            self._rezero(y - predicted)
             self._learn(y, f, self.settings.factor)
         if not np.all(np.isfinite(self.theta)):
             self.begun = False
@@ -135,15 +143,32 @@ class _ARTracker(Tracker):
         sd = self.sizes[0] * np.sqrt(np.array([level]))
         return Standing(sample.time, status, belief, self.sizes[0] * np.array([predicted]), sd, message=message)
 
+    def _outlying(self, left: float, sd: float) -> tuple[SampleStatus, str]:
+        """Leave a value out; several in a row on one side are a jump of the sensor's zero, which is taken off."""
+        self.off, self.far = (self.off if self.far else 0.0) + left, self.far + 1
+        if self.far < IN_A_ROW or abs(self.off) < IN_A_ROW * GATE * sd:
+            return SampleStatus.OUTLIER, f"a value is more than {GATE:g} standard deviations off; left out"
+        self.zero, self.zeroed, self.far = self.zero + self.off / IN_A_ROW, IN_A_ROW, 0
+        return SampleStatus.SENSOR_JUMP, "several samples in a row are far off on one side: the sensor's zero has jumped"
+
+    def _rezero(self, left: float) -> None:
+        """Know the zero better, for a while behind a jump: the average of what it leaves."""
+        if self.zeroed >= ZEROED:
+            return
+        self.zeroed += 1
+        reach = 1.0 if self.forced else (1.0 + self.theta[2:].sum()) / (1.0 + self.theta[:2].sum())
+        self.zero += float(np.clip(reach, 0.1, 10.0)) * left / self.zeroed
+
     def _collected(self, sample: Sample, value: float, force: float, steps: int) -> Standing:
-        if steps > 1:
+        if steps > 1 or self.head_values.size >= MOST * self.settings.warm_up:
             self.head_values, self.head_forces = np.zeros(0), np.zeros(0)
-        if np.isfinite(value):
-            self.head_values, self.head_forces = np.append(self.head_values, value), np.append(self.head_forces, force)
+        self.head_values, self.head_forces = np.append(self.head_values, value), np.append(self.head_forces, force)
         waiting = Standing(sample.time, SampleStatus.WARMING_UP, message="the first samples are kept")
-        if self.head_values.size < self.settings.warm_up:
+        there = np.isfinite(self.head_values)
+        if np.sum(there) < self.settings.warm_up or not there[-1]:
             return waiting
-        values, forces = self.head_values, self.head_forces
+        forces = self.head_forces[int(np.argmax(there)) :]
+        values = _filled(self.head_values[int(np.argmax(there)) :])
         self.head_values, self.head_forces = np.zeros(0), np.zeros(0)
         self.sizes = np.array([np.sqrt(np.mean(values**2)) or 1.0, np.sqrt(np.mean(forces**2)) or 1.0])
         if not self._begin(values / self.sizes[0], forces / self.sizes[1]):
@@ -269,6 +294,17 @@ class _ARTracker(Tracker):
             return None
         k = 1.0 / gain
         return np.log([k / k_over_m, k / k_over_m * c_over_m, k])
+
+
+def _filled(values: np.ndarray) -> np.ndarray:
+    """Values with those that are missing in between by a cubic spline; few, since a search takes all for measured."""
+    from scipy.interpolate import CubicSpline  # slow to import
+
+    there = np.isfinite(values)
+    if there.all():
+        return values
+    at = np.arange(values.size)
+    return np.where(there, values, CubicSpline(at[there], values[there])(at))
 
 
 def _invertible(c: np.ndarray) -> bool:

@@ -28,6 +28,8 @@ Rule = Literal["extended", "unscented", "square_root"]
 HELD = 0.99
 FLOOR = -600.0
 """Least log-weight of a member: a number that can still be summed."""
+WIDE = 4.0
+"""A member that expects a value with so many times the variance of the surest may not explain it."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,7 @@ def _functions(bank: Bank) -> tuple[Any, Any]:
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_cpu_enable_async_dispatch", False)  # a step is over sooner than a thread has taken it on
     members = _Members(bank)
     return jax.jit(members.step), jax.jit(members.coast)
 
@@ -137,7 +140,8 @@ class _Members:
         share = jnp.exp(weights - jax.scipy.special.logsumexp(weights))
         expected = share @ seen
         spread = share @ (diagonal + (seen - expected) ** 2)
-        outlier = there & (jnp.min(left**2 / diagonal, axis=0) > gate)
+        sure = diagonal <= WIDE * jnp.min(diagonal, axis=0)
+        outlier = there & (jnp.min(jnp.where(sure, left**2 / diagonal, jnp.inf), axis=0) > gate)
         used = there & ~outlier
         means, spreads, gained, moves = jax.vmap(self._updated, in_axes=(0, 0, 0, 0, 0, None, None))(
             means, spreads, jnp.where(used, left, 0.0), slopes, extra, used, variances

@@ -53,7 +53,7 @@ class ChangePointTracker(FilterTracker):
         share = share / share.sum()
         remembered = self.born * len(self.walk) // len(self.layout.free)
         recent = float(np.sum(share[self.ages <= remembered]))
-        if self.since >= self.born:
+        if self.since >= self.born and not self.far and not told.outlier.any():  # a new one would explain all
             self.since = 0
             self._bear(told, share)
         return float(np.log10(max(recent, 1e-300) / max(1.0 - recent, 1e-12)))

@@ -83,7 +83,7 @@ class _Ratio(ChangePointTracker):
 
     def judged(self, told: Told) -> float:
         """The answer is that of member 0, the one without a change; the others only count."""
-        self.ratios = self.ratios + told.gained - told.gained[0]
+        self.ratios = self.ratios + np.clip(told.gained - told.gained[0], -MOST_TOLD, MOST_TOLD)
         self.since += 1
         self.ages = self.ages + 1
         alive = self.ages < OLDEST
@@ -93,7 +93,7 @@ class _Ratio(ChangePointTracker):
             won = int(np.argmax(np.where(alive, self.ratios, -np.inf)))
             means[0], spreads[0] = means[won], spreads[won]
             self.ages[1:], self.ratios[:] = OLDEST, 0.0
-        elif self.since >= self.born:
+        elif self.since >= self.born and not self.far and not told.outlier.any():
             self.since = 0
             kinds = len(self.layout.free)
             worst = np.where(alive & (self.ages < self.born * len(means) // (2 * kinds)), np.inf, self.ratios)
@@ -114,6 +114,8 @@ class _Ratio(ChangePointTracker):
         return np.log(self.first_weights())
 
 
+MOST_TOLD = 4.0
+"""Of a logarithm of a ratio, by one sample: a spike alone rings no alarm."""
 OLDEST = 999_999
 """Age of a place that no hypothesis holds."""
 

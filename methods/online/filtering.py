@@ -4,12 +4,16 @@
 :data:`MOST` times as many as asked for; then the likelihood is maximised (:mod:`methods.online.likelihood`), and from
 there on a sample is an update and nothing is kept.
 
-**Far-off samples.** A value more than :data:`GATE` standard deviations from what every member of the bank expects is
-left out. :data:`IN_A_ROW` of them are no spikes: something has jumped. The sensor's offset is opened first, and if that
+**Far-off samples.** A value more than :data:`GATE` standard deviations from what every member expects is left out; a
+member that has just been opened, and would explain any, is not asked. :data:`IN_A_ROW` of them are no spikes: something
+has jumped. The sensor's offset is opened first, and if that
 explains nothing, parameters and motion too.
 
+**Rest.** Where the motion that is expected falls below the noise, the samples tell next to nothing of the parameters,
+and the status says so (:data:`REST`).
+
 **Gaps.** The belief coasts. A known force is not known in a gap, so behind one the motion is open by as much as it has
-been moving.
+been moving. Behind a step that failed it is known.
 """
 
 from __future__ import annotations
@@ -26,6 +30,8 @@ from methods.online.likelihood import Head, beginning
 
 GATE = 6.0
 """Standard deviations."""
+WIDTH = 6.0
+"""Standard deviation by which a sensor's offset is opened, over the root mean square of its first values."""
 IN_A_ROW = 5
 OPENED = 0.3
 """Standard deviation by which log-parameters are opened behind a jump."""
@@ -37,6 +43,11 @@ standard deviation: a few cycles hardly tell a damping, and a filter about a dam
 MOST = 8
 REMEMBERED = 0.998
 """Forgetting of the mean square of the motion."""
+HELD = 0.99
+"""Forgetting of the largest square that a sensor was expected to show."""
+REST = 0.3
+"""Standard deviations of its noise: where every sensor is expected to show less, the samples tell nothing."""
+RESTING = "nothing moves beyond the noise: the belief rests on what was learned before"
 OPENING = "several samples in a row are far off: the sensor's zero or the system has jumped, the belief is opened"
 
 
@@ -49,7 +60,7 @@ class FilterTracker(Tracker):
 
     holds: ClassVar[tuple[str, ...]] = (
         "begun", "head_values", "head_forces", "means", "spreads", "weights", "sigma", "push", "memory", "square",
-        "before", "far",
+        "before", "far", "width", "moving",
     )  # fmt: skip
     mixes: ClassVar[bool] = False
 
@@ -64,6 +75,8 @@ class FilterTracker(Tracker):
         self.sigma, self.push = np.zeros(len(layout.sensors)), np.zeros(len(layout.ambient))
         self.memory, self.square = np.zeros(len(layout.ambient)), np.zeros(self.model.n_motion)
         self.before, self.far = [0.0] * len(layout.forced), 0
+        self.width = np.ones(len(layout.sensors))
+        self.moving = np.ones(len(layout.sensors))
         self._bank = Bank(layout, members, rule, self.mixes)
         self._step, self._coast = self._bank.functions()
         self._constants: Any = None
@@ -103,8 +116,11 @@ class FilterTracker(Tracker):
             return self._lost(sample)
         moved = told.mean[: self.model.n_motion]
         self.square = REMEMBERED * self.square + (1.0 - REMEMBERED) * moved * moved
+        self.moving = np.maximum(HELD * self.moving, told.expected**2)
         alarm = self.judged(told)
         status, message = SampleStatus.OK, ""
+        if np.all(self.moving < (REST * self.sigma) ** 2):
+            status, message = SampleStatus.AT_REST, RESTING
         if told.outlier.any():
             status, message = self._outlying()
         elif self.far:
@@ -169,7 +185,9 @@ class FilterTracker(Tracker):
         mean, covariance = self._settled(found.mean, found.covariance)
         self._begin(mean, covariance)
         self.sigma, self.push, self.memory = found.levels.sigma, found.levels.push, found.levels.memory
-        self.square = np.full(self.model.n_motion, 0.0) + found.mean[: self.model.n_motion] ** 2
+        self.moving = np.nanmax(self.head_values**2, axis=0)
+        self.width = WIDTH * np.sqrt(np.nanmean(self.head_values**2, axis=0))
+        self.square = found.mean[: self.model.n_motion] ** 2
         self.square = np.maximum(self.square, np.diag(found.covariance)[: self.model.n_motion])
         self.before, self.begun = forces.tolist(), True
         self.rebuild()
@@ -225,10 +243,13 @@ class FilterTracker(Tracker):
         self.spreads = np.stack([self.rooted(cov) for cov in covs])
 
     def _gap(self, missing: int) -> None:
-        (interval, noise, _), before = self.constants, np.array(self.before)
-        for _ in range(missing):
+        (interval, noise, _), known = self.constants, len(self.skipped) == missing
+        for i in range(missing):
+            before = np.array(self.before)
             self.means, self.spreads = self._coast(self.means, self.spreads, before, interval, noise)
-        if self.layout.forced:
+            if known:
+                self.before = self.skipped[i]
+        if self.layout.forced and not known:
             self._open_motion()
 
     def _open_motion(self) -> None:
@@ -240,9 +261,9 @@ class FilterTracker(Tracker):
         """Leave single values out; open the offset behind several in a row, and everything if that was not enough."""
         self.far += 1
         if self.far % IN_A_ROW:
-            return SampleStatus.OUTLIER, f"a value is more than {GATE:g} standard deviations off; left out"
+            return SampleStatus.OUTLIER, "a value is too far off to be one of the motion; left out"
         model, added = self.model, np.zeros(self.model.size)
-        added[model.offsets] = 10.0 * np.max(self.square[: self.layout.system.n_dof])
+        added[model.offsets] = self.width**2
         if self.far > IN_A_ROW:
             self.far = 0
             added[: model.n_motion], added[model.logs] = self.square, OPENED**2

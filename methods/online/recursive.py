@@ -12,6 +12,9 @@ acceleration and force. One equation a degree of freedom every quarter of a span
   B. E. Ydstie, Automatica 17:831, 1981): little while nothing surprises;
 - ``directional``: only in the direction that the new equation tells of (R. Kulhavy, Kybernetika 23:465, 1987).
 
+**Zero.** Each equation has an unknown constant beside the parameters: a sensor whose zero is off. Where it jumps
+(:mod:`bench.contract.zero`), the jump is taken off, and the constants are open again.
+
 What is left of the noise in the columns biases the answer towards too soft and too heavily damped; the interval, from
 the residuals of the equations, knows nothing of that.
 """
@@ -33,6 +36,7 @@ from bench import (
     SampleStatus,
     Standing,
     Tracker,
+    largest_jump,
     regression_columns,
 )
 
@@ -41,6 +45,7 @@ DIFFUSE = 1e8
 """Variance of what is not known yet, over the square of what an equation's size suggests."""
 BUMP = 4
 """Power of the bump ``(1 - s²)^4``: its first three derivatives are zero at both ends."""
+JUMPED = "the sensor's zero has jumped; the jump is taken off"
 LEAST = 0.8
 """Least factor of variable forgetting."""
 
@@ -86,15 +91,16 @@ class OnlineRLS(OnlineIdentifier):
 
 
 class _RLSTracker(Tracker):
-    holds = ("values", "pushes", "theta", "inverse", "power", "equations", "waits")
+    holds = ("values", "pushes", "theta", "inverse", "power", "equations", "waits", "zero")
 
     def __init__(self, layout: Layout, settings: OnlineRLS) -> None:
         super().__init__(layout)
         self.settings = settings
-        q = len(layout.free)
+        q = len(layout.free) + layout.system.n_dof
         self.values, self.pushes = np.zeros((0, len(layout.sensors))), np.zeros((0, len(layout.forced)))
         self.theta, self.inverse = np.zeros(q), np.zeros((q, q))
         self.power, self.equations, self.waits = 0.0, 0.0, 0
+        self.zero = np.zeros(len(layout.sensors))
         s = np.linspace(-1.0, 1.0, settings.span)
         bump = np.polynomial.Polynomial([1.0, 0.0, -1.0]) ** BUMP
         half, h = 0.5 * (settings.span - 1) * layout.interval, layout.interval
@@ -107,18 +113,20 @@ class _RLSTracker(Tracker):
             self.values, self.pushes = self.values[:0], self.pushes[:0]
             if steps <= 1:
                 return Standing(sample.time, SampleStatus.OK, self._belief())
-        self.values = np.concatenate([self.values, [sample.values]])[-span:]
+        self.values = np.concatenate([self.values, [np.subtract(sample.values, self.zero)]])[-span:]
         self.pushes = np.concatenate([self.pushes, [sample.forces]])[-span:]
         self.waits += 1
         if len(self.values) == span and self.waits >= span // 4:
-            self.waits = 0
+            self.waits, moved = 0, self._levelled()
             self._learn(*self._equation())
+            if moved:
+                return Standing(sample.time, SampleStatus.SENSOR_JUMP, self._belief(), message=JUMPED)
         belief = self._belief()
         status = SampleStatus.OK if belief is not None else SampleStatus.WARMING_UP
         return Standing(sample.time, status, belief, message="" if belief else "the equations do not tell enough yet")
 
     def _equation(self) -> tuple[np.ndarray, np.ndarray]:
-        """Columns (n_dof, n_free) and target (n_dof,) of the newest equations."""
+        """Columns (n_dof, n_free + n_dof) and target (n_dof,) of the newest equations; the last are of the zeros."""
         system, w = self.layout.system, self._weights
         by_dof = {sensor.dof: column for sensor, column in zip(self.layout.sensors, self.values.T, strict=True)}
         x = [np.array([w[0] @ by_dof[i]]) for i in range(system.n_dof)]
@@ -131,7 +139,8 @@ class _RLSTracker(Tracker):
         columns, offset = regression_columns(system, x, v, a, f)
         free = [system.names.index(name) for name in self.layout.free]
         told = [i for i in range(len(system.names)) if i not in free]
-        return columns[:, free], -offset - columns[:, told].sum(axis=1)
+        constant = w[0].sum() * np.eye(system.n_dof)
+        return np.concatenate([columns[:, free], constant], axis=1), -offset - columns[:, told].sum(axis=1)
 
     def _learn(self, columns: np.ndarray, target: np.ndarray) -> None:
         q = len(self.theta)
@@ -156,6 +165,20 @@ class _RLSTracker(Tracker):
             if self.equations > q + 1:  # a residual of the first equations is the diffuse start's
                 self.power += left**2 / (1.0 + size)
 
+    def _levelled(self) -> bool:
+        """Take a jump of a sensor's zero off the samples behind it, and open what is left of it; whether there was one."""
+        moved = False
+        for i, own in enumerate(self.values.T):
+            jump = largest_jump(own)
+            if jump is not None:
+                own[jump.at :] -= jump.size
+                self.zero[i] += jump.size
+                moved = True
+        if moved and self.equations:
+            zeros, weight = range(len(self.layout.free), len(self.theta)), self._weights[0].sum()
+            self.inverse[zeros, zeros] += DIFFUSE * np.mean(self.values**2) / weight**2
+        return moved
+
     def _kept(self, keep: float, size: float, left: float) -> float:
         if self.settings.forgetting != "variable":
             return keep
@@ -167,8 +190,9 @@ class _RLSTracker(Tracker):
 
     def _belief(self) -> Normal | None:
         """Normal in the logarithms, by the delta method; None where an estimate is not positive."""
-        spare = self.equations - len(self.theta)
-        if spare < 2 or np.any(self.theta <= 0) or self.power <= 0:
+        spare, q = self.equations - len(self.theta), len(self.layout.free)
+        theta = self.theta[:q]
+        if spare < 2 or np.any(theta <= 0) or self.power <= 0:
             return None
-        covariance = self.power / spare * self.inverse / np.outer(self.theta, self.theta)
-        return Normal(self.layout.free, np.log(self.theta), covariance, log=True)
+        covariance = self.power / spare * self.inverse[:q, :q] / np.outer(theta, theta)
+        return Normal(self.layout.free, np.log(theta), covariance, log=True)
