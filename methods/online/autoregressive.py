@@ -149,7 +149,10 @@ class _ARTracker(Tracker):
         if self.far < IN_A_ROW or abs(self.off) < IN_A_ROW * GATE * sd:
             return SampleStatus.OUTLIER, f"a value is more than {GATE:g} standard deviations off; left out"
         self.zero, self.zeroed, self.far = self.zero + self.off / IN_A_ROW, IN_A_ROW, 0
-        return SampleStatus.SENSOR_JUMP, "several samples in a row are far off on one side: the sensor's zero has jumped"
+        return (
+            SampleStatus.SENSOR_JUMP,
+            "several samples in a row are far off on one side: the sensor's zero has jumped",
+        )
 
     def _rezero(self, left: float) -> None:
         """Know the zero better, for a while behind a jump: the average of what it leaves."""

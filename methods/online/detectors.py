@@ -74,25 +74,26 @@ class OnlineCUSUM(OnlineIdentifier):
 
 
 class _Ratio(ChangePointTracker):
-    holds = (*ChangePointTracker.holds, "ratios")
+    holds = (*ChangePointTracker.holds, "ratios", "bounded")
 
     def __init__(self, layout: Layout, settings: OnlineGLR) -> None:
         members = max(settings.members, 4 * len(layout.free))
         super().__init__(layout, settings.warm_up, members, settings.born, 0.5, "extended")
-        self.threshold, self.ratios = settings.threshold, np.zeros(members)
+        self.threshold, self.ratios, self.bounded = settings.threshold, np.zeros(members), np.zeros(members)
 
     def judged(self, told: Told) -> float:
         """The answer is that of member 0, the one without a change; the others only count."""
-        self.ratios = self.ratios + np.clip(told.gained - told.gained[0], -MOST_TOLD, MOST_TOLD)
+        gained = told.gained - told.gained[0]
+        self.ratios, self.bounded = self.ratios + gained, self.bounded + np.clip(gained, -MOST_TOLD, MOST_TOLD)
         self.since += 1
         self.ages = self.ages + 1
         alive = self.ages < OLDEST
-        alarm = float(np.max(np.where(alive, self.ratios, -np.inf), initial=0.0))
+        alarm = float(np.max(np.where(alive, np.minimum(self.ratios, self.bounded), -np.inf), initial=0.0))
         means, spreads = np.array(self.means), np.array(self.spreads)
         if alarm > self.threshold:
             won = int(np.argmax(np.where(alive, self.ratios, -np.inf)))
             means[0], spreads[0] = means[won], spreads[won]
-            self.ages[1:], self.ratios[:] = OLDEST, 0.0
+            self.ages[1:], self.ratios[:], self.bounded[:] = OLDEST, 0.0, 0.0
         elif self.since >= self.born and not self.far and not told.outlier.any():
             self.since = 0
             kinds = len(self.layout.free)
@@ -102,7 +103,7 @@ class _Ratio(ChangePointTracker):
                 i = self.model.logs.start + parameter
                 means[place], spreads[place] = means[0], spreads[0]
                 spreads[place, i, i] += CHANGE**2
-                self.ages[place], self.ratios[place] = 0, 0.0
+                self.ages[place], self.ratios[place], self.bounded[place] = 0, 0.0, 0.0
         else:
             self.weights = self.first_log_weights()
             return alarm
@@ -114,8 +115,8 @@ class _Ratio(ChangePointTracker):
         return np.log(self.first_weights())
 
 
-MOST_TOLD = 4.0
-"""Of a logarithm of a ratio, by one sample: a spike alone rings no alarm."""
+MOST_TOLD = 8.0
+"""To the alarm, of a logarithm of a ratio, by one sample: a spike alone does not ring."""
 OLDEST = 999_999
 """Age of a place that no hypothesis holds."""
 

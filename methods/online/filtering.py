@@ -112,7 +112,7 @@ class FilterTracker(Tracker):
         (self.means, self.spreads, self.weights), numbers = self._step(state, row, self.constants)
         self.before = list(sample.forces)
         told = self._bank.told(np.asarray(numbers))
-        if not (isfinite(told.total) and isfinite(told.mean.sum())):
+        if not (isfinite(told.total) and isfinite(told.mean.sum()) and told.spread.min() > 0):
             return self._lost(sample)
         moved = told.mean[: self.model.n_motion]
         self.square = REMEMBERED * self.square + (1.0 - REMEMBERED) * moved * moved

@@ -166,7 +166,7 @@ class _RLSTracker(Tracker):
                 self.power += left**2 / (1.0 + size)
 
     def _levelled(self) -> bool:
-        """Take a jump of a sensor's zero off the samples behind it, and open what is left of it; whether there was one."""
+        """Take a jump of a sensor's zero off the samples behind it, and open what is left; whether there was one."""
         moved = False
         for i, own in enumerate(self.values.T):
             jump = largest_jump(own)

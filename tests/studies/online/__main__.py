@@ -17,11 +17,11 @@ from tests.studies.online.long import long_record
 
 PARTS = ("constant", "faults", "long", "live")
 FIELDS = {
-    "part": "constant,faults,long", "records": "1000", "replicates": "10", "seconds": "60",
+    "part": "constant,faults,long", "records": "1000", "replicates": "16", "seconds": "60",
     "store": "outputs/online_study", "out": "results",
 }  # fmt: skip
 USAGE = """usage: python -m tests.studies.online [part=constant,faults,long] [records=1000]
-       [replicates=10] [seconds=60] [store=outputs/online_study] [out=results]
+       [replicates=16] [seconds=60] [store=outputs/online_study] [out=results]
 
   part        constant  errors at the end of records in which nothing changes,
                         over the bound, and false alarms; records= so many
