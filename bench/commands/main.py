@@ -44,7 +44,7 @@ fields (defaults in brackets):
   fixed.<p>      a parameter that is told: fixed.l=1
   nominal.<p>    what is stated of a measured system (with prior=)
   start          its displacement and velocity (with initial_state=known)
-  experiment     {experiments}, measured, online
+  experiment     {experiments}, measured, online, atlas
   method.<setting>, system.<field>, disturbance.size
                  any setting of a method, any field of a system
   hydra/launcher [local] ray, submitit_slurm (extras ray, slurm), with
@@ -62,6 +62,7 @@ see also:
 
 MEASURED_TRACK = "experiment=measured"
 ONLINE_TRACK = "experiment=online"
+ATLAS = "experiment=atlas"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -84,6 +85,11 @@ def _main(arguments: list[str]) -> int:
 
             print(online_usage())
             return 0
+        if ATLAS in arguments:
+            from bench.commands.atlas import atlas_usage
+
+            print(atlas_usage())
+            return 0
         print(_usage())
         return 0 if arguments else 2
     if "--version" in flags:
@@ -99,6 +105,10 @@ def _main(arguments: list[str]) -> int:
         from bench.commands.online import followed_online
 
         return followed_online([text for text in arguments if text not in {*flags, ONLINE_TRACK}])
+    if ATLAS in arguments:
+        from bench.commands.atlas import made_atlas
+
+        return made_atlas([text for text in arguments if text not in {*flags, ATLAS}])
     from bench.config.overrides import of_launcher, read_overrides
 
     launcher = [text for text in arguments if of_launcher(text)]

@@ -1,0 +1,216 @@
+"""The fits of the atlas: a method over a block of points, in a process, kept as one file of statistics.
+
+A file is named by what it hangs on: points, method with settings and the source that they use, seed and replicates. It
+holds numbers only, and is there whole or not at all; so a run that was killed goes on where it was, no block is
+computed twice, and a method that changes is computed anew.
+
+A million fits leave no room for a process each, as a sweep has it: problem and truth are in one process here, and a
+method is handed the problem alone. A fit ends after :data:`LIMIT_S`; what raises, or ends so, has failed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import signal
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.atlas.point import GROUPS, Point
+from bench.atlas.statistics import COLUMNS, Least, Statistics, one_fit, pooled
+from bench.contract.estimate import Estimate, Status
+from bench.contract.method import Identifier
+from bench.contract.problem import Problem
+from bench.entrants.registry import load_method, make_method
+from bench.errors import InputError
+from bench.information.fisher import compute_bound
+from bench.isolation.failure import one_line
+from bench.isolation.processes import single_threaded
+from bench.scenario.scenario import METHOD
+from bench.store.source import uses
+
+LIMIT_S = 60.0
+AHEAD = 2
+"""Blocks that are handed out beyond those that run."""
+HARNESS = (
+    ("bench.atlas.point", "Point"),
+    ("bench.atlas.statistics", "pooled"),
+    ("bench.atlas.statistics", "one_fit"),
+    ("bench.information.fisher", "compute_bound"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A method over the points of a block, ``replicates`` fits at each."""
+
+    points: Sequence[Point]
+    method: str
+    settings: dict[str, Any]
+    replicates: int
+    seed: int
+    label: str
+
+    @cached_property
+    def key(self) -> str:
+        """What the statistics hang on, as a digest."""
+        stated = [[*map(float, asdict(point).values())] for point in self.points]
+        parts = [stated, self.method, self.settings, self.replicates, self.seed, COLUMNS, LIMIT_S]
+        text = json.dumps([_source(self.method), *parts], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+    @property
+    def fits(self) -> int:
+        """How many."""
+        return len(self.points) * self.replicates
+
+
+_SOURCES = dict[str, str]()
+
+
+def _source(method: str) -> str:
+    """A digest of the definitions that a method and the harness use."""
+    if method not in _SOURCES:
+        cls = load_method(method)
+        roots = [*HARNESS, (cls.__module__, cls.__name__)]
+        inside = {"bench", *(module.partition(".")[0] for module, _ in roots)}
+        text = json.dumps([[*name, digest] for name, digest in uses(roots, inside).definitions.items()])
+        _SOURCES[method] = hashlib.sha256(text.encode()).hexdigest()
+    return _SOURCES[method]
+
+
+class Blocks:
+    """The finished blocks of a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def holds(self, task: Task) -> bool:
+        """Whether a block is finished."""
+        return (self.folder / f"{task.key}.npy").is_file()
+
+    def get(self, task: Task) -> list[Statistics] | None:
+        """The statistics of a finished block, point by point; None where there is none, or it cannot be read."""
+        try:
+            rows = np.load(self.folder / f"{task.key}.npy", allow_pickle=False)
+        except (OSError, ValueError, EOFError):
+            return None
+        return [Statistics.of_row(row) for row in rows] if rows.shape == (len(task.points), len(COLUMNS)) else None
+
+    def add(self, task: Task, found: Sequence[Statistics]) -> None:
+        """Keep a block; raises InputError where the folder cannot be written."""
+        part = self.folder / f"{task.key}.{os.getpid()}.part"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with part.open("wb") as file:
+                np.save(file, np.stack([statistics.row() for statistics in found]), allow_pickle=False)
+            os.replace(part, self.folder / f"{task.key}.npy")
+        except OSError as error:
+            raise InputError("store", self.folder, f"cannot be written: {error.strerror}") from None
+
+
+def run(tasks: Sequence[Task], blocks: Blocks, workers: int) -> Iterator[tuple[Task, str]]:
+    """Compute what is missing; each task as it ends, and what went wrong. Few wait at a time, so an end is soon."""
+    single_threaded()
+    missing = iter([task for task in tasks if not blocks.holds(task)])
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
+        waiting = dict[Future[None], Task]()
+        try:
+            while True:
+                for task in missing:
+                    waiting[pool.submit(_computed, task, blocks.folder)] = task
+                    if len(waiting) >= workers + AHEAD:
+                        break
+                if not waiting:
+                    return
+                for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                    error = future.exception()
+                    yield waiting.pop(future), one_line(error) if error else ""
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed ends at its next fit."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    global _PARENT
+    _PARENT = os.getppid()
+
+
+_PARENT = 0
+
+
+def _computed(task: Task, folder: Path) -> None:
+    """A block, in a process of its own."""
+    identifier = make_method(task.method, task.settings)
+    Blocks(folder).add(task, [at_point(task, identifier, point) for point in task.points])
+
+
+def at_point(task: Task, identifier: Identifier, point: Point) -> Statistics:
+    """All replicates of a method at a point."""
+    scenario = point.scenario()
+    make, least = scenario.maker(task.seed), bound_at(point)
+    fits, failed, seconds = [], [], []
+    for i in range(task.replicates):
+        if _PARENT and os.getppid() != _PARENT:
+            os._exit(1)
+        problem, truth = make(i)
+        began = time.perf_counter()
+        estimate = _fitted(identifier, problem, scenario.stream(METHOD, task.seed, i))
+        seconds.append(time.perf_counter() - began)
+        fits.append(_scored(estimate, problem, truth, least))
+        failed.append(estimate.status is not Status.OK)
+    return pooled(fits, failed, seconds)
+
+
+def bound_at(point: Point) -> Least:
+    """The Cramér-Rao bound at a point."""
+    bound = compute_bound(point.scenario())
+    return Least(tuple(bound.relative_sd[name] for name in GROUPS), bound.rmse)
+
+
+def _fitted(identifier: Identifier, problem: Problem, rng: np.random.Generator) -> Estimate:
+    try:
+        with _limited(LIMIT_S):
+            return identifier.identify(problem, rng).checked()
+    except Exception as error:
+        return Estimate.failed(problem.system, Status.CRASHED, one_line(error))
+
+
+def _scored(estimate: Estimate, problem: Problem, truth: Any, least: Least) -> np.ndarray:
+    """The scores; of an estimate that cannot be scored, as of a failed one."""
+    try:
+        with np.errstate(all="ignore"):
+            return one_fit(estimate, problem, truth, least)
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+        return one_fit(Estimate.failed(problem.system, Status.NONFINITE, one_line(error)), problem, truth, least)
+
+
+@contextmanager
+def _limited(seconds: float) -> Iterator[None]:
+    """Raise TimeoutError in what takes longer, where the system has timers and this is the main thread."""
+
+    def rung(number: int, frame: Any) -> None:
+        raise TimeoutError(f"no answer within {seconds:g} s")
+
+    if not hasattr(signal, "setitimer"):
+        yield
+        return
+    before = signal.signal(signal.SIGALRM, rung)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

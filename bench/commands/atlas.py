@@ -1,0 +1,97 @@
+"""``python -m bench -m experiment=atlas``: the atlas of free decays.
+
+Finished blocks are kept in ``store``, and the same command goes on from them. ``fit=false`` writes what is kept.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.commands.guard import read_fields, whole
+from bench.config.atlas import SAMPLED, atlas_methods, atlas_slices, atlas_tasks, part_names
+from bench.errors import InputError
+
+if TYPE_CHECKING:
+    from bench.atlas.run import Blocks, Task
+
+FIELDS = {
+    "part": "", "method": "", "points": "", "workers": "", "store": "outputs/atlas", "out": "results",
+    "fit": "true", "dry_run": "false",
+}  # fmt: skip
+COMMAND = "python -m bench -m experiment=atlas"
+USAGE = """usage: python -m bench -m experiment=atlas [field=value ...]
+
+  part      [{parts}] several with commas
+  method    {methods}
+  points    the first so many points of the sequence, a multiple of a block
+  workers   [one a core] processes
+  store     [outputs/atlas] where finished blocks are kept and found again
+  out       [results] where the atlas, its tables and maps go
+  fit       [true] false: write what is kept
+  dry_run   [false] say how much is to do"""
+
+
+def atlas_usage() -> str:
+    """The page of help."""
+    from bench.reporting.terminal import wrapped
+
+    text = USAGE.format(parts=",".join(part_names()), methods=", ".join(atlas_methods()))
+    return "\n".join(wrapped(line, " " * 12) for line in text.splitlines())
+
+
+def made_atlas(arguments: Sequence[str]) -> int:
+    """Compute what is missing and write the atlas; raises InputError."""
+    from bench.atlas.run import Blocks
+
+    fields = read_fields(arguments, FIELDS)
+    for name in ("fit", "dry_run"):
+        if fields[name] not in ("true", "false"):
+            raise InputError(name, fields[name], "true or false")
+    parts = [part.strip() for part in fields["part"].split(",") if part.strip()] or part_names()
+    methods = [name.strip() for name in fields["method"].split(",") if name.strip()]
+    most = whole("points", fields["points"]) if fields["points"] else None
+    workers = whole("workers", fields["workers"]) if fields["workers"] else os.cpu_count() or 1
+    tasks = {part: atlas_tasks(part, methods, most) for part in parts}
+    blocks, every = Blocks(Path(fields["store"])), [task for own in tasks.values() for task in own]
+    left = [task for task in every if not blocks.holds(task)]
+    fits, left_fits = sum(task.fits for task in every), sum(task.fits for task in left)
+    print(f"bench: {fits:,} fits in {len(every):,} blocks, {left_fits:,} in {len(left):,} to do", file=sys.stderr)
+    if fields["dry_run"] == "true":
+        return 0
+    if left and fields["fit"] == "true":
+        _run(every, blocks, left_fits, workers)
+    return _write(tasks, blocks, Path(fields["out"]))
+
+
+def _run(tasks: Sequence[Task], blocks: Blocks, left: int, workers: int) -> None:
+    from tqdm import tqdm
+
+    from bench.atlas.run import run
+
+    with tqdm(total=left, unit="fit", unit_scale=True, file=sys.stderr) as bar:
+        for task, error in run(tasks, blocks, workers):
+            bar.update(task.fits)
+            if error:
+                bar.write(f"bench: {task.label}, block {task.key}: {error}", file=sys.stderr)
+
+
+def _write(tasks: dict[str, list[Task]], blocks: Blocks, out: Path) -> int:
+    from bench.reporting.atlas import atlas_frame, written
+    from bench.reporting.figures.atlas import draw_atlas
+
+    out.mkdir(parents=True, exist_ok=True)
+    if SAMPLED in tasks:
+        frame = atlas_frame(tasks[SAMPLED], blocks)
+        if frame.empty:
+            raise InputError("store", blocks.folder, "a folder with finished blocks; without fit=false they are made")
+        for place in written(frame, out, COMMAND):
+            print(place)
+    slices = {s.name: s for s in atlas_slices() if s.name in tasks}
+    frames = {name: atlas_frame(tasks[name], blocks) for name in slices}
+    for place in draw_atlas([(slices[name], frame) for name, frame in frames.items() if not frame.empty], out):
+        print(place)
+    return 0

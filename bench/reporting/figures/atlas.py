@@ -1,0 +1,77 @@
+"""Maps of the atlas: on each slice the bound, where methods leave it, and which are near it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bench.atlas.design import Axis, Slice
+from bench.atlas.point import GROUPS
+from bench.entrants.registry import load_method
+from bench.reporting.atlas import near
+from bench.reporting.figures.style import panels, save_figure
+
+LABELS = {
+    "samples": "samples", "cycles": "cycles", "damping_ratio": "damping ratio", "snr_db": "SNR (dB)",
+    "phase": "phase (rad)",
+}  # fmt: skip
+LEVELS = (0.1, 1.0, 10.0, 100.0)
+"""Contours of the bound, %."""
+SHADES = "Greys"
+
+
+def draw_atlas(slices: Sequence[tuple[Slice, pd.DataFrame]], out: Path) -> list[Path]:
+    """A picture a slice; returns the files."""
+    folder = out / "figures"
+    folder.mkdir(parents=True, exist_ok=True)
+    return [place for own, frame in slices for place in _drawn(own, frame, folder)]
+
+
+def _drawn(own: Slice, frame: pd.DataFrame, folder: Path) -> list[Path]:
+    across, up = own.axes()
+    methods = list(dict.fromkeys(frame.method))
+    figure, axes = panels(2 + len(methods), 3, 52.0, LABELS[across.name])
+    first = frame[frame.method == methods[0]]
+    for axis, name in zip(axes, GROUPS, strict=False):
+        _bound(axis, across, up, first, f"bound_{name}")
+        axis.set_title(f"bound on {'k/m' if name == GROUPS[0] else 'c/m'} (%)")
+    for axis, method in zip(axes[2:], methods, strict=True):
+        mesh = _gross(axis, across, up, frame[frame.method == method])
+        axis.set_title(load_method(method).card.title)
+    figure.colorbar(mesh, ax=axes[2:], label="share of gross errors in k/m (%)", shrink=0.8)
+    return save_figure(figure, folder, f"atlas_{own.name}")
+
+
+def _grid(across: Axis, up: Axis, frame: pd.DataFrame, column: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A column over the slice; NaN where a point is not there yet."""
+    table = frame.pivot_table(index=up.name, columns=across.name, values=column, dropna=False, observed=False)
+    return table.columns.to_numpy(float), table.index.to_numpy(float), table.to_numpy(float)
+
+
+def _bound(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame, column: str) -> None:
+    x, y, z = _grid(across, up, frame, column)
+    axis.pcolormesh(x, y, np.log10(100.0 * z), cmap=SHADES, vmin=-2.0, vmax=3.0, shading="nearest", rasterized=True)
+    lines = axis.contour(x, y, 100.0 * z, levels=LEVELS, colors="#AA3377", linewidths=0.9)
+    axis.clabel(lines, fmt="%g")
+    _scales(axis, across, up)
+
+
+def _gross(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame) -> Any:
+    x, y, z = _grid(across, up, frame, f"{GROUPS[0]}_gross")
+    mesh = axis.pcolormesh(x, y, 100.0 * z, cmap=SHADES, vmin=0.0, vmax=100.0, shading="nearest", rasterized=True)
+    inside = _grid(across, up, frame.assign(near=near(frame).astype(float)), "near")[2]
+    if np.nanmin(inside) < 0.5 < np.nanmax(inside):
+        axis.contour(x, y, inside, levels=[0.5], colors="#AA3377", linewidths=0.9)
+    _scales(axis, across, up)
+    return mesh
+
+
+def _scales(axis: Any, across: Axis, up: Axis) -> None:
+    for own, scale, label in ((across, axis.set_xscale, axis.set_xlabel), (up, axis.set_yscale, axis.set_ylabel)):
+        if own.spacing == "logarithmic":
+            scale("log")
+        label(LABELS[own.name])

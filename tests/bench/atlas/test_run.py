@@ -1,0 +1,82 @@
+"""The runs of the atlas: finished blocks are kept, damaged ones are not read, what goes wrong is a failed fit."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from bench import Card, Estimate, Identifier
+from bench.atlas.point import Point
+from bench.atlas.run import Blocks, Task, at_point, run
+from bench.atlas.statistics import SCORED
+from bench.commands.main import main
+from bench.config.atlas import SAMPLED, atlas_content, atlas_methods, atlas_tasks
+from bench.entrants.registry import make_method
+
+EASY = Point(100, 10.0, 0.05, 40.0, 0.4, False)
+TASK = Task([EASY, replace(EASY, snr_db=30.0)], "matrix_pencil", {}, 10, 1, "matrix_pencil")
+
+
+@dataclass(frozen=True)
+class Raising(Identifier):
+    card = Card("s", "not used", "groups", "simulated", "u", "d")
+
+    def estimate(self, problem, rng) -> Estimate:
+        raise RuntimeError("made to fail")
+
+
+def test_a_block_is_computed_once_and_found_again(tmp_path) -> None:
+    blocks = Blocks(tmp_path)
+    assert [error for _, error in run([TASK], blocks, 1)] == [""]
+    assert list(run([TASK], blocks, 1)) == []
+    found = blocks.get(TASK)
+    assert found is not None
+    assert [statistics.fits for statistics in found] == [10, 10]
+    assert found[0].values[0, SCORED.index("k_over_m")] < 5  # a bias in units of the bound
+    assert blocks.get(replace(TASK, seed=2)) is None
+
+
+def test_a_damaged_block_is_not_read(tmp_path) -> None:
+    blocks = Blocks(tmp_path)
+    (tmp_path / f"{TASK.key}.npy").write_bytes(b"\x93NUMPY")
+    assert blocks.get(TASK) is None
+
+
+def test_a_method_that_raises_has_failed_fits() -> None:
+    found = at_point(TASK, Raising(), EASY)
+    assert found.failed == 1.0
+    assert np.all(found.values[:, 4] == 1.0)
+
+
+def test_near_the_bound_a_good_method_has_an_error_of_about_one() -> None:
+    found = at_point(replace(TASK, replicates=40), make_method("output_error", {}), EASY)
+    assert found.values[0, 1] == pytest.approx(1.0, abs=0.35)
+    assert found.values[0, 5] > 0.8
+    assert found.values[2, 2] == pytest.approx(1.0, abs=0.35)
+
+
+def test_every_method_of_the_atlas_can_be_made_and_a_million_fits_are_planned() -> None:
+    tasks = atlas_tasks(SAMPLED)
+    assert {task.label for task in tasks} == set(atlas_methods())
+    assert sum(task.fits for task in tasks) >= 1_000_000
+    assert atlas_content()["points"] * len(atlas_methods()) > len(tasks)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [("part=slices", "part=slices"), ("method=shoting", "did you mean shooting"), ("points=0", "points=0"),
+     ("fit=maybe", "true or false"), ("snr=3", "snr")],
+)  # fmt: skip
+def test_a_mistype_is_one_line(arguments, said, capsys) -> None:
+    assert main(["-m", "experiment=atlas", arguments]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_the_command_writes_the_atlas_and_its_maps(tmp_path, capsys) -> None:
+    given = [f"store={tmp_path / 'store'}", f"out={tmp_path / 'out'}"]
+    assert main(["-m", "experiment=atlas", "part=points", "method=matrix_pencil", "points=2", *given]) == 0
+    assert "2 points" in (tmp_path / "out" / "atlas.md").read_text()
+    assert main(["-m", "experiment=atlas", "fit=false", f"store={tmp_path / 'none'}"]) == 2
+    assert "finished blocks" in capsys.readouterr().err
