@@ -12,6 +12,7 @@ from bench.atlas.design import AXES
 from bench.atlas.point import GROUPS, Point
 from bench.atlas.run import Blocks, Task, bound_at
 from bench.atlas.statistics import COLUMNS
+from bench.atlas.threshold import wrong_basin
 from bench.entrants.registry import load_method
 from bench.reporting.tables.common import markdown_table
 
@@ -33,11 +34,14 @@ def atlas_frame(tasks: Sequence[Task], blocks: Blocks) -> pd.DataFrame:
         for point, statistics in zip(task.points, found, strict=True):
             if point not in bounds:
                 least = bound_at(point)
-                bounds[point] = (*least.sds, least.displacement)
+                wrong = float("nan") if point.aliased else wrong_basin(point)
+                bounds[point] = (*least.sds, least.displacement, wrong)
             numbers = [*(getattr(point, axis.name) for axis in AXES), point.start_known, point.aliased]
             lines.append([*numbers, task.label, *bounds[point], *statistics.row().tolist()])
     names = [*(axis.name for axis in AXES), "start_known", "aliased", "method"]
-    return pd.DataFrame(lines, columns=[*names, *(f"bound_{name}" for name in (*GROUPS, "displacement")), *COLUMNS])
+    return pd.DataFrame(
+        lines, columns=[*names, *(f"bound_{name}" for name in (*GROUPS, "displacement")), "wrong_basin", *COLUMNS]
+    )
 
 
 def near(frame: pd.DataFrame, quantity: str = GROUPS[0]) -> pd.Series:
@@ -70,8 +74,8 @@ def summary(frame: pd.DataFrame, command: str) -> str:
 GROUP_TITLES = {"k_over_m": "k/m, the squared natural frequency", "c_over_m": "c/m, the decay rate"}
 HEAD = f"""Points are spread evenly over the box of all tests: samples, cycles and damping ratio by their logarithms,
 SNR, phase of the start, and whether the start is told. Of a quantity a test tells nothing useful where the Cramér-Rao
-bound on the standard deviation of its logarithm is above {TOLD:g}, and it is ambiguous where the natural frequency is above
-half the sampling rate; the tables are over the other points.
+bound on the standard deviation of its logarithm is above {TOLD:g}, and it is ambiguous where the natural frequency is
+above half the sampling rate; the tables are over the other points.
 
 **near**: share of points at which a method's errors are within {NEAR:g} times the bound, gross ones left out, and at
 most {100 * RARE:g} % are gross; **gross**: share of fits whose error is beyond five times the bound, or that give no
@@ -83,6 +87,7 @@ DICTIONARY = {
     "method": "by the name that `method=` takes",
     "bound_k_over_m, bound_c_over_m": "Cramér-Rao bound on the standard deviation of the logarithm",
     "bound_displacement": "that on the root mean square displacement error over the record, m",
+    "wrong_basin": "expected share of records whose likelihood is largest in a wrong basin; empty where aliased",
     "fits, failed, seconds": "fits at the point; share without an estimate; median wall time of one",
     "*_bias, *_core": "mean and root mean square error over the bound, of fits that are not gross",
     "*_median, *_p90": "quantiles of the error's size over the bound, of all fits",
