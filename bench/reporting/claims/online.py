@@ -1,9 +1,13 @@
-"""What README says of the online track, from Table 10."""
+"""What README says of the online track: Table 10 and the study of the online methods."""
 
 from __future__ import annotations
 
+import re
+
+import pandas as pd
+
 from bench.config.online import online_scenario
-from bench.reporting.claims.claim import Claim, Said, claim, fold, said
+from bench.reporting.claims.claim import Claim, Said, claim, fold, number, said
 from bench.reporting.claims.evidence import Evidence
 from bench.reporting.tables.online_table import BOUND
 
@@ -52,4 +56,88 @@ def online_steps(e: Evidence) -> Said:
     )
 
 
-CLAIMS: tuple[Claim, ...] = (online_steps,)
+def _first_numbers(column: pd.Series) -> pd.Series:
+    """The number that each entry begins with."""
+    return column.map(_ratio)
+
+
+@claim
+def online_constant(e: Evidence) -> Said:
+    """- **Nothing changes**: at the end of {samples} samples the filters' errors are {k_low} to {k_high} (k/m) and
+    {c_low} to {c_high} (c/m) times the bound for all samples, those of shooting in a window {window_k} and
+    {window_c} times the bound for the window; 95 % intervals of k/m hold the truth in {cover_low} to {cover_high} %
+    of up to {records} records. False alarms in {per} samples: change points {change_points} (stated:
+    at most {change_points_most}), CUSUM {cusum} ({cusum_most}), likelihood ratio {glr} ({glr_most}).
+    """
+    table = e.study("online.md", "Nothing changes")
+    window = table.method.str.contains("window")
+    k, c = _first_numbers(table["k/m excess"]), _first_numbers(table["c/m excess"])
+    cover = _first_numbers(table["k/m cov. %"])
+    alarms = table.set_index("method")[["false alarms in 10,000 samples", "at most, stated"]]
+    own = {"change_points": "change points", "cusum": "CUSUM", "glr": "likelihood ratio"}
+    return said(
+        {
+            "the window is near its bound": float(k[window].max()) < 1.3,
+            "the best filter is near the bound": float(k[~window].min()) < 1.15,
+        },
+        samples=table["samples used"].max(),
+        k_low=f"{k[~window].min():.2f}", k_high=f"{k[~window].max():.2f}",
+        c_low=f"{c[~window].min():.2f}", c_high=f"{c[~window].max():.2f}",
+        window_k=f"{k[window].iloc[0]:.2f}", window_c=f"{c[window].iloc[0]:.2f}",
+        cover_low=f"{cover.min():.0f}", cover_high=f"{cover.max():.0f}",
+        records=f"{table.records.astype(int).max():,}", per="10,000",
+        **{name: alarms.iloc[:, 0][title] for name, title in own.items()},
+        **{f"{name}_most": alarms.iloc[:, 1][title] for name, title in own.items()},
+    )  # fmt: skip
+
+
+@claim
+def online_faults(e: Evidence) -> Said:
+    """- **Faults** (missing values, a gap, repeated times, a sensor at its limit, spikes, a jump of its zero, a step
+    that raises, a restart): behind them the errors of the Kalman filters are {least} to {most} times those without the
+    fault, most for {worst}; those of all methods that are compared but RLS at most {others} times.
+    """
+    table = e.study("online.md", "Faults").set_index("method").drop(columns="records").map(_ratio)
+    filters = table.loc[["EKF", "IMM", "change points"]]
+    worst = filters.max().idxmax()
+    words = {"saturation": "the sensor at its limit", "jump": "the jump", "gap": "the gap", "nan": "missing values",
+             "spike": "spikes", "repeated": "repeated times", "crash": "the step that raises",
+             "restart": "the restart"}  # fmt: skip
+    return said(
+        {
+            "a restart changes nothing": bool((filters["restart"] == 1.0).all()),
+            "every fault is survived": bool(table.notna().all(axis=None)),
+        },
+        least=f"{filters.min().min():.2f}", most=f"{filters.max().max():.2f}", worst=words[str(worst)],
+        others=f"{table.drop(index='RLS').max().max():.2f}",
+    )  # fmt: skip
+
+
+def _ratio(text: str) -> float:
+    """The number of "1.02 ± 0.01"; NaN of "no answer"."""
+    found = re.match(r"[\d.]+", text)
+    return float(found.group()) if found else float("nan")
+
+
+@claim
+def online_cost(e: Evidence) -> Said:
+    """- **A sample costs** {ekf} µs with the EKF, {points} µs with change points, {ar} µs with the recursive AR model
+    (median of {samples} samples, one process alone), however many came before; the EKF holds {kb} kB all along. A
+    live page, fed {rate} samples a second, is {behind} s behind (median; at most {most} s).
+    """
+    table = e.study("online.md", "A long record").set_index("method")
+    live = e.study("online.md", "A live run").iloc[0]
+    micros = table["µs a sample, median"]
+    held = [column for column in table.columns if "after" in column]
+    return said(
+        {
+            "memory is constant": bool((table[held[0]] == table[held[1]]).all()),
+            "nothing is asked for elsewhere": live["requests elsewhere"] == "0" and live["console messages"] == "0",
+        },
+        ekf=micros["EKF"], points=micros["change points"], ar=micros["AR, recursive"],
+        samples=held[1].removeprefix("after "), kb=number(float(table[held[1]]["EKF"])),
+        rate=live["samples a second"], behind=live["page behind, median s"], most=live["largest s"],
+    )  # fmt: skip
+
+
+CLAIMS: tuple[Claim, ...] = (online_steps, online_constant, online_faults, online_cost)

@@ -1,0 +1,169 @@
+"""``python -m bench.design``: the cheapest free decay that tells a quantity as well as is wanted."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from collections.abc import Mapping, Sequence
+
+from bench.commands.guard import command, read_fields, whole
+from bench.errors import InputError
+from bench.measured.reading.units import unit_of
+from bench.planning.free_decay import QUANTITIES
+from bench.planning.search import SHARE, WITHIN, Likely, Proposal, cheapest, proposal
+from bench.reporting.tables.common import markdown_table
+
+FIELDS = {
+    "want": "", "frequency": "", "damping": "", "noise": "", "amplitude": "", "rate": "", "samples": "", "duration": "",
+    "method": "output_error", "verify": "0",
+}  # fmt: skip
+STARTS = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
+"""Starts that are proposed where none is said, over the noise."""
+USAGE = """usage: python -m bench.design want=c_over_m:5% frequency=2 damping=0.02 noise=0.5mm [field=value ...]
+
+  want       <quantity>:<error>%, of k_over_m, c_over_m, natural_frequency,
+             damping_ratio; the error is a standard deviation
+  frequency  natural frequency (Hz) as far as it is known: 2, or 2:10% with its
+             standard deviation
+  damping    damping ratio, 0.02 or 0.02:50%
+  noise      standard deviation of a sample, with its unit: 0.5mm
+  amplitude  displacement at the start, with its unit; without: several
+  rate       samples a second that there are; without: any
+  samples, duration
+             of a test that is given (s): what it would tell
+  method     [output_error] that verify= asks
+  verify     [0] simulate the proposed test so many times"""
+TITLES = {"k_over_m": "k/m", "c_over_m": "c/m", "natural_frequency": "frequency", "damping_ratio": "damping ratio"}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Propose tests."""
+    return command("bench.design", USAGE, argv, designed)
+
+
+def designed(arguments: Sequence[str]) -> int:
+    """Propose, print, and simulate where asked; raises InputError."""
+    fields = read_fields(arguments, FIELDS)
+    for name in ("want", "frequency", "damping", "noise"):
+        if not fields[name]:
+            raise InputError(name, "", f"{name}=...; see python -m bench.design --help")
+    quantity, error = _wanted(fields["want"])
+    (frequency, frequency_sd), (damping, damping_sd) = (_known(name, fields[name]) for name in ("frequency", "damping"))
+    likely = Likely(frequency, damping, frequency_sd, damping_sd)
+    noise, number = _length("noise", fields["noise"]), whole("verify", fields["verify"], least=0)
+    found = _proposals(fields, likely, quantity, error, noise)
+    if not found:
+        print(
+            f"no free decay of up to 100,000 samples tells {TITLES[quantity]} to {100 * error:g} %; start further out"
+        )
+        return 1
+    checked = _verified(found, likely, quantity, error, fields["method"], number) if number else None
+    print(_table(found, noise, checked))
+    print(f"\n{_meaning(likely, fields['method'], quantity, number)}")
+    return 0
+
+
+def _proposals(fields: Mapping[str, str], likely: Likely, quantity: str, error: float, noise: float) -> list[Proposal]:
+    starts = [_length("amplitude", fields["amplitude"]) / noise] if fields["amplitude"] else list(STARTS)
+    if fields["samples"] or fields["duration"]:
+        from bench.planning.free_decay import Decay
+
+        samples, duration = whole("samples", fields["samples"] or "0", 8), _positive("duration", fields["duration"])
+        return [proposal(likely, Decay(samples, duration, start)) for start in starts]
+    rate = _positive("rate", fields["rate"]) if fields["rate"] else 0.0
+    tried = [cheapest(likely, quantity, error, start, rate) for start in starts]
+    return [one for one in tried if one is not None]
+
+
+def _table(found: Sequence[Proposal], noise: float, checked: Sequence[str] | None) -> str:
+    """A line a test; ``checked``: what simulating it gave."""
+    rows = []
+    for one in found:
+        rate = (one.decay.samples - 1) / one.decay.duration
+        cells = [f"{1e3 * noise * one.decay.amplitude:.3g}", f"{one.decay.samples}", f"{one.decay.duration:.3g}",
+                 f"{rate:.3g}"]  # fmt: skip
+        for name in QUANTITIES:
+            same = math.isclose(one.median[name], one.share[name], rel_tol=1e-3)
+            cells.append(f"{_percent(one.median[name])}" + ("" if same else f" ({_percent(one.share[name])})"))
+        rows.append([*cells, f"{100 * one.wrong_basin:.1g}"])
+    headers = ["start, mm", "samples", "duration, s", "samples a second", *(f"{t}, %" for t in TITLES.values()),
+               "wrong frequency, %"]  # fmt: skip
+    if checked is not None:
+        rows, headers = [[*row, text] for row, text in zip(rows, checked, strict=True)], [*headers, "simulated, %"]
+    return markdown_table(rows, headers)
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.2g}" if math.isfinite(value) else "-"
+
+
+def _meaning(likely: Likely, method: str, quantity: str, number: int) -> str:
+    said = ["Each line is the test of fewest samples for its start, released from rest; percentages are standard",
+            "deviations by the Cramér-Rao bound"]  # fmt: skip
+    if likely.frequency_sd or likely.damping_sd:
+        said.append(f"(median over the likely oscillators; in brackets not exceeded in {100 * SHARE:g} % of them)")
+    text = " ".join(said) + ". Methods that reach it: output_error, shooting."
+    if number:
+        text += (
+            f" simulated: of {number} tests, answered by {method}, those whose error of {TITLES[quantity]} is within "
+            f"{WITHIN:g} times the wanted one; 95 % where it is just reached."
+        )
+    return text
+
+
+def _verified(
+    found: Sequence[Proposal], likely: Likely, quantity: str, error: float, method: str, number: int
+) -> list[str]:
+    """The share of simulated tests that reach what was wanted, test by test."""
+    from tqdm import tqdm
+
+    from bench.entrants.registry import make_method
+    from bench.planning.verify import reached, simulated
+
+    identifier = make_method(method, {})
+    with tqdm(total=number * len(found), unit="test", file=sys.stderr) as bar:
+        every = [simulated(likely, one.decay, quantity, identifier, number, bar.update) for one in found]
+    return [f"{100 * reached(errors, error):.1f}" for errors in every]
+
+
+def _wanted(text: str) -> tuple[str, float]:
+    quantity, _, error = text.partition(":")
+    if quantity not in QUANTITIES:
+        raise InputError("want", text, f"<quantity>:<error>%, of {', '.join(QUANTITIES)}")
+    return quantity, _share("want", error)
+
+
+def _known(field: str, text: str) -> tuple[float, float]:
+    """A number and the standard deviation of its logarithm."""
+    value, colon, doubt = text.partition(":")
+    return _positive(field, value), _share(field, doubt) if colon else 0.0
+
+
+def _share(field: str, text: str) -> float:
+    if not text.endswith("%"):
+        raise InputError(field, text, "a percentage, as 5%")
+    return _positive(field, text[:-1]) / 100.0
+
+
+def _positive(field: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise InputError(field, text, "a positive number")
+    return value
+
+
+def _length(field: str, text: str) -> float:
+    """A length with its unit, in metres."""
+    parts = re.fullmatch(r"\s*([-+.\deE]+)\s*([^\d\s].*)", text)
+    unit = unit_of(parts[2]) if parts else None
+    if parts is None or unit is None or unit.measures != "displacement":
+        raise InputError(field, text, "a length with its unit, as 0.5mm")
+    return _positive(field, parts[1]) * unit.size
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Planning a test: what a free decay would tell before it is taken, and the cheapest that tells enough."""

@@ -1,0 +1,144 @@
+"""The cheapest free decays that reach a wanted error: fewest samples by duration and by rate."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.atlas.point import Point
+from bench.atlas.threshold import wrong_basin
+from bench.planning.free_decay import QUANTITIES, Decay, Oscillator, errors, information, motion
+
+CYCLES = np.geomspace(0.5, 400.0, 120)
+"""Durations that are tried, in cycles of the nominal frequency."""
+LEAST_RATE = 2.5
+"""Samples a cycle of the fastest frequency that is likely: one more than half would leave it ambiguous."""
+LEAST_SAMPLES, MOST_SAMPLES = 8, 100_000
+WITHIN = 1.96
+"""Wanted errors, within which 95 % of normal errors are."""
+RISK = 0.01
+"""Most probability of a wrong basin."""
+SHARE = 0.9
+"""A test must reach the wanted error at this share of the oscillators that are likely."""
+
+
+@dataclass(frozen=True)
+class Likely:
+    """What is known of an oscillator before the test: medians, and standard deviations of the logarithms."""
+
+    frequency: float
+    damping_ratio: float
+    frequency_sd: float = 0.0
+    damping_sd: float = 0.0
+
+    @property
+    def nominal(self) -> Oscillator:
+        """The median."""
+        return Oscillator(self.frequency, self.damping_ratio)
+
+    def drawn(self, number: int = 32) -> list[Oscillator]:
+        """Oscillators as likely as they are known; the nominal one alone where there is no doubt."""
+        from scipy.special import ndtri  # slow to import
+        from scipy.stats import qmc
+
+        if self.frequency_sd == self.damping_sd == 0:
+            return [self.nominal]
+        shares = qmc.Sobol(2, scramble=True, rng=np.random.default_rng(0)).random(number)
+        offs = ndtri(shares) * [self.frequency_sd, self.damping_sd]
+        return [Oscillator(self.frequency * math.exp(a), self.damping_ratio * math.exp(b)) for a, b in offs]
+
+    @property
+    def fastest(self) -> float:
+        """A frequency (Hz) that is hardly exceeded."""
+        return self.frequency * math.exp(2.0 * self.frequency_sd)
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A test with what it is expected to give.
+
+    By quantity the error (standard deviation of the logarithm, by the bound) of the nominal oscillator, the median over
+    the likely ones, and what is not exceeded in :data:`SHARE` of them. ``wrong_basin``: the probability that maximum
+    likelihood ends in a wrong basin, where the bound means nothing, at the nominal oscillator.
+    """
+
+    decay: Decay
+    wrong_basin: float
+    nominal: dict[str, float]
+    median: dict[str, float]
+    share: dict[str, float]
+
+
+def proposal(likely: Likely, decay: Decay) -> Proposal:
+    """What a test is expected to give."""
+    every = [errors(information(one, decay)) for one in likely.drawn()]
+    by_name = {name: np.array([one[name] for one in every]) for name in QUANTITIES}
+    return Proposal(
+        decay,
+        wrong_basin(as_point(likely.nominal, decay)),
+        errors(information(likely.nominal, decay)),
+        {name: float(np.median(values)) for name, values in by_name.items()},
+        {name: float(np.quantile(values, SHARE, method="higher")) for name, values in by_name.items()},
+    )
+
+
+def as_point(oscillator: Oscillator, decay: Decay) -> Point:
+    """The test in dimensionless numbers."""
+    clean = motion(oscillator, decay.times, (decay.amplitude, 0.0))[0]
+    snr = 10.0 * math.log10(float(np.mean(clean**2)))
+    return Point(decay.samples, decay.duration * oscillator.frequency, oscillator.damping_ratio, snr, 0.0, False)
+
+
+def cheapest(likely: Likely, quantity: str, error: float, amplitude: float, rate: float = 0.0) -> Proposal | None:
+    """The test of fewest samples that reaches an error of a quantity's logarithm in :data:`SHARE` of all cases.
+
+    Args:
+        likely: what is known of the oscillator.
+        quantity: of :data:`QUANTITIES`.
+        error: standard deviation of its logarithm.
+        amplitude: displacement at the start over the noise's standard deviation.
+        rate: samples a second; 0 where the test may have any.
+
+    Returns:
+        The test, or None where none of up to :data:`MOST_SAMPLES` samples reaches it.
+    """
+    found: Decay | None = None
+    for duration in CYCLES / likely.frequency:
+        most = MOST_SAMPLES if found is None else found.samples - 1
+        least = max(LEAST_SAMPLES, math.ceil(LEAST_RATE * likely.fastest * duration) + 1)
+        if rate:
+            least = most = round(rate * duration) + 1
+            if least < LEAST_SAMPLES or rate < LEAST_RATE * likely.fastest or (found and least >= found.samples):
+                continue
+        if least > most:
+            continue
+        samples = _fewest(likely, quantity, error, Decay(least, float(duration), amplitude), most)
+        if samples is not None and wrong_basin(as_point(likely.nominal, Decay(samples, duration, amplitude))) < RISK:
+            found = Decay(samples, float(duration), amplitude)
+    return proposal(likely, found) if found is not None else None
+
+
+def _fewest(likely: Likely, quantity: str, error: float, decay: Decay, most: int) -> int | None:
+    """The fewest samples from those of ``decay`` on over its duration; None where ``most`` are too few.
+
+    More samples over the same time tell more, nearly by their number: bisection from a guess on that line.
+    """
+
+    def reaches(samples: int) -> bool:
+        every = [errors(information(one, decay.longer(samples)))[quantity] for one in likely.drawn()]
+        return float(np.quantile(every, SHARE, method="higher")) <= error
+
+    low, high = decay.samples, most
+    if reaches(low):
+        return low
+    while low < high and not reaches(min(2 * low, high)):
+        low *= 2
+    if low >= high:
+        return None
+    high = min(2 * low, high)
+    while high - low > max(1, low // 200):
+        middle = (low + high) // 2
+        low, high = (low, middle) if reaches(middle) else (middle, high)
+    return high

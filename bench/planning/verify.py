@@ -1,0 +1,44 @@
+"""A proposed test, simulated: whether real estimates from it are as near as it was to give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from bench.contract.method import Identifier
+from bench.contract.problem import Channel, Problem, Record
+from bench.planning.free_decay import QUANTITIES, Decay, motion
+from bench.planning.search import WITHIN, Likely
+from bench.systems import make_system
+
+
+def simulated(
+    likely: Likely, decay: Decay, quantity: str, method: Identifier, number: int, report: Callable[[], object]
+) -> np.ndarray:
+    """Errors of the logarithm of a quantity in so many simulated tests, each of an oscillator as likely as it is known.
+
+    Infinite where the method has no estimate, or one that is not positive.
+    """
+    system, rng = make_system("sdof", {}), np.random.default_rng(0)
+    exponents = QUANTITIES[quantity]
+    found = np.full(number, np.inf)
+    for i in range(number):
+        oscillators = likely.drawn()
+        own = oscillators[int(rng.integers(len(oscillators)))]
+        values = motion(own, decay.times, (decay.amplitude, 0.0))[0] + rng.standard_normal(decay.samples)
+        problem = Problem(system, (Record((Channel(decay.times, values),)),))
+        estimate = method.identify(problem, np.random.default_rng(i))
+        true = (own.omega**2, 2.0 * own.damping_ratio * own.omega)
+        groups = [estimate.marginal(system.quantity(name)) for name in ("k_over_m", "c_over_m")]
+        if all(marginal is not None and marginal.value > 0 for marginal in groups):
+            logs = [math.log(marginal.value / t) for marginal, t in zip(groups, true, strict=True) if marginal]
+            found[i] = abs(float(np.dot(exponents, logs)))
+        report()
+    return found
+
+
+def reached(errors: np.ndarray, wanted: float) -> float:
+    """The share of simulated tests within :data:`WITHIN` times the wanted error."""
+    return float(np.mean(errors <= WITHIN * wanted))

@@ -1,0 +1,122 @@
+"""Plans of free decays: the closed form agrees with the harness's bound, and simulated tests keep what was promised."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from bench.commands.design import main
+from bench.entrants.registry import make_method
+from bench.information.fisher import compute_bound
+from bench.planning.free_decay import Decay, Oscillator, errors, information, motion
+from bench.planning.search import SHARE, Likely, as_point, cheapest, proposal
+from bench.planning.verify import reached, simulated
+from bench.scenario.scenario import Scenario
+
+GIVEN = ["want=c_over_m:5%", "frequency=2", "damping=0.02", "noise=0.5mm"]
+
+
+@pytest.mark.parametrize("ratio", [0.002, 0.05, 0.7, 1.0, 1.4])
+def test_the_closed_form_is_the_bound_of_the_benchmark(ratio: float) -> None:
+    omega, samples, duration, amplitude = 2 * math.pi * 1.5, 60, 2.0, 25.0
+    values = amplitude * motion(Oscillator(1.5, ratio), np.linspace(0, duration, samples))[0]
+    snr = 10 * math.log10(np.mean(values**2))
+    scenario = Scenario(
+        "sdof", {"m": 2.0, "c": 4.0 * ratio * omega, "k": 2.0 * omega**2}, ((amplitude,), (0.0,)), snr,
+        duration=duration, samples=samples, initial_state="unknown",
+    )  # fmt: skip
+    bound = compute_bound(scenario).relative_sd
+    found = errors(information(Oscillator(1.5, ratio), Decay(samples, duration, amplitude)))
+    for name in ("k_over_m", "c_over_m"):
+        assert found[name] == pytest.approx(bound[name], rel=1e-6)
+
+
+def test_derivatives_are_those_of_differences() -> None:
+    times, start = np.linspace(0, 3, 40), (0.7, -2.0)
+    _, found = motion(Oscillator(0.8, 0.1), times, start)
+    step = 1e-6  # k/m is moved at constant c/m
+    up, down = (
+        motion(Oscillator(0.8 * math.exp(s / 2), 0.1 * math.exp(-s / 2)), times, start)[0] for s in (step, -step)
+    )
+    np.testing.assert_allclose(found[:, 0], (up - down) / (2 * step), atol=1e-7)
+
+
+def test_half_the_noise_or_four_times_the_samples_halve_the_error() -> None:
+    oscillator = Oscillator(1.0, 0.02)
+    one = errors(information(oscillator, Decay(1000, 10.0, 10.0)))["c_over_m"]
+    assert errors(information(oscillator, Decay(1000, 10.0, 20.0)))["c_over_m"] == pytest.approx(one / 2)
+    assert errors(information(oscillator, Decay(4000, 10.0, 10.0)))["c_over_m"] == pytest.approx(one / 2, rel=0.01)
+
+
+def test_no_scanned_test_with_fewer_samples_reaches_the_error() -> None:
+    likely = Likely(2.0, 0.02)
+    found = cheapest(likely, "c_over_m", 0.05, 20.0)
+    assert found is not None
+    assert found.nominal["c_over_m"] <= 0.05
+    fewer = round(0.97 * found.decay.samples)
+    for duration in np.geomspace(0.3, 100, 300):
+        if fewer > 2.5 * 2.0 * duration + 1:
+            assert errors(information(likely.nominal, Decay(fewer, duration, 20.0)))["c_over_m"] > 0.05
+
+
+def test_who_knows_less_needs_more() -> None:
+    sure, unsure = (cheapest(Likely(2.0, 0.02, sd / 4, sd), "c_over_m", 0.05, 20.0) for sd in (0.0, 0.4))
+    assert sure is not None
+    assert unsure is not None
+    assert unsure.decay.samples > sure.decay.samples
+    assert unsure.share["c_over_m"] <= 0.05
+    assert np.mean([errors(information(one, unsure.decay))["c_over_m"] <= 0.05
+                    for one in Likely(2.0, 0.02, 0.1, 0.4).drawn(256)]) > SHARE - 0.1  # fmt: skip
+
+
+def test_a_rate_that_is_given_is_kept_and_one_that_is_too_slow_has_no_test() -> None:
+    found = cheapest(Likely(2.0, 0.02), "c_over_m", 0.05, 20.0, rate=40.0)
+    assert found is not None
+    assert (found.decay.samples - 1) / found.decay.duration == pytest.approx(40.0, rel=0.05)
+    assert cheapest(Likely(2.0, 0.02), "c_over_m", 0.05, 20.0, rate=4.0) is None
+
+
+def test_what_cannot_be_reached_has_no_test() -> None:
+    assert cheapest(Likely(2.0, 0.02), "c_over_m", 1e-5, 3.0) is None
+
+
+def test_a_test_too_noisy_for_its_frequency_is_not_proposed() -> None:
+    assert proposal(Likely(2.0, 0.02), Decay(12, 2.0, 0.8)).wrong_basin > 0.05
+    assert as_point(Oscillator(2.0, 0.02), Decay(12, 2.0, 0.8)).cycles == pytest.approx(4.0)
+
+
+def test_simulated_tests_are_as_near_as_was_promised() -> None:
+    likely = Likely(2.0, 0.02)
+    found = cheapest(likely, "c_over_m", 0.05, 20.0)
+    assert found is not None
+    off = simulated(likely, found.decay, "c_over_m", make_method("output_error", {}), 200, lambda: None)
+    assert reached(off, 0.05) > 0.90  # 95 % expected; three standard errors of 200
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(found.nominal["c_over_m"], rel=0.2)
+    worse = dataclasses.replace(found.decay, samples=found.decay.samples // 3)
+    assert reached(simulated(likely, worse, "c_over_m", make_method("output_error", {}), 200, lambda: None), 0.05) < 0.9
+
+
+def test_the_command_proposes_and_simulates(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*GIVEN, "amplitude=1cm", "verify=20"]) == 0
+    said = capsys.readouterr().out
+    assert "| 10 " in said
+    assert "simulated: of 20 tests" in said
+    assert main([*GIVEN, "amplitude=1cm", "samples=100", "duration=5"]) == 0
+    assert "| 100 " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("field", "said"),
+    [("want=c:5%", "want=c:5%"), ("want=c_over_m:5", "a percentage"), ("frequency=-1", "a positive number"),
+     ("damping=0.02:x%", "damping=x"), ("noise=0.5", "with its unit"), ("noise=0.5s", "with its unit"),
+     ("amplitude=ten mm", "amplitude"), ("rate=0", "rate=0"), ("method=shoting", "shooting"), ("verify=-1", "verify"),
+     ("samples=4", "samples")],
+)  # fmt: skip
+def test_a_mistype_is_one_line(field: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    extra = ["verify=2"] if field.startswith("method") else []
+    key = field.partition("=")[0]
+    assert main([*(text for text in GIVEN if not text.startswith(f"{key}=")), field, *extra]) == 2
+    error = capsys.readouterr().err.strip().splitlines()
+    assert said in error[-1]
+    assert len(error) == 1
