@@ -17,7 +17,8 @@ import bench
 HEAVY = {"torch", "casadi", "pysindy", "emcee", "blackjax"}
 ROOMS = (
     "errors", "isolation", "systems", "contract", "dynamics", "scenario", "likelihood", "entrants", "information",
-    "scoring", "store", "online", "config", "sweep", "measured", "reporting", "face", "twin", "commands",
+    "scoring", "store", "online", "atlas", "planning", "config", "sweep", "measured", "reporting", "face", "twin",
+    "commands",
 )  # fmt: skip
 """From the top of the house down: a module imports from its own room and from those above."""
 BENCH = sorted((REPOSITORY / "bench").rglob("*.py"))

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Mapping, Sequence
 
 from bench.commands.guard import command, read_fields, whole
+from bench.config.atlas import on_the_bound
 from bench.errors import InputError
 from bench.measured.reading.units import unit_of
 from bench.planning.free_decay import QUANTITIES
@@ -16,7 +17,7 @@ from bench.reporting.tables.common import markdown_table
 
 FIELDS = {
     "want": "", "frequency": "", "damping": "", "noise": "", "amplitude": "", "rate": "", "samples": "", "duration": "",
-    "method": "output_error", "verify": "0",
+    "method": "", "verify": "0",
 }  # fmt: skip
 STARTS = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 """Starts that are proposed where none is said, over the noise."""
@@ -32,14 +33,14 @@ USAGE = """usage: python -m bench.design want=c_over_m:5% frequency=2 damping=0.
   rate       samples a second that there are; without: any
   samples, duration
              of a test that is given (s): what it would tell
-  method     [output_error] that verify= asks
+  method     [{method}] that verify= asks
   verify     [0] simulate the proposed test so many times"""
 TITLES = {"k_over_m": "k/m", "c_over_m": "c/m", "natural_frequency": "frequency", "damping_ratio": "damping ratio"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Propose tests."""
-    return command("bench.design", USAGE, argv, designed)
+    return command("bench.design", USAGE.format(method=on_the_bound()[0]), argv, designed)
 
 
 def designed(arguments: Sequence[str]) -> int:
@@ -58,9 +59,10 @@ def designed(arguments: Sequence[str]) -> int:
             f"no free decay of up to 100,000 samples tells {TITLES[quantity]} to {100 * error:g} %; start further out"
         )
         return 1
-    checked = _verified(found, likely, quantity, error, fields["method"], number) if number else None
+    method = fields["method"] or on_the_bound()[0]
+    checked = _verified(found, likely, quantity, error, method, number) if number else None
     print(_table(found, noise, checked))
-    print(f"\n{_meaning(likely, fields['method'], quantity, number)}")
+    print(f"\n{_meaning(likely, method, quantity, number)}")
     return 0
 
 
@@ -103,7 +105,7 @@ def _meaning(likely: Likely, method: str, quantity: str, number: int) -> str:
             "deviations by the Cramér-Rao bound"]  # fmt: skip
     if likely.frequency_sd or likely.damping_sd:
         said.append(f"(median over the likely oscillators; in brackets not exceeded in {100 * SHARE:g} % of them)")
-    text = " ".join(said) + ". Methods that reach it: output_error, shooting."
+    text = " ".join(said) + f". Methods that reach it: {', '.join(on_the_bound())}."
     if number:
         text += (
             f" simulated: of {number} tests, answered by {method}, those whose error of {TITLES[quantity]} is within "

@@ -48,6 +48,11 @@ def atlas_methods() -> list[str]:
     return [*content["methods"], *content["points_by_method"]]
 
 
+def on_the_bound() -> list[str]:
+    """Methods that a plan may count on."""
+    return list(atlas_content()["on_the_bound"])
+
+
 def atlas_tasks(part: str, methods: Sequence[str] = (), most_points: int | None = None) -> list[Task]:
     """What is to be computed for a part, block by block; all methods of a block one behind the other.
 

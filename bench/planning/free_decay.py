@@ -79,7 +79,7 @@ def _responses(times: np.ndarray, stiffness: complex, damping: complex) -> tuple
 
 
 def _waves(square: complex, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """``cos(w t)`` and ``sin(w t) / w`` from ``w²``; by series where it is small, since a root has no derivative at 0."""
+    """``cos(w t)`` and ``sin(w t) / w`` from ``w²``; by series where that is small: a root has no derivative at 0."""
     if abs(square) * float(np.max(times)) ** 2 > 1.0:
         damped = np.sqrt(square)
         return np.cos(damped * times), np.sin(damped * times) / damped
