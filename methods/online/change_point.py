@@ -16,9 +16,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import InputError, Layout, OnlineCard, OnlineIdentifier
-from methods.online.bank import Rule, Told
-from methods.online.filtering import FilterTracker
+from bench import InputError, Layout, OnlineCard, OnlineIdentifier, SampleStatus
+from methods.online.bank import FLOOR, Rule, Told
+from methods.online.filtering import IN_A_ROW, OPENING, FilterTracker
 
 CHANGE = 0.3
 """Standard deviation of a jump of a log-parameter: a factor of 1.35."""
@@ -57,6 +57,40 @@ class ChangePointTracker(FilterTracker):
             self.since = 0
             self._bear(told, share)
         return float(np.log10(max(recent, 1e-300) / max(1.0 - recent, 1e-12)))
+
+    def _outlying(self) -> tuple[SampleStatus, str]:
+        """Leave single values out; behind several in a row ask whether a sensor's zero or a parameter has jumped.
+
+        The first hypothesis has the zero open, one a parameter that and the motion: it was filtered with what was
+        wrong. A few samples tell them apart.
+        """
+        self.far += 1
+        if self.far < IN_A_ROW:
+            return SampleStatus.OUTLIER, "a value is too far off to be one of the motion; left out"
+        self.far = 0
+        best = self._answering()
+        mean, covariance, model = np.array(self.means)[best], self.covariances()[best], self.model
+        added = np.zeros((1 + len(self.layout.free), model.size))
+        added[0, model.offsets] = self.width**2
+        added[1:, : model.n_motion] = self.square
+        for parameter in range(len(self.layout.free)):
+            added[1 + parameter, model.logs.start + parameter] = CHANGE**2
+        means, spreads = np.array(self.means), np.array(self.spreads)
+        for place, own in enumerate(added):
+            means[place], spreads[place] = mean, self.rooted(covariance + np.diag(own))
+        self.means, self.spreads = means, spreads
+        self._asked(len(added))
+        return SampleStatus.SENSOR_JUMP, OPENING
+
+    def _answering(self) -> int:
+        """The member that the answer is most like."""
+        return int(np.argmax(self.weights))
+
+    def _asked(self, number: int) -> None:
+        """Weigh the first ``number`` members, the new hypotheses, alike, and nothing else."""
+        self.ages[:number], self.ages[number:] = 0, OLD
+        self.weights = np.where(np.arange(len(self.walk)) < number, -np.log(number), FLOOR)
+        self.since = 0
 
     def _bear(self, told: Told, share: np.ndarray) -> None:
         """One hypothesis a parameter, in the places of the least likely."""

@@ -110,6 +110,15 @@ class _Ratio(ChangePointTracker):
         self.means, self.spreads, self.weights = means, spreads, self.first_log_weights()
         return alarm
 
+    def _answering(self) -> int:
+        return 0
+
+    def _asked(self, number: int) -> None:
+        """Let the new hypotheses compete with the first of them, which answers meanwhile."""
+        self.ages[:number], self.ages[number:] = 0, OLDEST
+        self.ratios[:], self.bounded[:], self.since = 0.0, 0.0, 0
+        self.weights = self.first_log_weights()
+
     def first_log_weights(self) -> np.ndarray:
         """All on member 0."""
         return np.log(self.first_weights())
