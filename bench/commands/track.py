@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from bench.commands.guard import command, read_fields, whole
 from bench.errors import InputError
+from bench.isolation.processes import compiled_single_threaded
 
 if TYPE_CHECKING:
     from bench.contract.online import Layout, OnlineIdentifier, Tracker
@@ -62,6 +63,7 @@ def _usage() -> str:
 
 def tracked(arguments: Sequence[str]) -> int:
     """Run the twin until its stream ends."""
+    compiled_single_threaded()
     fields, settings = _read(arguments)
     method = _method(fields["method"], settings)
     shape = _shape(fields)

@@ -24,7 +24,7 @@ from bench.entrants.online import make_online
 from bench.entrants.registry import load_method
 from bench.errors import InputError
 from bench.isolation.failure import one_line
-from bench.isolation.processes import single_threaded
+from bench.isolation.processes import compiled_single_threaded, single_threaded
 from bench.online.follow import Followed, follow
 from bench.online.scenario import OnlineScenario
 from bench.store.source import uses
@@ -100,6 +100,7 @@ def missing(task: Task, paths: Paths) -> list[int]:
 def run(tasks: Sequence[Task], paths: Paths, workers: int) -> Iterator[tuple[Task, int, str]]:
     """Run what is missing, replicate by replicate; (task, replicate, what went wrong) as each ends."""
     single_threaded()
+    compiled_single_threaded()
     jobs = [(task, i) for task in tasks for i in missing(task, paths)]
     places = {scenario: i for i, scenario in enumerate(dict.fromkeys(task.scenario.identity for task in tasks))}
     # methods on one stream one behind the other: what they find of its first samples is the same

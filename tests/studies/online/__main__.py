@@ -9,7 +9,7 @@ from pathlib import Path
 
 from bench.commands.guard import command, read_fields, whole
 from bench.errors import InputError
-from bench.isolation.processes import single_threaded
+from bench.isolation.processes import compiled_single_threaded, single_threaded
 from tests.studies.online.constant import constant
 from tests.studies.online.faults import faults
 from tests.studies.online.live import live
@@ -46,6 +46,7 @@ def made(arguments: Sequence[str]) -> int:
         if part not in PARTS:
             raise InputError("part", part, f"some of {', '.join(PARTS)}")
     single_threaded()
+    compiled_single_threaded()
     store, out = Path(fields["store"]), Path(fields["out"])
     store.mkdir(parents=True, exist_ok=True)
     for part in asked:
