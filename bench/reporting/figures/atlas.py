@@ -12,8 +12,8 @@ import pandas as pd
 from bench.atlas.design import Axis, Slice
 from bench.atlas.point import GROUPS
 from bench.entrants.registry import load_method
-from bench.reporting.atlas import near
-from bench.reporting.figures.style import panels, save_figure
+from bench.reporting.atlas import NEAR, near
+from bench.reporting.figures.style import entry, legend_below, panels, save_figure
 
 LABELS = {
     "samples": "samples", "cycles": "cycles", "damping_ratio": "damping ratio", "snr_db": "SNR (dB)",
@@ -22,6 +22,8 @@ LABELS = {
 LEVELS = (0.1, 1.0, 10.0, 100.0)
 """Contours of the bound, %."""
 SHADES = "Greys"
+LINE = "#AA3377"
+AMBIGUOUS = "#88CCEE"
 
 
 def draw_atlas(slices: Sequence[tuple[Slice, pd.DataFrame]], out: Path) -> list[Path]:
@@ -42,7 +44,12 @@ def _drawn(own: Slice, frame: pd.DataFrame, folder: Path) -> list[Path]:
     for axis, method in zip(axes[2:], methods, strict=True):
         mesh = _gross(axis, across, up, frame[frame.method == method])
         axis.set_title(load_method(method).card.title)
-    figure.colorbar(mesh, ax=axes[2:], label="share of gross errors in k/m (%)", shrink=0.8)
+    figure.colorbar(mesh, ax=axes, label="share of gross errors in k/m (%)", shrink=0.6, aspect=30)
+    legend_below(figure, [
+        entry(color=LINE, label=f"within {NEAR:g} times the bound"),
+        entry(color="none", marker="s", markerfacecolor=AMBIGUOUS, markersize=7,
+              label="above half the sampling rate: ambiguous"),
+    ])  # fmt: skip
     return save_figure(figure, folder, f"atlas_{own.name}")
 
 
@@ -55,7 +62,7 @@ def _grid(across: Axis, up: Axis, frame: pd.DataFrame, column: str) -> tuple[np.
 def _bound(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame, column: str) -> None:
     x, y, z = _grid(across, up, frame, column)
     axis.pcolormesh(x, y, np.log10(100.0 * z), cmap=SHADES, vmin=-2.0, vmax=3.0, shading="nearest", rasterized=True)
-    lines = axis.contour(x, y, 100.0 * z, levels=LEVELS, colors="#AA3377", linewidths=0.9)
+    lines = axis.contour(x, y, 100.0 * z, levels=LEVELS, colors=LINE, linewidths=0.9)
     axis.clabel(lines, fmt="%g")
     _scales(axis, across, up)
 
@@ -63,11 +70,20 @@ def _bound(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame, column: str) 
 def _gross(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame) -> Any:
     x, y, z = _grid(across, up, frame, f"{GROUPS[0]}_gross")
     mesh = axis.pcolormesh(x, y, 100.0 * z, cmap=SHADES, vmin=0.0, vmax=100.0, shading="nearest", rasterized=True)
+    ambiguous = np.where(_grid(across, up, frame.assign(own=frame.aliased.astype(float)), "own")[2] > 0, 1.0, np.nan)
+    axis.pcolormesh(x, y, ambiguous, cmap=_colour(AMBIGUOUS), shading="nearest", rasterized=True)
     inside = _grid(across, up, frame.assign(near=near(frame).astype(float)), "near")[2]
     if np.nanmin(inside) < 0.5 < np.nanmax(inside):
-        axis.contour(x, y, inside, levels=[0.5], colors="#AA3377", linewidths=0.9)
+        axis.contour(x, y, inside, levels=[0.5], colors=LINE, linewidths=0.9)
     _scales(axis, across, up)
     return mesh
+
+
+def _colour(name: str) -> Any:
+    """A map of one colour."""
+    from matplotlib.colors import ListedColormap
+
+    return ListedColormap([name])
 
 
 def _scales(axis: Any, across: Axis, up: Axis) -> None:
