@@ -140,7 +140,7 @@ class _Members:
         share = jnp.exp(weights - jax.scipy.special.logsumexp(weights))
         expected = share @ seen
         spread = share @ (diagonal + (seen - expected) ** 2)
-        sure = diagonal <= WIDE * jnp.min(diagonal, axis=0)
+        sure = (diagonal <= WIDE * jnp.min(diagonal, axis=0)) | self.mixes  # a fast rate is no hypothesis just opened
         outlier = there & (jnp.min(jnp.where(sure, left**2 / diagonal, jnp.inf), axis=0) > gate)
         used = there & ~outlier
         means, spreads, gained, moves = jax.vmap(self._updated, in_axes=(0, 0, 0, 0, 0, None, None))(

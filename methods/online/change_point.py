@@ -71,7 +71,7 @@ class ChangePointTracker(FilterTracker):
         best = self._answering()
         mean, covariance, model = np.array(self.means)[best], self.covariances()[best], self.model
         added = np.zeros((1 + len(self.layout.free), model.size))
-        added[0, model.offsets] = self.width**2
+        added[0, model.offsets] = self.zero_variance()
         added[1:, : model.n_motion] = self.square
         for parameter in range(len(self.layout.free)):
             added[1 + parameter, model.logs.start + parameter] = CHANGE**2

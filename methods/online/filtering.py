@@ -263,12 +263,17 @@ class FilterTracker(Tracker):
         if self.far % IN_A_ROW:
             return SampleStatus.OUTLIER, "a value is too far off to be one of the motion; left out"
         model, added = self.model, np.zeros(self.model.size)
-        added[model.offsets] = self.width**2
+        added[model.offsets] = self.zero_variance()
         if self.far > IN_A_ROW:
             self.far = 0
             added[: model.n_motion], added[model.logs] = self.square, OPENED**2
         self.opened(added)
         return SampleStatus.SENSOR_JUMP, OPENING
+
+    def zero_variance(self) -> np.ndarray:
+        """By how much the sensors' zeros are opened: those of displacement. A burst of acceleration is no jump."""
+        moves = [sensor.measures == "displacement" for sensor in self.layout.sensors]
+        return np.asarray(np.where(moves, self.width**2, 0.0))
 
     def _lost(self, sample: Sample) -> Standing:
         """Begin again: no number of a bank that is not finite can be used."""

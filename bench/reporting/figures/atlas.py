@@ -48,7 +48,7 @@ def _drawn(own: Slice, frame: pd.DataFrame, folder: Path) -> list[Path]:
     legend_below(figure, [
         entry(color=LINE, label=f"within {NEAR:g} times the bound"),
         entry(color="none", marker="s", markerfacecolor=AMBIGUOUS, markersize=7,
-              label="above half the sampling rate: ambiguous"),
+              label="above the Nyquist frequency: ambiguous"),
     ])  # fmt: skip
     return save_figure(figure, folder, f"atlas_{own.name}")
 
