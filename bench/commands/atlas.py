@@ -27,7 +27,7 @@ USAGE = """usage: python -m bench -m experiment=atlas [field=value ...]
 
   part      [{parts}] several with commas
   method    {methods}
-  points    the first so many points of the sequence, a multiple of a block
+  points    the first so many points of the sequence or slice
   workers   [one a core] processes
   store     [outputs/atlas] where finished blocks are kept and found again
   out       [results] where the atlas, its tables and maps go
