@@ -24,7 +24,7 @@ from bench.contract.prior import Prior, dimension_scale
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record, Units
 from bench.contract.progress import report_progress
 from bench.contract.window import WindowTracker
-from bench.contract.zero import largest_jump
+from bench.contract.zero import levelled
 from bench.dynamics.compiled_path import compiled_path
 from bench.dynamics.fixed_step import Steps, rk4_path, rk4_scan, rk4_step, step_counts
 from bench.dynamics.held import HeldModel
@@ -104,8 +104,8 @@ __all__ = [
     "fitted_start",
     "identify",
     "interval_polynomials",
-    "largest_jump",
     "layout",
+    "levelled",
     "mass_matrix",
     "measurements",
     "nan_ops",

@@ -17,9 +17,8 @@ import signal
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -35,9 +34,10 @@ from bench.entrants.registry import load_method, make_method
 from bench.errors import InputError
 from bench.information.fisher import compute_bound
 from bench.isolation.failure import one_line
+from bench.isolation.limit import limited
 from bench.isolation.processes import single_threaded
 from bench.scenario.scenario import METHOD
-from bench.store.source import uses
+from bench.store.source import digest_of
 
 LIMIT_S = 60.0
 AHEAD = 2
@@ -75,18 +75,11 @@ class Task:
         return len(self.points) * self.replicates
 
 
-_SOURCES = dict[str, str]()
-
-
+@cache
 def _source(method: str) -> str:
     """A digest of the definitions that a method and the harness use."""
-    if method not in _SOURCES:
-        cls = load_method(method)
-        roots = [*HARNESS, (cls.__module__, cls.__name__)]
-        inside = {"bench", *(module.partition(".")[0] for module, _ in roots)}
-        text = json.dumps([[*name, digest] for name, digest in uses(roots, inside).definitions.items()])
-        _SOURCES[method] = hashlib.sha256(text.encode()).hexdigest()
-    return _SOURCES[method]
+    cls = load_method(method)
+    return digest_of([*HARNESS, (cls.__module__, cls.__name__)])
 
 
 class Blocks:
@@ -182,7 +175,7 @@ def bound_at(point: Point) -> Least:
 
 def _fitted(identifier: Identifier, problem: Problem, rng: np.random.Generator) -> Estimate:
     try:
-        with _limited(LIMIT_S):
+        with limited(LIMIT_S):
             return identifier.identify(problem, rng).checked()
     except Exception as error:
         return Estimate.failed(problem.system, Status.CRASHED, one_line(error))
@@ -195,22 +188,3 @@ def _scored(estimate: Estimate, problem: Problem, truth: Any, least: Least) -> n
             return one_fit(estimate, problem, truth, least)
     except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
         return one_fit(Estimate.failed(problem.system, Status.NONFINITE, one_line(error)), problem, truth, least)
-
-
-@contextmanager
-def _limited(seconds: float) -> Iterator[None]:
-    """Raise TimeoutError in what takes longer, where the system has timers and this is the main thread."""
-
-    def rung(number: int, frame: Any) -> None:
-        raise TimeoutError(f"no answer within {seconds:g} s")
-
-    if not hasattr(signal, "setitimer"):
-        yield
-        return
-    before = signal.signal(signal.SIGALRM, rung)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)

@@ -23,7 +23,7 @@ from bench.contract.belief import Normal, standard_quantile
 from bench.contract.estimate import Estimate, Status
 from bench.contract.online import Layout, Sample, SampleStatus, Standing, Tracker
 from bench.contract.problem import Channel, Force, Problem, Record
-from bench.contract.zero import largest_jump
+from bench.contract.zero import levelled
 
 SPIKE = 5.0
 """Robust standard deviations from the reconstruction, beyond which a sample is left out and the window fitted again."""
@@ -86,32 +86,24 @@ class WindowTracker(Tracker):
 
     def _levelled(self) -> bool:
         """Take a jump of a sensor's zero off the samples behind it; whether there was one."""
-        moved = False
         if np.ptp(np.diff(self.times)) > 0.5 * self.layout.interval:
-            return moved
-        for own, zero in zip(self.values.T, self._zeros(), strict=True):
-            jump = largest_jump(own)
-            if jump is not None:
-                own[jump.at :] -= jump.size
-                zero += jump.size
-                self.jumped, moved = float(self.times[jump.at]), True
-        return moved
-
-    def _zeros(self) -> list[np.ndarray]:
-        """A view of each sensor's zero."""
-        return [self.zero[i : i + 1] for i in range(self.zero.size)]
+            return False
+        at = levelled(self.values, self.zero)
+        if at is not None:
+            self.jumped = float(self.times[at])
+        return at is not None
 
     def _relevelled(self, problem: Problem, estimate: Estimate) -> None:
         """Move the zeros by what a fit leaves on average behind the last jump."""
         behind = self.jumped - self.times[0]
         if not estimate.reconstructions or not np.isfinite(behind):
             return
-        for channel, own, zero in zip(problem.records[0].channels, self.values.T, self._zeros(), strict=True):
+        for i, channel in enumerate(problem.records[0].channels):
             late = channel.times >= behind - 0.5 * self.layout.interval
             if channel.measures == "displacement" and late.any():
                 left = channel.values[late] - estimate.reconstructions[0](channel.times[late])[channel.dof]
-                own[self.times - self.times[0] >= behind - 0.5 * self.layout.interval] -= np.median(left)
-                zero += np.median(left)
+                self.values[self.times - self.times[0] >= behind - 0.5 * self.layout.interval, i] -= np.median(left)
+                self.zero[i] += np.median(left)
 
     def _belief(self) -> Normal | None:
         if not self.belief_names:

@@ -47,6 +47,26 @@ def largest_jump(values: np.ndarray) -> Jump | None:
     return Jump(top + SIDE, float(steps[top])) if sizes[top] > GATE * scale else None
 
 
+def levelled(values: np.ndarray, zero: np.ndarray) -> int | None:
+    """Take the largest jump of each sensor off the samples behind it, and add it to the sensor's zero, both in place.
+
+    Args:
+        values: equally spaced samples, (n, n_sensors).
+        zero: what is taken off the sensors, (n_sensors,).
+
+    Returns:
+        The first sample behind the jump of the last sensor that has one; None where none has.
+    """
+    at = None
+    for i, own in enumerate(values.T):
+        jump = largest_jump(own)
+        if jump is not None:
+            at = jump.at
+            own[at:] -= jump.size
+            zero[i] += jump.size
+    return at
+
+
 def _step() -> np.ndarray:
     """The weights (2 SIDE,) that make the step out of values, by least squares."""
     t = np.arange(2 * SIDE) - SIDE + 0.5

@@ -27,7 +27,7 @@ from bench.isolation.failure import one_line
 from bench.isolation.processes import compiled_single_threaded, single_threaded
 from bench.online.follow import Followed, follow
 from bench.online.scenario import OnlineScenario
-from bench.store.source import uses
+from bench.store.source import digest_of
 
 HARNESS = (("bench.online.scenario", "OnlineScenario"), ("bench.online.follow", "follow"))
 """What makes the data and drives a tracker."""
@@ -52,9 +52,7 @@ class Task:
         if isinstance(batch := getattr(make_online(self.method, self.settings), "batch", None), str):
             own = load_method(batch)
             roots.append((own.__module__, own.__name__))
-        inside = {"bench", *(module.partition(".")[0] for module, _ in roots)}
-        text = json.dumps([[*name, digest] for name, digest in uses(roots, inside).definitions.items()])
-        return hashlib.sha256(text.encode()).hexdigest()
+        return digest_of(roots)
 
     def key(self, replicate: int) -> str:
         """What a run hangs on, as a digest."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -18,6 +19,8 @@ LEAST_RATE = 2.5
 LEAST_SAMPLES, MOST_SAMPLES = 8, 100_000
 WITHIN = 1.96
 """Wanted errors, within which 95 % of normal errors are."""
+DRAWN = 32
+"""Oscillators that stand for all that are likely."""
 RISK = 0.01
 """Most probability of a wrong basin."""
 SHARE = 0.9
@@ -38,8 +41,13 @@ class Likely:
         """The median."""
         return Oscillator(self.frequency, self.damping_ratio)
 
-    def drawn(self, number: int = 32) -> list[Oscillator]:
-        """Oscillators as likely as they are known; the nominal one alone where there is no doubt."""
+    @cached_property
+    def oscillators(self) -> list[Oscillator]:
+        """:data:`DRAWN` as likely as they are known; the nominal one alone where there is no doubt."""
+        return self.drawn(DRAWN)
+
+    def drawn(self, number: int) -> list[Oscillator]:
+        """So many oscillators as likely as they are known; the nominal one alone where there is no doubt."""
         from scipy.special import ndtri  # slow to import
         from scipy.stats import qmc
 
@@ -73,7 +81,7 @@ class Proposal:
 
 def proposal(likely: Likely, decay: Decay) -> Proposal:
     """What a test is expected to give."""
-    every = [errors(information(one, decay)) for one in likely.drawn()]
+    every = [errors(information(one, decay)) for one in likely.oscillators]
     by_name = {name: np.array([one[name] for one in every]) for name in QUANTITIES}
     return Proposal(
         decay,
@@ -127,7 +135,7 @@ def _fewest(likely: Likely, quantity: str, error: float, decay: Decay, most: int
     """
 
     def reaches(samples: int) -> bool:
-        every = [errors(information(one, decay.longer(samples)))[quantity] for one in likely.drawn()]
+        every = [errors(information(one, decay.longer(samples)))[quantity] for one in likely.oscillators]
         return float(np.quantile(every, SHARE, method="higher")) <= error
 
     low, high = decay.samples, most

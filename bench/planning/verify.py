@@ -25,8 +25,7 @@ def simulated(
     exponents = QUANTITIES[quantity]
     found = np.full(number, np.inf)
     for i in range(number):
-        oscillators = likely.drawn()
-        own = oscillators[int(rng.integers(len(oscillators)))]
+        own = likely.oscillators[int(rng.integers(len(likely.oscillators)))]
         values = motion(own, decay.times, (decay.amplitude, 0.0))[0] + rng.standard_normal(decay.samples)
         problem = Problem(system, (Record((Channel(decay.times, values),)),))
         estimate = method.identify(problem, np.random.default_rng(i))

@@ -12,8 +12,9 @@ from __future__ import annotations
 import ast
 import hashlib
 import importlib.util
+import json
 import sys
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -35,6 +36,13 @@ class Uses:
 
     definitions: Mapping[Definition, str]
     packages: frozenset[str]
+
+
+def digest_of(roots: Sequence[Definition]) -> str:
+    """One digest of all definitions that some names use, in the harness and in the names' own packages."""
+    inside = {"bench", *(module.partition(".")[0] for module, _ in roots)}
+    text = json.dumps([[*name, digest] for name, digest in uses(roots, inside).definitions.items()])
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def uses(roots: Iterable[Definition], inside: Collection[str]) -> Uses:

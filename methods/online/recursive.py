@@ -36,7 +36,7 @@ from bench import (
     SampleStatus,
     Standing,
     Tracker,
-    largest_jump,
+    levelled,
     regression_columns,
 )
 
@@ -167,13 +167,7 @@ class _RLSTracker(Tracker):
 
     def _levelled(self) -> bool:
         """Take a jump of a sensor's zero off the samples behind it, and open what is left; whether there was one."""
-        moved = False
-        for i, own in enumerate(self.values.T):
-            jump = largest_jump(own)
-            if jump is not None:
-                own[jump.at :] -= jump.size
-                self.zero[i] += jump.size
-                moved = True
+        moved = levelled(self.values, self.zero) is not None
         if moved and self.equations:
             zeros, weight = range(len(self.layout.free), len(self.theta)), self._weights[0].sum()
             self.inverse[zeros, zeros] += DIFFUSE * np.mean(self.values**2) / weight**2

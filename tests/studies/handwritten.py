@@ -7,14 +7,12 @@ nominal values. All methods fit the same data sets in one process, in turn, so t
 from __future__ import annotations
 
 import math
-import signal
 import sys
 import tempfile
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -30,6 +28,7 @@ from bench.commands.guard import command, read_fields, whole
 from bench.config.experiment import expand
 from bench.entrants.registry import make_method
 from bench.isolation.failure import one_line
+from bench.isolation.limit import limited
 from bench.isolation.processes import single_threaded
 from bench.reporting.rounding import excess_text, number
 from bench.scenario.scenario import METHOD, Scenario
@@ -122,27 +121,11 @@ def contenders() -> dict[str, Fit]:
     return {"by_hand": by_hand, **ours}
 
 
-@contextmanager
-def limited(seconds: float) -> Iterator[None]:
-    """TimeoutError after so many processor seconds, as soon as Python gets to say so."""
-
-    def stop(number: int, frame: object) -> None:
-        raise TimeoutError(f"no answer within {seconds:g} s")
-
-    before = signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.signal(signal.SIGPROF, before)
-
-
 def attempt(fit: Fit, problem: Problem, truth: Truth, rng: np.random.Generator, bound: float, limit: float) -> Outcome:
     """One timed fit, and its score; whatever it raises is a failure."""
     started = time.process_time()
     try:
-        with limited(limit), warnings.catch_warnings():
+        with limited(limit, "processor"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             estimate = fit(problem, rng)
     except Exception as error:
