@@ -24,6 +24,8 @@ CHANGE = 0.3
 """Standard deviation of a jump of a log-parameter: a factor of 1.35."""
 
 
+ASKED = 10
+"""Samples behind a jump, of which none is left out: the hypotheses shall tell what has jumped."""
 OLD = 1_000_000
 """Age (samples) of a hypothesis that was there from the beginning."""
 
@@ -75,11 +77,12 @@ class ChangePointTracker(FilterTracker):
         added[1:, : model.n_motion] = self.square
         for parameter in range(len(self.layout.free)):
             added[1 + parameter, model.logs.start + parameter] = CHANGE**2
-        means, spreads = np.array(self.means), np.array(self.spreads)
-        for place, own in enumerate(added):
-            means[place], spreads[place] = mean, self.rooted(covariance + np.diag(own))
-        self.means, self.spreads = means, spreads
+        means = np.tile(mean, (len(self.walk), 1))
+        spreads = np.stack([self.rooted(covariance + np.diag(own)) for own in added])
+        rest = np.repeat(spreads[:1], len(means) - len(added), axis=0)  # who was here before expects what no longer is
+        self.means, self.spreads = means, np.concatenate([spreads, rest])
         self._asked(len(added))
+        self.asking = ASKED
         return SampleStatus.SENSOR_JUMP, OPENING
 
     def _answering(self) -> int:

@@ -92,7 +92,7 @@ class _Ratio(ChangePointTracker):
         means, spreads = np.array(self.means), np.array(self.spreads)
         if alarm > self.threshold:
             won = int(np.argmax(np.where(alive, self.ratios, -np.inf)))
-            means[0], spreads[0] = means[won], spreads[won]
+            means[:], spreads[:] = means[won], spreads[won]  # the losers expect what is not so: none may gate a value
             self.ages[1:], self.ratios[:], self.bounded[:] = OLDEST, 0.0, 0.0
         elif self.since >= self.born and not self.far and not told.outlier.any():
             self.since = 0

@@ -60,7 +60,7 @@ class FilterTracker(Tracker):
 
     holds: ClassVar[tuple[str, ...]] = (
         "begun", "head_values", "head_forces", "means", "spreads", "weights", "sigma", "push", "memory", "square",
-        "before", "far", "width", "moving",
+        "before", "far", "width", "moving", "asking",
     )  # fmt: skip
     mixes: ClassVar[bool] = False
 
@@ -79,6 +79,7 @@ class FilterTracker(Tracker):
         self.moving = np.ones(len(layout.sensors))
         self._bank = Bank(layout, members, rule, self.mixes)
         self._step, self._coast = self._bank.functions()
+        self.asking = 0
         self._constants: Any = None
         self._logs = self.model.logs
         kinds = {p.name: p.kind for p in layout.system.parameters}
@@ -109,7 +110,9 @@ class FilterTracker(Tracker):
         filled = [value if known else 0.0 for value, known in zip(sample.values, there, strict=True)]
         row = np.array([*filled, *there, *sample.forces, *self.before], float)
         state = (self.means, self.spreads, self.weights)
-        (self.means, self.spreads, self.weights), numbers = self._step(state, row, self.constants)
+        constants = self._ungated() if self.asking else self.constants
+        (self.means, self.spreads, self.weights), numbers = self._step(state, row, constants)
+        self.asking = max(self.asking - 1, 0)
         self.before = list(sample.forces)
         told = self._bank.told(np.asarray(numbers))
         if not (isfinite(told.total) and isfinite(told.mean.sum()) and told.spread.min() > 0):
@@ -137,6 +140,13 @@ class FilterTracker(Tracker):
             noise, levels = (self._noise(), self.memory), (self.sigma**2, self.chain, GATE**2)
             self._constants = jax.tree.map(jax.numpy.asarray, (self.layout.interval, noise, levels))
         return self._constants
+
+    def _ungated(self) -> Any:
+        """The constants of a step that leaves no value out."""
+        import jax
+
+        interval, noise, (variances, chain, gate) = self.constants
+        return interval, noise, (variances, chain, jax.numpy.full_like(gate, np.inf))
 
     def rebuild(self) -> None:
         """The constants follow from what is held."""
