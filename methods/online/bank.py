@@ -54,15 +54,16 @@ class Bank:
 
     @cached_property
     def _places(self) -> tuple[int, ...]:
-        """Where the parts of a row end: mean, covariance, prediction, its variance, outliers, total, gains."""
+        """Where the parts of a row end: those of :class:`Told`, in their order."""
         d, c = self.size, len(self.layout.sensors)
-        return tuple(itertools.accumulate((d, d * d, c, c, c, 1, self.members)))
+        return tuple(itertools.accumulate((d, d * d, c, c, c, c, 1, self.members)))
 
     def told(self, row: np.ndarray) -> Told:
         """What a step tells, from the row of numbers that it hands out."""
-        d, cov, expected, spread, outlier, total, gained = self._places
+        d, cov, expected, spread, surprise, outlier, total, gained = self._places
         return Told(
-            row[:d], row[d:cov].reshape(d, d), row[cov:expected], row[expected:spread], row[spread:outlier] > 0,
+            row[:d], row[d:cov].reshape(d, d), row[cov:expected], row[expected:spread], row[spread:surprise],
+            row[surprise:outlier] > 0,
             float(row[outlier]), row[total:gained], row[gained:].reshape(self.members, -1),
         )  # fmt: skip
 
@@ -70,14 +71,16 @@ class Bank:
 class Told(NamedTuple):
     """What a step tells of a sample.
 
-    Mean and covariance of the mixture; prediction and its variance by sensor; which sensors were taken for outliers;
-    log-likelihood of the mixture and of each member; each member's normalised moves of the log-parameters.
+    Mean and covariance of the mixture; by sensor prediction, its variance, how many standard deviations a value is from
+    it that was used, and which were taken for outliers; log-likelihood of the mixture and of each member; each member's
+    normalised moves of the log-parameters.
     """
 
     mean: np.ndarray
     covariance: np.ndarray
     expected: np.ndarray
     spread: np.ndarray
+    surprise: np.ndarray
     outlier: np.ndarray
     total: float
     gained: np.ndarray
@@ -154,7 +157,8 @@ class _Members:
         weights = jnp.maximum(weights - total, FLOOR)
         share = jnp.exp(weights - jax.scipy.special.logsumexp(weights))
         mean, cov = _mixture(_weighty(share), means, self._covariances(spreads))
-        told = [mean, cov.ravel(), expected, spread, 1.0 * outlier, total[None], gained, moves.ravel()]
+        surprise = jnp.where(used, jnp.abs(values - expected) / jnp.sqrt(spread), 0.0)
+        told = [mean, cov.ravel(), expected, spread, surprise, 1.0 * outlier, total[None], gained, moves.ravel()]
         return (means, spreads, weights), jnp.concatenate(told)
 
     def _mended(self, means: Any, spreads: Any, weights: Any) -> tuple[Any, Any, Any]:

@@ -3,8 +3,9 @@
 A hypothesis is a filter of constant parameters that began, at some sample, from the belief of then with one parameter
 opened (R. P. Adams, D. J. C. MacKay, arXiv:0710.3742, with the Kalman filter's predictive density in place of a
 conjugate one; P. Fearnhead, Z. Liu, J. Royal Statistical Society B 69:589, 2007, for bounding their number). Every few
-samples one is born for each parameter; the least likely of those that have had their time make room. The answer is the
-mixture, so between changes it is nearly that of a filter of constants, and behind one that of a filter that knew.
+samples, and as soon as a value surprises, one is born for each parameter; the least likely of those that have had their
+time make room. The answer is the mixture, so between changes it is nearly that of a filter of constants, and behind one
+that of a filter that knew.
 
 Alarm: the logarithm (base 10) of the odds that something has changed within the samples that the bank remembers.
 """
@@ -16,14 +17,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import InputError, Layout, OnlineCard, OnlineIdentifier, SampleStatus
+from bench import InputError, Layout, OnlineCard, OnlineIdentifier
 from methods.online.bank import FLOOR, Rule, Told
-from methods.online.filtering import IN_A_ROW, OPENING, FilterTracker
+from methods.online.filtering import FilterTracker
 
 CHANGE = 0.3
 """Standard deviation of a jump of a log-parameter: a factor of 1.35."""
 
 
+SURPRISE = 3.0
+"""Standard deviations of a value, at which hypotheses are born out of turn: the change is a few samples old."""
+LOOSER = 10.0
+"""Times the motion's covariance in a new hypothesis: what was filtered since the change was filtered wrongly."""
 ASKED = 10
 """Samples behind a jump, of which none is left out: the hypotheses shall tell what has jumped."""
 OLD = 1_000_000
@@ -55,20 +60,23 @@ class ChangePointTracker(FilterTracker):
         share = share / share.sum()
         remembered = self.born * len(self.walk) // len(self.layout.free)
         recent = float(np.sum(share[self.ages <= remembered]))
-        if self.since >= self.born and not self.far and not told.outlier.any():  # a new one would explain all
-            self.since = 0
+        if self.due(told):
             self._bear(told, share)
+            self.since = 0
         return float(np.log10(max(recent, 1e-300) / max(1.0 - recent, 1e-12)))
 
-    def _outlying(self) -> tuple[SampleStatus, str]:
-        """Leave single values out; behind several in a row ask whether a sensor's zero or a parameter has jumped.
+    def due(self, told: Told) -> bool:
+        """Whether hypotheses are to be born: every so often, and as soon as a value surprises."""
+        if self.far or told.outlier.any():
+            return False  # a new one would explain all
+        return self.since >= self.born or (self.since > 1 and bool(np.any(told.surprise > SURPRISE)))
+
+    def jumped(self) -> None:
+        """Ask whether a sensor's zero or a parameter has jumped.
 
         The first hypothesis has the zero open, one a parameter that and the motion: it was filtered with what was
         wrong. A few samples tell them apart.
         """
-        self.far += 1
-        if self.far < IN_A_ROW:
-            return SampleStatus.OUTLIER, "a value is too far off to be one of the motion; left out"
         self.far = 0
         best = self._answering()
         mean, covariance, model = np.array(self.means)[best], self.covariances()[best], self.model
@@ -83,7 +91,14 @@ class ChangePointTracker(FilterTracker):
         self.means, self.spreads = means, np.concatenate([spreads, rest])
         self._asked(len(added))
         self.asking = ASKED
-        return SampleStatus.SENSOR_JUMP, OPENING
+
+    def loosened(self, covariance: np.ndarray, parameter: int) -> np.ndarray:
+        """The spread of a new hypothesis: one parameter has changed, and the motion may have gone wrong since."""
+        motion, i = slice(0, self.model.n_motion), self.model.logs.start + parameter
+        covariance = covariance.copy()
+        covariance[motion, motion] *= LOOSER
+        covariance[i, i] += CHANGE**2
+        return self.rooted(covariance)
 
     def _answering(self) -> int:
         """The member that the answer is most like."""
@@ -100,13 +115,10 @@ class ChangePointTracker(FilterTracker):
         means, spreads, kinds = np.array(self.means), np.array(self.spreads), len(self.layout.free)
         spared = (self.ages < self.born * len(share) // (2 * kinds)) | (share == np.max(share))
         places = np.argsort(np.where(spared, np.inf, share))[:kinds]
-        chance = self.hazard * self.born
+        chance = self.hazard * self.since
         share = share * (1.0 - chance)
         for parameter, place in enumerate(places):
-            covariance = told.covariance.copy()
-            i = self.model.logs.start + parameter
-            covariance[i, i] += CHANGE**2
-            means[place], spreads[place] = told.mean, self.rooted(covariance)
+            means[place], spreads[place] = told.mean, self.loosened(told.covariance, parameter)
             share[place], self.ages[place] = chance / kinds, 0
         self.means, self.spreads = means, spreads
         self.weights = np.log(np.maximum(share / share.sum(), 1e-300))

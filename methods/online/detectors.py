@@ -94,15 +94,13 @@ class _Ratio(ChangePointTracker):
             won = int(np.argmax(np.where(alive, self.ratios, -np.inf)))
             means[:], spreads[:] = means[won], spreads[won]  # the losers expect what is not so: none may gate a value
             self.ages[1:], self.ratios[:], self.bounded[:] = OLDEST, 0.0, 0.0
-        elif self.since >= self.born and not self.far and not told.outlier.any():
+        elif self.due(told):
             self.since = 0
             kinds = len(self.layout.free)
             worst = np.where(alive & (self.ages < self.born * len(means) // (2 * kinds)), np.inf, self.ratios)
             worst[~alive], worst[0] = -np.inf, np.inf
             for parameter, place in enumerate(np.argsort(worst)[:kinds]):
-                i = self.model.logs.start + parameter
-                means[place], spreads[place] = means[0], spreads[0]
-                spreads[place, i, i] += CHANGE**2
+                means[place], spreads[place] = means[0], self.loosened(spreads[0], parameter)
                 self.ages[place], self.ratios[place], self.bounded[place] = 0, 0.0, 0.0
         else:
             self.weights = self.first_log_weights()

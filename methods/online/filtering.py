@@ -268,17 +268,21 @@ class FilterTracker(Tracker):
         self.opened(added)
 
     def _outlying(self) -> tuple[SampleStatus, str]:
-        """Leave single values out; open the offset behind several in a row, and everything if that was not enough."""
+        """Leave single values out; several in a row are a jump."""
         self.far += 1
         if self.far % IN_A_ROW:
             return SampleStatus.OUTLIER, "a value is too far off to be one of the motion; left out"
+        self.jumped()
+        return SampleStatus.SENSOR_JUMP, OPENING
+
+    def jumped(self) -> None:
+        """Open the sensors' zeros; parameters and motion too where that was not enough."""
         model, added = self.model, np.zeros(self.model.size)
         added[model.offsets] = self.zero_variance()
         if self.far > IN_A_ROW:
             self.far = 0
             added[: model.n_motion], added[model.logs] = self.square, OPENED**2
         self.opened(added)
-        return SampleStatus.SENSOR_JUMP, OPENING
 
     def zero_variance(self) -> np.ndarray:
         """By how much the sensors' zeros are opened: those of displacement. A burst of acceleration is no jump."""
