@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import gzip
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
 
 from bench.atlas.design import AXES
+from bench.atlas.model import FOLDS, TOLD, held_out, told
 from bench.atlas.point import GROUPS, Point
 from bench.atlas.run import Blocks, Task, bound_at
 from bench.atlas.statistics import COLUMNS
@@ -20,28 +22,39 @@ NEAR = 1.2
 """A method is near the bound where its core error is within so many times it, and gross errors are rare."""
 RARE = 0.05
 """Share of gross errors."""
-TOLD = 0.2
-"""Standard deviation of a logarithm, by the bound, above which a test is said not to tell a quantity."""
 
 
 def atlas_frame(tasks: Sequence[Task], blocks: Blocks) -> pd.DataFrame:
     """A line for each point and method of the blocks that are finished, with the bound."""
-    lines, bounds = [], dict[Point, tuple[float, ...]]()
+    lines, bounds = [], dict[Point, list[float]]()
     for task in tasks:
         found = blocks.get(task)
         if found is None:
             continue
         for point, statistics in zip(task.points, found, strict=True):
             if point not in bounds:
-                least = bound_at(point)
-                wrong = float("nan") if point.aliased else wrong_basin(point)
-                bounds[point] = (*least.sds, least.displacement, wrong)
-            numbers = [*(getattr(point, axis.name) for axis in AXES), point.start_known, point.aliased]
-            lines.append([*numbers, task.label, *bounds[point], *statistics.row().tolist()])
-    names = [*(axis.name for axis in AXES), "start_known", "aliased", "method"]
-    return pd.DataFrame(
-        lines, columns=[*names, *(f"bound_{name}" for name in (*GROUPS, "displacement")), "wrong_basin", *COLUMNS]
-    )
+                bounds[point] = _bounds(point)
+            lines.append([*_numbers(point), task.label, *bounds[point], *statistics.row().tolist()])
+    return pd.DataFrame(lines, columns=[*NUMBERS, "method", *BOUNDS, *COLUMNS])
+
+
+def point_frame(point: Point) -> pd.DataFrame:
+    """A line for a point, with the bound, as the model of the atlas asks for it."""
+    return pd.DataFrame([[*_numbers(point), *_bounds(point)]], columns=[*NUMBERS, *BOUNDS])
+
+
+NUMBERS = (*(axis.name for axis in AXES), "start_known", "aliased")
+BOUNDS = (*(f"bound_{name}" for name in (*GROUPS, "displacement")), "wrong_basin")
+
+
+def _numbers(point: Point) -> list[float]:
+    return [*(getattr(point, axis.name) for axis in AXES), point.start_known, point.aliased]
+
+
+def _bounds(point: Point) -> list[float]:
+    """The bounds, and the expected share of wrong basins, NaN where the frequency is ambiguous."""
+    least = bound_at(point)
+    return [*least.sds, least.displacement, float("nan") if point.aliased else wrong_basin(point)]
 
 
 def near(frame: pd.DataFrame, quantity: str = GROUPS[0]) -> pd.Series:
@@ -65,10 +78,12 @@ def summary(frame: pd.DataFrame, command: str) -> str:
     head = f"{int(frame.fits.sum()):,} fits at {points:,} points. {HEAD}"
     tables = [f"## {GROUP_TITLES[name]}\n\n{_table(frame, name)}" for name in GROUPS]
     words = "\n".join(f"- `{name}`: {text}" for name, text in DICTIONARY.items())
-    return "\n\n".join(
-        ["# The atlas of free decays", head, *tables, f"## Columns of `atlas.csv.gz`\n\n{words}",
-         f"Regenerate: `{command}`"]
-    ) + "\n"  # fmt: skip
+    parts = [
+        "# The atlas of free decays", head, *tables,
+        f"## Its model\n\n{MODEL}\n\n{_model_table(frame)}",
+        f"## Columns of `atlas.csv.gz`\n\n{words}", f"Regenerate: `{command}`",
+    ]  # fmt: skip
+    return "\n\n".join(parts) + "\n"
 
 
 GROUP_TITLES = {"k_over_m": "k/m, the squared natural frequency", "c_over_m": "c/m, the decay rate"}
@@ -80,6 +95,11 @@ above half the sampling rate; the tables are over the other points.
 **near**: share of points at which a method's errors are within {NEAR:g} times the bound, gross ones left out, and at
 most {100 * RARE:g} % are gross; **gross**: share of fits whose error is beyond five times the bound, or that give no
 answer; **coverage**: of 95 % intervals, the mean over points."""
+MODEL = f"""`python -m bench.expect` says what a method is expected to do at any test inside the box, by trees with
+gradient boosting, fitted to `atlas.csv.gz`. Here is how they do at points that they were not fitted to, each left out
+once in {FOLDS} parts. **error**: median size of the error of the logarithm of the excess, which itself is counted in few fits;
+**in range**: share of points inside the range from the 10 % to the 90 % quantile; **gross, off by**: mean distance of
+predicted and counted share of gross errors, in tenths of the points by prediction, in percentage points."""
 DICTIONARY = {
     "samples, cycles, damping_ratio, snr_db, phase, start_known": "the test; `phase` in rad: the start is "
     "`x0 = A cos(phase)`, `v0 = -A ω sin(phase)`, with ω the undamped natural frequency; `cycles` are undamped periods",
@@ -97,9 +117,8 @@ DICTIONARY = {
 
 
 def _table(frame: pd.DataFrame, quantity: str) -> str:
-    told = frame[(frame[f"bound_{quantity}"] <= TOLD) & ~frame.aliased]
     rows = []
-    for method, own in told.groupby("method", sort=False):
+    for method, own in told(frame, quantity).groupby("method", sort=False):
         share = float(near(own, quantity).mean())
         cells = [load_method(str(method)).card.title, f"{len(own):,}", f"{100 * share:.0f}",
                  f"{own[f'{quantity}_core'].median():.2f}", f"{100 * own[f'{quantity}_gross'].mean():.1f}",
@@ -107,3 +126,26 @@ def _table(frame: pd.DataFrame, quantity: str) -> str:
         rows.append((-share, cells))
     headers = ["method", "points", "near %", "median error over the bound", "gross %", "coverage %", "ms a fit"]
     return markdown_table([cells for _, cells in sorted(rows, key=lambda row: row[0])], headers)
+
+
+def _model_table(frame: pd.DataFrame) -> str:
+    """How the model does at points that it has not seen, method by method."""
+    rows = []
+    for method, own in frame.groupby("method", sort=False):
+        cells = [load_method(str(method)).card.title]
+        for name in GROUPS:
+            try:
+                one = held_out(own, name)
+            except ValueError:
+                cells += ["-"] * 4
+                continue
+            cells += [f"{one.points:,}", *(_known(value, form) for value, form in (
+                (one.error, "{:.3f}"), (100 * one.within, "{:.0f}"), (100 * one.calibration, "{:.1f}")
+            ))]  # fmt: skip
+        rows.append(cells)
+    each = ["points", "error", "in range %", "gross, off by"]
+    return markdown_table(rows, ["method", *(f"{title} {word}" for title in ("k/m", "c/m") for word in each)])
+
+
+def _known(value: float, form: str) -> str:
+    return form.format(value) if math.isfinite(value) else "-"

@@ -1,0 +1,103 @@
+"""The model of the atlas, on an atlas whose rule is known."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bench.atlas.design import sobol
+from bench.atlas.model import FEWEST, Model, features, held_out, told, unknown
+from bench.atlas.point import Point
+from bench.commands.expect import expected
+from bench.errors import InputError
+from bench.reporting.atlas import point_frame
+
+pytest.importorskip("sklearn")
+SPREAD = 0.1
+
+
+def atlas(number: int = 512) -> pd.DataFrame:
+    """Below 10 dB a third of the fits is gross; the log excess rises with the logarithm of the samples."""
+    rng = np.random.default_rng(4)
+    lines = [
+        {"samples": p.samples, "cycles": p.cycles, "damping_ratio": p.damping_ratio, "snr_db": p.snr_db,
+         "phase": p.phase, "start_known": p.start_known, "aliased": p.aliased, "wrong_basin": 0.0}
+        for p in sobol(number, 3)
+    ]  # fmt: skip
+    frame = pd.DataFrame(lines)
+    frame["bound_k_over_m"], frame["bound_c_over_m"], frame["bound_displacement"] = 0.01, 0.5, 1.0
+    frame["method"], frame["fits"] = "output_error", 50.0
+    frame["k_over_m_core"] = np.exp(rule(frame) + SPREAD * rng.standard_normal(number))
+    frame["k_over_m_gross"] = rng.binomial(50, np.where(frame.snr_db < 10.0, 1 / 3, 0.02)) / 50
+    return frame
+
+
+def rule(frame: pd.DataFrame) -> np.ndarray:
+    return np.asarray(0.5 * (np.log10(frame.samples.to_numpy(float)) - 1.0))
+
+
+def test_points_that_were_left_out_are_predicted_to_what_is_random_in_them() -> None:
+    found = held_out(atlas(), "k_over_m")
+    assert found.error < 0.095  # 0.6745 times the spread is the least there can be
+    assert 0.65 < found.within < 0.9
+    assert found.calibration < 0.05
+    assert found.points == len(told(atlas(), "k_over_m"))
+
+
+def test_the_model_knows_the_rule() -> None:
+    frame = atlas()
+    few, many = (
+        Model(frame, "k_over_m").expected(frame[frame.samples.between(*size)]) for size in ((8, 16), (250, 500))
+    )
+    assert np.median([one.excess[1] for one in few]) == pytest.approx(np.exp(0.5 * 0.05), abs=0.1)
+    assert np.median([one.excess[1] for one in many]) == pytest.approx(np.exp(0.5 * 1.55), abs=0.25)
+    noisy, quiet = (
+        Model(frame, "k_over_m").expected(frame[frame.snr_db.between(*size)]) for size in ((-5, 5), (20, 60))
+    )
+    assert np.mean([one.gross for one in noisy]) == pytest.approx(1 / 3, abs=0.07)
+    assert np.mean([one.gross for one in quiet]) < 0.06
+
+
+def test_a_model_of_few_points_or_of_what_is_not_told_is_refused() -> None:
+    with pytest.raises(ValueError, match="too few"):
+        Model(atlas().head(FEWEST // 2), "k_over_m")
+    with pytest.raises(ValueError, match="too few"):
+        Model(atlas(), "c_over_m")
+
+
+@pytest.mark.parametrize(
+    ("point", "why"),
+    [
+        (Point(5, 2.0, 0.02, 20.0, 0.0, False), "outside the atlas"),
+        (Point(50, 40.0, 0.02, 20.0, 0.0, False), "half the sampling rate"),
+        (Point(20, 0.5, 0.5, -5.0, 0.0, False), "does not tell"),
+        (Point(100, 5.0, 0.02, 40.0, 0.0, False), ""),
+    ],
+)
+def test_it_says_where_it_does_not_know(point: Point, why: str) -> None:
+    assert why in unknown(point_frame(point), "k_over_m")
+    assert bool(why) == bool(unknown(point_frame(point), "k_over_m"))
+
+
+def test_features_are_numbers() -> None:
+    frame = told(atlas(), "k_over_m")
+    assert np.all(np.isfinite(features(frame, "k_over_m")))
+
+
+def test_the_command_names_methods_and_refuses_what_it_cannot_read(tmp_path, capsys) -> None:
+    path = tmp_path / "atlas.csv.gz"
+    atlas().to_csv(path, index=False)
+    test = ["samples=100", "cycles=5", "damping=0.02", "snr=40", f"atlas={path}"]
+    assert expected(test) == 0
+    assert "Output error" in capsys.readouterr().out
+    assert expected([*test[:1], "cycles=90", *test[2:]]) == 0
+    assert "does not know" in capsys.readouterr().out
+    for wrong, field in (
+        ("samples=0", "samples"),
+        ("start=maybe", "start"),
+        ("snr=nan", "snr"),
+        ("quantity=m", "quantity"),
+    ):
+        with pytest.raises(InputError, match=field):
+            expected([one for one in test if one.partition("=")[0] != field] + [wrong])
+    with pytest.raises(InputError, match="atlas"):
+        expected([*test[:4], f"atlas={tmp_path}/none.csv"])
