@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FIELDS = {
     "part": "", "method": "", "points": "", "workers": "", "store": "outputs/atlas", "out": "results",
-    "fit": "true", "dry_run": "false",
+    "fit": "true", "dry_run": "false", "shard": "1/1",
 }  # fmt: skip
 COMMAND = "python -m bench -m experiment=atlas"
 USAGE = """usage: python -m bench -m experiment=atlas [field=value ...]
@@ -32,7 +32,9 @@ USAGE = """usage: python -m bench -m experiment=atlas [field=value ...]
   store     [outputs/atlas] where finished blocks are kept and found again
   out       [results] where the atlas, its tables and maps go
   fit       [true] false: write what is kept
-  dry_run   [false] say how much is to do"""
+  shard     [1/1] 3/10: every tenth block from the third on, as a job of many
+            that share the store; nothing is written but the blocks
+  dry_run   [false] say how far it is, what it took, and what is left"""
 
 
 def atlas_usage() -> str:
@@ -55,16 +57,56 @@ def made_atlas(arguments: Sequence[str]) -> int:
     methods = [name.strip() for name in fields["method"].split(",") if name.strip()]
     most = whole("points", fields["points"]) if fields["points"] else None
     workers = whole("workers", fields["workers"]) if fields["workers"] else os.cpu_count() or 1
+    number, shards = _shard(fields["shard"])
     tasks = {part: atlas_tasks(part, methods, most) for part in parts}
-    blocks, every = Blocks(Path(fields["store"])), [task for own in tasks.values() for task in own]
+    blocks, every = (
+        Blocks(Path(fields["store"])),
+        [task for own in tasks.values() for task in own][number - 1 :: shards],
+    )
     left = [task for task in every if not blocks.holds(task)]
     fits, left_fits = sum(task.fits for task in every), sum(task.fits for task in left)
     print(f"bench: {fits:,} fits in {len(every):,} blocks, {left_fits:,} in {len(left):,} to do", file=sys.stderr)
     if fields["dry_run"] == "true":
+        print(_progress(every, blocks, workers))
         return 0
     if left and fields["fit"] == "true":
         _run(every, blocks, left_fits, workers)
+    if shards > 1:
+        return 0
     return _write(tasks, blocks, Path(fields["out"]))
+
+
+def _shard(text: str) -> tuple[int, int]:
+    """The number of a shard, from 1, and of all."""
+    number, _, shards = text.partition("/")
+    if not (number.isdecimal() and shards.isdecimal() and 1 <= int(number) <= int(shards)):
+        raise InputError("shard", text, "<number>/<of how many>, as 3/10")
+    return int(number), int(shards)
+
+
+NODES = (1, 10, 100)
+
+
+def _progress(tasks: Sequence[Task], blocks: Blocks, workers: int) -> str:
+    """How far each method is, and what the whole takes on one machine and on many."""
+    from bench.atlas.cost import hours, progress
+    from bench.reporting.tables.common import markdown_table
+
+    lines = progress(tasks, blocks)
+    rows = [
+        [one.label, f"{one.done} of {one.blocks}", f"{one.fits_done:,} of {one.fits:,}",
+         f"{1e3 * one.fit_s:.1f}" if one.done else "-", f"{one.fits_done * one.fit_s / 3600:.2f}" if one.done else "-",
+         f"{(one.fits - one.fits_done) * one.fit_s / 3600:.2f}" if one.done else "-"]
+        for one in lines
+    ]  # fmt: skip
+    table = markdown_table(rows, ["method", "blocks", "fits", "ms a fit", "hours of a core", "left"])
+    known = {one.label: one.fit_s for one in lines if one.done}
+    measured = [task for task in tasks if task.label in known]
+    if not measured:
+        return table
+    took = ", ".join(f"{hours(measured, known, n * workers):.2g}" for n in NODES)
+    nodes = ", ".join(map(str, NODES))
+    return f"{table}\n\nWhole, for the methods with a time, on {nodes} nodes with {workers} workers each: {took} hours."
 
 
 def _run(tasks: Sequence[Task], blocks: Blocks, left: int, workers: int) -> None:

@@ -97,8 +97,8 @@ most {100 * RARE:g} % are gross; **gross**: share of fits whose error is beyond 
 answer; **coverage**: of 95 % intervals, the mean over points."""
 MODEL = f"""`python -m bench.expect` says what a method is expected to do at any test inside the box, by trees with
 gradient boosting, fitted to `atlas.csv.gz`. Here is how they do at points that they were not fitted to, each left out
-once in {FOLDS} parts. **error**: median size of the error of the logarithm of the excess, which itself is counted in few fits;
-**in range**: share of points inside the range from the 10 % to the 90 % quantile; **gross, off by**: mean distance of
+once in {FOLDS} parts. **error**: median size of the error of the log excess, which is itself counted in few fits; **in
+range**: share of points inside the range from the 10 % to the 90 % quantile; **gross, off by**: mean distance of
 predicted and counted share of gross errors, in tenths of the points by prediction, in percentage points."""
 DICTIONARY = {
     "samples, cycles, damping_ratio, snr_db, phase, start_known": "the test; `phase` in rad: the start is "

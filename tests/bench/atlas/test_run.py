@@ -1,11 +1,15 @@
 """The runs of the atlas: finished blocks are kept, damaged ones are not read, what goes wrong is a failed fit."""
 
+import subprocess
+import sys
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from bench import Card, Estimate, Identifier
+from bench.atlas.cost import hours, progress
 from bench.atlas.point import Point
 from bench.atlas.run import Blocks, Task, at_point, run
 from bench.atlas.statistics import SCORED
@@ -65,7 +69,7 @@ def test_every_method_of_the_atlas_can_be_made_and_a_million_fits_are_planned() 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [("part=slices", "part=slices"), ("method=shoting", "did you mean shooting"), ("points=0", "points=0"),
-     ("fit=maybe", "true or false"), ("snr=3", "snr")],
+     ("fit=maybe", "true or false"), ("snr=3", "snr"), ("shard=4/3", "3/10"), ("shard=2", "3/10")],
 )  # fmt: skip
 def test_a_mistype_is_one_line(arguments, said, capsys) -> None:
     assert main(["-m", "experiment=atlas", arguments]) == 2
@@ -80,3 +84,42 @@ def test_the_command_writes_the_atlas_and_its_maps(tmp_path, capsys) -> None:
     assert "2 points" in (tmp_path / "out" / "atlas.md").read_text()
     assert main(["-m", "experiment=atlas", "fit=false", f"store={tmp_path / 'none'}"]) == 2
     assert "finished blocks" in capsys.readouterr().err
+
+
+def test_shards_are_all_of_the_blocks_and_none_twice(tmp_path) -> None:
+    given = ["-m", "experiment=atlas", "part=points", "method=log_decrement", "points=64", f"store={tmp_path}"]
+    for number in (1, 2, 3):
+        assert main([*given, f"out={tmp_path / 'out'}", f"shard={number}/3", "workers=1"]) == 0
+    assert len(list(tmp_path.glob("*.npy"))) == 4
+    assert not (tmp_path / "out").exists()
+    assert main([*given, "dry_run=true"]) == 0
+
+
+def test_progress_and_hours_are_those_of_the_blocks(tmp_path) -> None:
+    blocks = Blocks(tmp_path)
+    tasks = [replace(TASK, seed=seed) for seed in range(4)]
+    list(run(tasks[:3], blocks, 1))
+    (line,) = progress(tasks, blocks)
+    assert (line.done, line.blocks, line.fits_done, line.fits) == (3, 4, 60, 80)
+    assert 0 < line.fit_s < 10
+    assert hours(tasks, {TASK.label: 180.0}, 1) == pytest.approx(4.0)  # four blocks of 20 fits of three minutes
+    assert hours(tasks, {TASK.label: 180.0}, 3) == pytest.approx(2.0)
+    assert hours(tasks, {TASK.label: 180.0}, 100) == pytest.approx(1.0)
+
+
+@pytest.mark.slow
+def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path) -> None:
+    """SIGKILL leaves whole blocks alone, and the rest is computed once."""
+    arguments = ["part=points", "method=log_decrement", "points=256", f"store={tmp_path}", "workers=1", "shard=1/1"]
+    command = [sys.executable, "-m", "bench", "-m", "experiment=atlas", f"out={tmp_path / 'out'}", *arguments]
+    killed = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    until = time.monotonic() + 120.0
+    while len(list(tmp_path.glob("*.npy"))) < 3 and time.monotonic() < until:
+        time.sleep(0.05)
+    killed.kill()
+    killed.wait()
+    whole = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.npy")}
+    assert 3 <= len(whole) < 16
+    assert subprocess.run(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL).returncode == 0
+    assert len(list(tmp_path.glob("*.npy"))) == 16
+    assert all(path.stat().st_mtime_ns == written for path, written in whole.items())
