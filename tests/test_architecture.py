@@ -17,7 +17,7 @@ import bench
 HEAVY = {"torch", "casadi", "pysindy", "emcee", "blackjax"}
 ROOMS = (
     "errors", "isolation", "systems", "contract", "dynamics", "scenario", "likelihood", "entrants", "information",
-    "scoring", "store", "online", "atlas", "planning", "config", "sweep", "measured", "reporting", "face", "twin",
+    "scoring", "store", "online", "atlas", "config", "sweep", "measured", "planning", "reporting", "face", "twin",
     "commands",
 )  # fmt: skip
 """From the top of the house down: a module imports from its own room and from those above."""

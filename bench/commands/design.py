@@ -1,4 +1,7 @@
-"""``python -m bench.design``: the cheapest free decay that tells a quantity as well as is wanted."""
+"""``python -m bench.design``: the cheapest free decay that tells a quantity as well as is wanted.
+
+With ``given=record.csv``: what a decay that was taken would tell, if it had gone on for longer or were taken again.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import math
 import re
 import sys
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from bench.commands.guard import command, read_fields, whole
 from bench.config.atlas import on_the_bound
@@ -14,6 +18,9 @@ from bench.measured.reading.units import unit_of
 from bench.planning.free_decay import QUANTITIES
 from bench.planning.search import SHARE, WITHIN, Likely, Proposal, cheapest, proposal
 from bench.reporting.tables.common import markdown_table
+
+if TYPE_CHECKING:
+    from bench.planning.longer import Taken
 
 FIELDS = {
     "want": "", "frequency": "", "damping": "", "noise": "", "amplitude": "", "rate": "", "samples": "", "duration": "",
@@ -34,7 +41,14 @@ USAGE = """usage: python -m bench.design want=c_over_m:5% frequency=2 damping=0.
   samples, duration
              of a test that is given (s): what it would tell
   method     [{method}] that verify= asks
-  verify     [0] simulate the proposed test so many times"""
+  verify     [0] simulate the proposed test so many times
+
+       python -m bench.design given=record.csv [want=damping_ratio:5%] [field=value ...]
+
+  given      a record of a free decay: what it would tell, had it gone on or
+             were it taken again
+  method     [{method}] that fits it
+  ...        columns=, units=, rate=, from=, to=, as for python -m bench data="""
 TITLES = {"k_over_m": "k/m", "c_over_m": "c/m", "natural_frequency": "frequency", "damping_ratio": "damping ratio"}
 
 
@@ -45,6 +59,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def designed(arguments: Sequence[str]) -> int:
     """Propose, print, and simulate where asked; raises InputError."""
+    if any(argument.startswith("given=") for argument in arguments):
+        return _gone_on(arguments)
     fields = read_fields(arguments, FIELDS)
     for name in ("want", "frequency", "damping", "noise"):
         if not fields[name]:
@@ -97,7 +113,8 @@ def _table(found: Sequence[Proposal], noise: float, checked: Sequence[str] | Non
 
 
 def _percent(value: float) -> str:
-    return f"{100 * value:.2g}" if math.isfinite(value) else "-"
+    percent = 100 * value
+    return "-" if not math.isfinite(value) else f"{percent:.0f}" if percent >= 10 else f"{percent:.2g}"
 
 
 def _meaning(likely: Likely, method: str, quantity: str, number: int) -> str:
@@ -127,6 +144,51 @@ def _verified(
     with tqdm(total=number * len(found), unit="test", file=sys.stderr) as bar:
         every = [simulated(likely, one.decay, quantity, identifier, number, bar.update) for one in found]
     return [f"{100 * reached(errors, error):.1f}" for errors in every]
+
+
+FACTORS = (1.25, 1.5, 2.0, 3.0)
+"""Times its duration, for which it is said what a record would tell."""
+AGAIN = (2, 4)
+
+
+def _gone_on(arguments: Sequence[str]) -> int:
+    """What a record would tell, had it gone on or were it taken again."""
+    from bench.config.overrides import read_overrides
+    from bench.planning.taken import taken
+
+    own = {"given": "", "want": "", "method": on_the_bound()[0]}
+    fields = read_fields([one for one in arguments if one.partition("=")[0] in own], own)
+    rest = [one for one in arguments if one.partition("=")[0] not in own]
+    wanted = _wanted(fields["want"]) if fields["want"] else None
+    given = [f"data={fields['given']}", f"method={fields['method']}", *rest]
+    record = taken(read_overrides(given))
+    lines = [("as it is", record.duration, record.supported)]
+    lines += [(f"{factor:g} times as long", factor * record.duration, record.expected(factor)) for factor in FACTORS]
+    lines += [(f"{number} records alike", number * record.duration, record.repeated(number)) for number in AGAIN]
+    rows = [[title, f"{seconds:.3g}", *(_percent(told[name]) for name in QUANTITIES)] for title, seconds, told in lines]
+    print(markdown_table(rows, ["record", "seconds", *(f"{title}, %" for title in TITLES.values())]))
+    print(f"\n{GONE_ON}")
+    if wanted:
+        print(_until(record, *wanted))
+    return 0
+
+
+GONE_ON = """Percentages are standard errors; those of the record are what it supports, the others follow by ratios of
+Cramér-Rao bounds. A longer record goes on at the same rate."""
+
+
+def _until(record: Taken, quantity: str, error: float) -> str:
+    """What it takes to tell a quantity as well as is wanted."""
+    title, factor = TITLES[quantity], record.factor_for(quantity, error)
+    if factor == 1.0:
+        return f"The record tells {title} to {_percent(record.supported[quantity])} %, which is enough."
+    number = record.number_for(quantity, error)
+    again = f"{number} records like it do"
+    if factor is None:
+        return f"No longer record tells {title} to {100 * error:g} %: the motion has died away; {again}."
+    seconds = (factor - 1.0) * record.duration
+    now = _percent(record.supported[quantity])
+    return f"{seconds:.2g} s more bring {title} from {now} to {100 * error:g} %; {again} as well."
 
 
 def _wanted(text: str) -> tuple[str, float]:

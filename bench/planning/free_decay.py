@@ -99,7 +99,10 @@ def information(oscillator: Oscillator, decay: Decay, times: np.ndarray | None =
 
 
 def errors(told: np.ndarray) -> dict[str, float]:
-    """The bound on the standard deviation of each quantity's logarithm, by information; inf where it tells nothing."""
+    """The bound on the standard deviation of each quantity's logarithm, by information; inf where it tells nothing.
+
+    ``told`` is about log k/m, log c/m, and what else is unknown.
+    """
     scale = np.sqrt(np.diag(told))
     if not np.all(scale > 0):
         return dict.fromkeys(QUANTITIES, math.inf)
@@ -108,6 +111,6 @@ def errors(told: np.ndarray) -> dict[str, float]:
         return dict.fromkeys(QUANTITIES, math.inf)
     found = {}
     for name, exponents in QUANTITIES.items():
-        weights = np.array([*exponents, 0.0, 0.0]) / scale
+        weights = np.array([*exponents, *np.zeros(len(scale) - 2)]) / scale
         found[name] = float(np.sqrt(np.sum((vectors.T @ weights) ** 2 / values)))
     return found

@@ -110,7 +110,7 @@ def test_progress_and_hours_are_those_of_the_blocks(tmp_path) -> None:
 @pytest.mark.slow
 def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path) -> None:
     """SIGKILL leaves whole blocks alone, and the rest is computed once."""
-    arguments = ["part=points", "method=log_decrement", "points=256", f"store={tmp_path}", "workers=1", "shard=1/1"]
+    arguments = ["part=points", "method=log_decrement", "points=128", f"store={tmp_path}", "workers=1", "shard=1/1"]
     command = [sys.executable, "-m", "bench", "-m", "experiment=atlas", f"out={tmp_path / 'out'}", *arguments]
     killed = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     until = time.monotonic() + 120.0
@@ -119,7 +119,7 @@ def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path) -> None:
     killed.kill()
     killed.wait()
     whole = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.npy")}
-    assert 3 <= len(whole) < 16
+    assert 3 <= len(whole) < 8
     assert subprocess.run(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL).returncode == 0
-    assert len(list(tmp_path.glob("*.npy"))) == 16
+    assert len(list(tmp_path.glob("*.npy"))) == 8
     assert all(path.stat().st_mtime_ns == written for path, written in whole.items())
