@@ -113,7 +113,8 @@ def cheapest(likely: Likely, quantity: str, error: float, amplitude: float, rate
         The test, or None where none of up to :data:`MOST_SAMPLES` samples reaches it.
     """
     found: Decay | None = None
-    for duration in CYCLES / likely.frequency:
+    cycles = CYCLES[np.argsort(np.abs(np.log(CYCLES * 2.0 * math.pi * likely.damping_ratio)))]  # a good one soon
+    for duration in cycles / likely.frequency:
         most = MOST_SAMPLES if found is None else found.samples - 1
         least = max(LEAST_SAMPLES, math.ceil(LEAST_RATE * likely.fastest * duration) + 1)
         if rate:
@@ -129,24 +130,32 @@ def cheapest(likely: Likely, quantity: str, error: float, amplitude: float, rate
 
 
 def _fewest(likely: Likely, quantity: str, error: float, decay: Decay, most: int) -> int | None:
-    """The fewest samples from those of ``decay`` on over its duration; None where ``most`` are too few.
+    """The fewest samples from those of ``decay`` on over its duration, to half a percent; None where ``most`` are too
+    few.
 
-    More samples over the same time tell more, nearly by their number: bisection from a guess on that line.
+    More samples over the same time tell more, and the error falls nearly as the root of their number.
     """
 
-    def reaches(samples: int) -> bool:
+    def error_of(samples: int) -> float:
         every = [errors(information(one, decay.longer(samples)))[quantity] for one in likely.oscillators]
-        return float(np.quantile(every, SHARE, method="higher")) <= error
+        return float(np.quantile(every, SHARE, method="higher"))
 
-    low, high = decay.samples, most
-    if reaches(low):
+    def guess(samples: int, found: float) -> float:
+        return samples * (found / error) ** 2
+
+    low, own = decay.samples, error_of(decay.samples)
+    if own <= error:
         return low
-    while low < high and not reaches(min(2 * low, high)):
-        low *= 2
-    if low >= high:
-        return None
-    high = min(2 * low, high)
+    high = int(min(1.1 * guess(low, own) + 2.0, most)) if math.isfinite(own) else most
+    own = error_of(high)
+    while own > error:
+        if high == most:
+            return None
+        low, high = high, int(min(1.1 * guess(high, own) + 2.0, most))
+        own = error_of(high)
     while high - low > max(1, low // 200):
-        middle = (low + high) // 2
-        low, high = (low, middle) if reaches(middle) else (middle, high)
+        middle = math.ceil(guess(high, own))
+        middle = middle if low < middle <= high - max(1, low // 200) else (low + high) // 2
+        found = error_of(middle)
+        low, high, own = (low, middle, found) if found <= error else (middle, high, own)
     return high

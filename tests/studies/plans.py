@@ -1,0 +1,151 @@
+"""``python -m tests.studies.plans``: writes ``plans.md``: whether proposed tests keep what they promise.
+
+Requests are drawn at random, each is planned, and the test that is proposed is simulated and fitted with a real method.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import binom, norm
+from tqdm import tqdm
+
+from bench.commands.guard import command, read_fields, whole
+from bench.config.atlas import on_the_bound
+from bench.entrants.registry import make_method
+from bench.isolation.processes import single_threaded
+from bench.planning.free_decay import QUANTITIES, Decay, errors, information
+from bench.planning.search import MOST_SAMPLES, SHARE, WITHIN, Likely, Proposal, cheapest
+from bench.planning.verify import reached, simulated
+from bench.reporting.tables.common import markdown_table
+
+FIELDS = {"requests": "20", "tests": "500", "out": "results"}
+USAGE = """usage: python -m tests.studies.plans [requests=20] [tests=500] [out=results]
+
+  requests  random requests, each planned
+  tests     simulations of each proposed test
+  out       where plans.md goes"""
+MOST = 2000
+"""Samples of a test, beyond which a request is drawn anew: it would take long to simulate."""
+HABIT = 10.0
+"""Samples a cycle of the test that is doubled."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is wanted of what oscillator, from a start over the noise."""
+
+    likely: Likely
+    quantity: str
+    error: float
+    amplitude: float
+
+
+def requests(number: int) -> list[tuple[Request, Proposal]]:
+    """Random requests with the test that is proposed for each; half of them with doubt about the oscillator."""
+    rng = np.random.default_rng(2027)
+    found = list[tuple[Request, Proposal]]()
+    while len(found) < number:
+        doubt = (0.0, 0.0) if len(found) % 2 == 0 else (float(rng.uniform(0.01, 0.1)), float(rng.uniform(0.1, 0.5)))
+        frequency, damping = float(10 ** rng.uniform(-1, 2)), float(10 ** rng.uniform(-3, -0.7))
+        quantity = str(rng.choice(list(QUANTITIES)))
+        error = float(10 ** rng.uniform(-2, -1)) * (0.1 if quantity in ("k_over_m", "natural_frequency") else 1.0)
+        one = Request(Likely(frequency, damping, *doubt), quantity, error, float(10 ** rng.uniform(0.5, 2)))
+        plan = cheapest(one.likely, quantity, error, one.amplitude)
+        if plan is not None and plan.decay.samples <= MOST:
+            found.append((one, plan))
+    return found
+
+
+def expected_share(one: Request, decay: Decay) -> float:
+    """Share of tests within :data:`WITHIN` wanted errors, where estimates are as good as the bound."""
+    every = [errors(information(own, decay))[one.quantity] for own in one.likely.oscillators]
+    return float(np.mean([2.0 * norm.cdf(WITHIN * one.error / sd) - 1.0 for sd in every]))
+
+
+def doubled(one: Request) -> int | None:
+    """Samples of a test at :data:`HABIT` samples a cycle, its length doubled from one cycle on until it is enough."""
+    cycles = 1.0
+    while HABIT * cycles < MOST_SAMPLES:
+        decay = Decay(round(HABIT * cycles) + 1, cycles / one.likely.frequency, one.amplitude)
+        every = [errors(information(own, decay))[one.quantity] for own in one.likely.oscillators]
+        if float(np.quantile(every, SHARE, method="higher")) <= one.error:
+            return decay.samples
+        cycles *= 2.0
+    return None
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Plan, simulate, write."""
+    return command("tests.studies.plans", USAGE, argv, made)
+
+
+def made(arguments: Sequence[str]) -> int:
+    """Raises InputError."""
+    fields = read_fields(arguments, FIELDS)
+    number, tests = whole("requests", fields["requests"]), whole("tests", fields["tests"])
+    single_threaded()
+    name = on_the_bound()[0]
+    method, lines, inside = make_method(name, {}), [], 0
+    planned = requests(number)
+    with tqdm(total=number * tests, unit="test", file=sys.stderr) as bar:
+        for one, plan in planned:
+            found = reached(simulated(one.likely, plan.decay, one.quantity, method, tests, bar.update), one.error)
+            share = expected_share(one, plan.decay)
+            low, high = (float(value) / tests for value in binom.interval(0.95, tests, share))
+            inside += low <= found <= high
+            lines.append((one, plan, share, found, low <= found <= high, doubled(one)))
+    out = Path(fields["out"])
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "plans.md").write_text(page(lines, name, tests, inside), encoding="utf-8")
+    print(out / "plans.md")
+    return 0
+
+
+Line = tuple[Request, Proposal, float, float, bool, int | None]
+
+
+def page(lines: Sequence[Line], method: str, tests: int, inside: int) -> str:
+    """The page, a line a request."""
+    rows = []
+    for one, plan, share, found, kept, samples in lines:
+        own = one.likely
+        rows.append([
+            f"{one.quantity}:{100 * one.error:.2g}%", _known(own.frequency, own.frequency_sd),
+            _known(own.damping_ratio, own.damping_sd), f"{one.amplitude:.3g}", f"{plan.decay.samples}",
+            f"{plan.decay.duration * own.frequency:.3g}", f"{100 * share:.1f}", f"{100 * found:.1f}",
+            "yes" if kept else "no", f"{samples:,}" if samples else "never",
+            f"{samples / plan.decay.samples:.1f}" if samples else "-",
+        ])  # fmt: skip
+    headers = ["want", "frequency, Hz", "damping ratio", "start / noise", "samples", "cycles", "expected %",
+               "simulated %", "inside", "samples by doubling", "over the plan's"]  # fmt: skip
+    more = [samples / plan.decay.samples for _, plan, *_, samples in lines if samples]
+    said = (
+        f"Inside: {inside} of {len(lines)}. A test that is doubled takes {np.median(more):.1f} times the samples of the"
+        f" proposed one (median), and never reaches the error in {sum(line[-1] is None for line in lines)} requests."
+    )
+    head = HEAD.format(tests=tests, method=method, within=WITHIN, habit=HABIT, most=MOST)
+    return "\n\n".join([f"# Plans, simulated\n\n{head}", markdown_table(rows, headers), said, REGENERATE]) + "\n"
+
+
+HEAD = """Requests are drawn at random, half of them with doubt about the oscillator (the standard deviation stands
+behind the value); those are left out whose test takes more than {most} samples. For each the test of fewest samples is
+proposed, released from rest, and simulated {tests} times with oscillators as likely as they are known, answered by
+`{method}`. **expected**: share of tests whose error of the wanted quantity is within {within:g} wanted errors, where an
+estimate is as good as the Cramér-Rao bound; **inside**: whether the simulated share is in the binomial 95 % interval
+about it. **samples by doubling**: of a test of one cycle at {habit:g} samples a cycle, whose length is doubled until it
+reaches the same; a motion that has died away tells nothing more, however long it is."""
+REGENERATE = "Regenerate: `python -m tests.studies.plans` (from a clone)"
+
+
+def _known(value: float, sd: float) -> str:
+    return f"{value:.3g}" + (f" : {100 * sd:.0f} %" if math.isfinite(sd) and sd else "")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
