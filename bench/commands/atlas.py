@@ -124,13 +124,14 @@ def _run(tasks: Sequence[Task], blocks: Blocks, left: int, workers: int) -> None
 def _write(tasks: dict[str, list[Task]], blocks: Blocks, out: Path) -> int:
     from bench.reporting.atlas import atlas_frame, written
     from bench.reporting.figures.atlas import draw_atlas
+    from bench.reporting.figures.atlas_regions import draw_regions
 
     out.mkdir(parents=True, exist_ok=True)
     if SAMPLED in tasks:
         frame = atlas_frame(tasks[SAMPLED], blocks)
         if frame.empty:
             raise InputError("store", blocks.folder, "a folder with finished blocks; without fit=false they are made")
-        for place in written(frame, out, COMMAND):
+        for place in [*written(frame, out, COMMAND), *draw_regions(atlas_slices(), frame, out)]:
             print(place)
     slices = {s.name: s for s in atlas_slices() if s.name in tasks}
     frames = {name: atlas_frame(tasks[name], blocks) for name in slices}

@@ -104,6 +104,14 @@ class Evidence:
         return pd.DataFrame([(line + [""] * width)[:width] for line in rest], columns=head)
 
     @cached_property
+    def atlas(self) -> pd.DataFrame:
+        """``results/atlas.csv.gz``, a line a point and method; raises InputError without it."""
+        path = self.folder / "atlas.csv.gz"
+        if not path.is_file():
+            raise InputError("results", path, "there is no atlas; python -m bench -m experiment=atlas makes it")
+        return pd.read_csv(path)
+
+    @cached_property
     def archived(self) -> int:
         """Cells of the published archive, each once."""
         cells = (path for path in self._archive if path.stem != "bounds")

@@ -39,7 +39,7 @@ def _drawn(own: Slice, frame: pd.DataFrame, folder: Path) -> list[Path]:
     figure, axes = panels(2 + len(methods), 3, 52.0, LABELS[across.name])
     first = frame[frame.method == methods[0]]
     for axis, name in zip(axes, GROUPS, strict=False):
-        _bound(axis, across, up, first, f"bound_{name}")
+        draw_bound(axis, across, up, first, f"bound_{name}")
         axis.set_title(f"bound on {'k/m' if name == GROUPS[0] else 'c/m'} (%)")
     for axis, method in zip(axes[2:], methods, strict=True):
         mesh = _gross(axis, across, up, frame[frame.method == method])
@@ -59,34 +59,36 @@ def _grid(across: Axis, up: Axis, frame: pd.DataFrame, column: str) -> tuple[np.
     return table.columns.to_numpy(float), table.index.to_numpy(float), table.to_numpy(float)
 
 
-def _bound(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame, column: str) -> None:
+def draw_bound(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame, column: str) -> None:
+    """A bound in grey, by its logarithm, with contours in percent."""
     x, y, z = _grid(across, up, frame, column)
     axis.pcolormesh(x, y, np.log10(100.0 * z), cmap=SHADES, vmin=-2.0, vmax=3.0, shading="nearest", rasterized=True)
     lines = axis.contour(x, y, 100.0 * z, levels=LEVELS, colors=LINE, linewidths=0.9)
     axis.clabel(lines, fmt="%g")
-    _scales(axis, across, up)
+    set_scales(axis, across, up)
 
 
 def _gross(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame) -> Any:
     x, y, z = _grid(across, up, frame, f"{GROUPS[0]}_gross")
     mesh = axis.pcolormesh(x, y, 100.0 * z, cmap=SHADES, vmin=0.0, vmax=100.0, shading="nearest", rasterized=True)
     ambiguous = np.where(_grid(across, up, frame.assign(own=frame.aliased.astype(float)), "own")[2] > 0, 1.0, np.nan)
-    axis.pcolormesh(x, y, ambiguous, cmap=_colour(AMBIGUOUS), shading="nearest", rasterized=True)
+    axis.pcolormesh(x, y, ambiguous, cmap=one_colour(AMBIGUOUS), shading="nearest", rasterized=True)
     inside = _grid(across, up, frame.assign(near=near(frame).astype(float)), "near")[2]
     if np.nanmin(inside) < 0.5 < np.nanmax(inside):
         axis.contour(x, y, inside, levels=[0.5], colors=LINE, linewidths=0.9)
-    _scales(axis, across, up)
+    set_scales(axis, across, up)
     return mesh
 
 
-def _colour(name: str) -> Any:
+def one_colour(name: str) -> Any:
     """A map of one colour."""
     from matplotlib.colors import ListedColormap
 
     return ListedColormap([name])
 
 
-def _scales(axis: Any, across: Axis, up: Axis) -> None:
+def set_scales(axis: Any, across: Axis, up: Axis) -> None:
+    """Scales and labels of the two axes of a slice."""
     for own, scale, label in ((across, axis.set_xscale, axis.set_xlabel), (up, axis.set_yscale, axis.set_ylabel)):
         if own.spacing == "logarithmic":
             scale("log")

@@ -120,3 +120,11 @@ def test_a_mistype_is_one_line(field: str, said: str, capsys: pytest.CaptureFixt
     error = capsys.readouterr().err.strip().splitlines()
     assert said in error[-1]
     assert len(error) == 1
+
+
+def test_a_damping_that_is_found_to_be_nothing_does_not_spoil_the_stiffness() -> None:
+    """Nine samples of a lightly damped motion often fit best without damping."""
+    found = simulated(
+        Likely(8.6, 0.0017), Decay(9, 0.37, 22.5), "k_over_m", make_method("output_error", {}), 40, lambda: None
+    )
+    assert np.all(np.isfinite(found))

@@ -1,0 +1,112 @@
+"""Maps of the atlas by its model: bound, threshold, and the fastest of the methods that are near the bound."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bench.atlas.design import Axis, Slice
+from bench.atlas.model import FEWEST, Model, told
+from bench.entrants.registry import load_method
+from bench.reporting.atlas import NEAR, RARE, point_frame
+from bench.reporting.figures.atlas import AMBIGUOUS, LINE, draw_bound, one_colour, set_scales
+from bench.reporting.figures.style import entry, legend_below, panels, save_figure
+
+QUANTITY = "k_over_m"
+RISKS = (1.0, 10.0, 50.0)
+"""Contours of the probability of a wrong basin, %."""
+GREYS = ("#F7F7F7", "#DADADA", "#BDBDBD", "#9B9B9B", "#777777", "#525252")
+EVERY = 3
+"""A letter in every so many-th cell, each way."""
+
+
+def draw_regions(slices: Sequence[Slice], atlas: pd.DataFrame, out: Path) -> list[Path]:
+    """A picture a slice, from the model of each method with points enough; returns the files."""
+    folder = out / "figures"
+    folder.mkdir(parents=True, exist_ok=True)
+    models = {}
+    for name, own in atlas.groupby("method", sort=False):
+        frame = own[~own.start_known]
+        if len(told(frame, QUANTITY)) >= FEWEST:
+            models[str(name)] = (Model(own, QUANTITY), float(frame.seconds.median()))
+    ordered = dict(sorted(models.items(), key=lambda item: item[1][1]))  # the fastest first
+    return [place for own in slices for place in _drawn(own, {name: m for name, (m, _) in ordered.items()}, folder)]
+
+
+def _drawn(own: Slice, models: dict[str, Model], folder: Path) -> list[Path]:
+    across, up = own.axes()
+    frame = pd.concat([point_frame(point) for point in own.points()], ignore_index=True)
+    regions = {name: near for name, model in models.items() if (near := _near(frame, model)).any()}
+    figure, axes = panels(4, 2, 62.0, "cycles")
+    for axis, name, title in zip(axes, ("k_over_m", "c_over_m"), ("k/m", "c/m"), strict=False):
+        draw_bound(axis, across, up, frame, f"bound_{name}")
+        axis.set_title(f"bound on {title} (%)")
+    _threshold(axes[2], across, up, frame)
+    axes[2].set_title("wrong basin (%)")
+    letters = _fastest(axes[3], across, up, frame, regions)
+    axes[3].set_title("fastest method near the bound of k/m")
+    legend_below(figure, [
+        *(entry(color="none", marker=f"${letter}$", markerfacecolor="black", markeredgecolor="black", markersize=7,
+                label=load_method(name).card.title) for name, letter in letters.items()),
+        entry(color="none", marker="s", markerfacecolor=AMBIGUOUS, markersize=7,
+              label="above the Nyquist frequency: ambiguous"),
+        entry(color="none", marker="s", markerfacecolor="white", markeredgecolor="black", markersize=7,
+              label="no letter: the test does not tell k/m, or none is near"),
+    ])  # fmt: skip
+    return save_figure(figure, folder, f"atlas_map_{own.name}")
+
+
+def _near(frame: pd.DataFrame, model: Model) -> np.ndarray:
+    """Where a method is expected near the bound."""
+    found = np.zeros(len(frame), bool)
+    rows = np.flatnonzero(frame.index.isin(told(frame, QUANTITY).index))
+    if rows.size:
+        every = model.expected(frame.iloc[rows])
+        found[rows] = [one.excess[1] <= NEAR and one.gross <= RARE for one in every]
+    return found
+
+
+def _threshold(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame) -> None:
+    x, y, z = _grid(across, up, frame, 100.0 * frame.wrong_basin.to_numpy(float))
+    axis.pcolormesh(x, y, z, cmap="Greys", vmin=0.0, vmax=100.0, shading="nearest", rasterized=True)
+    if np.nanmax(z) > RISKS[0]:
+        axis.clabel(axis.contour(x, y, z, levels=RISKS, colors=LINE, linewidths=0.9), fmt="%g")
+    _ambiguous(axis, across, up, frame)
+    set_scales(axis, across, up)
+
+
+def _fastest(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame, regions: dict[str, np.ndarray]) -> dict[str, str]:
+    """The fastest near method, a grey and a letter each; returns the letters."""
+    best = np.full(len(frame), np.nan)
+    for i, near in reversed(list(enumerate(regions.values()))):
+        best[near] = i
+    shown = [name for i, name in enumerate(regions) if (best == i).any()]
+    letters = dict(zip(shown, "ABCDEFGHIJ", strict=False))
+    x, y, z = _grid(across, up, frame, best)
+    for number, name in enumerate(shown):
+        own = np.where(z == list(regions).index(name), 1.0, np.nan)
+        colour = one_colour(GREYS[min(number, len(GREYS) - 1)])
+        axis.pcolormesh(x, y, own, cmap=colour, shading="nearest", rasterized=True)
+        for row in range(1, len(y), EVERY):
+            for column in range(1, len(x), EVERY):
+                if own[row, column] == 1.0:
+                    tone = "white" if number > 3 else "black"
+                    axis.text(x[column], y[row], letters[name], ha="center", va="center", fontsize=6, color=tone)
+    _ambiguous(axis, across, up, frame)
+    set_scales(axis, across, up)
+    return letters
+
+
+def _ambiguous(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame) -> None:
+    x, y, z = _grid(across, up, frame, frame.aliased.to_numpy(float))
+    axis.pcolormesh(x, y, np.where(z > 0, 1.0, np.nan), cmap=one_colour(AMBIGUOUS), shading="nearest", rasterized=True)
+
+
+def _grid(across: Axis, up: Axis, frame: pd.DataFrame, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values of the points of a slice, row by row from below."""
+    x, y = np.unique(frame[across.name].to_numpy(float)), np.unique(frame[up.name].to_numpy(float))
+    return x, y, values.reshape(y.size, x.size)
