@@ -73,7 +73,8 @@ def made_atlas(arguments: Sequence[str]) -> int:
         _run(every, blocks, left_fits, workers)
     if shards > 1:
         return 0
-    return _write(tasks, blocks, Path(fields["out"]))
+    told = [f"{name}={fields[name]}" for name in ("part", "points") if fields[name]]
+    return _write(tasks, blocks, Path(fields["out"]), " ".join([COMMAND, *told]))
 
 
 def _shard(text: str) -> tuple[int, int]:
@@ -121,7 +122,7 @@ def _run(tasks: Sequence[Task], blocks: Blocks, left: int, workers: int) -> None
                 bar.write(f"bench: {task.label}, block {task.key}: {error}", file=sys.stderr)
 
 
-def _write(tasks: dict[str, list[Task]], blocks: Blocks, out: Path) -> int:
+def _write(tasks: dict[str, list[Task]], blocks: Blocks, out: Path, again: str) -> int:
     from bench.reporting.atlas import atlas_frame, written
     from bench.reporting.figures.atlas import draw_atlas
     from bench.reporting.figures.atlas_regions import draw_regions
@@ -131,7 +132,7 @@ def _write(tasks: dict[str, list[Task]], blocks: Blocks, out: Path) -> int:
         frame = atlas_frame(tasks[SAMPLED], blocks)
         if frame.empty:
             raise InputError("store", blocks.folder, "a folder with finished blocks; without fit=false they are made")
-        for place in [*written(frame, out, COMMAND), *draw_regions(atlas_slices(), frame, out)]:
+        for place in [*written(frame, out, again), *draw_regions(atlas_slices(), frame, out)]:
             print(place)
     slices = {s.name: s for s in atlas_slices() if s.name in tasks}
     frames = {name: atlas_frame(tasks[name], blocks) for name in slices}

@@ -9,6 +9,7 @@ import math
 import re
 import sys
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 from bench.commands.guard import command, read_fields, whole
@@ -20,11 +21,14 @@ from bench.planning.search import SHARE, WITHIN, Likely, Proposal, cheapest, pro
 from bench.reporting.tables.common import markdown_table
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from bench.planning.free_decay import Decay
     from bench.planning.longer import Taken
 
 FIELDS = {
     "want": "", "frequency": "", "damping": "", "noise": "", "amplitude": "", "rate": "", "samples": "", "duration": "",
-    "method": "", "verify": "0",
+    "method": "", "verify": "0", "times": "even", "out": "",
 }  # fmt: skip
 STARTS = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 """Starts that are proposed where none is said, over the noise."""
@@ -40,6 +44,9 @@ USAGE = """usage: python -m bench.design want=c_over_m:5% frequency=2 damping=0.
   rate       samples a second that there are; without: any
   samples, duration
              of a test that is given (s): what it would tell
+  times      [even] optimal: the best times of the samples of a test that is
+             given (samples=, duration=, amplitude=), beside even ones
+  out        with times=optimal: a file for the times (s), one a line
   method     [{method}] that verify= asks
   verify     [0] simulate the proposed test so many times
 
@@ -69,6 +76,10 @@ def designed(arguments: Sequence[str]) -> int:
     (frequency, frequency_sd), (damping, damping_sd) = (_known(name, fields[name]) for name in ("frequency", "damping"))
     likely = Likely(frequency, damping, frequency_sd, damping_sd)
     noise, number = _length("noise", fields["noise"]), whole("verify", fields["verify"], least=0)
+    if fields["times"] not in ("even", "optimal"):
+        raise InputError("times", fields["times"], "even or optimal")
+    if fields["times"] == "optimal":
+        return _sampled(fields, likely, quantity, error, noise, number)
     found = _proposals(fields, likely, quantity, error, noise)
     if not found:
         print(
@@ -76,7 +87,8 @@ def designed(arguments: Sequence[str]) -> int:
         )
         return 1
     method = fields["method"] or on_the_bound()[0]
-    checked = _verified(found, likely, quantity, error, method, number) if number else None
+    tests = [(one.decay, None) for one in found]
+    checked = _simulated(fields, likely, quantity, error, number, tests) if number else None
     print(_table(found, noise, checked))
     print(f"\n{_meaning(likely, method, quantity, number)}")
     return 0
@@ -120,7 +132,7 @@ def _percent(value: float) -> str:
 def _meaning(likely: Likely, method: str, quantity: str, number: int) -> str:
     said = ["Each line is the test of fewest samples for its start, released from rest; percentages are standard",
             "deviations by the Cramér-Rao bound"]  # fmt: skip
-    if likely.frequency_sd or likely.damping_sd:
+    if _median_words(likely):
         said.append(f"(median over the likely oscillators; in brackets not exceeded in {100 * SHARE:g} % of them)")
     text = " ".join(said) + f". Methods that reach it: {', '.join(on_the_bound())}."
     if number:
@@ -131,8 +143,17 @@ def _meaning(likely: Likely, method: str, quantity: str, number: int) -> str:
     return text
 
 
-def _verified(
-    found: Sequence[Proposal], likely: Likely, quantity: str, error: float, method: str, number: int
+def _median_words(likely: Likely) -> str:
+    return ", median over the likely oscillators" if likely.frequency_sd or likely.damping_sd else ""
+
+
+def _simulated(
+    fields: Mapping[str, str],
+    likely: Likely,
+    quantity: str,
+    error: float,
+    number: int,
+    tests: Sequence[tuple[Decay, np.ndarray | None]],
 ) -> list[str]:
     """The share of simulated tests that reach what was wanted, test by test."""
     from tqdm import tqdm
@@ -140,10 +161,66 @@ def _verified(
     from bench.entrants.registry import make_method
     from bench.planning.verify import reached, simulated
 
-    identifier = make_method(method, {})
-    with tqdm(total=number * len(found), unit="test", file=sys.stderr) as bar:
-        every = [simulated(likely, one.decay, quantity, identifier, number, bar.update) for one in found]
+    identifier = make_method(fields["method"] or on_the_bound()[0], {})
+    with tqdm(total=number * len(tests), unit="test", file=sys.stderr) as bar:
+        every = [simulated(likely, decay, quantity, identifier, number, bar.update, times) for decay, times in tests]
     return [f"{100 * reached(errors, error):.1f}" for errors in every]
+
+
+def _sampled(fields: Mapping[str, str], likely: Likely, quantity: str, error: float, noise: float, number: int) -> int:
+    """A test that is given with its samples evenly spread, and where they tell most."""
+    from bench.planning.free_decay import Decay
+    from bench.planning.optimal import VOLUME, best_times, told_by
+
+    for name in ("samples", "duration", "amplitude"):
+        if not fields[name]:
+            raise InputError(name, "", f"{name}=..., of the test whose times are sought")
+    decay = Decay(
+        whole("samples", fields["samples"], 8, 500), _positive("duration", fields["duration"]),
+        _length("amplitude", fields["amplitude"]) / noise,
+    )  # fmt: skip
+    found = {
+        "even": told_by(likely, decay.times, decay.amplitude),
+        f"best for {TITLES[quantity]}": best_times(likely, decay, quantity),
+        "best for k/m and c/m": best_times(likely, decay, VOLUME),
+    }
+    rows = [[title, *(_percent(one.median[name]) for name in QUANTITIES)] for title, one in found.items()]
+    headers = ["times", *(f"{title}, %" for title in TITLES.values())]
+    if number:
+        headers.append("simulated, %")
+        tests = [(decay, one.times) for one in found.values()]
+        rows = [[*row, share] for row, share in zip(
+            rows, _simulated(fields, likely, quantity, error, number, tests), strict=True
+        )]  # fmt: skip
+    best = found[f"best for {TITLES[quantity]}"].times
+    print(
+        f"{markdown_table(rows, headers)}\n\n{fill(f'Best for {TITLES[quantity]} (s): {_bursts(best, decay)}.', 120)}"
+    )
+    print(f"Percentages are standard deviations by the Cramér-Rao bound{_median_words(likely)}.")
+    if fields["out"]:
+        _write_times(fields["out"], best)
+    return 0
+
+
+def _bursts(times: np.ndarray, decay: Decay) -> str:
+    """Times in a row as one burst."""
+    gap, bursts = 0.5 * decay.duration / (decay.samples - 1), [[times[0]]]
+    for time in times[1:]:
+        if time - bursts[-1][-1] <= gap:
+            bursts[-1].append(time)
+        else:
+            bursts.append([time])
+    return ", ".join(
+        f"{one[0]:.3g}" if len(one) == 1 else f"{len(one)} from {one[0]:.3g} to {one[-1]:.3g}" for one in bursts
+    )
+
+
+def _write_times(path: str, times: np.ndarray) -> None:
+    try:
+        with open(path, "w", encoding="utf-8") as file:
+            file.write("\n".join(["t (s)", *(f"{time:.9g}" for time in times)]) + "\n")
+    except OSError as error:
+        raise InputError("out", path, f"cannot be written: {error.strerror}") from None
 
 
 FACTORS = (1.25, 1.5, 2.0, 3.0)

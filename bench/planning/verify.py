@@ -15,19 +15,26 @@ from bench.systems import make_system
 
 
 def simulated(
-    likely: Likely, decay: Decay, quantity: str, method: Identifier, number: int, report: Callable[[], object]
+    likely: Likely,
+    decay: Decay,
+    quantity: str,
+    method: Identifier,
+    number: int,
+    report: Callable[[], object],
+    times: np.ndarray | None = None,
 ) -> np.ndarray:
     """Errors of the logarithm of a quantity in so many simulated tests, each of an oscillator as likely as it is known.
 
-    Infinite where the method has no estimate, or one that is not positive.
+    Samples are at ``times`` in place of the even ones, where these are given. Infinite where the method has no
+    estimate, or one that is not positive.
     """
     system, rng = make_system("sdof", {}), np.random.default_rng(0)
     exponents = QUANTITIES[quantity]
-    found = np.full(number, np.inf)
+    found, at = np.full(number, np.inf), decay.times if times is None else times
     for i in range(number):
         own = likely.oscillators[int(rng.integers(len(likely.oscillators)))]
-        values = motion(own, decay.times, (decay.amplitude, 0.0))[0] + rng.standard_normal(decay.samples)
-        problem = Problem(system, (Record((Channel(decay.times, values),)),))
+        values = motion(own, at, (decay.amplitude, 0.0))[0] + rng.standard_normal(at.size)
+        problem = Problem(system, (Record((Channel(at, values),)),))
         estimate = method.identify(problem, np.random.default_rng(i))
         true = (own.omega**2, 2.0 * own.damping_ratio * own.omega)
         groups = [estimate.marginal(system.quantity(name)) for name in ("k_over_m", "c_over_m")]
