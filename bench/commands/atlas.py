@@ -69,12 +69,23 @@ def made_atlas(arguments: Sequence[str]) -> int:
     if fields["dry_run"] == "true":
         print(_progress(every, blocks, workers))
         return 0
+    if shards == 1:
+        _check_packages()
     if left and fields["fit"] == "true":
         _run(every, blocks, left_fits, workers)
     if shards > 1:
         return 0
     told = [f"{name}={fields[name]}" for name in ("part", "points") if fields[name]]
     return _write(tasks, blocks, Path(fields["out"]), " ".join([COMMAND, *told]))
+
+
+def _check_packages() -> None:
+    """Raise InputError before the work where the atlas could not be written after it."""
+    try:
+        import matplotlib  # noqa: F401
+        import sklearn  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise InputError("package", error.name, "installed: pip install 'vibration-bench[atlas,figures]'") from None
 
 
 def _shard(text: str) -> tuple[int, int]:

@@ -41,10 +41,18 @@ def expected(arguments: Sequence[str]) -> int:
     fields = read_fields(arguments, FIELDS)
     if fields["quantity"] not in QUANTITIES:
         raise InputError("quantity", fields["quantity"], " or ".join(QUANTITIES))
+    _check_packages()
     frame = _frame(fields)
     atlas = _atlas(Path(fields["atlas"]))
     print(_answer(frame, atlas, fields["quantity"]))
     return 0
+
+
+def _check_packages() -> None:
+    try:
+        import sklearn  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise InputError("package", error.name, "installed: pip install 'vibration-bench[atlas]'") from None
 
 
 def _frame(fields: Mapping[str, str]) -> pd.DataFrame:
