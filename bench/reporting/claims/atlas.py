@@ -234,7 +234,25 @@ def atlas_snr(e: Evidence) -> Said:
 
 
 BAND = (15.0, 25.0)
+
+
+@claim
+def plans_kept(e: Evidence) -> Said:
+    """- **Plans keep what they promise**: of {requests} random requests, each with its test simulated and fitted, the
+    share that reaches the wanted error is inside the binomial 95 % interval about the expected one in {inside}. A test
+    whose length is doubled until it is enough takes {more} times the samples (median), and in {never} requests it is
+    never enough: the motion has died away.
+    """
+    table = e.study("plans.md")
+    inside, over = int((table.inside == "yes").sum()), table["over the plan's"]
+    more = float(over[over != "-"].astype(float).median())
+    return said(
+        {"at the nominal rate": inside >= 0.9 * len(table), "a plan is cheaper": more > 1.2},
+        requests=f"{len(table)}", inside=f"{inside}", more=f"{more:.1f}", never=f"{int((over == '-').sum())}",
+    )  # fmt: skip
+
+
 CLAIMS: tuple[Claim, ...] = (
     atlas_size, atlas_likelihood, atlas_threshold, atlas_start, atlas_shooting, atlas_cheap, atlas_regression,
-    atlas_bias, atlas_decrement, atlas_coverage, atlas_waiting, atlas_snr,
+    atlas_bias, atlas_decrement, atlas_coverage, atlas_waiting, atlas_snr, plans_kept,
 )  # fmt: skip
