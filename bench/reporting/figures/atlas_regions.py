@@ -40,7 +40,7 @@ def draw_regions(slices: Sequence[Slice], atlas: pd.DataFrame, out: Path) -> lis
 def _drawn(own: Slice, models: dict[str, Model], folder: Path) -> list[Path]:
     across, up = own.axes()
     frame = pd.concat([point_frame(point) for point in own.points()], ignore_index=True)
-    regions = {name: near for name, model in models.items() if (near := _near(frame, model)).any()}
+    regions = {name: near for name, model in models.items() if (near := near_bound(frame, model)).any()}
     figure, axes = panels(4, 2, 62.0, "cycles")
     for axis, name, title in zip(axes, ("k_over_m", "c_over_m"), ("k/m", "c/m"), strict=False):
         draw_bound(axis, across, up, frame, f"bound_{name}")
@@ -60,7 +60,7 @@ def _drawn(own: Slice, models: dict[str, Model], folder: Path) -> list[Path]:
     return save_figure(figure, folder, f"atlas_map_{own.name}")
 
 
-def _near(frame: pd.DataFrame, model: Model) -> np.ndarray:
+def near_bound(frame: pd.DataFrame, model: Model) -> np.ndarray:
     """Where a method is expected near the bound."""
     found = np.zeros(len(frame), bool)
     rows = np.flatnonzero(frame.index.isin(told(frame, QUANTITY).index))

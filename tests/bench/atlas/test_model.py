@@ -4,12 +4,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bench.atlas.design import sobol
+from bench.atlas.design import Slice, sobol
 from bench.atlas.model import FEWEST, Model, features, held_out, told, unknown
 from bench.atlas.point import Point
 from bench.commands.expect import expected
 from bench.errors import InputError
 from bench.reporting.atlas import point_frame
+from bench.reporting.figures.atlas_regions import draw_regions, near_bound
 
 pytest.importorskip("sklearn")
 SPREAD = 0.1
@@ -101,3 +102,15 @@ def test_the_command_names_methods_and_refuses_what_it_cannot_read(tmp_path, cap
             expected([one for one in test if one.partition("=")[0] != field] + [wrong])
     with pytest.raises(InputError, match="atlas"):
         expected([*test[:4], f"atlas={tmp_path}/none.csv"])
+
+
+def test_a_region_is_where_the_model_expects_a_method_near_the_bound(tmp_path) -> None:
+    frame = atlas()
+    own = Slice("samples_snr", Point(50, 2.0, 0.05, 20.0, 0.5, False), "samples", "snr_db", (12, 10))
+    points = pd.concat([point_frame(point) for point in own.points()], ignore_index=True)
+    near = near_bound(points, Model(frame, "k_over_m"))
+    quiet = points.snr_db > 20
+    assert near[quiet & (points.samples < 16)].mean() > 0.8  # by the rule the excess is 1.2 at 23 samples
+    assert not near[quiet & (points.samples > 60)].any()
+    assert not near[points.snr_db < 5].any()
+    assert all(path.is_file() for path in draw_regions([own], frame, tmp_path))
