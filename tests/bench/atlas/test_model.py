@@ -26,7 +26,7 @@ def atlas(number: int = 512) -> pd.DataFrame:
     ]  # fmt: skip
     frame = pd.DataFrame(lines)
     frame["bound_k_over_m"], frame["bound_c_over_m"], frame["bound_displacement"] = 0.01, 0.5, 1.0
-    frame["method"], frame["fits"] = "output_error", 50.0
+    frame["method"], frame["fits"], frame["seconds"] = "output_error", 50.0, 0.01
     frame["k_over_m_core"] = np.exp(rule(frame) + SPREAD * rng.standard_normal(number))
     frame["k_over_m_gross"] = rng.binomial(50, np.where(frame.snr_db < 10.0, 1 / 3, 0.02)) / 50
     return frame
