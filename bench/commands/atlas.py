@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from bench.commands.guard import read_fields, whole
 from bench.config.atlas import SAMPLED, atlas_methods, atlas_slices, atlas_tasks, part_names
 from bench.errors import InputError
+from bench.isolation.processes import single_threaded
 
 if TYPE_CHECKING:
     from bench.atlas.run import Blocks, Task
@@ -81,6 +82,7 @@ def made_atlas(arguments: Sequence[str]) -> int:
 
 def _check_packages() -> None:
     """Raise InputError before the work where the atlas could not be written after it."""
+    single_threaded()  # before scikit-learn is there: small trees on many threads wait for each other
     try:
         import matplotlib  # noqa: F401
         import sklearn  # noqa: F401

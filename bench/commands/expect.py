@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from bench.commands.guard import command, read_fields, whole
 from bench.errors import InputError
+from bench.isolation.processes import single_threaded
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,6 +50,7 @@ def expected(arguments: Sequence[str]) -> int:
 
 
 def _check_packages() -> None:
+    single_threaded()  # before scikit-learn is there: small trees on many threads wait for each other
     try:
         import sklearn  # noqa: F401
     except ModuleNotFoundError as error:

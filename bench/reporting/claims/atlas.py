@@ -39,7 +39,7 @@ def _gross(frame: pd.DataFrame) -> float:
 def atlas_size(e: Evidence) -> Said:
     """- **What a test tells**: {fits} fits at {points} points. The Cramér-Rao bound on the standard deviation of k/m is
     below {told} % in {k} % of the box of all tests, that of c/m in {c} % of it; {aliased} % of the box has the natural
-    frequency above half the sampling rate.
+    frequency above the Nyquist frequency.
     """
     frame = e.atlas.drop_duplicates([axis.name for axis in AXES])
     k, c = (100.0 * float((frame[f"bound_{name}"] <= TOLD).mean()) for name in ("k_over_m", "c_over_m"))
