@@ -28,8 +28,6 @@ Rule = Literal["extended", "unscented", "square_root"]
 HELD = 0.99
 FLOOR = -600.0
 """Least log-weight of a member: a number that can still be summed."""
-FARTHEST = 100.0
-"""Of a log-parameter: nobody's unit makes a number so large."""
 WIDE = 4.0
 """A member that expects a value with so many times the variance of the surest may not explain it."""
 
@@ -138,7 +136,6 @@ class _Members:
         if self.mixes:
             means, spreads, weights = self._mixed(means, spreads, weights, chain)
         means, spreads = self.coast(means, spreads, before, interval, noise)
-        means, spreads, weights = self._mended(means, spreads, weights)
         seen, slopes, extra = jax.vmap(self._observed, in_axes=(0, 0, None))(means, spreads, force)
         covs = self._covariances(spreads)
         diagonal = jnp.einsum("mij,mjk,mik->mi", slopes, covs, slopes) + extra + variances
@@ -160,16 +157,6 @@ class _Members:
         surprise = jnp.where(used, jnp.abs(values - expected) / jnp.sqrt(spread), 0.0)
         told = [mean, cov.ravel(), expected, spread, surprise, 1.0 * outlier, total[None], gained, moves.ravel()]
         return (means, spreads, weights), jnp.concatenate(told)
-
-    def _mended(self, means: Any, spreads: Any, weights: Any) -> tuple[Any, Any, Any]:
-        """Members that have run away put where the weightiest of the others is, and without weight."""
-        import jax.numpy as jnp
-
-        whole = jnp.isfinite(jnp.sum(means, axis=1) + jnp.sum(spreads, axis=(1, 2)) + weights)
-        whole &= jnp.max(jnp.abs(means[:, self.model.logs]), axis=1) < FARTHEST
-        best = jnp.argmax(jnp.where(whole, weights, -jnp.inf))
-        means = jnp.where(whole[:, None], means, means[best])
-        return means, jnp.where(whole[:, None, None], spreads, spreads[best]), jnp.where(whole, weights, FLOOR)
 
     def _covariances(self, spreads: Any) -> Any:
         import jax.numpy as jnp

@@ -25,7 +25,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bench import HeldModel, Layout, Normal, Sample, SampleStatus, Standing, Tracker
-from methods.online.bank import Bank, Rule, Told
+from methods.online.bank import FLOOR, Bank, Rule, Told
 from methods.online.likelihood import Head, beginning
 
 GATE = 6.0
@@ -111,11 +111,15 @@ class FilterTracker(Tracker):
         row = np.array([*filled, *there, *sample.forces, *self.before], float)
         state = (self.means, self.spreads, self.weights)
         constants = self._ungated() if self.asking else self.constants
-        (self.means, self.spreads, self.weights), numbers = self._step(state, row, constants)
+        after, numbers = self._step(state, row, constants)
+        told = self._bank.told(np.asarray(numbers))
+        if not _whole(told):
+            after, numbers = self._step(_mended(state, after), row, constants)
+            told = self._bank.told(np.asarray(numbers))
+        self.means, self.spreads, self.weights = after
         self.asking = max(self.asking - 1, 0)
         self.before = list(sample.forces)
-        told = self._bank.told(np.asarray(numbers))
-        if not (isfinite(told.total) and isfinite(told.mean.sum()) and told.spread.min() > 0):
+        if not _whole(told):
             return self._lost(sample)
         moved = told.mean[: self.model.n_motion]
         self.square = REMEMBERED * self.square + (1.0 - REMEMBERED) * moved * moved
@@ -304,6 +308,25 @@ class FilterTracker(Tracker):
         means[:, : self.model.n_motion] = 0.0
         self.means = means
         self._open_motion()
+
+
+State = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Means, covariances or roots, log-weights, of all members."""
+
+
+def _whole(told: Told) -> bool:
+    """Whether a step told numbers."""
+    return isfinite(told.total) and isfinite(told.mean.sum()) and bool(told.spread.min() > 0)
+
+
+def _mended(state: State, after: State) -> State:
+    """The state before a step, with members that it took to no number where the weightiest of the others is."""
+    means, spreads, weights = (np.array(part) for part in state)
+    moved = np.sum(np.asarray(after[0]), axis=1) + np.sum(np.asarray(after[1]), axis=(1, 2))
+    gone = ~np.isfinite(moved)
+    best = int(np.argmax(np.where(gone, -np.inf, weights)))
+    means[gone], spreads[gone], weights[gone] = means[best], spreads[best], FLOOR
+    return means, spreads, weights
 
 
 def _without_spikes(values: np.ndarray) -> np.ndarray:
