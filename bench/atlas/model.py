@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from bench.atlas.design import AXES
+from bench.errors import InputError
+from bench.isolation.processes import single_threaded
 
 QUANTILES = (0.1, 0.5, 0.9)
 FOLDS = 8
@@ -23,7 +26,6 @@ TOLD = 0.2
 """Standard deviation of a logarithm, by the bound, above which a test is said not to tell a quantity."""
 FEWEST = 60
 """Points of a method, fewer than which are no ground for a model."""
-NONE = (math.nan, math.nan)
 FEW_CORE = 0.5
 """Share of gross errors, above which the errors that are left say nothing of the method."""
 BOOSTED = {"max_iter": 60, "learning_rate": 0.06, "max_leaf_nodes": 8, "min_samples_leaf": 40}
@@ -70,7 +72,9 @@ class Model:
     def expected(self, frame: pd.DataFrame) -> list[Expected]:
         """What is expected at the points of a frame, which has the columns of the test and the bounds."""
         values = features(frame, self.quantity)
-        logs = np.array([model.predict(values) for model in self._quantiles] or [[math.nan] * len(frame)] * 3)
+        logs = np.array(
+            [model.predict(values) for model in self._quantiles] or [[math.nan] * len(frame)] * len(QUANTILES)
+        )
         shares = self._gross.predict_proba(values)[:, 1]
         low, middle, high = np.exp(np.sort(logs, axis=0))
         return [
@@ -114,11 +118,11 @@ def unknown(frame: pd.DataFrame, quantity: str) -> str:
 
 
 def held_out(frame: pd.DataFrame, quantity: str) -> HeldOut:
-    """Leave every point out once, with an eighth of the others; raises ValueError where there are too few."""
+    """Leave every point out once, in :data:`FOLDS` parts; raises ValueError where there are too few points."""
     frame = told(frame, quantity).reset_index(drop=True)
     found: list[Expected] = [Expected((math.nan,) * 3, math.nan)] * len(frame)
     for fold in range(FOLDS):
-        out = np.arange(len(frame)) % FOLDS == fold  # the sequence is spread evenly, so is every eighth of it
+        out = np.arange(len(frame)) % FOLDS == fold  # the sequence is spread evenly, and so is each part
         model = Model(frame[~out], quantity)
         for i, expected in zip(np.flatnonzero(out), model.expected(frame[out]), strict=True):
             found[i] = expected
@@ -129,24 +133,32 @@ def held_out(frame: pd.DataFrame, quantity: str) -> HeldOut:
     low, middle, high = np.log(np.array([found[i].excess for i in core]).reshape(-1, len(QUANTILES))).T
     order = np.array_split(np.argsort([one.gross for one in found], kind="stable"), 10)
     gaps = [abs(np.mean([found[i].gross for i in part]) - counted[part].mean()) for part in order if part.size]
-    error, within = (np.median(np.abs(logs - middle)), np.mean((low <= logs) & (logs <= high))) if core.size else NONE
-    return HeldOut(float(error), float(within), float(np.mean(gaps)), len(frame))
+    error = float(np.median(np.abs(logs - middle))) if core.size else math.nan
+    within = float(np.mean((low <= logs) & (logs <= high))) if core.size else math.nan
+    return HeldOut(error, within, float(np.mean(gaps)), len(frame))
+
+
+@cache
+def ensembles() -> Any:
+    """scikit-learn's ensembles, on one thread: on many, small trees wait for each other. Raises InputError without."""
+    single_threaded()
+    try:
+        from sklearn import ensemble  # slow to import
+    except ModuleNotFoundError as error:
+        raise InputError("package", error.name, "installed: pip install 'vibration-bench[atlas]'") from None
+    return ensemble
 
 
 def _quantile(frame: pd.DataFrame, quantity: str, share: float) -> Any:
-    from sklearn.ensemble import HistGradientBoostingRegressor  # slow to import
-
-    model = HistGradientBoostingRegressor(loss="quantile", quantile=share, random_state=0, **BOOSTED)
+    model = ensembles().HistGradientBoostingRegressor(loss="quantile", quantile=share, random_state=0, **BOOSTED)
     return model.fit(features(frame, quantity), np.log(frame[f"{quantity}_core"].to_numpy(float)))
 
 
 def _classifier(frame: pd.DataFrame, quantity: str) -> Any:
     """The probability of a gross error: each point counts by its fits."""
-    from sklearn.ensemble import HistGradientBoostingClassifier
-
     values, share = features(frame, quantity), frame[f"{quantity}_gross"].to_numpy(float)
     fits = frame.fits.to_numpy(float)
     weights = np.concatenate([fits * (1.0 - share), fits * share]) / fits.mean() + 1e-3  # both kinds are always there
     kinds = np.repeat([0, 1], len(frame))
-    model = HistGradientBoostingClassifier(random_state=0, **BOOSTED)
+    model = ensembles().HistGradientBoostingClassifier(random_state=0, **BOOSTED)
     return model.fit(np.concatenate([values, values]), kinds, sample_weight=weights)

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 from bench.commands.guard import read_fields, whole
 from bench.config.atlas import SAMPLED, atlas_methods, atlas_slices, atlas_tasks, part_names
 from bench.errors import InputError
-from bench.isolation.processes import single_threaded
 
 if TYPE_CHECKING:
     from bench.atlas.run import Blocks, Task
@@ -60,10 +59,8 @@ def made_atlas(arguments: Sequence[str]) -> int:
     workers = whole("workers", fields["workers"]) if fields["workers"] else os.cpu_count() or 1
     number, shards = _shard(fields["shard"])
     tasks = {part: atlas_tasks(part, methods, most) for part in parts}
-    blocks, every = (
-        Blocks(Path(fields["store"])),
-        [task for own in tasks.values() for task in own][number - 1 :: shards],
-    )
+    blocks = Blocks(Path(fields["store"]))
+    every = [task for own in tasks.values() for task in own][number - 1 :: shards]
     left = [task for task in every if not blocks.holds(task)]
     fits, left_fits = sum(task.fits for task in every), sum(task.fits for task in left)
     print(f"bench: {fits:,} fits in {len(every):,} blocks, {left_fits:,} in {len(left):,} to do", file=sys.stderr)
@@ -82,12 +79,13 @@ def made_atlas(arguments: Sequence[str]) -> int:
 
 def _check_packages() -> None:
     """Raise InputError before the work where the atlas could not be written after it."""
-    single_threaded()  # before scikit-learn is there: small trees on many threads wait for each other
+    from bench.atlas.model import ensembles
+
+    ensembles()
     try:
         import matplotlib  # noqa: F401
-        import sklearn  # noqa: F401
     except ModuleNotFoundError as error:
-        raise InputError("package", error.name, "installed: pip install 'vibration-bench[atlas,figures]'") from None
+        raise InputError("package", error.name, "installed: pip install 'vibration-bench[figures]'") from None
 
 
 def _shard(text: str) -> tuple[int, int]:

@@ -132,7 +132,7 @@ def _percent(value: float) -> str:
 def _meaning(likely: Likely, method: str, quantity: str, number: int) -> str:
     said = ["Each line is the test of fewest samples for its start, released from rest; percentages are standard",
             "deviations by the Cramér-Rao bound"]  # fmt: skip
-    if _median_words(likely):
+    if likely.in_doubt:
         said.append(f"(median over the likely oscillators; in brackets not exceeded in {100 * SHARE:g} % of them)")
     text = " ".join(said) + f". Methods that reach it: {', '.join(on_the_bound())}."
     if number:
@@ -144,7 +144,7 @@ def _meaning(likely: Likely, method: str, quantity: str, number: int) -> str:
 
 
 def _median_words(likely: Likely) -> str:
-    return ", median over the likely oscillators" if likely.frequency_sd or likely.damping_sd else ""
+    return ", median over the likely oscillators" if likely.in_doubt else ""
 
 
 def _simulated(

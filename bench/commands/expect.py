@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from bench.commands.guard import command, read_fields, whole
 from bench.errors import InputError
-from bench.isolation.processes import single_threaded
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,7 +18,6 @@ FIELDS = {
     "samples": "", "cycles": "", "damping": "", "snr": "", "phase": "0", "start": "unknown", "quantity": "k_over_m",
     "atlas": "results/atlas.csv.gz",
 }  # fmt: skip
-QUANTITIES = ("k_over_m", "c_over_m")
 USAGE = """usage: python -m bench.expect samples=50 cycles=5 damping=0.02 snr=20 [field=value ...]
 
   samples    of the displacement, evenly spread
@@ -39,22 +37,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def expected(arguments: Sequence[str]) -> int:
     """Read the test, ask the model of each method, print; raises InputError."""
+    from bench.atlas.model import ensembles
+    from bench.atlas.point import GROUPS
+
     fields = read_fields(arguments, FIELDS)
-    if fields["quantity"] not in QUANTITIES:
-        raise InputError("quantity", fields["quantity"], " or ".join(QUANTITIES))
-    _check_packages()
+    if fields["quantity"] not in GROUPS:
+        raise InputError("quantity", fields["quantity"], " or ".join(GROUPS))
+    ensembles()  # before the work, where it is missing
     frame = _frame(fields)
     atlas = _atlas(Path(fields["atlas"]))
     print(_answer(frame, atlas, fields["quantity"]))
     return 0
-
-
-def _check_packages() -> None:
-    single_threaded()  # before scikit-learn is there: small trees on many threads wait for each other
-    try:
-        import sklearn  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise InputError("package", error.name, "installed: pip install 'vibration-bench[atlas]'") from None
 
 
 def _frame(fields: Mapping[str, str]) -> pd.DataFrame:
@@ -86,6 +79,7 @@ def _atlas(path: Path) -> pd.DataFrame:
 def _answer(frame: pd.DataFrame, atlas: pd.DataFrame, quantity: str) -> str:
     from bench.atlas.model import Model, unknown
     from bench.entrants.registry import load_method
+    from bench.reporting.atlas import RARE
     from bench.reporting.tables.common import markdown_table
 
     why = unknown(frame, quantity)
@@ -115,8 +109,6 @@ def _answer(frame: pd.DataFrame, atlas: pd.DataFrame, quantity: str) -> str:
 MEANING = """The bound on the standard deviation of {quantity} is {bound:.2g} %; in {wrong:.2g} % of such records the
 likelihood is largest at a wrong frequency. Errors are those of fits that are not gross, with the range in which eight
 of ten tests like this lie; gross are those beyond five times the bound."""
-RARE = 0.05
-"""Share of gross errors, beyond which a method comes last."""
 TITLES = {"k_over_m": "k/m", "c_over_m": "c/m"}
 
 

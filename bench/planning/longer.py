@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -52,10 +53,15 @@ class Taken:
         derivatives = np.concatenate([derivatives, np.ones((times.size, 1))], axis=1) / self.sigma
         return errors(derivatives.T @ derivatives)
 
+    @cached_property
+    def now(self) -> dict[str, float]:
+        """The bound of the record as it is."""
+        return self.bounds(self.times)
+
     def expected(self, factor: float) -> dict[str, float]:
         """The standard error of each logarithm, if the record had gone on."""
-        now, then = self.bounds(self.times), self.bounds(self.extended(factor))
-        return {name: self.supported[name] * then[name] / now[name] for name in QUANTITIES}
+        then = self.bounds(self.extended(factor))
+        return {name: self.supported[name] * then[name] / self.now[name] for name in QUANTITIES}
 
     def repeated(self, number: int) -> dict[str, float]:
         """The same of so many records alike."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.planning.free_decay import QUANTITIES, Decay, errors, motion
+from bench.planning.free_decay import QUANTITIES, Decay, errors, information, motion
 from bench.planning.search import Likely
 
 FINE = 16
@@ -35,10 +35,8 @@ class Times:
 
 def told_by(likely: Likely, times: np.ndarray, amplitude: float) -> Times:
     """What samples at some times tell."""
-    every = []
-    for own in likely.oscillators:
-        derivatives = motion(own, times, (amplitude, 0.0))[1]
-        every.append(errors(derivatives.T @ derivatives))
+    decay = Decay(times.size, float(times[-1]), amplitude)
+    every = [errors(information(own, decay, times)) for own in likely.oscillators]
     return Times(times, {name: float(np.median([one[name] for one in every])) for name in QUANTITIES})
 
 

@@ -51,11 +51,16 @@ class Likely:
         from scipy.special import ndtri  # slow to import
         from scipy.stats import qmc
 
-        if self.frequency_sd == self.damping_sd == 0:
+        if not self.in_doubt:
             return [self.nominal]
         shares = qmc.Sobol(2, scramble=True, rng=np.random.default_rng(0)).random(number)
         offs = ndtri(shares) * [self.frequency_sd, self.damping_sd]
         return [Oscillator(self.frequency * math.exp(a), self.damping_ratio * math.exp(b)) for a, b in offs]
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether more than the nominal one is likely."""
+        return self.frequency_sd > 0 or self.damping_sd > 0
 
     @property
     def fastest(self) -> float:
@@ -90,6 +95,12 @@ def proposal(likely: Likely, decay: Decay) -> Proposal:
         {name: float(np.median(values)) for name, values in by_name.items()},
         {name: float(np.quantile(values, SHARE, method="higher")) for name, values in by_name.items()},
     )
+
+
+def not_exceeded(likely: Likely, decay: Decay, quantity: str) -> float:
+    """The error of a quantity's logarithm that is not exceeded at :data:`SHARE` of the likely oscillators."""
+    every = [errors(information(one, decay))[quantity] for one in likely.oscillators]
+    return float(np.quantile(every, SHARE, method="higher"))
 
 
 def as_point(oscillator: Oscillator, decay: Decay) -> Point:
@@ -137,8 +148,7 @@ def _fewest(likely: Likely, quantity: str, error: float, decay: Decay, most: int
     """
 
     def error_of(samples: int) -> float:
-        every = [errors(information(one, decay.longer(samples)))[quantity] for one in likely.oscillators]
-        return float(np.quantile(every, SHARE, method="higher"))
+        return not_exceeded(likely, decay.longer(samples), quantity)
 
     def guess(samples: int, found: float) -> float:
         return samples * (found / error) ** 2

@@ -20,7 +20,7 @@ from bench.config.atlas import on_the_bound
 from bench.entrants.registry import make_method
 from bench.isolation.processes import single_threaded
 from bench.planning.free_decay import QUANTITIES, Decay, errors, information
-from bench.planning.search import MOST_SAMPLES, SHARE, WITHIN, Likely, Proposal, cheapest
+from bench.planning.search import MOST_SAMPLES, WITHIN, Likely, Proposal, cheapest, not_exceeded
 from bench.planning.verify import reached, simulated
 from bench.reporting.tables.common import markdown_table
 
@@ -73,8 +73,7 @@ def doubled(one: Request) -> int | None:
     cycles = 1.0
     while HABIT * cycles < MOST_SAMPLES:
         decay = Decay(round(HABIT * cycles) + 1, cycles / one.likely.frequency, one.amplitude)
-        every = [errors(information(own, decay))[one.quantity] for own in one.likely.oscillators]
-        if float(np.quantile(every, SHARE, method="higher")) <= one.error:
+        if not_exceeded(one.likely, decay, one.quantity) <= one.error:
             return decay.samples
         cycles *= 2.0
     return None

@@ -52,7 +52,7 @@ def atlas_size(e: Evidence) -> Said:
 
 @claim
 def atlas_likelihood(e: Evidence) -> Said:
-    """- **Output error is on the bound nearly everywhere**: within {near_least} times it at {k} % (k/m) and {c} % (c/m)
+    """- **Output error is on the bound nearly everywhere**: within {near} times it at {k} % (k/m) and {c} % (c/m)
     of the points that tell the quantity, with {gross} % of gross errors (beyond five times the bound, or no answer).
     Few samples or much noise are no reason for another method.
     """
@@ -60,7 +60,7 @@ def atlas_likelihood(e: Evidence) -> Said:
     few, noisy = _near(k[k.samples < 30]), _near(k[k.snr_db < 10])
     return said(
         {"also with few samples": few > 85, "also in noise": noisy > 80, "nearly everywhere": _near(k) > 90},
-        near_least=f"{NEAR:g}", k=f"{_near(k):.0f}", c=f"{_near(c, 'c_over_m'):.0f}", gross=number(_gross(k), 2),
+        near=f"{NEAR:g}", k=f"{_near(k):.0f}", c=f"{_near(c, 'c_over_m'):.0f}", gross=number(_gross(k), 2),
     )  # fmt: skip
 
 

@@ -53,7 +53,7 @@ def _drawn(own: Slice, frame: pd.DataFrame, folder: Path) -> list[Path]:
     return save_figure(figure, folder, f"atlas_{own.name}")
 
 
-def _grid(across: Axis, up: Axis, frame: pd.DataFrame, column: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def grid(across: Axis, up: Axis, frame: pd.DataFrame, column: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A column over the slice; NaN where a point is not there yet."""
     table = frame.pivot_table(index=up.name, columns=across.name, values=column, dropna=False, observed=False)
     return table.columns.to_numpy(float), table.index.to_numpy(float), table.to_numpy(float)
@@ -61,7 +61,7 @@ def _grid(across: Axis, up: Axis, frame: pd.DataFrame, column: str) -> tuple[np.
 
 def draw_bound(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame, column: str) -> None:
     """A bound in grey, by its logarithm, with contours in percent."""
-    x, y, z = _grid(across, up, frame, column)
+    x, y, z = grid(across, up, frame, column)
     axis.pcolormesh(x, y, np.log10(100.0 * z), cmap=SHADES, vmin=-2.0, vmax=3.0, shading="nearest", rasterized=True)
     lines = axis.contour(x, y, 100.0 * z, levels=LEVELS, colors=LINE, linewidths=0.9)
     axis.clabel(lines, fmt="%g")
@@ -69,15 +69,20 @@ def draw_bound(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame, column: s
 
 
 def _gross(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame) -> Any:
-    x, y, z = _grid(across, up, frame, f"{GROUPS[0]}_gross")
+    x, y, z = grid(across, up, frame, f"{GROUPS[0]}_gross")
     mesh = axis.pcolormesh(x, y, 100.0 * z, cmap=SHADES, vmin=0.0, vmax=100.0, shading="nearest", rasterized=True)
-    ambiguous = np.where(_grid(across, up, frame.assign(own=frame.aliased.astype(float)), "own")[2] > 0, 1.0, np.nan)
-    axis.pcolormesh(x, y, ambiguous, cmap=one_colour(AMBIGUOUS), shading="nearest", rasterized=True)
-    inside = _grid(across, up, frame.assign(near=near(frame).astype(float)), "near")[2]
+    draw_ambiguous(axis, across, up, frame)
+    inside = grid(across, up, frame.assign(near=near(frame).astype(float)), "near")[2]
     if np.nanmin(inside) < 0.5 < np.nanmax(inside):
         axis.contour(x, y, inside, levels=[0.5], colors=LINE, linewidths=0.9)
     set_scales(axis, across, up)
     return mesh
+
+
+def draw_ambiguous(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame) -> None:
+    """The cells above the Nyquist frequency, over what is there."""
+    x, y, z = grid(across, up, frame.assign(own=frame.aliased.astype(float)), "own")
+    axis.pcolormesh(x, y, np.where(z > 0, 1.0, np.nan), cmap=one_colour(AMBIGUOUS), shading="nearest", rasterized=True)
 
 
 def one_colour(name: str) -> Any:

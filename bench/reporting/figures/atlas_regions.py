@@ -13,35 +13,44 @@ from bench.atlas.design import Axis, Slice
 from bench.atlas.model import FEWEST, Model, told
 from bench.entrants.registry import load_method
 from bench.reporting.atlas import NEAR, RARE, point_frame
-from bench.reporting.figures.atlas import AMBIGUOUS, LINE, draw_bound, one_colour, set_scales
+from bench.reporting.figures.atlas import (
+    AMBIGUOUS,
+    LABELS,
+    LINE,
+    draw_ambiguous,
+    draw_bound,
+    grid,
+    one_colour,
+    set_scales,
+)
 from bench.reporting.figures.style import entry, legend_below, panels, save_figure
 
 QUANTITY = "k_over_m"
 RISKS = (1.0, 10.0, 50.0)
 """Contours of the probability of a wrong basin, %."""
-GREYS = ("#F7F7F7", "#DADADA", "#BDBDBD", "#9B9B9B", "#777777", "#525252")
+GREYS = ("#E6E6E6", "#D0D0D0", "#BDBDBD", "#9B9B9B", "#777777", "#525252")
 EVERY = 3
 """A letter in every so many-th cell, each way."""
 
 
 def draw_regions(slices: Sequence[Slice], atlas: pd.DataFrame, out: Path) -> list[Path]:
-    """A picture a slice, from the model of each method with points enough; returns the files."""
+    """A picture a slice, from the model of each method with points enough; the files, none without such a method."""
     folder = out / "figures"
     folder.mkdir(parents=True, exist_ok=True)
+    unknown = atlas[~atlas.start_known]
+    fastest = unknown.groupby("method").seconds.median().sort_values().index
     models = {}
-    for name, own in atlas.groupby("method", sort=False):
-        frame = own[~own.start_known]
-        if len(told(frame, QUANTITY)) >= FEWEST:
-            models[str(name)] = (Model(own, QUANTITY), float(frame.seconds.median()))
-    ordered = dict(sorted(models.items(), key=lambda item: item[1][1]))  # the fastest first
-    return [place for own in slices for place in _drawn(own, {name: m for name, (m, _) in ordered.items()}, folder)]
+    for name in fastest:
+        if len(told(unknown[unknown.method == name], QUANTITY)) >= FEWEST:
+            models[str(name)] = Model(atlas[atlas.method == name], QUANTITY)
+    return [place for own in slices for place in _drawn(own, models, folder)] if models else []
 
 
 def _drawn(own: Slice, models: dict[str, Model], folder: Path) -> list[Path]:
     across, up = own.axes()
     frame = pd.concat([point_frame(point) for point in own.points()], ignore_index=True)
     regions = {name: near for name, model in models.items() if (near := near_bound(frame, model)).any()}
-    figure, axes = panels(4, 2, 62.0, "cycles")
+    figure, axes = panels(4, 2, 62.0, LABELS[across.name])
     for axis, name, title in zip(axes, ("k_over_m", "c_over_m"), ("k/m", "c/m"), strict=False):
         draw_bound(axis, across, up, frame, f"bound_{name}")
         axis.set_title(f"bound on {title} (%)")
@@ -55,7 +64,7 @@ def _drawn(own: Slice, models: dict[str, Model], folder: Path) -> list[Path]:
         entry(color="none", marker="s", markerfacecolor=AMBIGUOUS, markersize=7,
               label="above the Nyquist frequency: ambiguous"),
         entry(color="none", marker="s", markerfacecolor="white", markeredgecolor="black", markersize=7,
-              label="no letter: the test does not tell k/m, or none is near"),
+              label="white: the test does not tell k/m, or no method is near"),
     ])  # fmt: skip
     return save_figure(figure, folder, f"atlas_map_{own.name}")
 
@@ -71,11 +80,11 @@ def near_bound(frame: pd.DataFrame, model: Model) -> np.ndarray:
 
 
 def _threshold(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame) -> None:
-    x, y, z = _grid(across, up, frame, 100.0 * frame.wrong_basin.to_numpy(float))
+    x, y, z = grid(across, up, frame.assign(own=100.0 * frame.wrong_basin), "own")
     axis.pcolormesh(x, y, z, cmap="Greys", vmin=0.0, vmax=100.0, shading="nearest", rasterized=True)
     if np.nanmax(z) > RISKS[0]:
         axis.clabel(axis.contour(x, y, z, levels=RISKS, colors=LINE, linewidths=0.9), fmt="%g")
-    _ambiguous(axis, across, up, frame)
+    draw_ambiguous(axis, across, up, frame)
     set_scales(axis, across, up)
 
 
@@ -86,7 +95,7 @@ def _fastest(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame, regions: di
         best[near] = i
     shown = [name for i, name in enumerate(regions) if (best == i).any()]
     letters = dict(zip(shown, "ABCDEFGHIJ", strict=False))
-    x, y, z = _grid(across, up, frame, best)
+    x, y, z = grid(across, up, frame.assign(own=best), "own")
     for number, name in enumerate(shown):
         own = np.where(z == list(regions).index(name), 1.0, np.nan)
         colour = one_colour(GREYS[min(number, len(GREYS) - 1)])
@@ -96,17 +105,6 @@ def _fastest(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame, regions: di
                 if own[row, column] == 1.0:
                     tone = "white" if number > 3 else "black"
                     axis.text(x[column], y[row], letters[name], ha="center", va="center", fontsize=6, color=tone)
-    _ambiguous(axis, across, up, frame)
+    draw_ambiguous(axis, across, up, frame)
     set_scales(axis, across, up)
     return letters
-
-
-def _ambiguous(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame) -> None:
-    x, y, z = _grid(across, up, frame, frame.aliased.to_numpy(float))
-    axis.pcolormesh(x, y, np.where(z > 0, 1.0, np.nan), cmap=one_colour(AMBIGUOUS), shading="nearest", rasterized=True)
-
-
-def _grid(across: Axis, up: Axis, frame: pd.DataFrame, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values of the points of a slice, row by row from below."""
-    x, y = np.unique(frame[across.name].to_numpy(float)), np.unique(frame[up.name].to_numpy(float))
-    return x, y, values.reshape(y.size, x.size)

@@ -72,4 +72,4 @@ def _panel(axis: Any, one: Shown) -> None:
     axis.set_title(readable(one.scenario), fontsize=10)
     axis.set_ylabel(readable(one.quantity))
     drawn = [line for line in axis.get_lines() if line.get_label() in one.paths]
-    axis.legend(handles=drawn, fontsize=6, loc="upper right", ncols=3, frameon=False)
+    axis.legend(handles=drawn, fontsize=6, loc="upper right", ncols=3, framealpha=0.9, edgecolor="none")
