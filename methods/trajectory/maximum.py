@@ -15,6 +15,7 @@ from methods.trajectory.student import student_fit
 UNSETTLED = (
     "the search with Student t errors did not settle: the noise is too far from any such law, or the samples few"
 )
+OPEN = "the data leave a parameter open here, so there is no uncertainty"
 FEW = "fewer than twice as many samples as unknowns: fitted with normal errors, since no outlier can be told from noise"
 
 
@@ -36,11 +37,10 @@ class Maximum:
     """Minus the log posterior where the search from each start ended."""
 
     def estimate(self) -> Estimate:
-        """The answer. Raises NoEstimate where the data leave a parameter open."""
+        """The answer; without uncertainty, and said so, where the data leave a parameter open."""
         covariance, cost = self.model.covariance(self.slopes, self.sigma), Cost(self.iterations, self.iterations)
-        if covariance is None:
-            raise NoEstimate("the data leave a parameter open; give more samples, a known force or a prior", cost=cost)
-        found = estimate_at(self.model, self.theta, covariance, self.used, cost, self.message)
+        message = "; ".join(part for part in (self.message, OPEN if covariance is None else "") if part)
+        found = estimate_at(self.model, self.theta, covariance, self.used, cost, message)
         sigma = np.maximum(self.sigma, SIGMA_FLOOR * self.model.rms)
         return replace(found, traces=ends(self.model, self.theta, self.slopes, sigma, self.objectives))
 

@@ -18,7 +18,9 @@ positive ones, as where the noise hides the damping: then all are solved again w
 start, which no output-error step has moved.
 The same maximum can be had without cuts, where the search gets there: problems are solved many at a time by
 :mod:`methods.trajectory.together`, linear ones with their exact motion, others by the same steps; and by the programme
-where a search there does not end at a maximum, or where the record of a nonlinear system is long.
+where a search there does not end at a maximum, or where the record of a nonlinear system is long. Where the programme
+of a linear system has no solution either, as where the likelihood rises towards no damping, the answer is where a
+single-shooting search ends (:mod:`methods.trajectory.single`), and its message says so.
 The covariance is the inverse of the Hessian reduced to the space that satisfies the constraints, with Student's t at
 ``N - p`` degrees of freedom. The programme itself is :mod:`methods.trajectory.programme`.
 
@@ -64,8 +66,12 @@ from methods.trajectory.programme import (
     reduced,
 )
 from methods.trajectory.screened import Screening, head, screened_alone
+from methods.trajectory.single import Found, Searches
 from methods.trajectory.together import Rules, Solution, solve_from, solve_together
 
+MOST_EVALUATIONS = 200
+"""Trial steps of a search without cuts, as output error's."""
+NO_PROGRAMME = "the programme has no solution: this is where a search without cuts ends"
 POLISH = 3
 """Gauss-Newton steps in the reduced space after IPOPT, at most: they make the answer free of its tolerance."""
 
@@ -155,13 +161,31 @@ class Shooting(Identifier):
             prior = very_wide(candidates(head(model), self.starts + 1)[0])
             model = OutputError(replace(model.problem, prior=prior))
             good, message = self._fits(model, [_within(prior, theta) for theta in used], exact=True), HELD
-        iterations = sum(fit.iterations for fit in good)
         if not good:
-            sentence = "IPOPT found no solution from any start; raise max_iterations or give a prior"
-            raise NoEstimate(sentence, cost=Cost(iterations=iterations))
+            return self._without_cuts(model, used)
+        iterations = sum(fit.iterations for fit in good)
         best = min(good, key=lambda fit: fit.profile)
         objectives = tuple(0.5 * fit.profile for fit in good)
         return Maximum(model, best.theta, best.slopes, best.sigma, best.used, iterations, message, objectives)
+
+    def _without_cuts(self, model: OutputError, starts: Sequence[np.ndarray]) -> Maximum:
+        """The best end of single-shooting searches, where the programme has no solution.
+
+        So it is where the likelihood rises towards a parameter of zero, as towards no damping: there is nothing to
+        converge to in its logarithm, but the other quantities are told all the same.
+        """
+        searches = Searches(self.sigma_rounds, self.sigma_tolerance, MOST_EVALUATIONS)
+        ends = searches.ends([model] * len(starts), starts) if model.system.linear else []
+        good = [end for end in ends if isinstance(end, Found)]
+        iterations = sum(end.iterations for end in good)
+        if not good:
+            sentence = "IPOPT found no solution from any start; raise max_iterations or give a prior"
+            raise NoEstimate(sentence, cost=Cost(iterations=iterations))
+        profiles = [model.profile_of(end.theta, end.residuals) for end in good]
+        best = good[int(np.argmin(profiles))]
+        sigma = model.noise(best.residuals, best.used, floor=0.0)
+        objectives = tuple(0.5 * profile for profile in profiles)
+        return Maximum(model, best.theta, best.slopes, sigma, best.used, iterations, NO_PROGRAMME, objectives)
 
     def _fits(self, model: OutputError, starts: Sequence[np.ndarray], exact: bool = False) -> list[_Fit]:
         """The solutions from these starts."""
