@@ -1,4 +1,4 @@
-"""A model of the sampled atlas: what a method is expected to do at any point, learned from those that were computed.
+"""A model of the sampled atlas of free decays: what a method is expected to do at any point, learned from the computed.
 
 Gradient-boosted trees (scikit-learn) on the numbers of a test and what follows from them: the logarithm of the core
 error over the bound, by three quantiles, and the probability of a gross error. Where the model does not know, it says
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bench.atlas.design import AXES
+from bench.atlas.point import FreeDecay
 from bench.errors import InputError
 from bench.isolation.processes import single_threaded
 
@@ -105,7 +105,7 @@ def features(frame: pd.DataFrame, quantity: str) -> np.ndarray:
 
 def unknown(frame: pd.DataFrame, quantity: str) -> str:
     """Why nothing is said of a point (a frame of one line); empty where something is."""
-    for axis in AXES:
+    for axis in FreeDecay.AXES:
         value = float(frame[axis.name].iloc[0])
         if not axis.low <= value <= axis.high:
             return f"{axis.name} {value:g} is outside the atlas, {axis.low:g} to {axis.high:g}"

@@ -11,22 +11,22 @@ method is handed the problem alone. A fit ends after :data:`LIMIT_S`; what raise
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import os
-import signal
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from dataclasses import asdict, dataclass
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass
 from functools import cache, cached_property
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bench.atlas.point import GROUPS, Point
-from bench.atlas.statistics import COLUMNS, Least, Statistics, one_fit, pooled
+from bench.atlas.engine import PROCESSES, capacity, executor, parent_is_gone
+from bench.atlas.point import Point
+from bench.atlas.statistics import Least, Statistics, columns, one_fit, pooled
 from bench.contract.estimate import Estimate, Status
 from bench.contract.method import Identifier
 from bench.contract.problem import Problem
@@ -43,7 +43,6 @@ LIMIT_S = 60.0
 AHEAD = 2
 """Blocks that are handed out beyond those that run."""
 HARNESS = (
-    ("bench.atlas.point", "Point"),
     ("bench.atlas.statistics", "pooled"),
     ("bench.atlas.statistics", "one_fit"),
     ("bench.information.fisher", "compute_bound"),
@@ -64,10 +63,15 @@ class Task:
     @cached_property
     def key(self) -> str:
         """What the statistics hang on, as a digest."""
-        stated = [[*map(float, asdict(point).values())] for point in self.points]
-        parts = [stated, self.method, self.settings, self.replicates, self.seed, COLUMNS, LIMIT_S]
-        text = json.dumps([_source(self.method), *parts], sort_keys=True)
+        stated = [point.numbers() for point in self.points]
+        parts = [stated, self.method, self.settings, self.replicates, self.seed, columns(self.quantities), LIMIT_S]
+        text = json.dumps([_source(self.method, type(self.points[0])), *parts], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What is scored against a bound."""
+        return self.points[0].QUANTITIES
 
     @property
     def fits(self) -> int:
@@ -76,10 +80,9 @@ class Task:
 
 
 @cache
-def _source(method: str) -> str:
-    """A digest of the definitions that a method and the harness use."""
-    cls = load_method(method)
-    return digest_of([*HARNESS, (cls.__module__, cls.__name__)])
+def _source(method: str, kind: type[Point]) -> str:
+    """A digest of the definitions that a method, a kind of test and the harness use."""
+    return digest_of([*HARNESS, *((cls.__module__, cls.__name__) for cls in (kind, load_method(method)))])
 
 
 class Blocks:
@@ -98,7 +101,8 @@ class Blocks:
             rows = np.load(self.folder / f"{task.key}.npy", allow_pickle=False)
         except (OSError, ValueError, EOFError):
             return None
-        return [Statistics.of_row(row) for row in rows] if rows.shape == (len(task.points), len(COLUMNS)) else None
+        whole = rows.shape == (len(task.points), len(columns(task.quantities)))
+        return [Statistics.of_row(row) for row in rows] if whole else None
 
     def add(self, task: Task, found: Sequence[Statistics]) -> None:
         """Keep a block; raises InputError where the folder cannot be written."""
@@ -112,18 +116,17 @@ class Blocks:
             raise InputError("store", self.folder, f"cannot be written: {error.strerror}") from None
 
 
-def run(tasks: Sequence[Task], blocks: Blocks, workers: int) -> Iterator[tuple[Task, str]]:
+def run(tasks: Sequence[Task], blocks: Blocks, workers: int, engine: str = PROCESSES) -> Iterator[tuple[Task, str]]:
     """Compute what is missing; each task as it ends, and what went wrong. Few wait at a time, so an end is soon."""
     single_threaded()
     missing = iter([task for task in tasks if not blocks.holds(task)])
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
+    most = capacity(engine, workers) + AHEAD
+    with executor(engine, workers) as pool:
         waiting = dict[Future[None], Task]()
         try:
             while True:
-                for task in missing:
+                for task in itertools.islice(missing, most - len(waiting)):
                     waiting[pool.submit(_computed, task, blocks.folder)] = task
-                    if len(waiting) >= workers + AHEAD:
-                        break
                 if not waiting:
                     return
                 for future in wait(waiting, return_when=FIRST_COMPLETED).done:
@@ -132,16 +135,6 @@ def run(tasks: Sequence[Task], blocks: Blocks, workers: int) -> Iterator[tuple[T
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-
-
-def _end_with_parent() -> None:
-    """A worker whose parent was killed ends at its next fit."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    global _PARENT
-    _PARENT = os.getppid()
-
-
-_PARENT = 0
 
 
 def _computed(task: Task, folder: Path) -> None:
@@ -156,7 +149,7 @@ def at_point(task: Task, identifier: Identifier, point: Point) -> Statistics:
     make, least = scenario.maker(task.seed), bound_at(point)
     fits, failed, seconds = [], [], []
     for i in range(task.replicates):
-        if _PARENT and os.getppid() != _PARENT:
+        if parent_is_gone():
             os._exit(1)
         problem, truth = make(i)
         began = time.perf_counter()
@@ -170,7 +163,7 @@ def at_point(task: Task, identifier: Identifier, point: Point) -> Statistics:
 def bound_at(point: Point) -> Least:
     """The Cramér-Rao bound at a point."""
     bound = compute_bound(point.scenario())
-    return Least(tuple(bound.relative_sd[name] for name in GROUPS), bound.rmse)
+    return Least({name: bound.relative_sd[name] for name in point.QUANTITIES}, bound.rmse)
 
 
 def _fitted(identifier: Identifier, problem: Problem, rng: np.random.Generator) -> Estimate:

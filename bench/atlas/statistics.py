@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from bench.atlas.point import GROUPS
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
 from bench.scenario.truth import Truth
@@ -18,7 +17,6 @@ GROSS = 5.0
 LARGEST = 1e6
 """Errors over the bound count as at most so large; an answer that is not positive, or absent, as this."""
 DISPLACEMENT = "displacement"
-SCORED = (*GROUPS, DISPLACEMENT)
 OF_SCORED = ("bias", "core", "median", "p90", "gross", "held", "told")
 """Of each quantity, in units of the bound's standard deviation or as a share: mean error and root mean square error of
 the fits that are not gross; median and 90 % quantile of the error of all fits; share of gross fits; share of 95 %
@@ -42,33 +40,35 @@ class Statistics:
     @staticmethod
     def of_row(row: np.ndarray) -> Statistics:
         """The statistics of :meth:`row`."""
-        values = row[3:].reshape(len(SCORED), len(OF_SCORED))
+        values = row[3:].reshape(-1, len(OF_SCORED))
         return Statistics(values, round(float(row[0])), float(row[1]), float(row[2]))
 
 
-COLUMNS = ("fits", "failed", "seconds", *(f"{name}_{of}" for name in SCORED for of in OF_SCORED))
-"""What the numbers of a row are."""
+def columns(quantities: Sequence[str]) -> list[str]:
+    """What the numbers of a row are: of the quantities, and of the displacement."""
+    return ["fits", "failed", "seconds", *(f"{name}_{of}" for name in (*quantities, DISPLACEMENT) for of in OF_SCORED)]
 
 
 @dataclass(frozen=True)
 class Least:
-    """The bound at a point: standard deviations of the groups' logarithms, root mean square of the displacement (m)."""
+    """The bound at a point: standard deviations of the quantities' logarithms, root mean square displacement (m)."""
 
-    sds: tuple[float, ...]
+    sds: Mapping[str, float]
     displacement: float
 
 
 def one_fit(estimate: Estimate, problem: Problem, truth: Truth, least: Least) -> np.ndarray:
     """Error over the bound and whether the 95 % interval holds the truth (NaN without one), (n_scored, 2).
 
-    Errors of the groups are of their logarithms; that of the displacement is a root mean square, and has no interval.
+    Errors of the quantities are of their logarithms; that of the displacement is a root mean square, and has no
+    interval.
     """
-    found = np.full((len(SCORED), 2), np.nan)
+    found = np.full((len(least.sds) + 1, 2), np.nan)
     found[:, 0] = LARGEST
     if estimate.status is not Status.OK:
         return found
     scores = score(estimate, problem, truth)
-    for i, (name, sd) in enumerate(zip(GROUPS, least.sds, strict=True)):
+    for i, (name, sd) in enumerate(least.sds.items()):
         ratio = scores.get(f"{name}_ratio", np.nan)
         if ratio > 0 and np.isfinite(ratio):
             found[i, 0] = np.clip(np.log(ratio) / sd, -LARGEST, LARGEST)
@@ -81,7 +81,7 @@ def one_fit(estimate: Estimate, problem: Problem, truth: Truth, least: Least) ->
 def pooled(fits: Sequence[np.ndarray], failed: Sequence[bool], seconds: Sequence[float]) -> Statistics:
     """The statistics of the fits at one point; each of ``fits`` is from :func:`one_fit`."""
     errors, held = np.moveaxis(np.array(fits), 2, 0)
-    values = np.array([_of_quantity(errors[:, i], held[:, i]) for i in range(len(SCORED))])
+    values = np.array([_of_quantity(errors[:, i], held[:, i]) for i in range(errors.shape[1])])
     return Statistics(values, len(fits), float(np.mean(failed)), float(np.median(seconds)))
 
 

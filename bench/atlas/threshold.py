@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from bench.atlas.point import Point
+from bench.atlas.point import FreeDecay
 
 RATIOS = (1e-4, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 0.7, 1.2)
 """Damping ratios of the rivals."""
@@ -30,7 +30,7 @@ LEVELS = (np.arange(2000) + 0.5) / 2000
 """Levels at which the truth's energy is sampled."""
 
 
-def wrong_basin(point: Point) -> float:
+def wrong_basin(point: FreeDecay) -> float:
     """The probability that maximum likelihood ends in another basin, for a frequency below half the sampling rate."""
     clean = _clean(point)
     energy = point.samples * 10.0 ** (point.snr_db / 10.0)
@@ -58,7 +58,7 @@ def _any_above(truth: float, rivals: np.ndarray) -> float:
     return float(np.clip(1.0 - np.mean(np.exp(below)), 0.0, 1.0))
 
 
-def _told(point: Point, motion: np.ndarray) -> float:
+def _told(point: FreeDecay, motion: np.ndarray) -> float:
     """The same for a start that is told: each rival is one motion from that start."""
     from scipy.special import ndtr, ndtri
 
@@ -88,18 +88,18 @@ def _apart(planes: np.ndarray, order: np.ndarray) -> list[int]:
     return kept
 
 
-def _times(point: Point) -> np.ndarray:
+def _times(point: FreeDecay) -> np.ndarray:
     """In units of the inverse natural frequency."""
     return np.linspace(0.0, 2.0 * math.pi * point.cycles, point.samples)
 
 
-def _grid(point: Point) -> tuple[np.ndarray, np.ndarray]:
+def _grid(point: FreeDecay) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies, over the natural one, up to half the sampling rate, and damping ratios, of all rivals."""
     omegas = np.arange(1, FINE * (point.samples - 1) + 1) / (2.0 * FINE * point.cycles)
     return np.repeat(omegas, len(RATIOS)), np.tile(RATIOS, omegas.size)
 
 
-def _clean(point: Point) -> np.ndarray:
+def _clean(point: FreeDecay) -> np.ndarray:
     return _path(_times(point), 1.0, point.damping_ratio, point.phase)
 
 

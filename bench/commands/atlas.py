@@ -1,4 +1,4 @@
-"""``python -m bench -m experiment=atlas``: the atlas of free decays.
+"""``python -m bench -m experiment=atlas``: the atlas of free decays, or of tests with a measured force.
 
 Finished blocks are kept in ``store``, and the same command goes on from them. ``fit=false`` writes what is kept.
 """
@@ -12,28 +12,32 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.commands.guard import read_fields, whole
-from bench.config.atlas import SAMPLED, atlas_methods, atlas_slices, atlas_tasks, part_names
+from bench.config.atlas import SAMPLED, TESTS, atlas_methods, atlas_slices, atlas_tasks, part_names
 from bench.errors import InputError
 
 if TYPE_CHECKING:
     from bench.atlas.run import Blocks, Task
 
 FIELDS = {
-    "part": "", "method": "", "points": "", "workers": "", "store": "outputs/atlas", "out": "results",
-    "fit": "true", "dry_run": "false", "shard": "1/1",
+    "test": "free_decay", "part": "", "method": "", "points": "", "workers": "", "store": "outputs/atlas",
+    "out": "results", "fit": "true", "dry_run": "false", "shard": "", "engine": "processes",
 }  # fmt: skip
 COMMAND = "python -m bench -m experiment=atlas"
 USAGE = """usage: python -m bench -m experiment=atlas [field=value ...]
 
-  part      [{parts}] several with commas
+  test      {tests}
+  part      [{parts}] several with commas; test=forced has others
   method    {methods}
   points    the first so many points of the sequence or slice
   workers   [one a core] processes
   store     [outputs/atlas] where finished blocks are kept and found again
   out       [results] where the atlas, its tables and maps go
   fit       [true] false: write what is kept
-  shard     [1/1] 3/10: every tenth block from the third on, as a job of many
-            that share the store; nothing is written but the blocks
+  engine    [processes] of this machine; ray: on a cluster, all of whose nodes
+            see the store
+  shard     3/10: every tenth block from the third on, as a job of many that
+            share the store; nothing is written but the blocks. In an array of
+            Slurm each job takes its own
   dry_run   [false] say how far it is, what it took, and what is left"""
 
 
@@ -41,24 +45,29 @@ def atlas_usage() -> str:
     """The page of help."""
     from bench.reporting.terminal import wrapped
 
-    text = USAGE.format(parts=",".join(part_names()), methods=", ".join(atlas_methods()))
+    tests = ", ".join(f"[{test}]" if test == FIELDS["test"] else test for test in TESTS)
+    text = USAGE.format(tests=tests, parts=",".join(part_names()), methods=", ".join(atlas_methods()))
     return "\n".join(wrapped(line, " " * 12) for line in text.splitlines())
 
 
 def made_atlas(arguments: Sequence[str]) -> int:
     """Compute what is missing and write the atlas; raises InputError."""
+    from bench.atlas.engine import ENGINES
     from bench.atlas.run import Blocks
 
     fields = read_fields(arguments, FIELDS)
     for name in ("fit", "dry_run"):
         if fields[name] not in ("true", "false"):
             raise InputError(name, fields[name], "true or false")
-    parts = [part.strip() for part in fields["part"].split(",") if part.strip()] or part_names()
+    test = fields["test"]
+    parts = [part.strip() for part in fields["part"].split(",") if part.strip()] or part_names(test)
     methods = [name.strip() for name in fields["method"].split(",") if name.strip()]
     most = whole("points", fields["points"]) if fields["points"] else None
     workers = whole("workers", fields["workers"]) if fields["workers"] else os.cpu_count() or 1
+    if fields["engine"] not in ENGINES:
+        raise InputError("engine", fields["engine"], f"one of {', '.join(ENGINES)}")
     number, shards = _shard(fields["shard"])
-    tasks = {part: atlas_tasks(part, methods, most) for part in parts}
+    tasks = {part: atlas_tasks(part, methods, most, test) for part in parts}
     blocks = Blocks(Path(fields["store"]))
     every = [task for own in tasks.values() for task in own][number - 1 :: shards]
     left = [task for task in every if not blocks.holds(task)]
@@ -70,11 +79,11 @@ def made_atlas(arguments: Sequence[str]) -> int:
     if shards == 1:
         _check_packages()
     if left and fields["fit"] == "true":
-        _run(every, blocks, left_fits, workers)
+        _run(every, blocks, left_fits, workers, fields["engine"])
     if shards > 1:
         return 0
-    told = [f"{name}={fields[name]}" for name in ("part", "points") if fields[name]]
-    return _write(tasks, blocks, Path(fields["out"]), " ".join([COMMAND, *told]))
+    told = [f"{name}={fields[name]}" for name in ("test", "part", "points") if fields[name] != FIELDS[name]]
+    return _write(test, tasks, blocks, Path(fields["out"]), " ".join([COMMAND, *told]))
 
 
 def _check_packages() -> None:
@@ -89,7 +98,11 @@ def _check_packages() -> None:
 
 
 def _shard(text: str) -> tuple[int, int]:
-    """The number of a shard, from 1, and of all."""
+    """The number of a shard, from 1, and of all; of no text, this job's in an array of Slurm, or all there is."""
+    if not text and "SLURM_ARRAY_TASK_ID" in os.environ:
+        first = int(os.environ.get("SLURM_ARRAY_TASK_MIN", "1"))
+        return int(os.environ["SLURM_ARRAY_TASK_ID"]) - first + 1, int(os.environ.get("SLURM_ARRAY_TASK_COUNT", "1"))
+    text = text or "1/1"
     number, _, shards = text.partition("/")
     if not (number.isdecimal() and shards.isdecimal() and 1 <= int(number) <= int(shards)):
         raise InputError("shard", text, "<number>/<of how many>, as 3/10")
@@ -121,31 +134,33 @@ def _progress(tasks: Sequence[Task], blocks: Blocks, workers: int) -> str:
     return f"{table}\n\nWhole, for the methods with a time, on {nodes} nodes with {workers} workers each: {took} hours."
 
 
-def _run(tasks: Sequence[Task], blocks: Blocks, left: int, workers: int) -> None:
+def _run(tasks: Sequence[Task], blocks: Blocks, left: int, workers: int, engine: str) -> None:
     from tqdm import tqdm
 
     from bench.atlas.run import run
 
     with tqdm(total=left, unit="fit", unit_scale=True, file=sys.stderr) as bar:
-        for task, error in run(tasks, blocks, workers):
+        for task, error in run(tasks, blocks, workers, engine):
             bar.update(task.fits)
             if error:
                 bar.write(f"bench: {task.label}, block {task.key}: {error}", file=sys.stderr)
 
 
-def _write(tasks: dict[str, list[Task]], blocks: Blocks, out: Path, again: str) -> int:
-    from bench.reporting.atlas import atlas_frame, written
+def _write(test: str, tasks: dict[str, list[Task]], blocks: Blocks, out: Path, again: str) -> int:
+    from bench.reporting.atlas import PAGES, atlas_frame, written
     from bench.reporting.figures.atlas import draw_atlas
     from bench.reporting.figures.atlas_regions import draw_regions
 
     out.mkdir(parents=True, exist_ok=True)
+    every = atlas_slices(test)
     if SAMPLED in tasks:
         frame = atlas_frame(tasks[SAMPLED], blocks)
         if frame.empty:
             raise InputError("store", blocks.folder, "a folder with finished blocks; without fit=false they are made")
-        for place in [*written(frame, out, again), *draw_regions(atlas_slices(), frame, out)]:
+        page = next(page for page in PAGES if page.kind is TESTS[test])
+        for place in [*written(frame, page, out, again), *(draw_regions(every, frame, out) if page.modelled else [])]:
             print(place)
-    slices = {s.name: s for s in atlas_slices() if s.name in tasks}
+    slices = {s.name: s for s in every if s.name in tasks}
     frames = {name: atlas_frame(tasks[name], blocks) for name in slices}
     for place in draw_atlas([(slices[name], frame) for name, frame in frames.items() if not frame.empty], out):
         print(place)

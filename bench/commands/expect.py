@@ -52,7 +52,7 @@ def expected(arguments: Sequence[str]) -> int:
 
 def _frame(fields: Mapping[str, str]) -> pd.DataFrame:
     """The test as a line of the atlas, with its bounds."""
-    from bench.atlas.point import Point
+    from bench.atlas.point import FreeDecay
     from bench.reporting.atlas import point_frame
 
     for name in ("samples", "cycles", "damping", "snr"):
@@ -63,7 +63,7 @@ def _frame(fields: Mapping[str, str]) -> pd.DataFrame:
     samples = whole("samples", fields["samples"], 4)
     cycles, damping = _number("cycles", fields["cycles"]), _number("damping", fields["damping"])
     phase = math.radians(_number("phase", fields["phase"]) % 180.0)
-    point = Point(samples, cycles, damping, _number("snr", fields["snr"]), phase, fields["start"] == "known")
+    point = FreeDecay(samples, cycles, damping, _number("snr", fields["snr"]), phase, fields["start"] == "known")
     return point_frame(point)
 
 

@@ -1,50 +1,58 @@
-"""The atlas as it is configured: ``conf/atlas/free_decay.yaml``."""
+"""The atlases as they are configured, a kind of test each: ``conf/atlas/<kind>.yaml``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.resources import files
 from typing import Any
 
 import yaml
 
-from bench.atlas.design import Slice, blocks, sobol
-from bench.atlas.point import Point
+from bench.atlas.design import Slice, blocks, made, sobol
+from bench.atlas.forced import Forced
+from bench.atlas.point import FreeDecay, Point
 from bench.atlas.run import Task
 from bench.config.suggest import did_you_mean
 from bench.entrants.registry import make_method
 from bench.errors import InputError
 
+FREE_DECAY, FORCED = "free_decay", "forced"
+TESTS: Mapping[str, type[Point]] = {FREE_DECAY: FreeDecay, FORCED: Forced}
+"""The kinds of test, by the name of their file."""
 SAMPLED = "points"
 """What the part is called that is not a slice."""
 
 
-def atlas_content() -> dict[str, Any]:
-    """The content of the file."""
-    content = yaml.safe_load(files("conf").joinpath("atlas", "free_decay.yaml").read_text(encoding="utf-8"))
+@cache
+def atlas_content(test: str = FREE_DECAY) -> Mapping[str, Any]:
+    """The content of the file of a kind of test; raises InputError for a kind that there is not."""
+    if test not in TESTS:
+        raise InputError("test", test, f"{did_you_mean(test, list(TESTS))}one of {', '.join(TESTS)}")
+    content = yaml.safe_load(files("conf").joinpath("atlas", f"{test}.yaml").read_text(encoding="utf-8"))
     assert isinstance(content, dict)
     return content
 
 
-def atlas_slices() -> list[Slice]:
+def atlas_slices(test: str = FREE_DECAY) -> list[Slice]:
     """The slices, by name."""
-    return [_slice(name, stated) for name, stated in atlas_content()["slices"].items()]
+    return [_slice(TESTS[test], name, stated) for name, stated in atlas_content(test)["slices"].items()]
 
 
-def part_names() -> list[str]:
+def part_names(test: str = FREE_DECAY) -> list[str]:
     """The sampled points, and each slice."""
-    return [SAMPLED, *atlas_content()["slices"]]
+    return [SAMPLED, *atlas_content(test)["slices"]]
 
 
-def atlas_points() -> list[Point]:
+def atlas_points(test: str = FREE_DECAY) -> list[Point]:
     """The points of the sequence."""
-    content = atlas_content()
-    return sobol(content["points"], content["seed"])
+    content = atlas_content(test)
+    return sobol(TESTS[test], content["points"], content["seed"])
 
 
-def atlas_methods() -> list[str]:
+def atlas_methods(test: str = FREE_DECAY) -> list[str]:
     """Every method of the atlas, those of all points first."""
-    content = atlas_content()
+    content = atlas_content(test)
     return [*content["methods"], *content["points_by_method"]]
 
 
@@ -53,20 +61,22 @@ def on_the_bound() -> list[str]:
     return list(atlas_content()["on_the_bound"])
 
 
-def atlas_tasks(part: str, methods: Sequence[str] = (), most_points: int | None = None) -> list[Task]:
+def atlas_tasks(
+    part: str, methods: Sequence[str] = (), most_points: int | None = None, test: str = FREE_DECAY
+) -> list[Task]:
     """What is to be computed for a part, block by block; all methods of a block one behind the other.
 
-    Raises InputError for a part or a method that the atlas does not have.
+    Raises InputError for a kind of test, a part or a method that the atlas does not have.
     """
-    content = atlas_content()
-    if part not in part_names():
-        raise InputError("part", part, f"{did_you_mean(part, part_names())}some of {', '.join(part_names())}")
-    own = atlas_methods() if part == SAMPLED else list(content["slice_methods"])
+    content = atlas_content(test)
+    if part not in (parts := part_names(test)):
+        raise InputError("part", part, f"{did_you_mean(part, parts)}some of {', '.join(parts)}")
+    known = atlas_methods(test)
+    own = known if part == SAMPLED else list(content["slice_methods"])
     for name in methods:
-        if name not in atlas_methods():
-            near = did_you_mean(name, atlas_methods())
-            raise InputError("method", name, f"{near}some of {', '.join(atlas_methods())}")
-    points = atlas_points() if part == SAMPLED else next(s for s in atlas_slices() if s.name == part).points()
+        if name not in known:
+            raise InputError("method", name, f"{did_you_mean(name, known)}some of {', '.join(known)}")
+    points = atlas_points(test) if part == SAMPLED else next(s for s in atlas_slices(test) if s.name == part).points()
     points = points[:most_points]
     found = []
     for number, block in enumerate(blocks(points, content["block"])):
@@ -85,9 +95,9 @@ def _task(content: Mapping[str, Any], part: str, label: str, block: Sequence[Poi
     return Task(block, method, settings, n if part == SAMPLED else content["slice_replicates"], content["seed"], label)
 
 
-def _slice(name: str, stated: Mapping[str, Any]) -> Slice:
+def _slice(kind: type[Point], name: str, stated: Mapping[str, Any]) -> Slice:
     columns, rows = stated["size"]
     free = {stated["across"]: 1.0, stated["up"]: 1.0}
-    at = {key: stated.get(key, free.get(key)) for key in ("samples", "cycles", "damping_ratio", "snr_db", "phase")}
-    fixed = Point(**at, start_known=bool(stated["start_known"]))
+    at = {axis.name: stated.get(axis.name, free.get(axis.name)) for axis in kind.AXES}
+    fixed = made(kind, at, stated[kind.CHOICE.name])
     return Slice(name, fixed, stated["across"], stated["up"], (columns, rows))

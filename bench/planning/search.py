@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bench.atlas.point import Point
+from bench.atlas.point import FreeDecay
 from bench.atlas.threshold import wrong_basin
 from bench.planning.free_decay import QUANTITIES, Decay, Oscillator, errors, information, motion
 
@@ -103,11 +103,11 @@ def not_exceeded(likely: Likely, decay: Decay, quantity: str) -> float:
     return float(np.quantile(every, SHARE, method="higher"))
 
 
-def as_point(oscillator: Oscillator, decay: Decay) -> Point:
+def as_point(oscillator: Oscillator, decay: Decay) -> FreeDecay:
     """The test in dimensionless numbers."""
     clean = motion(oscillator, decay.times, (decay.amplitude, 0.0))[0]
     snr = 10.0 * math.log10(float(np.mean(clean**2)))
-    return Point(decay.samples, decay.duration * oscillator.frequency, oscillator.damping_ratio, snr, 0.0, False)
+    return FreeDecay(decay.samples, decay.duration * oscillator.frequency, oscillator.damping_ratio, snr, 0.0, False)
 
 
 def cheapest(likely: Likely, quantity: str, error: float, amplitude: float, rate: float = 0.0) -> Proposal | None:

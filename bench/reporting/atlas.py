@@ -1,19 +1,20 @@
-"""The atlas as a frame, a line a point and method, and what is written of it."""
+"""An atlas as a frame, a line a point and method, and what is written of it."""
 
 from __future__ import annotations
 
 import gzip
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
-from bench.atlas.design import AXES
+from bench.atlas.forced import Forced
 from bench.atlas.model import FOLDS, TOLD, held_out, told
-from bench.atlas.point import GROUPS, Point
+from bench.atlas.point import GROUPS, FreeDecay, Point
 from bench.atlas.run import Blocks, Task, bound_at
-from bench.atlas.statistics import COLUMNS
+from bench.atlas.statistics import DISPLACEMENT, columns
 from bench.atlas.threshold import wrong_basin
 from bench.entrants.registry import load_method
 from bench.reporting.tables.common import markdown_table
@@ -25,7 +26,7 @@ RARE = 0.05
 
 
 def atlas_frame(tasks: Sequence[Task], blocks: Blocks) -> pd.DataFrame:
-    """A line for each point and method of the blocks that are finished, with the bound."""
+    """A line for each point and method of the blocks that are finished, with the bound; all of one kind of test."""
     lines, bounds = [], dict[Point, list[float]]()
     for task in tasks:
         found = blocks.get(task)
@@ -35,26 +36,35 @@ def atlas_frame(tasks: Sequence[Task], blocks: Blocks) -> pd.DataFrame:
             if point not in bounds:
                 bounds[point] = _bounds(point)
             lines.append([*_numbers(point), task.label, *bounds[point], *statistics.row().tolist()])
-    return pd.DataFrame(lines, columns=[*NUMBERS, "method", *BOUNDS, *COLUMNS])
+    kind = type(tasks[0].points[0])
+    names = [*test_columns(kind), "method", *_bound_columns(kind), *columns(kind.QUANTITIES)]
+    return pd.DataFrame(lines, columns=names)
 
 
 def point_frame(point: Point) -> pd.DataFrame:
     """A line for a point, with the bound, as the model of the atlas asks for it."""
-    return pd.DataFrame([[*_numbers(point), *_bounds(point)]], columns=[*NUMBERS, *BOUNDS])
+    names = [*test_columns(type(point)), *_bound_columns(type(point))]
+    return pd.DataFrame([[*_numbers(point), *_bounds(point)]], columns=names)
 
 
-NUMBERS = (*(axis.name for axis in AXES), "start_known", "aliased")
-BOUNDS = (*(f"bound_{name}" for name in (*GROUPS, "displacement")), "wrong_basin")
+def test_columns(kind: type[Point]) -> list[str]:
+    """The columns that say which test it is."""
+    return [*(axis.name for axis in kind.AXES), kind.CHOICE.name, "aliased"]
+
+
+def _bound_columns(kind: type[Point]) -> list[str]:
+    return [*(f"bound_{name}" for name in (*kind.QUANTITIES, DISPLACEMENT)), "wrong_basin"]
 
 
 def _numbers(point: Point) -> list[float]:
-    return [*(getattr(point, axis.name) for axis in AXES), point.start_known, point.aliased]
+    return [getattr(point, name) for name in test_columns(type(point))]
 
 
 def _bounds(point: Point) -> list[float]:
-    """The bounds, and the expected share of wrong basins, NaN where the frequency is ambiguous."""
+    """The bounds, and the expected share of wrong basins, NaN where it is not known."""
     least = bound_at(point)
-    return [*least.sds, least.displacement, float("nan") if point.aliased else wrong_basin(point)]
+    basin = wrong_basin(point) if isinstance(point, FreeDecay) and not point.aliased else float("nan")
+    return [*least.sds.values(), least.displacement, basin]
 
 
 def near(frame: pd.DataFrame, quantity: str = GROUPS[0]) -> pd.Series:
@@ -62,35 +72,46 @@ def near(frame: pd.DataFrame, quantity: str = GROUPS[0]) -> pd.Series:
     return (frame[f"{quantity}_core"] <= NEAR) & (frame[f"{quantity}_gross"] <= RARE)
 
 
-def written(frame: pd.DataFrame, out: Path, command: str) -> list[Path]:
+@dataclass(frozen=True)
+class Page:
+    """What is said of the atlas of a kind of test, in files called ``name``."""
+
+    kind: type[Point]
+    name: str
+    title: str
+    box: str
+    words: Mapping[str, str]
+    modelled: bool = False
+
+
+def written(frame: pd.DataFrame, page: Page, out: Path, command: str) -> list[Path]:
     """The atlas as compressed CSV, and its summary with the data dictionary."""
-    data, page = out / "atlas.csv.gz", out / "atlas.md"
-    text = frame.to_csv(index=False, float_format="%.4g", lineterminator="\n")
+    data, summed = out / f"{page.name}.csv.gz", out / f"{page.name}.md"
+    text = frame.dropna(axis=1, how="all").to_csv(index=False, float_format="%.4g", lineterminator="\n")
     with data.open("wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as packed:  # the same bytes again
         packed.write(text.encode())
-    page.write_text(summary(frame, command), encoding="utf-8")
-    return [data, page]
+    summed.write_text(summary(frame, page, command), encoding="utf-8")
+    return [data, summed]
 
 
-def summary(frame: pd.DataFrame, command: str) -> str:
-    """What the sampled atlas holds, a line a method, and what its columns mean."""
-    points = len(frame.drop_duplicates([axis.name for axis in AXES]))
-    head = f"{int(frame.fits.sum()):,} fits at {points:,} points. {HEAD}"
-    tables = [f"## {GROUP_TITLES[name]}\n\n{_table(frame, name)}" for name in GROUPS]
-    words = "\n".join(f"- `{name}`: {text}" for name, text in DICTIONARY.items())
+def summary(frame: pd.DataFrame, page: Page, command: str) -> str:
+    """What a sampled atlas holds, a line a method, and what its columns mean."""
+    points = len(frame.drop_duplicates([axis.name for axis in page.kind.AXES]))
+    head = f"{int(frame.fits.sum()):,} fits at {points:,} points. {page.box}\n\n{HEAD}"
+    tables = [f"## {TITLES[name]}\n\n{_table(frame, name)}" for name in page.kind.QUANTITIES]
+    words = "\n".join(f"- `{name}`: {text}" for name, text in {**page.words, **DICTIONARY}.items())
+    model = [f"## Its model\n\n{MODEL}\n\n{_model_table(frame)}"] if page.modelled else []
     parts = [
-        "# The atlas of free decays", head, *tables,
-        f"## Its model\n\n{MODEL}\n\n{_model_table(frame)}",
-        f"## Columns of `atlas.csv.gz`\n\n{words}", f"Regenerate: `{command}`",
+        f"# {page.title}", head, *tables, *model, f"## Columns of `{page.name}.csv.gz`\n\n{words}",
+        f"Regenerate: `{command}`",
     ]  # fmt: skip
     return "\n\n".join(parts) + "\n"
 
 
-GROUP_TITLES = {"k_over_m": "k/m, the squared natural frequency", "c_over_m": "c/m, the decay rate"}
-HEAD = f"""Points are spread evenly over the box of all tests: samples, cycles and damping ratio by their logarithms,
-SNR, phase of the start, and whether the start is told. Of a quantity a test tells nothing useful where the Cramér-Rao
-bound on the standard deviation of its logarithm is above {TOLD:g}, and it is ambiguous where the natural frequency is
-above half the sampling rate; the tables are over the other points.
+TITLES = {"k_over_m": "k/m, the squared natural frequency", "c_over_m": "c/m, the decay rate", "m": "m, the mass"}
+HEAD = f"""Of a quantity a test tells nothing useful where the Cramér-Rao bound on the standard deviation of its
+logarithm is above {TOLD:g}, and it is ambiguous where the samples do not tell its frequency from others; the tables are
+over the other points.
 
 **near**: share of points at which a method's errors are within {NEAR:g} times the bound, gross ones left out, and at
 most {100 * RARE:g} % are gross; **gross**: share of fits whose error is beyond five times the bound, or that give no
@@ -101,19 +122,47 @@ once in {FOLDS} parts. **error**: median size of the error of the log excess, wh
 range**: share of points inside the range from the 10 % to the 90 % quantile; **gross, off by**: mean distance of
 predicted and counted share of gross errors, in tenths of the points by prediction, in percentage points."""
 DICTIONARY = {
-    "samples, cycles, damping_ratio, snr_db, phase, start_known": "the test; `phase` in rad: the start is "
-    "`x0 = A cos(phase)`, `v0 = -A ω sin(phase)`, with ω the undamped natural frequency; `cycles` are undamped periods",
-    "aliased": "whether the natural frequency is at or above half the sampling rate",
+    "aliased": "whether the test is ambiguous: without a force, where the natural frequency is at or above half the "
+    "sampling rate",
     "method": "by the name that `method=` takes",
-    "bound_k_over_m, bound_c_over_m": "Cramér-Rao bound on the standard deviation of the logarithm",
-    "bound_displacement": "that on the root mean square displacement error over the record, m",
-    "wrong_basin": "expected share of records whose likelihood is largest in a wrong basin; empty where aliased",
+    "bound_*": "Cramér-Rao bound on the standard deviation of the logarithm; of the displacement, that on the root "
+    "mean square error over the record, m",
     "fits, failed, seconds": "fits at the point; share without an estimate; median wall time of one",
     "*_bias, *_core": "mean and root mean square error over the bound, of fits that are not gross",
     "*_median, *_p90": "quantiles of the error's size over the bound, of all fits",
     "*_gross": "share of fits beyond five times the bound, or without an answer",
     "*_held, *_told": "share of 95 % intervals that hold the truth, of those there are; share of fits with one",
 }
+FREE_DECAYS = Page(
+    FreeDecay,
+    "atlas",
+    "The atlas of free decays",
+    "Points are spread evenly over the box of all tests: samples, cycles and damping ratio by their logarithms, SNR,\n"
+    "phase of the start, and whether the start is told.",
+    {
+        "samples, cycles, damping_ratio, snr_db, phase, start_known": "the test; `phase` in rad: the start is "
+        "`x0 = A cos(phase)`, `v0 = -A ω sin(phase)`, with ω the undamped natural frequency; `cycles` are undamped "
+        "periods",
+        "wrong_basin": "expected share of records whose likelihood is largest in a wrong basin; empty where aliased",
+    },
+    modelled=True,
+)
+FORCED_TESTS = Page(
+    Forced,
+    "atlas_forced",
+    "The atlas of tests with a measured force",
+    "Points are spread evenly over the box of all tests from rest under a force that is measured with noise: samples,\n"
+    "cycles, damping ratio and the force's bandwidth by their logarithms, SNR of displacement and of force, and the\n"
+    "kind of force. Every method takes the force as told; the bound is that of a force known exactly.",
+    {
+        "samples, cycles, damping_ratio, snr_db": "the test; `cycles` are undamped periods in the record",
+        "bandwidth": "highest frequency of the force over the natural frequency; of a pulse, where its spectrum has "
+        "fallen to half",
+        "force_snr_db": "mean square of the force over the variance of its sensor's noise",
+        "force": "its kind, as in `system.force.kind`",
+    },
+)
+PAGES = (FREE_DECAYS, FORCED_TESTS)
 
 
 def _table(frame: pd.DataFrame, quantity: str) -> str:

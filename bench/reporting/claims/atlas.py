@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from bench.atlas.design import AXES
 from bench.atlas.model import TOLD, told
+from bench.atlas.point import FreeDecay
 from bench.planning.free_decay import Decay, Oscillator, errors, information
 from bench.reporting.atlas import NEAR, near
 from bench.reporting.claims.claim import Claim, Said, claim, number, said
@@ -41,7 +41,7 @@ def atlas_size(e: Evidence) -> Said:
     below {told} % in {k} % of the box of all tests, that of c/m in {c} % of it; {aliased} % of the box has the natural
     frequency above the Nyquist frequency.
     """
-    frame = e.atlas.drop_duplicates([axis.name for axis in AXES])
+    frame = e.atlas.drop_duplicates([axis.name for axis in FreeDecay.AXES])
     k, c = (100.0 * float((frame[f"bound_{name}"] <= TOLD).mean()) for name in ("k_over_m", "c_over_m"))
     return said(
         {"damping is harder to tell than stiffness": c < k},
@@ -224,7 +224,7 @@ def atlas_snr(e: Evidence) -> Said:
     """- **The SNR alone says little**: of tests between {low} and {high} dB the bound of k/m is between {least} and
     {most} % (without the lowest and the highest tenth); samples, cycles and damping make the difference.
     """
-    frame = e.atlas.drop_duplicates([axis.name for axis in AXES])
+    frame = e.atlas.drop_duplicates([axis.name for axis in FreeDecay.AXES])
     own = frame[frame.snr_db.between(*BAND) & ~frame.aliased].bound_k_over_m
     low, high = (100.0 * float(own.quantile(q)) for q in (0.1, 0.9))
     return said(

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bench.atlas.design import Axis, Slice
+from bench.atlas.axes import Axis
+from bench.atlas.design import Slice
 from bench.atlas.point import GROUPS
 from bench.entrants.registry import load_method
 from bench.reporting.atlas import NEAR, near
@@ -17,7 +18,7 @@ from bench.reporting.figures.style import entry, legend_below, panels, save_figu
 
 LABELS = {
     "samples": "samples", "cycles": "cycles", "damping_ratio": "damping ratio", "snr_db": "SNR (dB)",
-    "phase": "phase (rad)",
+    "phase": "phase (rad)", "bandwidth": "bandwidth over natural frequency", "force_snr_db": "SNR of the force (dB)",
 }  # fmt: skip
 LEVELS = (0.1, 1.0, 10.0, 100.0)
 """Contours of the bound, %."""

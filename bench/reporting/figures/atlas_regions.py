@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bench.atlas.design import Axis, Slice
+from bench.atlas.axes import Axis
+from bench.atlas.design import Slice
 from bench.atlas.model import FEWEST, Model, told
 from bench.entrants.registry import load_method
 from bench.reporting.atlas import NEAR, RARE, point_frame

@@ -6,7 +6,7 @@ import pytest
 
 from bench.atlas.design import Slice, sobol
 from bench.atlas.model import FEWEST, Model, features, held_out, told, unknown
-from bench.atlas.point import Point
+from bench.atlas.point import FreeDecay
 from bench.commands.expect import expected
 from bench.errors import InputError
 from bench.reporting.atlas import point_frame
@@ -22,7 +22,7 @@ def atlas(number: int = 512) -> pd.DataFrame:
     lines = [
         {"samples": p.samples, "cycles": p.cycles, "damping_ratio": p.damping_ratio, "snr_db": p.snr_db,
          "phase": p.phase, "start_known": p.start_known, "aliased": p.aliased, "wrong_basin": 0.0}
-        for p in sobol(number, 3)
+        for p in sobol(FreeDecay, number, 3)
     ]  # fmt: skip
     frame = pd.DataFrame(lines)
     frame["bound_k_over_m"], frame["bound_c_over_m"], frame["bound_displacement"] = 0.01, 0.5, 1.0
@@ -68,13 +68,13 @@ def test_a_model_of_few_points_or_of_what_is_not_told_is_refused() -> None:
 @pytest.mark.parametrize(
     ("point", "why"),
     [
-        (Point(5, 2.0, 0.02, 20.0, 0.0, False), "outside the atlas"),
-        (Point(50, 40.0, 0.02, 20.0, 0.0, False), "half the sampling rate"),
-        (Point(20, 0.5, 0.5, -5.0, 0.0, False), "does not tell"),
-        (Point(100, 5.0, 0.02, 40.0, 0.0, False), ""),
+        (FreeDecay(5, 2.0, 0.02, 20.0, 0.0, False), "outside the atlas"),
+        (FreeDecay(50, 40.0, 0.02, 20.0, 0.0, False), "half the sampling rate"),
+        (FreeDecay(20, 0.5, 0.5, -5.0, 0.0, False), "does not tell"),
+        (FreeDecay(100, 5.0, 0.02, 40.0, 0.0, False), ""),
     ],
 )
-def test_it_says_where_it_does_not_know(point: Point, why: str) -> None:
+def test_it_says_where_it_does_not_know(point: FreeDecay, why: str) -> None:
     assert why in unknown(point_frame(point), "k_over_m")
     assert bool(why) == bool(unknown(point_frame(point), "k_over_m"))
 
@@ -106,7 +106,7 @@ def test_the_command_names_methods_and_refuses_what_it_cannot_read(tmp_path, cap
 
 def test_a_region_is_where_the_model_expects_a_method_near_the_bound(tmp_path) -> None:
     frame = atlas()
-    own = Slice("samples_snr", Point(50, 2.0, 0.05, 20.0, 0.5, False), "samples", "snr_db", (12, 10))
+    own = Slice("samples_snr", FreeDecay(50, 2.0, 0.05, 20.0, 0.5, False), "samples", "snr_db", (12, 10))
     points = pd.concat([point_frame(point) for point in own.points()], ignore_index=True)
     near = near_bound(points, Model(frame, "k_over_m"))
     quiet = points.snr_db > 20

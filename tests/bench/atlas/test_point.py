@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from bench import InputError
-from bench.atlas.design import AXES, Slice, blocks, sobol
-from bench.atlas.point import Point
+from bench.atlas.design import Slice, blocks, sobol
+from bench.atlas.point import FreeDecay
 from bench.atlas.run import bound_at
 
-POINT = Point(200, 20.0, 0.02, 20.0, 0.7, False)
+POINT = FreeDecay(200, 20.0, 0.02, 20.0, 0.7, False)
 
 
 def test_the_scenario_is_the_test_that_the_numbers_say() -> None:
@@ -28,7 +28,7 @@ def test_the_scenario_is_the_test_that_the_numbers_say() -> None:
 
 
 def test_size_and_frequency_differ_from_point_to_point_and_are_the_same_again() -> None:
-    masses = {point.scenario().parameters["m"] for point in sobol(16, 1)}
+    masses = {point.scenario().parameters["m"] for point in sobol(FreeDecay, 16, 1)}
     assert len(masses) == 16
     assert all(0.1 <= mass <= 10.0 for mass in masses)
     assert POINT.scenario().parameters == POINT.scenario().parameters
@@ -38,31 +38,31 @@ def test_the_bound_of_a_light_damping_is_that_of_a_sinusoids_frequency() -> None
     # S. Kay, Fundamentals of Statistical Signal Processing I, 1993, example 3.14: var(w) = 12 / (SNR N (N² - 1)),
     # with w in radians a sample; the logarithm of w² has twice the relative error
     n, cycles, snr = 400, 40.0, 100.0
-    sd = bound_at(Point(n, cycles, 1e-5, 20.0, 0.3, False)).sds[0]
+    sd = bound_at(FreeDecay(n, cycles, 1e-5, 20.0, 0.3, False)).sds["k_over_m"]
     step = 2 * math.pi * cycles / (n - 1)
     assert sd == pytest.approx(2.0 * math.sqrt(12.0 / (snr * n * (n**2 - 1))) / step, rel=0.02)
 
 
 def test_a_frequency_above_half_the_sampling_rate_is_ambiguous() -> None:
-    assert Point(21, 10.0, 0.02, 20.0, 0.0, False).aliased
-    assert not Point(22, 10.0, 0.02, 20.0, 0.0, False).aliased
+    assert FreeDecay(21, 10.0, 0.02, 20.0, 0.0, False).aliased
+    assert not FreeDecay(22, 10.0, 0.02, 20.0, 0.0, False).aliased
 
 
 def test_the_sequence_fills_the_box_evenly() -> None:
-    points = sobol(256, 3)
+    points = sobol(FreeDecay, 256, 3)
     assert len(set(points)) == 256
-    for axis in AXES:
+    for axis in FreeDecay.AXES:
         values = np.array([getattr(point, axis.name) for point in points])
         assert np.all((values >= axis.low) & (values <= axis.high))
         half = axis.at(np.array([0.5]))[0]
         assert np.mean(values < half) == pytest.approx(0.5, abs=0.03)
     assert np.mean([point.start_known for point in points]) == pytest.approx(0.5, abs=0.01)
-    assert sobol(16, 3) == points[:16]
+    assert sobol(FreeDecay, 16, 3) == points[:16]
 
 
 def test_a_number_that_is_not_balanced_is_refused() -> None:
     with pytest.raises(InputError, match="power of two"):
-        sobol(100, 3)
+        sobol(FreeDecay, 100, 3)
 
 
 def test_a_slice_is_a_grid_with_the_rest_fixed() -> None:
@@ -77,4 +77,4 @@ def test_a_slice_is_a_grid_with_the_rest_fixed() -> None:
 
 
 def test_blocks_hold_every_point_once() -> None:
-    assert [len(block) for block in blocks(sobol(8, 0), 3)] == [3, 3, 2]
+    assert [len(block) for block in blocks(sobol(FreeDecay, 8, 0), 3)] == [3, 3, 2]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from bench.atlas.point import Point
+from bench.atlas.point import FreeDecay
 from bench.atlas.threshold import wrong_basin
 
 RATIOS = (1e-4, 0.003, 0.01, 0.03, 0.1, 0.3, 0.7)
@@ -24,7 +24,7 @@ def path(times: np.ndarray, omega: float, ratio: float, phase: float) -> np.ndar
     return modes(times, omega, ratio) @ [x0, (v0 + ratio * omega * x0) / damped]
 
 
-def counted(point: Point) -> float:
+def counted(point: FreeDecay) -> float:
     """The share of records whose largest likelihood is far from the truth's basin, by a grid of all motions."""
     times = np.linspace(0.0, 2 * math.pi * point.cycles, point.samples)
     motion = path(times, 1.0, point.damping_ratio, point.phase)
@@ -46,27 +46,27 @@ def counted(point: Point) -> float:
 
 @pytest.mark.parametrize(
     "point",
-    [Point(28, 5.0, 0.012, -5.0, 0.7, False), Point(31, 2.3, 0.0015, -4.0, 0.2, False),
-     Point(33, 13.1, 0.0025, -5.0, 1.1, False), Point(20, 2.8, 0.001, -3.0, 2.0, False),
-     Point(28, 5.0, 0.012, -5.0, 0.7, True), Point(20, 6.0, 0.02, -4.0, 0.7, True)],
+    [FreeDecay(28, 5.0, 0.012, -5.0, 0.7, False), FreeDecay(31, 2.3, 0.0015, -4.0, 0.2, False),
+     FreeDecay(33, 13.1, 0.0025, -5.0, 1.1, False), FreeDecay(20, 2.8, 0.001, -3.0, 2.0, False),
+     FreeDecay(28, 5.0, 0.012, -5.0, 0.7, True), FreeDecay(20, 6.0, 0.02, -4.0, 0.7, True)],
 )  # fmt: skip
-def test_below_the_threshold_it_is_the_share_that_is_counted(point: Point) -> None:
+def test_below_the_threshold_it_is_the_share_that_is_counted(point: FreeDecay) -> None:
     share = counted(point)
     assert 0.05 < share < 0.5
     assert wrong_basin(point) == pytest.approx(share, abs=0.07)
 
 
 def test_well_above_the_threshold_no_basin_is_wrong() -> None:
-    assert counted(Point(60, 6.0, 0.02, 10.0, 0.7, False)) == 0.0
-    assert wrong_basin(Point(60, 6.0, 0.02, 10.0, 0.7, False)) < 1e-3
+    assert counted(FreeDecay(60, 6.0, 0.02, 10.0, 0.7, False)) == 0.0
+    assert wrong_basin(FreeDecay(60, 6.0, 0.02, 10.0, 0.7, False)) < 1e-3
 
 
 def test_who_knows_the_start_is_wrong_less_often() -> None:
-    open_, told = (wrong_basin(Point(20, 3.0, 0.02, -4.0, 0.7, known)) for known in (False, True))
+    open_, told = (wrong_basin(FreeDecay(20, 3.0, 0.02, -4.0, 0.7, known)) for known in (False, True))
     assert told < open_
 
 
 @pytest.mark.parametrize("known", [False, True])
 def test_it_falls_with_the_noise(known: bool) -> None:
-    shares = [wrong_basin(Point(24, 4.0, 0.02, snr, 0.7, known)) for snr in (-5.0, 0.0, 5.0)]
+    shares = [wrong_basin(FreeDecay(24, 4.0, 0.02, snr, 0.7, known)) for snr in (-5.0, 0.0, 5.0)]
     assert shares[0] > shares[1] > shares[2]

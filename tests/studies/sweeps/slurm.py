@@ -75,7 +75,7 @@ def main() -> int:
 def _inside(folder: Path) -> int:
     daemons: list[subprocess.Popen[bytes]] = []
     try:
-        _start(folder, daemons)
+        start(folder, daemons)
         return _try(folder)
     except (RuntimeError, TimeoutError) as error:
         logs = [path.read_text(errors="replace")[-1500:] for path in sorted(folder.glob("*.log"))]
@@ -86,7 +86,8 @@ def _inside(folder: Path) -> int:
             daemon.terminate()
 
 
-def _start(folder: Path, daemons: list[subprocess.Popen[bytes]]) -> None:
+def start(folder: Path, daemons: list[subprocess.Popen[bytes]]) -> None:
+    """Start the daemons, added to ``daemons`` as they come, and wait for the node; SLURM_CONF then names them."""
     folder.chmod(0o755)  # munge's clients must reach its socket
     (folder / "munge.key").write_bytes(secrets.token_bytes(128))
     (folder / "munge.key").chmod(0o600)
@@ -102,10 +103,11 @@ def _start(folder: Path, daemons: list[subprocess.Popen[bytes]]) -> None:
         with (folder / f"{command[0]}.out.log").open("wb") as log:
             daemons.append(subprocess.Popen(command, stdout=log, stderr=log))
         time.sleep(1.0)
-    wait_for(lambda: b"idle" in _asked("sinfo", "-h", "-o", "%T"), "the node's state idle", 60)
+    wait_for(lambda: b"idle" in asked("sinfo", "-h", "-o", "%T"), "the node's state idle", 60)
 
 
-def _asked(*command: str) -> bytes:
+def asked(*command: str) -> bytes:
+    """What a command prints."""
     return subprocess.run(command, capture_output=True).stdout
 
 
@@ -143,7 +145,7 @@ def _row(what: str, store: Store, journals: dict[Path, Journal], sent: signal.Si
         driver.send_signal(sent)
     status = driver.wait(timeout=600)
     seconds = time.monotonic() - started
-    wait_for(lambda: not _asked("squeue", "-h").strip(), "an empty queue", 300)
+    wait_for(lambda: not asked("squeue", "-h").strip(), "an empty queue", 300)
     drained = time.monotonic() - started - seconds
     stored = journal.stored()
     return [what, status, f"{seconds:.0f}", f"{drained:.0f}", sum(stored.values()) - before, len(stored)]
