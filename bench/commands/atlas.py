@@ -147,7 +147,7 @@ def _run(tasks: Sequence[Task], blocks: Blocks, left: int, workers: int, engine:
 
 
 def _write(test: str, tasks: dict[str, list[Task]], blocks: Blocks, out: Path, again: str) -> int:
-    from bench.reporting.atlas import PAGES, atlas_frame, written
+    from bench.reporting.atlas import PAGES, atlas_frame, packed, written
     from bench.reporting.figures.atlas import draw_atlas
     from bench.reporting.figures.atlas_regions import draw_regions
 
@@ -162,6 +162,7 @@ def _write(test: str, tasks: dict[str, list[Task]], blocks: Blocks, out: Path, a
             print(place)
     slices = {s.name: s for s in every if s.name in tasks}
     frames = {name: atlas_frame(tasks[name], blocks) for name in slices}
-    for place in draw_atlas([(slices[name], frame) for name, frame in frames.items() if not frame.empty], out):
+    there = [(slices[name], frame) for name, frame in frames.items() if not frame.empty]
+    for place in [*(packed(frame, out / f"atlas_{own.name}.csv.gz") for own, frame in there), *draw_atlas(there, out)]:
         print(place)
     return 0

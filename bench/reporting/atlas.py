@@ -86,12 +86,17 @@ class Page:
 
 def written(frame: pd.DataFrame, page: Page, out: Path, command: str) -> list[Path]:
     """The atlas as compressed CSV, and its summary with the data dictionary."""
-    data, summed = out / f"{page.name}.csv.gz", out / f"{page.name}.md"
-    text = frame.dropna(axis=1, how="all").to_csv(index=False, float_format="%.4g", lineterminator="\n")
-    with data.open("wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as packed:  # the same bytes again
-        packed.write(text.encode())
+    summed = out / f"{page.name}.md"
     summed.write_text(summary(frame, page, command), encoding="utf-8")
-    return [data, summed]
+    return [packed(frame, out / f"{page.name}.csv.gz"), summed]
+
+
+def packed(frame: pd.DataFrame, path: Path) -> Path:
+    """Write a frame as compressed CSV: of the same frame the same bytes."""
+    text = frame.dropna(axis=1, how="all").to_csv(index=False, float_format="%.4g", lineterminator="\n")
+    with path.open("wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
+        file.write(text.encode())
+    return path
 
 
 def summary(frame: pd.DataFrame, page: Page, command: str) -> str:

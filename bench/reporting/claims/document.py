@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.errors import InputError
-from bench.reporting.claims import atlas, family, free_decay, off_table, online, studies, systems, wider
+from bench.reporting.claims import atlas, atlas_forced, family, free_decay, off_table, online, studies, systems, wider
 from bench.reporting.claims.allowed import ALLOWED
 from bench.reporting.claims.claim import Claim, Said
 from bench.reporting.claims.evidence import Evidence
@@ -28,6 +28,7 @@ SECTIONS: Mapping[str, Sequence[Claim]] = {
     "measured": studies.MEASURED,
     "online": online.CLAIMS,
     "atlas": atlas.CLAIMS,
+    "atlas_forced": atlas_forced.CLAIMS,
 }
 """The passages of README.md by the name in their comment: ``<!-- claims: cost -->`` to ``<!-- /claims -->``."""
 PASSAGE = re.compile(r"(<!-- claims: (?P<name>[\w ]+) -->\n)(?P<text>(?:(?!<!--).)*?)\n?(<!-- /claims -->)", re.DOTALL)

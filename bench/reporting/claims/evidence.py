@@ -106,9 +106,17 @@ class Evidence:
     @cached_property
     def atlas(self) -> pd.DataFrame:
         """``results/atlas.csv.gz``, a line a point and method; raises InputError without it."""
-        path = self.folder / "atlas.csv.gz"
+        return self._atlas("atlas.csv.gz", "")
+
+    @cached_property
+    def atlas_forced(self) -> pd.DataFrame:
+        """``results/atlas_forced.csv.gz``, the same of tests with a measured force."""
+        return self._atlas("atlas_forced.csv.gz", " test=forced")
+
+    def _atlas(self, name: str, test: str) -> pd.DataFrame:
+        path = self.folder / name
         if not path.is_file():
-            raise InputError("results", path, "there is no atlas; python -m bench -m experiment=atlas makes it")
+            raise InputError("results", path, f"there is no such atlas; python -m bench -m experiment=atlas{test}")
         return pd.read_csv(path)
 
     @cached_property
