@@ -1,0 +1,260 @@
+"""A sweep under faults at random, by two drivers, beside four readers: nothing lost, nothing twice, nothing grows.
+
+    python -m tests.studies.sweeps.soak [cells=5000] [minutes=20] [seed=...]
+
+Faults: SIGKILL for a driver, for a worker and for the server of method processes; a driver that is stopped for a
+while; a disk that is slow, full or failing (:mod:`tests.studies.sweeps.shim`); a clock that jumps. Each lasts a few
+seconds. Then the faults end, and the sweep is run to its end. Every cell must be in the store once and no reader may
+have failed; the tables must be those of an undisturbed sweep; memory and descriptors of readers must not grow.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import random
+import secrets
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import psutil
+
+from tests.studies.sweeps.common import cell_files, csv, environment, report
+from tests.studies.sweeps.journal import Journal
+from tests.studies.sweeps.shim import Shim, why_not
+
+DRIVERS, READERS = 2, 4
+METHOD_SECONDS = 0.005
+LONGEST_FAULT_S = 4.0
+READER = """
+import sys, time
+from pathlib import Path
+import psutil
+from bench.store.index import cells
+from bench.store.store import Store
+own, store, rounds = psutil.Process(), Store(Path(sys.argv[1])), 0
+while True:
+    found = len(cells(store))
+    rounds += 1
+    print(rounds, found, own.num_fds(), own.memory_info().rss // 1024, flush=True)
+    time.sleep(0.5)
+"""
+"""Reads the whole store again and again: a line a round, of cells, descriptors and memory (KiB)."""
+MOST_GROWTH = 1.3
+"""Of a reader's memory, from its first fifth to its last, beyond what the cells themselves take."""
+CELL_KIB = 8.0
+"""What a reader may hold of a cell."""
+
+
+@dataclass
+class Soak:
+    """A sweep's folder, its drivers and what was done to them."""
+
+    folder: Path
+    sweep: list[str]
+    shim: Shim
+    draw: random.Random
+    drivers: dict[int, subprocess.Popen[bytes]] = field(default_factory=dict)
+    faults: Counter[str] = field(default_factory=Counter)
+    statuses: Counter[int] = field(default_factory=Counter)
+    descriptors: int = 0
+
+    @property
+    def store(self) -> Path:
+        return self.folder / "outputs/rows"
+
+    def keep_drivers(self) -> None:
+        """Start again each driver that has ended."""
+        for place in range(DRIVERS):
+            process = self.drivers.get(place)
+            if process is not None and process.poll() is None:
+                self.descriptors = max(self.descriptors, _descriptors(process.pid))
+                continue
+            if process is not None:
+                self.statuses[process.returncode] += 1
+            self.drivers[place] = self.start(place)
+
+    def start(self, place: int) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "bench", *self.sweep]
+        around = environment(self.folder) | self.shim.environment()
+        with (self.folder / f"driver{place}.log").open("ab") as log:
+            return subprocess.Popen(command, cwd=self.folder, env=around, stdout=log, stderr=log)
+
+    def fault(self) -> None:
+        """One fault, over when this returns."""
+        kinds: dict[str, Callable[[], None]] = {
+            "driver killed": lambda: self._kill("driver"),
+            "worker killed": lambda: self._kill("worker"),
+            "server killed": lambda: self._kill("server"),
+            "driver stopped": self._stop,
+            "disk slow": lambda: self._disk(50, 0),
+            "disk full": lambda: self._disk(0, errno.ENOSPC),
+            "disk failing": lambda: self._disk(0, errno.EIO),
+        }
+        if self.shim.clock_jumps:
+            kinds["clock jumps"] = self._jump
+        name = self.draw.choice(sorted(kinds))
+        self.faults[name] += 1
+        kinds[name]()
+
+    def _kill(self, what: str) -> None:
+        place = self.draw.randrange(DRIVERS)
+        driver = self.drivers[place]
+        if what == "driver":
+            driver.kill()
+            return
+        servers, workers = _children(driver.pid)
+        victims = servers if what == "server" else workers
+        if victims:
+            _signal(self.draw.choice(victims), signal.SIGKILL)
+
+    def _stop(self) -> None:
+        pid = self.drivers[self.draw.randrange(DRIVERS)].pid
+        _signal(pid, signal.SIGSTOP)
+        time.sleep(self.draw.uniform(0.5, LONGEST_FAULT_S))
+        _signal(pid, signal.SIGCONT)
+
+    def _disk(self, delay_ms: int, error: int) -> None:
+        self.shim.disk(delay_ms, error)
+        time.sleep(self.draw.uniform(0.5, LONGEST_FAULT_S))
+        self.shim.disk()
+
+    def _jump(self) -> None:
+        self.shim.clock(self.draw.choice([-86400, -60, 60, 86400]))
+        time.sleep(self.draw.uniform(0.5, LONGEST_FAULT_S))
+
+
+def _signal(pid: int, number: signal.Signals) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, number)
+
+
+def _descriptors(pid: int) -> int:
+    try:
+        return psutil.Process(pid).num_fds()
+    except psutil.Error:
+        return 0
+
+
+def _children(pid: int) -> tuple[list[int], list[int]]:
+    """Servers (children that have children) and workers (leaves) of a driver."""
+    servers: list[int] = []
+    workers: list[int] = []
+    with contextlib.suppress(psutil.Error):
+        for child in psutil.Process(pid).children(recursive=True):
+            (servers if child.children() else workers).append(child.pid)
+    return servers, workers
+
+
+@dataclass
+class Reader:
+    """A process that reads the store over and over, and its log."""
+
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    @staticmethod
+    def started(folder: Path, store: Path, place: int) -> Reader:
+        log = folder / f"reader{place}.log"
+        with log.open("wb") as out:
+            command = [sys.executable, "-c", READER, str(store)]
+            return Reader(subprocess.Popen(command, env=environment(folder), stdout=out, stderr=out), log)
+
+    def ended(self) -> tuple[bool, list[tuple[int, int, int]]]:
+        """Whether it was still running, and of every round the cells, descriptors and memory (KiB)."""
+        alive = self.process.poll() is None
+        self.process.kill()
+        self.process.wait()
+        lines = [line.split() for line in self.log.read_text(errors="replace").splitlines()]
+        good = [tuple(map(int, line[1:])) for line in lines if len(line) == 4 and all(p.isdecimal() for p in line)]
+        return alive, [(one[0], one[1], one[2]) for one in good]
+
+
+def _flat(rounds: list[tuple[int, int, int]]) -> bool:
+    """Whether descriptors and memory stay, but for what the cells take."""
+    part = max(1, len(rounds) // 5)
+    first, last = rounds[part : 2 * part] or rounds[:1], rounds[-part:]
+    kib = [max(one[2] for one in some) for some in (first, last)]
+    more_cells = last[-1][0] - first[0][0]
+    same = max(one[1] for one in last) <= max(one[1] for one in first) + 1
+    return same and kib[1] <= MOST_GROWTH * kib[0] + CELL_KIB * more_cells
+
+
+def soak(cells: int, minutes: float, seed: int) -> int:
+    """Run it; the exit status."""
+    draw, seeds = random.Random(seed), -(-cells // 4)
+    cells = 4 * seeds
+    sweep = [
+        "-m", "method=busy", f"method.seconds={METHOD_SECONDS}", "snr=40,30,20,10", f"seed=range(0,{seeds})",
+        "replicates=1", "workers=1",
+    ]  # fmt: skip
+    print(f"soak: {cells} cells, {minutes:g} minutes of faults, seed={seed}", flush=True)
+    with tempfile.TemporaryDirectory() as name:
+        plain, folder = Path(name) / "plain", Path(name) / "soaked"
+        for one in (plain, folder):
+            (one / "outputs/rows").mkdir(parents=True)
+        run = Soak(folder, sweep, Shim.made(folder, folder / "outputs/rows"), draw)
+        journal = Journal(run.store)
+        readers = [Reader.started(folder, run.store, place) for place in range(READERS)]
+        end = time.monotonic() + 60.0 * minutes
+        while time.monotonic() < end and len(cell_files(run.store)) < cells:
+            run.keep_drivers()
+            time.sleep(draw.uniform(0.5, 3.0))
+            run.fault()
+        run.shim.clock(0)
+        under_faults = len(cell_files(run.store))
+        for driver in run.drivers.values():
+            driver.kill()
+            driver.wait()
+        last = run.start(0).wait()
+        stored = journal.stored()
+        read = [reader.ended() for reader in readers]
+        logs = [path.read_text(errors="replace") for path in folder.glob("driver*.log")]
+        undisturbed = subprocess.run(
+            [sys.executable, "-m", "bench", *sweep], cwd=plain, env=environment(plain), capture_output=True
+        ).returncode
+        print(f"  faults: {', '.join(f'{n} x {what}' for what, n in sorted(run.faults.items()))}")
+        print(f"  drivers ended with {dict(run.statuses)}; at most {run.descriptors} descriptors in one")
+        print(f"  {under_faults} cells were stored while faults were injected")
+        rows: list[tuple[str, object, object]] = [
+            ("exit status of the undisturbed sweep", undisturbed, 0),
+            ("exit status of the last run", last, 0),
+            ("cells in the store", len(cell_files(run.store)), cells),
+            ("cells stored more than once", sum(n > 1 for n in stored.values()), 0),
+            ("the same cells as undisturbed", cell_files(run.store) == cell_files(plain / "outputs/rows"), True),
+            ("tables of every metric identical", csv(run.store) == csv(plain / "outputs/rows"), True),
+            ("tracebacks of drivers", sum(text.count("Traceback") for text in logs), 0),
+            ("readers that failed", sum(not alive for alive, _ in read), 0),
+            ("readers that grew", sum(not (rounds and _flat(rounds)) for _, rounds in read), 0),
+            ("temporary files left", len(list(run.store.glob("*.tmp"))), 0),
+        ]
+        status = report("soak", rows)
+        if status:
+            kept = Path(tempfile.mkdtemp(prefix="soak-"))
+            for path in folder.glob("*.log"):
+                shutil.copy(path, kept)
+            print(f"  logs: {kept}")
+        return status
+
+
+def main() -> int:
+    """Read the arguments and run."""
+    if reason := why_not():
+        print(f"soak: skipped: {reason}")
+        return 0
+    given = dict(argument.partition("=")[::2] for argument in sys.argv[1:])
+    seed = int(given.get("seed", secrets.randbelow(10**6)))
+    return soak(int(given.get("cells", 5000)), float(given.get("minutes", 20)), seed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
