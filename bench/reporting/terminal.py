@@ -5,7 +5,9 @@ Widths are those on a screen, where a letter of some scripts takes two places an
 
 from __future__ import annotations
 
+import os
 import shutil
+import sys
 from collections.abc import Collection, Sequence
 
 import wcwidth
@@ -14,6 +16,8 @@ from tabulate import tabulate
 WIDTH, NARROWEST = 80, 40
 LEAST_COLUMN = 6
 GAP = 2
+COLOURS = {"red": 31, "green": 32, "yellow": 33}
+"""Numbers of ECMA-48's select graphic rendition."""
 
 
 def columns() -> int:
@@ -31,6 +35,13 @@ def wrapped(text: str, hanging: str = "  ", start: str = "") -> str:
     return "\n".join(
         wcwidth.wrap(text, columns(), initial_indent=start, subsequent_indent=hanging, break_on_hyphens=False) or [""]
     )
+
+
+def coloured(text: str, colour: str) -> str:
+    """A text in a colour where standard output is a terminal that has it, and NO_COLOR (no-color.org) is not set."""
+    if not sys.stdout.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return text
+    return f"\x1b[{COLOURS[colour]}m{text}\x1b[0m"
 
 
 def clipped(text: str) -> str:

@@ -14,7 +14,8 @@ import numpy as np
 from bench.contract.estimate import Status
 from bench.entrants.reference import REFERENCES
 from bench.reporting.rounding import excess_text, number, readable, rounded
-from bench.reporting.terminal import table, wrapped
+from bench.reporting.terminal import coloured, table, wrapped
+from bench.reporting.verdict import good, verdict
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.store import Store
@@ -50,7 +51,8 @@ def cell_table(cell: Cell, stored: StoredCell) -> str:
     labels = {f"{q.name}_error_pct": f"{readable(q.name)} error %" for q in scenario.make_system().quantities} | RMSES
     rows = [_score_row(stored, name, label) for name, label in labels.items() if name in stored.summary]
     headers = ["", "median", "95 % low", "95 % high", "bound", "excess", "cover %"]
-    lines = [wrapped(head), "", table(rows, headers), ""]
+    said = verdict(stored)
+    lines = [wrapped(head), "", table(rows, headers), "", coloured(wrapped(said), "green" if good(said) else "yellow")]
     lines += [wrapped(f"{n} x {status}: {message}", "    ", "  ") for (status, message), n in _failures(stored).items()]
     seconds = [row.wall_s for row in stored.rows if math.isfinite(row.wall_s)]
     if seconds:

@@ -1,0 +1,68 @@
+"""One line that says what a cell's table shows: is the method on the bound, and do its intervals hold?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from scipy.stats import binom, chi2
+
+from bench.reporting.rounding import excess_text, readable
+from bench.store.stored import StoredCell
+
+NEAR = 1.2
+"""On the bound: a root mean square error within so many times it."""
+LEVEL = 0.95
+ON_THE_BOUND, HOLD = "on the bound", "intervals hold"
+FEWEST = 5
+"""Replicates, fewer than which say nothing of either."""
+
+
+def verdict(stored: StoredCell) -> str:
+    """The verdict over the quantities that the data identify, the worst named; a reason where there is none.
+
+    A root mean square of so few errors is itself uncertain: a method is off the bound where the lower limit of its 95 %
+    interval (chi-square, of normal errors) is above :data:`NEAR`. Intervals fail where the count of those that hold
+    the truth is below the binomial 95 % interval of their level.
+    """
+    n, silent = stored.n_ok, len(stored.rows) - stored.n_ok
+    if n < FEWEST:
+        return f"no verdict: {n} of {len(stored.rows)} fits have an answer, and it takes {FEWEST}"
+    told = {name: own for name, own in _scored(stored).items() if stored.identifiable.get(name, True)}
+    if not told:
+        return "no verdict: nothing is identifiable from these data"
+    parts = [_accuracy({name: float(own["excess"]) for name, own in told.items()}, n), _intervals(stored, told, n)]
+    parts += [f"{silent} of {len(stored.rows)} fits have no answer"] if silent else []
+    return "; ".join(part for part in parts if part)
+
+
+def good(said: str) -> bool:
+    """Whether a verdict has nothing against the method."""
+    return said == f"{ON_THE_BOUND}; {HOLD}"
+
+
+def _scored(stored: StoredCell) -> dict[str, Mapping[str, Any]]:
+    """The summaries of the errors of quantities, by quantity."""
+    suffix = "_error_pct"
+    found = {name.removesuffix(suffix): own for name, own in stored.summary.items() if name.endswith(suffix)}
+    return {name: own for name, own in found.items() if math.isfinite(own.get("excess", math.nan))}
+
+
+def _accuracy(excess: Mapping[str, float], n: int) -> str:
+    least = {name: value * math.sqrt(n / float(chi2.ppf(0.975, n))) for name, value in excess.items()}
+    worst = max(excess, key=lambda name: excess[name])
+    if max(least.values()) <= NEAR:
+        return ON_THE_BOUND
+    off = f"{excess_text(excess[worst])} times the bound in {readable(worst)}"
+    return off if len(excess) == 1 or min(least.values()) > NEAR else f"{off}, on it in others"
+
+
+def _intervals(stored: StoredCell, told: Mapping[str, Any], n: int) -> str:
+    shares = {name: stored.summary.get(f"{name}_coverage_95", {}).get("mean", math.nan) for name in told}
+    known = {name: share for name, share in shares.items() if math.isfinite(share)}
+    if not known:
+        return "no intervals are told"
+    worst = min(known, key=lambda name: known[name])
+    holds = round(known[worst] * n) >= binom.ppf(0.025, n, LEVEL)
+    return HOLD if holds else f"95 % intervals of {readable(worst)} hold in {100 * known[worst]:.0f} %"
