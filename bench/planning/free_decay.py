@@ -9,6 +9,7 @@ bound.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -61,16 +62,16 @@ def motion(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement (n,) from a start (x0, v0), and its derivatives (n, 4) by log k/m, log c/m, x0 and v0."""
     stiffness, damping = oscillator.omega**2, 2.0 * oscillator.damping_ratio * oscillator.omega
-    even, odd = _responses(times, stiffness, damping)
+    even, odd = responses(times, stiffness, damping)
     columns = [even, odd]
     for exponents in ((STEP, 0.0), (0.0, STEP)):
-        moved = _responses(times, stiffness * (1.0 + 1j * exponents[0]), damping * (1.0 + 1j * exponents[1]))
+        moved = responses(times, stiffness * (1.0 + 1j * exponents[0]), damping * (1.0 + 1j * exponents[1]))
         columns.append(np.imag(start[0] * moved[0] + start[1] * moved[1]) / STEP)
     derivatives = np.stack([columns[2], columns[3], np.real(even), np.real(odd)], axis=1)
     return np.real(start[0] * even + start[1] * odd), derivatives
 
 
-def _responses(times: np.ndarray, stiffness: complex, damping: complex) -> tuple[np.ndarray, np.ndarray]:
+def responses(times: np.ndarray, stiffness: complex, damping: complex) -> tuple[np.ndarray, np.ndarray]:
     """The motion from a unit displacement, and from a unit velocity; even functions of the damped frequency."""
     cosine, sine = _waves(complex(stiffness - damping**2 / 4.0), times)
     decay = np.exp(-damping * times / 2.0)
@@ -98,19 +99,19 @@ def information(oscillator: Oscillator, decay: Decay, times: np.ndarray | None =
     return np.asarray(derivatives.T @ derivatives)
 
 
-def errors(told: np.ndarray) -> dict[str, float]:
+def errors(told: np.ndarray, quantities: Mapping[str, tuple[float, ...]] = QUANTITIES) -> dict[str, float]:
     """The bound on the standard deviation of each quantity's logarithm, by information; inf where it tells nothing.
 
-    ``told`` is about log k/m, log c/m, and what else is unknown.
+    ``told`` is about log k/m, log c/m, and what else is unknown; ``quantities`` by their exponents of these.
     """
     scale = np.sqrt(np.diag(told))
     if not np.all(scale > 0):
-        return dict.fromkeys(QUANTITIES, math.inf)
+        return dict.fromkeys(quantities, math.inf)
     values, vectors = np.linalg.eigh(told / np.outer(scale, scale))
     if values[0] <= 1e-13 * values[-1]:
-        return dict.fromkeys(QUANTITIES, math.inf)
+        return dict.fromkeys(quantities, math.inf)
     found = {}
-    for name, exponents in QUANTITIES.items():
-        weights = np.array([*exponents, *np.zeros(len(scale) - 2)]) / scale
+    for name, exponents in quantities.items():
+        weights = np.array([*exponents, *np.zeros(len(scale) - len(exponents))]) / scale
         found[name] = float(np.sqrt(np.sum((vectors.T @ weights) ** 2 / values)))
     return found
