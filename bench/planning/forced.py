@@ -1,10 +1,10 @@
 """What a test under a measured force tells of an oscillator: information of the displacement, start unknown.
 
 The force is sampled with the displacement and runs linearly from one sample to the next, so that the motion is a sum of
-responses to hats. A hat is a second difference of the ramp ``r``, and the response to a ramp is closed:
-``x'' + (c/m) x' + (k/m) x = r(t)`` integrated once gives ``x = (t - h - (c/m) (1 - g) / (k/m)) / (k/m)``, with ``g`` and
-``h`` the motions from a unit displacement and a unit velocity. The transient from rest is in it. Derivatives are complex
-steps, as for a free decay.
+responses to hats. A hat is a second difference of the ramp ``r``, and the response to a ramp is closed: ``x'' + (c/m)
+x' + (k/m) x = r(t)`` integrated once gives ``x = (t - h - (c/m) (1 - g) / (k/m)) / (k/m)``, with ``g`` and ``h`` the
+motions from a unit displacement and a unit velocity. The transient from rest is in it. Derivatives are complex steps,
+as for a free decay.
 
 Units: displacement over the noise's standard deviation; force over mass and over that standard deviation.
 """

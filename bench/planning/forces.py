@@ -1,10 +1,11 @@
-"""Forces of a given energy: a hammer blow, even ones, and those that tell most, robust over the likely oscillators.
+"""Forces of a given energy: a hammer blow, noise, an even multisine, and those that tell most, robust over the likely
+oscillators.
 
-A pulse is half a sine, whose duration is sought. A multisine has lines at multiples of 1/duration; its powers are best in
-steady state (:mod:`bench.planning.multisine`), its phases drawn. Best of all is a force whose lines are free in power and
-phase, sought on the finite record with its transient and its unknown start: the information is quadratic in the force
-(G. Goodwin, R. Payne, Dynamic System Identification, 1977, chapter 6), so the search is local, from several starts. Each
-is judged by the information of the finite record.
+A pulse is half a sine, whose duration is sought. A multisine has lines at multiples of 1/duration; its powers are best
+in steady state (:mod:`bench.planning.multisine`), its phases drawn. Best of all is a force whose lines are free in
+power and phase, sought on the finite record with its transient and its unknown start: the information is quadratic in
+the force (G. Goodwin, R. Payne, Dynamic System Identification, 1977, chapter 6), so the search is local, from several
+starts. Each is judged by the information of the finite record.
 """
 
 from __future__ import annotations
@@ -152,5 +153,3 @@ def _criterion(rows: np.ndarray, columns: np.ndarray) -> tuple[float, np.ndarray
     block = weights.T @ wanted
     slope = -2.0 * scaled @ wanted @ np.linalg.solve(block, wanted.T) / scale
     return float(np.linalg.slogdet(block)[1]), slope
-
-

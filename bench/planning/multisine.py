@@ -1,12 +1,13 @@
 """Powers of the lines of a multisine that tell most in steady state: D- and c-optimal, robust over likely oscillators.
 
-In steady state the information of a linear system is linear in the power of each line, so the best powers solve a convex
-problem (R. Mehra, IEEE Trans. Automatic Control 19:753, 1974; G. Goodwin, R. Payne, Dynamic System Identification, 1977,
-chapter 6). The criterion is the mean over the oscillators of the logarithm of the variance of the wanted quantity, or of
-the volume of the ellipsoid of k/m, c/m and 1/m (L. Pronzato, Automatica 44:303, 2008). The powers are multiplied by a
-power of their sensitivities until the equivalence theorem holds (J. Kiefer, J. Wolfowitz, Canadian J. Mathematics 12:363,
-1960): at an optimum no line is more sensitive than there are wanted quantities, and lines with power are just as much.
-The algorithm: D. Titterington 1976; its monotone convergence: Y. Yu, Annals of Statistics 38:1593, 2010.
+In steady state the information of a linear system is linear in the power of each line, so the best powers solve a
+convex problem (R. Mehra, IEEE Trans. Automatic Control 19:753, 1974; G. Goodwin, R. Payne, Dynamic System
+Identification, 1977, chapter 6). The criterion is the mean over the oscillators of the logarithm of the variance of the
+wanted quantity, or of the volume of the ellipsoid of k/m, c/m and 1/m (L. Pronzato, Automatica 44:303, 2008). The
+powers are multiplied by a power of their sensitivities until the equivalence theorem holds (J. Kiefer, J. Wolfowitz,
+Canadian J. Mathematics 12:363, 1960): at an optimum no line is more sensitive than there are wanted quantities, and
+lines with power are just as much. The algorithm and, for one oscillator, its monotone convergence: Y. Yu, Annals of
+Statistics 38:1593, 2010.
 """
 
 from __future__ import annotations

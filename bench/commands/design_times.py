@@ -1,0 +1,64 @@
+"""A free decay that is given with its samples evenly spread, and where they tell most."""
+
+from __future__ import annotations
+
+from textwrap import fill
+
+import numpy as np
+
+from bench.commands.design_plan import simulated_shares
+from bench.commands.design_request import TITLES, Request, length, median_words, percent, positive
+from bench.commands.guard import whole
+from bench.errors import InputError
+from bench.planning.free_decay import QUANTITIES, Decay
+from bench.reporting.tables.common import markdown_table
+
+
+def sampled(request: Request) -> int:
+    """Find the best times, print, simulate and write where asked; raises InputError."""
+    from bench.planning.optimal import VOLUME, best_times, told_by
+
+    fields, likely = request.fields, request.likely
+    request.need(("samples", "duration", "amplitude"), "times are")
+    decay = Decay(
+        whole("samples", fields["samples"], 8, 500), positive("duration", fields["duration"]),
+        length("amplitude", fields["amplitude"]) / request.noise,
+    )  # fmt: skip
+    found = {
+        "even": told_by(likely, decay.times, decay.amplitude),
+        f"best for {request.title}": best_times(likely, decay, request.quantity),
+        "best for k/m and c/m": best_times(likely, decay, VOLUME),
+    }
+    rows = [[title, *(percent(one.median[name]) for name in QUANTITIES)] for title, one in found.items()]
+    headers = ["times", *(f"{title}, %" for title in TITLES.values())]
+    if request.simulations:
+        headers.append("simulated, %")
+        shares = simulated_shares(request, [decay] * len(found), [one.times for one in found.values()])
+        rows = [[*row, share] for row, share in zip(rows, shares, strict=True)]
+    best = found[f"best for {request.title}"].times
+    print(f"{markdown_table(rows, headers)}\n\n{fill(f'Best for {request.title} (s): {_bursts(best, decay)}.', 120)}")
+    print(f"Percentages are standard deviations by the Cramér-Rao bound{median_words(likely)}.")
+    if fields["out"]:
+        _write_times(fields["out"], best)
+    return 0
+
+
+def _bursts(times: np.ndarray, decay: Decay) -> str:
+    """Times in a row as one burst."""
+    gap, bursts = 0.5 * decay.duration / (decay.samples - 1), [[times[0]]]
+    for time in times[1:]:
+        if time - bursts[-1][-1] <= gap:
+            bursts[-1].append(time)
+        else:
+            bursts.append([time])
+    return ", ".join(
+        f"{one[0]:.3g}" if len(one) == 1 else f"{len(one)} from {one[0]:.3g} to {one[-1]:.3g}" for one in bursts
+    )
+
+
+def _write_times(path: str, times: np.ndarray) -> None:
+    try:
+        with open(path, "w", encoding="utf-8") as file:
+            file.write("\n".join(["t (s)", *(f"{time:.9g}" for time in times)]) + "\n")
+    except OSError as error:
+        raise InputError("out", path, f"cannot be written: {error.strerror}") from None
