@@ -1,0 +1,142 @@
+"""``python -m tests.studies.forces``: writes ``forces.md``: what an optimal force gains over usual ones of its energy.
+
+Tests are drawn at random; for each the forces are found, and tests with a hammer blow and with the best force are
+simulated and fitted with a real method.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from bench.commands.guard import command, read_fields, whole
+from bench.config.atlas import on_the_bound
+from bench.entrants.registry import make_method
+from bench.isolation.processes import single_threaded
+from bench.planning.forced import ForcedTest
+from bench.planning.forces import Forces, Told, told_by
+from bench.planning.search import Likely
+from bench.planning.verify import counted, simulated_forced
+from bench.reporting.tables.common import markdown_table
+
+FIELDS = {"requests": "12", "tests": "20", "out": "results"}
+USAGE = """usage: python -m tests.studies.forces [requests=12] [tests=20] [out=results]
+
+  requests  random tests, for each of which forces are found
+  tests     simulations of each test, with a blow and with the best force
+  out       where forces.md goes"""
+RATE = 16.0
+"""Samples a cycle."""
+ERRORS = {"k_over_m": 0.002, "c_over_m": 0.02}
+"""Of the wanted quantity under the best force, by the energy: the bound means nothing where they are large."""
+SIMULATED = ("hammer blow", "best")
+
+
+@dataclass(frozen=True)
+class Request:
+    """A quantity wanted of a likely oscillator by a test."""
+
+    likely: Likely
+    quantity: str
+    test: ForcedTest
+
+    @property
+    def cycles(self) -> float:
+        """Of the nominal frequency."""
+        return self.test.duration * self.likely.frequency
+
+
+def requests(number: int) -> list[tuple[Request, dict[str, Told]]]:
+    """Random tests with their forces; half of them with doubt about the oscillator."""
+    rng, found = np.random.default_rng(2027), []
+    for i in range(number):
+        doubt = (0.0, 0.0) if i % 2 == 0 else (float(rng.uniform(0.01, 0.1)), float(rng.uniform(0.1, 0.5)))
+        likely = Likely(float(10 ** rng.uniform(-1, 2)), float(10 ** rng.uniform(-2.3, -0.7)), *doubt)
+        cycles, quantity = float(10 ** rng.uniform(0.6, 1.3)), str(rng.choice(list(ERRORS)))
+        unit = ForcedTest(round(RATE * cycles) + 1, cycles / likely.frequency, 1.0)
+        least = _forces(Request(likely, quantity, unit))["best"].median[quantity]
+        one = Request(likely, quantity, ForcedTest(unit.samples, unit.duration, (least / ERRORS[quantity]) ** 2))
+        found.append((one, _forces(one)))
+    return found
+
+
+def _forces(one: Request) -> dict[str, Told]:
+    forces, wanted = Forces(one.likely, one.test), one.quantity
+    every = {
+        "hammer blow": forces.hammer_blow(), "noise": forces.noise(wanted),
+        "even multisine": forces.even_multisine(wanted), "best pulse": forces.best_pulse(wanted),
+        "best multisine": forces.best_multisine(wanted), "best": forces.best(wanted),
+    }  # fmt: skip
+    return {title: told_by(one.likely, one.test, force) for title, force in every.items()}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Find, simulate, write."""
+    return command("tests.studies.forces", USAGE, argv, made)
+
+
+def made(arguments: Sequence[str]) -> int:
+    """Raises InputError."""
+    fields = read_fields(arguments, FIELDS)
+    number, tests = whole("requests", fields["requests"]), whole("tests", fields["tests"])
+    single_threaded()
+    name = on_the_bound()[0]
+    method, planned = make_method(name, {}), requests(number)
+    shares: dict[str, list[float]] = {title: [] for title in SIMULATED}
+    with tqdm(total=number * tests * len(SIMULATED), unit="test", file=sys.stderr) as bar:
+        for one, found in planned:
+            for title in SIMULATED:
+                told = found[title]
+                errors = simulated_forced(one.likely, one.test, told.force, one.quantity, method, tests, bar.update)
+                shares[title] += list(errors / told.median[one.quantity])
+    out = Path(fields["out"])
+    out.mkdir(parents=True, exist_ok=True)
+    said = {title: counted(np.array(values)) for title, values in shares.items()}
+    (out / "forces.md").write_text(page(planned, said, name, tests), encoding="utf-8")
+    print(out / "forces.md")
+    return 0
+
+
+def page(planned: Sequence[tuple[Request, dict[str, Told]]], said: dict[str, float], method: str, tests: int) -> str:
+    """The page, a line a test."""
+    titles = [title for title in planned[0][1] if title != "best"]
+    ratios = np.array([
+        [found[title].median[one.quantity] / found["best"].median[one.quantity] for title in titles]
+        for one, found in planned
+    ])  # fmt: skip
+    rows = [
+        [one.quantity, _known(one.likely.frequency, one.likely.frequency_sd),
+         _known(one.likely.damping_ratio, one.likely.damping_sd), f"{one.cycles:.3g}",
+         *(f"{value:.2f}" for value in line)]
+        for (one, _), line in zip(planned, ratios, strict=True)
+    ]  # fmt: skip
+    rows.append(["median", "", "", "", *(f"{value:.2f}" for value in np.median(ratios, axis=0))])
+    headers = ["want", "frequency, Hz", "damping ratio", "cycles", *titles]
+    counts = ", ".join(f"{value:.2f} ({title})" for title, value in said.items())
+    simulated = (
+        f"Simulated {tests} times each and fitted by `{method}`, errors over the bound, all tests together: {counts}; "
+        "1 where estimates are as good as the bound."
+    )
+    head = HEAD.format(rate=RATE, errors=", ".join(f"{100 * v:g} % ({k})" for k, v in ERRORS.items()))
+    return "\n\n".join([f"# Forces, compared\n\n{head}", markdown_table(rows, headers), simulated, REGENERATE]) + "\n"
+
+
+HEAD = """Tests under a measured force are drawn at random, half of them with doubt about the oscillator (the standard
+deviation stands behind the value), with {rate:g} samples a cycle, from rest, which is not told. All forces of a test
+have the same energy, with which the best one tells the wanted quantity to {errors}. Numbers are errors over that of
+the best force, by the Cramér-Rao bound of the finite record (median over the likely oscillators); a hammer blow is half
+a sine of a twentieth of a period, or of two sampling intervals, whichever is longer."""
+REGENERATE = "Regenerate: `python -m tests.studies.forces` (from a clone)"
+
+
+def _known(value: float, sd: float) -> str:
+    return f"{value:.3g}" + (f" : {100 * sd:.0f} %" if sd else "")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
