@@ -1,4 +1,4 @@
-"""The verdict under a cell's table: what it says of summaries that are made to be good, biased, overconfident, silent."""
+"""The verdict under a cell's table: of summaries that are made to be good, biased, overconfident or silent."""
 
 from __future__ import annotations
 
