@@ -1,0 +1,45 @@
+"""What the source of a method imports of the harness: the names of ``bench`` are its contract, the rest is not."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+HARNESS = "bench"
+MODULE = re.compile(r"bench(\.\w+)+")
+"""A module of the harness, written as a word: whoever imports it by its name alone."""
+
+
+@cache
+def foreign_imports(path: Path, allowed: Sequence[str] = (HARNESS,)) -> tuple[str, ...]:
+    """Where a file imports more of the harness than public names of the ``allowed`` modules, a line each."""
+    import bench
+
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        modules: list[tuple[str, str]] = []
+        if isinstance(node, ast.Import):
+            modules = [(alias.name, "") for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            modules = [(node.module or "", alias.name) for alias in node.names]
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and MODULE.fullmatch(node.value):
+            modules = [(node.value, "")]
+        for module, name in modules:
+            public = module in allowed and (module != HARNESS or not name or name in bench.__all__)
+            if module.partition(".")[0] == HARNESS and not public:
+                what = f"{module}.{name}" if name else module
+                found.append(f"{path.name}, line {getattr(node, 'lineno', 0)}, uses {what}")
+    return tuple(found)
+
+
+def package_files(own: type) -> list[Path]:
+    """The files of the package that a class stands in, tests apart; its module alone where it is in none."""
+    root = sys.modules[own.__module__.partition(".")[0]]
+    if root.__file__ is None or not hasattr(root, "__path__"):
+        return [Path(str(sys.modules[own.__module__].__file__))]
+    folder = Path(root.__file__).parent
+    return [path for path in sorted(folder.rglob("*.py")) if "tests" not in path.relative_to(folder).parts]
