@@ -82,11 +82,19 @@ class Candidate:
 
 
 def answered(estimate: Estimate) -> Estimate:
-    """The estimate, if it is one; raises Refusal where ordinary data have no answer."""
+    """The estimate, if it is an answer of the form of the contract; raises Refusal."""
     if not isinstance(estimate, Estimate):
         raise Refusal(f"estimate returned a {type(estimate).__name__}", "return a bench.Estimate")
     if estimate.status is not Status.OK:
         raise Refusal(f"no answer to ordinary data: {estimate.status}, {estimate.message}")
+    belief = estimate.belief
+    if belief is None or (estimate.parameters is not None and estimate.groups is not None):
+        raise Refusal("it gives parameters and groups, or neither")
+    known = {quantity.name for quantity in estimate.system.quantities}
+    if not set(belief.names) <= known:
+        raise Refusal(f"it names {', '.join(sorted(set(belief.names) - known))}; known: {', '.join(sorted(known))}")
+    if not belief.finite():
+        raise Refusal("its answer is not finite, and its status is ok")
     return estimate
 
 

@@ -25,7 +25,8 @@ class Check(Generic[Subject]):
     """One thing that a method or a system must keep.
 
     ``run`` returns a remark, or nothing, and raises :class:`Refusal`; any other exception is one of what is checked.
-    ``long``: it asks for a fit of data unlike those of most checks, for which some methods prepare anew.
+    ``long``: it asks for a fit of data unlike those of most checks, for which some methods prepare anew. ``gate``:
+    where it fails, those behind it would say the same.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Check(Generic[Subject]):
     remedy: str
     run: Callable[[Subject], str]
     long: bool = False
+    gate: bool = False
 
 
 @dataclass(frozen=True)

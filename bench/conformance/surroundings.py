@@ -148,9 +148,9 @@ def _files(folder: Path, parameters: dict[str, float]) -> Path:
     """
     store = folder / DEFAULT_STORE
     store.mkdir(parents=True)
-    text = json.dumps({"cell": {"data": {"parameters": parameters}}})
-    for path in (store / f"{'0' * 20}.json", folder / "truth.json"):
-        path.write_text(text, encoding="utf-8")
+    description = json.dumps({"cell": {"data": {"parameters": parameters}}})
+    (store / f"{'0' * 20}.json").write_text(description, encoding="utf-8")
+    (folder / "truth.json").write_text(json.dumps(parameters), encoding="utf-8")
     return store
 
 
@@ -215,4 +215,3 @@ def _global_streams(seed: int) -> Iterator[None]:
     finally:
         np.random.set_state(numpys)  # noqa: NPY002
         random.setstate(pythons)
-

@@ -1,4 +1,4 @@
-"""The contract, over every registered method and variant: the checks that ``python -m bench.check`` runs on anybody's."""
+"""The contract, over every registered method and variant: the checks of ``python -m bench.check``."""
 
 from __future__ import annotations
 

@@ -1,0 +1,55 @@
+"""A package from the template passes the checks as it is, and its own test says so."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from conftest import REPOSITORY, Python
+
+from bench.commands.new import main
+
+
+@pytest.mark.parametrize(("kind", "other"), [("method", "[bench.methods]"), ("system", "[bench.systems]")])
+def test_a_new_package_passes_its_own_test(kind: str, other: str, tmp_path: Path, python: Python) -> None:
+    folder = tmp_path / "somewhere"
+    assert main([kind, "quarter_car", f"out={folder}"]) == 0
+    assert (folder / "README.md").read_text(encoding="utf-8").startswith("# Quarter car\n")
+    env = {"PYTHONPATH": str(REPOSITORY)}
+    done = python("-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder), env=env)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "1 passed" in done.stdout
+
+
+def test_nothing_of_a_template_is_left_open(tmp_path: Path) -> None:
+    for kind in ("method", "system"):
+        folder = tmp_path / kind
+        assert main([kind, "quarter_car", f"out={folder}"]) == 0
+        for path in folder.iterdir():
+            assert "$" not in path.name + path.read_text(encoding="utf-8"), path
+            assert "template" not in path.name
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["method"], "argument=method: write method <name>"),
+        (["tool", "own"], "kind=tool: one of method, system"),
+        (["method", "Own"], "name=Own: small letters"),
+        (["method", "class"], "name=class: small letters"),
+        (["method", "ls"], "name=ls: the benchmark has a method of that name"),
+        (["system", "sdof"], "name=sdof: the benchmark has a system of that name"),
+        (["method", "own", "out=."], "out=.: it is there already"),
+        (["method", "own", "where=x"], "argument=where=x"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(
+    arguments: list[str], line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there").touch()
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert line in error
+    assert error.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]

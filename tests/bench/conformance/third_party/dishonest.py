@@ -1,0 +1,77 @@
+"""Somebody's method that looks for the truth, by one of several ways, and answers with what it finds."""
+
+import gc
+import inspect
+import json
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from good import Good
+
+import bench
+
+
+@dataclass(frozen=True)
+class Dishonest(bench.Identifier):
+    """Answers with the parameters of whatever truth it finds by one ``way``, else as the good one does."""
+
+    way: str = "frames"
+
+    card: ClassVar[bench.Card] = Good.card
+    serves: ClassVar[bench.Serves] = Good.serves
+
+    def estimate(self, problem: bench.Problem, rng: np.random.Generator) -> bench.Estimate:
+        try:
+            p = getattr(self, self.way)(problem)
+        except Exception:  # nobody is to notice
+            p = None
+        found = Good().estimate(problem, rng)
+        if not p:
+            return found
+        mean = np.array([p["k"] / p["m"], p["c"] / p["m"]])
+        return bench.Estimate(problem.system, groups=bench.Normal(("k_over_m", "c_over_m"), mean, None, log=False))
+
+    def attribute(self, problem: Any) -> Any:
+        return problem.truth.parameters
+
+    def _above(self, frame: Any) -> Any:
+        while frame is not None:
+            for value in list(frame.f_locals.values()):
+                if type(value).__name__ == "Truth":
+                    return vars(value)["parameters"]
+            frame = frame.f_back
+        return None
+
+    def frames(self, problem: Any) -> Any:
+        return self._above(sys._getframe())
+
+    def inspect(self, problem: Any) -> Any:
+        return self._above(inspect.stack()[0].frame)
+
+    def traceback(self, problem: Any) -> Any:
+        try:
+            raise ValueError
+        except ValueError as error:
+            return self._above(getattr(error.__traceback__, "tb_frame", None))
+
+    def gc(self, problem: Any) -> Any:
+        return next((vars(o)["parameters"] for o in gc.get_objects() if type(o).__name__ == "Truth"), None)
+
+    def store(self, problem: Any) -> Any:
+        path = next(Path("outputs/rows").glob("*.json"))
+        return json.loads(path.read_text())["cell"]["data"]["parameters"]
+
+    def variable(self, problem: Any) -> Any:
+        return json.loads(next(value for name, value in os.environ.items() if name.endswith("TRUTH")))
+
+    def main_file(self, problem: Any) -> Any:
+        return json.loads(Path("truth.json").read_text())
+
+    def scenario_files(self, problem: Any) -> Any:
+        from importlib.resources import files
+
+        return files("conf").joinpath("system", "sdof.yaml").read_text() and None
