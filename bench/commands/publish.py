@@ -16,12 +16,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from bench.commands.guard import command, read_folders
-from bench.commands.reproduce import stored_as_cell
 from bench.config.choices import choices
 from bench.config.drawn import drawn_scenarios
 from bench.config.experiment import Experiment
 from bench.errors import InputError
 from bench.store.archive.archive import BOUNDS, Archive
+from bench.store.cell import stored_as_cell
 from bench.store.opening import DEFAULT_STORE, NONE, default_archive
 from bench.store.store import Store
 from bench.store.stored import StoredCell

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from bench.commands.guard import command, read_fields
-from bench.commands.reproduce import compare_rows, stored_as_cell
+from bench.commands.reproduce import compare_rows
 from bench.config.experiment import Experiment
 from bench.contract.estimate import Status
 from bench.errors import InputError
@@ -38,7 +38,7 @@ from bench.information.fisher import Bound
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.bounds import load_bounds
-from bench.store.cell import Cell
+from bench.store.cell import Cell, stored_as_cell
 from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.provenance import provenance
 from bench.store.store import Store
@@ -150,12 +150,10 @@ def vouched(check: Check, bound: Bound, commit: str | None, largest: float) -> S
         "replicates": list(check.replicates), "largest_difference": float(f"{largest:.2g}"),
         "missed_5_percent": check.miss, "computed_by": computed_by, "commit": commit,
     }  # fmt: skip
-    return replace(
-        _summarised(stored, check.cell, bound), provenance={**stored.provenance, "rechecked": [*notes, note]}
-    )
+    return replace(summarised(stored, check.cell, bound), provenance={**stored.provenance, "rechecked": [*notes, note]})
 
 
-def _summarised(stored: StoredCell, cell: Cell, bound: Bound) -> StoredCell:
+def summarised(stored: StoredCell, cell: Cell, bound: Bound) -> StoredCell:
     """The cell with a summary and bound of the present code, its rows as they are."""
     summary = {name: dict(vars(own)) for name, own in summarise(stored.rows, bound).items()}
     return replace(
@@ -188,10 +186,10 @@ def _main(arguments: Sequence[str]) -> int:
     store, wanted = open_store(fields["store"], fields["archive"]), _filter(fields)
     if not store.there():
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
-    summarised = summarise_anew([stored for stored in store if wanted(stored)], store)
+    renewed = summarise_anew([stored for stored in store if wanted(stored)], store)
     found = checks(store, wanted)
-    if summarised:
-        print(f"{summarised} cells: rows as they were, summaries and bounds made anew")
+    if renewed:
+        print(f"{renewed} cells: rows as they were, summaries and bounds made anew")
     elif not found:
         print("no cell is stale")
     if found:
@@ -212,7 +210,7 @@ def summarise_anew(found: Sequence[StoredCell], store: Store) -> int:
         store.prepare()
     bounds = load_bounds([cell for _, cell in pairs], store.bounds)
     for (stored, cell), bound in zip(pairs, bounds, strict=True):
-        store.restate(_summarised(stored, cell, bound))
+        store.restate(summarised(stored, cell, bound))
     return len(pairs)
 
 

@@ -17,11 +17,9 @@ from pathlib import Path
 from statistics import median
 
 from bench.commands.guard import command, read_fields
-from bench.entrants.registry import default_settings
 from bench.errors import InputError
-from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
-from bench.store.cell import Cell
+from bench.store.cell import stored_as_cell
 from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.store import Store
 from bench.store.stored import DIGITS, StoredCell
@@ -42,17 +40,6 @@ class Verdict:
     name: str
     differences: Mapping[str, float]
     changed: tuple[str, ...]
-
-
-def stored_as_cell(stored: StoredCell) -> Cell:
-    """The cell whose description is stored; raises InputError where this version describes it differently."""
-    what = stored.cell
-    scenario = Scenario.from_dict(what, label=what["system"])
-    settings = {**default_settings(what["method"]), **what["settings"]}  # what it has got since is at its default
-    cell = Cell(scenario, what["method"], settings, what["replicates"], what["seed"], what["label"])
-    if cell.identity != stored.identity:
-        raise InputError("cell", stored.identity, "this version describes its configuration differently; run it anew")
-    return cell
 
 
 def compare(old: StoredCell, new: StoredCell) -> Verdict:

@@ -1,6 +1,7 @@
 """``python -m bench.tables``: the tables of all experiments as Markdown, CSV and LaTeX, from stored rows alone.
 
-A table is what its experiment in ``conf`` describes; a cell that the store lacks is a row that says so.
+A table is what its experiment in ``conf`` describes; a cell that the store lacks is a row that says so. A submitted
+method (``python -m bench.merge``) stands in the tables of which it has every scenario, and is marked.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str]) -> int:
-    from bench.reporting.frame import experiment_frame, table_experiments
+    from bench.reporting.frame import experiment_frame, submitted_results, table_experiments, with_submitted
     from bench.reporting.tables.forms import table_files
     from bench.reporting.tables.leaderboard import EXPERIMENTS, leaderboard
 
@@ -36,9 +37,9 @@ def _main(arguments: Sequence[str]) -> int:
     if not store.there():
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
     Store(out).prepare()
-    pooled, drawn = [], None
+    pooled, drawn, submitted = [], None, submitted_results(store)
     for name in table_experiments():
-        frame = experiment_frame(name, store)
+        frame = with_submitted(experiment_frame(name, store), submitted)
         files = table_files(frame, store)
         if files:
             _say_stale(frame)

@@ -12,7 +12,7 @@ import json
 import math
 import zipfile
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any, TypeVar
 
@@ -28,9 +28,10 @@ from bench.errors import InputError
 from bench.reporting.labels import title
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
-from bench.store.cell import Cell
+from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored import StoredCell
+from bench.store.submitted import MARK
 from bench.systems import System, make_system
 
 ERROR = "_error_pct"
@@ -366,6 +367,36 @@ def experiment_frame(experiment: str, store: Store) -> Frame:
     found = Experiment(experiment)
     results = tuple(Result.of_cell(cell, store.load(cell.identity)) for cell in found.cells())
     return Frame(experiment, str(found.table["title"]), found.table, results)
+
+
+SHOWING_SUBMITTED = ("paper", "systems", "open")
+"""Forms of tables whose rows are methods, any of which may be another's."""
+
+
+def submitted_results(store: Store) -> list[Result]:
+    """The cells of a store that were submitted, as cells of the present code describes them."""
+    from bench.store.index import cells  # loads pyarrow, which a look at an experiment alone does without
+
+    found = []
+    for identity, label in cells(store, ("label",))["label"].items():
+        stored = store.load(str(identity)) if str(label).endswith(MARK) else None
+        if stored is not None:
+            with contextlib.suppress(InputError):  # its method is not installed here: the page shows it, no table
+                found.append(Result.of_cell(stored_as_cell(stored), stored))
+    return found
+
+
+def with_submitted(frame: Frame, submitted: Sequence[Result]) -> Frame:
+    """The frame of an experiment with the submitted methods that have every scenario of it behind its own."""
+    if str(frame.table.get("form", "paper")) not in SHOWING_SUBMITTED:
+        return frame
+    asked = {result.question for result in frame if not result.is_reference}
+    found: list[Result] = []
+    for own in group(submitted, lambda result: result.label).values():
+        mine = {result.question: result for result in own if result.question in asked}
+        if mine.keys() == asked:
+            found += mine.values()
+    return replace(frame, results=(*frame.results, *found))
 
 
 def stored_results(store: Store) -> list[Result]:

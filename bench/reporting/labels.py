@@ -1,7 +1,8 @@
 """What methods, their variants and the reference rows are called and look like, from their cards alone.
 
 A label is what a cell calls its method: a registered name, a file of ``conf/method``, a reference row, or any of these
-with settings behind it. What no card speaks of is called by its label, and stands behind the others.
+with settings behind it. What no card speaks of is called by its label, and stands behind the others. The label of a
+cell that was submitted carries a mark, which its name for people keeps.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from bench.contract.method import Card
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import load_method, registered
 from bench.errors import InputError
+from bench.store.submitted import unmarked
 
 
 def _reference(title: str, order: int, colour: str, marker: str | tuple[int, int, float]) -> Card:
@@ -44,28 +46,33 @@ def cards() -> dict[str, Card]:
     return found
 
 
+def card_of(label: str) -> Card | None:
+    """The card of a label, if there is one; a submitted cell has that of its method."""
+    return cards().get(unmarked(label))
+
+
 def title(label: str) -> str:
     """The name of a method for people."""
-    card = cards().get(label)
-    return card.title or label if card else label
+    card = card_of(label)
+    return f"{card.title}{label[len(unmarked(label)) :]}" if card and card.title else label
 
 
 def states_terms(label: str) -> bool:
     """Whether the messages of a method's estimates name the terms of its model."""
-    card = cards().get(label)
+    card = card_of(label)
     return card is not None and card.states_terms
 
 
 def warns(label: str) -> bool:
     """Whether the message of an answer is a warning: not where it names terms or says how the fit ended."""
-    card = cards().get(label)
+    card = card_of(label)
     return card is not None and not (card.states_terms or card.remarks)
 
 
 def in_order(labels: Iterable[str]) -> list[str]:
     """Each label once, in the order that their cards give, all others behind by name."""
     known = {label: card.order for label, card in cards().items()}
-    return sorted(set(labels), key=lambda label: (known.get(label, 1000), label))
+    return sorted(set(labels), key=lambda label: (known.get(unmarked(label), 1000), label))
 
 
 def told(method: str) -> str:

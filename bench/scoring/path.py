@@ -7,6 +7,7 @@ These traces are looked for (each may be absent): ``path_cpu_s`` (n,), processor
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -41,6 +42,11 @@ def path_scores(estimate: Estimate, truth: Truth) -> dict[str, float]:
     if "minimum_parameters" in traces:
         scores |= _errors(estimate, truth, traces["minimum_parameters"], "minimum")
     return scores
+
+
+def of_clock(name: str) -> bool:
+    """Whether a score hangs on how fast the machine is: at the moments of a path, and the times themselves."""
+    return name in ("training_s", "arrival_s") or bool(re.search(r"_at_[-+.e\d]+s$", name))
 
 
 def _arrival(seconds: np.ndarray, losses: np.ndarray, least: float) -> dict[str, float]:

@@ -15,7 +15,9 @@ from functools import cached_property
 from typing import Any
 
 from bench.entrants.registry import default_settings
+from bench.errors import InputError
 from bench.scenario.scenario import Scenario
+from bench.store.stored import StoredCell
 from bench.store.version import Version, cell_version
 
 FORMAT = 2
@@ -72,6 +74,17 @@ class Cell:
         from bench.store.bounds import bound_identity  # loads scipy, which a mere look at cells does without
 
         return bound_identity(self)
+
+
+def stored_as_cell(stored: StoredCell) -> Cell:
+    """The cell whose description is stored; raises InputError where this version describes it differently."""
+    what = stored.cell
+    scenario = Scenario.from_dict(what, label=what["system"])
+    settings = {**default_settings(what["method"]), **what["settings"]}  # what it has got since is at its default
+    cell = Cell(scenario, what["method"], settings, what["replicates"], what["seed"], what["label"])
+    if cell.identity != stored.identity:
+        raise InputError("cell", stored.identity, "this version describes its configuration differently; run it anew")
+    return cell
 
 
 def _stated(scenario: Scenario) -> dict[str, Any]:

@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 from bench.commands import reproduce, status
-from bench.commands.reproduce import stored_as_cell
 from bench.scenario.scenario import Scenario
-from bench.store.cell import Cell
+from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.sweep.plan import plan
 from bench.sweep.runner import run_cells

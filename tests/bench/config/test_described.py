@@ -2,8 +2,8 @@
 
 import pytest
 
-from bench.commands.reproduce import stored_as_cell
 from bench.config.experiment import expand
+from bench.store.cell import stored_as_cell
 from bench.store.stored import StoredCell
 
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from bench import InputError
-from bench.commands import reproduce
 from bench.config.experiment import expand
 from bench.config.overrides import overrides_of
 from bench.scenario import scenario as declared
@@ -20,6 +19,7 @@ from bench.scenario.declaration import Within, plain, restored
 from bench.scenario.disturbance import kinds
 from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import PriorSpec, Scenario
+from bench.store import cell as stored_cells
 from bench.store.cell import Cell
 from bench.store.stored import StoredCell
 
@@ -37,7 +37,7 @@ class Grainy(Scenario):
 @pytest.fixture(autouse=True)
 def _declared(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if the one line above stood in the declaration of a scenario."""
-    for module in (declared, reproduce):
+    for module in (declared, stored_cells):
         monkeypatch.setattr(module, "Scenario", Grainy)
 
 
@@ -57,7 +57,7 @@ def test_it_is_set_on_a_command_line_and_found_again_in_a_stored_cell() -> None:
     assert isinstance(grainy.scenario, Grainy)
     assert grainy.scenario.grain == 0.2
     assert grainy.description()["data"]["grain"] == 0.2
-    again = reproduce.stored_as_cell(stored(grainy))
+    again = stored_cells.stored_as_cell(stored(grainy))
     assert again.identity == grainy.identity
     assert grainy.scenario.prior is not None
     assert again.scenario == replace(grainy.scenario, prior=replace(grainy.scenario.prior, name="stored"))
@@ -98,9 +98,9 @@ def test_its_limits_are_said_with_its_name(value: str, remedy: str) -> None:
 
 def test_a_version_that_does_not_have_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     newer = stored(cell("system.grain=0.2"))
-    monkeypatch.setattr(reproduce, "Scenario", Scenario)
+    monkeypatch.setattr(stored_cells, "Scenario", Scenario)
     with pytest.raises(InputError, match="grain: this version has no such field"):
-        reproduce.stored_as_cell(newer)
+        stored_cells.stored_as_cell(newer)
 
 
 KINDS_OF_PARAMETERS = ("mass", "damping", "stiffness", "other")

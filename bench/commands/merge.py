@@ -1,0 +1,233 @@
+"""``python -m bench.merge``: bring a submission, or another store, into a store.
+
+Of a submission (``python -m bench.submit``) a tenth of the rows, drawn at random over all its cells, is computed again
+first. Only where every score and status comes out the same is anything added; summaries and bounds are made anew, and
+tables and the page show the cells as submitted. Another store of one's own, named by its folder, is merged as it is.
+
+Of two answers to one question the better is kept: one's own rather than a submitted one, the present code's rather than
+a stale one, the one with more successful fits; else the one that was there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import secrets
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.commands.guard import command, read_fields, whole
+from bench.commands.recheck import SAME, Check, difference, miss_probability, summarised
+from bench.contract.estimate import Status
+from bench.errors import InputError
+from bench.scoring.path import of_clock
+from bench.scoring.row import Row
+from bench.store.bounds import load_bounds
+from bench.store.cell import Cell, stored_as_cell
+from bench.store.opening import DEFAULT_STORE
+from bench.store.store import Store
+from bench.store.stored import StoredCell
+from bench.store.submitted import marked
+from bench.sweep.launch import fits_bar, preloaded
+from bench.sweep.plan import Planned, State
+from bench.sweep.runner import run_replicates
+from bench.sweep.workers import Limits
+
+USAGE = f"""usage: python -m bench.merge <file>.submission [field=value ...]
+       python -m bench.merge <folder> [store={DEFAULT_STORE}]
+
+fields (defaults in brackets):
+  store          [{DEFAULT_STORE}] the store that gets the cells
+  verify         [0.1] which part of a submission's rows is computed again
+  seed           [drawn] which rows these are
+  workers        [one a core] processes that fit\n\n"""
+DEFAULTS = {"store": DEFAULT_STORE, "verify": "0.1", "seed": "", "workers": str(os.cpu_count() or 1)}
+LEAST_SHARE, LEAST_ROWS = 0.1, 5
+OF_MACHINE = (Status.TIMEOUT, Status.KILLED, Status.OOM)
+"""What becomes of a fit on a slower or smaller machine: rows that are not compared."""
+MOST_NAMED = 5
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Which rows were computed again, by cell; the largest relative difference; the cells that came out otherwise."""
+
+    compared: Mapping[str, tuple[int, ...]]
+    of: int
+    largest: float
+    different: tuple[str, ...]
+
+    @property
+    def n(self) -> int:
+        return sum(map(len, self.compared.values()))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print what was added; exit status 0, 1 where a submission comes out otherwise, 2 for bad input."""
+    return command("bench.merge", USAGE + str(__doc__), argv, _main, "interrupted; run it again")
+
+
+def _main(arguments: Sequence[str]) -> int:
+    names = [argument for argument in arguments if "=" not in argument]
+    fields = read_fields([argument for argument in arguments if "=" in argument], DEFAULTS)
+    if len(names) != 1:
+        raise InputError("submission", " ".join(names), "name one file or folder")
+    share, seed = _share(fields["verify"]), whole("seed", fields["seed"] or str(secrets.randbits(48)), 0)
+    workers, source, into = whole("workers", fields["workers"]), Path(names[0]), Store(Path(fields["store"]))
+    if source.is_dir():
+        return _merge_store(Store(source), into)
+    if not source.is_file():
+        raise InputError("submission", source, "there is no such file or folder")
+    return _merge_submission(source, into, share, seed, workers)
+
+
+def _share(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not LEAST_SHARE <= value <= 1.0:
+        raise InputError("verify", text, f"a number from {LEAST_SHARE:g} to 1")
+    return value
+
+
+def _merge_store(source: Store, into: Store) -> int:
+    from bench.exchange.merged import merge
+
+    if source.folder.resolve() == into.folder.resolve():
+        raise InputError("store", into.folder, "a store is not merged with itself; name another")
+    cells = list(source)
+    if not cells:
+        raise InputError("submission", source.folder, "no cell is stored there")
+    into.prepare()
+    _say(merge(cells, source, into), into)
+    return 0
+
+
+def _say(done: Any, into: Store) -> None:
+    counts = f"{done.added} cells added, {done.replaced} in the place of others, {done.kept} kept as they were"
+    print(f"{into.folder}: {counts}")
+
+
+def _merge_submission(path: Path, into: Store, share: float, seed: int, workers: int) -> int:
+    from bench.exchange.merged import merge
+    from bench.exchange.submission import unpack
+
+    with tempfile.TemporaryDirectory() as folder:
+        manifest, theirs = unpack(path, Path(folder))
+        pairs = [(stored, _understood(stored, path)) for stored in theirs]
+        if not pairs:
+            raise InputError("submission", path, "it holds no cell")
+        into.prepare()
+        found = verify(pairs, theirs, share, seed, workers)
+        print(_verdict(found))
+        if found.different:
+            print(f"nothing was added; python -m bench.merge {path} seed={seed} draws the same rows again")
+            return 1
+        facts = {
+            "by": manifest.get("by", ""), "made": manifest.get("made", ""), "class": manifest.get("class", ""),
+            "benchmark": manifest.get("benchmark", ""), "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+            "merged": datetime.now(UTC).isoformat(timespec="seconds"), "rows_compared": found.n, "of_rows": found.of,
+            "seed": seed, "largest_difference": float(f"{found.largest:.2g}"),
+            "missed_5_percent": miss_probability(found.of, found.n),
+        }  # fmt: skip
+        bounds = load_bounds([cell for _, cell in pairs], into.bounds)
+        cells = []
+        for (stored, cell), bound in zip(pairs, bounds, strict=True):
+            own = replace(summarised(stored, cell, bound), version=stored.version)
+            cells.append(marked(own, {**facts, "replicates": list(found.compared.get(stored.identity, ()))}))
+        _say(merge(cells, theirs, into), into)
+    return 0
+
+
+def _understood(stored: StoredCell, path: Path) -> Cell:
+    """The cell that a stored one answers; raises InputError where this installation could not compute it again."""
+    cell = stored_as_cell(stored)
+    then, now = stored.version.get("modules", {}), cell.version.modules
+    changed = [name for name in sorted({*then, *now}) if then.get(name) != now.get(name)]
+    if changed:
+        remedy = "install the method and the benchmark that computed it"
+        raise InputError("submission", path, f"computed by other code ({', '.join(changed[:3])}); {remedy}")
+    if [row.replicate for row in stored.rows] != list(range(cell.replicates)):
+        raise InputError("submission", path, f"cell {stored.identity[:8]} lacks some of its {cell.replicates} rows")
+    return cell
+
+
+def draw(pairs: Sequence[tuple[StoredCell, Cell]], share: float, seed: int) -> dict[str, tuple[int, ...]]:
+    """The rows that are computed again, by cell: so large a share of all, and five at least, each equally likely."""
+    rows = [(stored.identity, row.replicate) for stored, _ in pairs for row in stored.rows
+            if row.status not in OF_MACHINE]  # fmt: skip
+    n = min(len(rows), max(LEAST_ROWS, math.ceil(share * len(rows))))
+    found: dict[str, list[int]] = {}
+    for i in sorted(np.random.default_rng(seed).choice(len(rows), n, replace=False).tolist()):
+        found.setdefault(rows[i][0], []).append(rows[i][1])
+    return {identity: tuple(replicates) for identity, replicates in found.items()}
+
+
+def verify(
+    pairs: Sequence[tuple[StoredCell, Cell]], theirs: Store, share: float, seed: int, workers: int
+) -> Verification:
+    """Compute some of the rows again, and compare every score that does not hang on the machine's speed."""
+    chosen = draw(pairs, share, seed)
+    checks = {stored.identity: Check(_timeless(stored), cell, chosen[stored.identity])
+              for stored, cell in pairs if stored.identity in chosen}  # fmt: skip
+    differences: dict[str, float] = {}
+
+    def on_rows(cell: Cell, rows: Sequence[Row]) -> None:
+        differences[cell.identity] = difference(checks[cell.identity], [_timeless_row(row) for row in rows])
+
+    planned = [(Planned(check.cell, State.STALE, "", True), check.replicates) for check in checks.values()]
+    limits = Limits(workers, **_widest([stored for stored, _ in pairs]), preload=preloaded())
+    with fits_bar(sum(map(len, chosen.values()))) as on_progress:
+        run_replicates(planned, theirs, limits, on_rows, on_progress)
+    return Verification(
+        compared=chosen,
+        of=sum(len(stored.rows) for stored, _ in pairs),
+        largest=max(differences.values(), default=0.0),
+        different=tuple(_named(checks[name].stored) for name, gap in differences.items() if gap >= SAME),
+    )
+
+
+def _widest(cells: Sequence[StoredCell]) -> dict[str, float]:
+    """The widest limits that any of the cells was computed with."""
+    given = [stored.provenance.get("limits", {}) for stored in cells]
+    return {
+        name: max([getattr(Limits(), name), *(float(one[name]) for one in given if name in one)])
+        for name in ("timeout_s", "memory_mb")
+    }
+
+
+def _timeless(stored: StoredCell) -> StoredCell:
+    return replace(stored, rows=tuple(map(_timeless_row, stored.rows)))
+
+
+def _timeless_row(row: Row) -> Row:
+    return replace(row, scores={name: value for name, value in row.scores.items() if not of_clock(name)})
+
+
+def _named(stored: StoredCell) -> str:
+    what = stored.cell
+    return f"{stored.identity[:8]} {what['label']} on {what['system']}, {what['snr_db']:g} dB"
+
+
+def _verdict(found: Verification) -> str:
+    if found.different:
+        said = "; ".join(found.different[:MOST_NAMED])
+        return f"{found.n} of {found.of} rows computed again: {len(found.different)} cells come out otherwise ({said})"
+    missed = miss_probability(found.of, found.n)
+    return (
+        f"{found.n} of {found.of} rows computed again, and all come out the same (to {found.largest:.1g}); "
+        f"a change of 5 % of the rows is missed with probability {missed:.2g}"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

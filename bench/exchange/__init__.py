@@ -1,0 +1,1 @@
+"""What is handed on: submissions of stored rows, merged stores, and exports for other tools."""

@@ -1,0 +1,423 @@
+"""A submission is verified by running rows of it again; two stores merge and nothing is lost."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stored import described, recorded, save, scored
+
+from bench.commands import merge, submit
+from bench.commands.merge import draw
+from bench.config.experiment import expand
+from bench.contract.estimate import Status
+from bench.errors import InputError
+from bench.exchange.submission import MANIFEST, pack, unpack
+from bench.scoring.path import MOMENTS, of_clock
+from bench.scoring.row import Row
+from bench.store.cell import Cell, stored_as_cell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
+from bench.store.submitted import is_submitted
+from bench.sweep.launch import complete
+from bench.sweep.workers import Limits
+
+N = 12
+Change = Callable[[StoredCell], StoredCell]
+
+
+@pytest.fixture(scope="module")
+def computed(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Two cells of one method and one of another; bounds beside them."""
+    store = Store(tmp_path_factory.mktemp("computed") / "rows")
+    store.prepare()
+    cells = [
+        job.cell()
+        for words in (["method=ls", "snr=40,20"], ["method=matrix_pencil", "snr=20"])
+        for job in expand([*words, f"replicates={N}"], multirun=True)
+    ]
+    complete(cells, store, Limits(1, 60.0))
+    return store
+
+
+@pytest.fixture
+def into(computed: Store, tmp_path: Path) -> Store:
+    """An empty store that knows the bounds."""
+    store = Store(tmp_path / "into")
+    store.prepare()
+    shutil.copytree(computed.bounds, store.bounds)
+    return store
+
+
+def of_method(store: Store, method: str = "ls") -> list[StoredCell]:
+    return [stored for stored in store if stored.cell["method"] == method]
+
+
+def submission(computed: Store, path: Path, change: Change = lambda stored: stored) -> Path:
+    """A file of the cells of a method, each changed."""
+    pack(path, computed, [change(stored) for stored in of_method(computed)], {"method": "ls", "by": "somebody"})
+    return path
+
+
+def same(one: StoredCell, other: StoredCell) -> bool:
+    return json.dumps(_plain(one)) == json.dumps(_plain(other))
+
+
+def _plain(stored: StoredCell) -> dict[str, object]:
+    rows = [{**vars(row), "scores": dict(row.scores)} for row in stored.rows]
+    return {**{k: v for k, v in vars(stored).items() if k != "columns"}, "rows": rows}
+
+
+def better_numbers(stored: StoredCell) -> StoredCell:
+    """All errors of k/m halved, in rows and summary."""
+    name = "k_over_m_error_pct"
+    rows = tuple(replace(row, scores={**row.scores, name: row.scores[name] / 2}) for row in stored.rows)
+    halved = {key: value / 2 for key, value in stored.summary[name].items()}
+    return replace(stored, rows=rows, summary={**stored.summary, name: halved})
+
+
+def better_summary(stored: StoredCell) -> StoredCell:
+    """As if the median error were a tenth, in the summary alone."""
+    name = "k_over_m_error_pct"
+    return replace(stored, summary={**stored.summary, name: {**stored.summary[name], "median": 1e-3}})
+
+
+def other_code(stored: StoredCell) -> StoredCell:
+    return replace(stored, version={**stored.version, "modules": {"methods.regression.ls": "0123456789ab"}})
+
+
+def other_packages(stored: StoredCell) -> StoredCell:
+    version = {**stored.version, "digest": "0" * 16, "packages": {**stored.version["packages"], "numpy": "1.0"}}
+    return replace(stored, version=version)
+
+
+def fewer_rows(stored: StoredCell) -> StoredCell:
+    return replace(stored, rows=tuple(stored.rows)[:-3])
+
+
+# ---- the file
+
+
+def test_what_is_packed_comes_back_as_it_was(computed: Store, tmp_path: Path) -> None:
+    manifest, theirs = unpack(submission(computed, tmp_path / "ls.submission"), tmp_path / "there")
+    own = of_method(computed)
+    assert [line["identity"] for line in manifest["cells"]] == [stored.identity for stored in own]
+    assert [line["computed_by"] for line in manifest["cells"]] == [stored.version["digest"] for stored in own]
+    assert all(line["seed"] == 0 and line["data"] for line in manifest["cells"])
+    for before, after in zip(own, theirs, strict=True):
+        assert same(before, after)
+        arrays = computed.arrays(before)
+        assert arrays
+        for name, values in theirs.arrays(after).items():
+            np.testing.assert_array_equal(values, arrays.pop(name))
+        assert not arrays
+
+
+def _rewritten(path: Path, change: Callable[[dict[str, bytes]], None]) -> Path:
+    """The zip with other contents."""
+    with zipfile.ZipFile(path) as archive:
+        contents = {name: archive.read(name) for name in archive.namelist()}
+    change(contents)
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in contents.items():
+            archive.writestr(name, content)
+    return path
+
+
+def _flip(contents: dict[str, bytes]) -> None:
+    name = next(name for name in contents if name != MANIFEST)
+    contents[name] = contents[name][:-1] + bytes([contents[name][-1] ^ 1])
+
+
+def _lose(contents: dict[str, bytes]) -> None:
+    del contents[next(name for name in contents if name != MANIFEST)]
+
+
+def _escape(contents: dict[str, bytes]) -> None:
+    manifest = json.loads(contents[MANIFEST])
+    manifest["files"]["rows/../../outside"] = "0" * 64
+    contents["rows/../../outside"] = b"content"
+    contents[MANIFEST] = json.dumps(manifest).encode()
+
+
+def _later_format(contents: dict[str, bytes]) -> None:
+    contents[MANIFEST] = json.dumps({**json.loads(contents[MANIFEST]), "format": 99}).encode()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (_flip, "is damaged"),
+        (_lose, "not a whole submission"),
+        (_escape, "belongs in none"),
+        (_later_format, "of format 99"),
+        (lambda contents: contents.pop(MANIFEST), "not a whole submission"),
+    ],
+)
+def test_a_damaged_file_is_refused_and_nothing_is_written_outside(
+    change: Callable[[dict[str, bytes]], None], words: str, computed: Store, tmp_path: Path
+) -> None:
+    path = _rewritten(submission(computed, tmp_path / "ls.submission"), change)
+    folder = tmp_path / "a" / "b"
+    folder.mkdir(parents=True)
+    with pytest.raises(InputError, match=words):
+        unpack(path, folder)
+    assert not (tmp_path / "outside").exists()
+    assert not (tmp_path / "a" / "outside").exists()
+
+
+def test_a_cut_file_and_a_text_are_no_submissions(computed: Store, tmp_path: Path) -> None:
+    path = submission(computed, tmp_path / "ls.submission")
+    path.write_bytes(path.read_bytes()[:2000])
+    text = tmp_path / "text.submission"
+    text.write_text("nothing of the kind")
+    for one in (path, text):
+        with pytest.raises(InputError, match="not a whole submission"):
+            unpack(one, tmp_path / "there")
+
+
+# ---- which rows
+
+
+def pairs(n_cells: int, n: int, status: Status = Status.OK) -> list[tuple[StoredCell, Cell]]:
+    rows = tuple(Row(i, status) for i in range(n))
+    return [(StoredCell(f"{i:020x}", {}, rows, {}, {}, {}, 0.0), None) for i in range(n_cells)]  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(("n_cells", "n", "share", "expected"), [(10, 100, 0.1, 100), (1, 12, 0.1, 5), (1, 3, 1.0, 3)])
+def test_a_tenth_is_drawn_and_five_at_least(n_cells: int, n: int, share: float, expected: int) -> None:
+    assert sum(map(len, draw(pairs(n_cells, n), share, 0).values())) == expected
+
+
+def test_every_row_is_drawn_as_often_as_any_other_and_nobody_can_know_which() -> None:
+    """400 draws of 10 of 100 rows: each is met 40 times, with a standard deviation of 6."""
+    met = np.zeros((5, 20))
+    for seed in range(400):
+        for identity, replicates in draw(pairs(5, 20), 0.1, seed).items():
+            met[int(identity, 16), list(replicates)] += 1
+    assert met.sum() == 4000
+    assert met.min() > 40 - 5 * 6
+    assert met.max() < 40 + 5 * 6
+
+
+def test_rows_that_hang_on_the_machine_are_not_compared() -> None:
+    assert draw(pairs(2, 20, Status.TIMEOUT), 0.1, 0) == {}
+
+
+def test_scores_of_the_clock_are_known_by_their_names() -> None:
+    timed = ["training_s", "arrival_s", *(f"k_over_m_off_pct_at_{moment:g}s" for moment in MOMENTS)]
+    assert all(map(of_clock, timed))
+    assert not any(map(of_clock, ("rmse", "k_over_m_off_pct_at_minimum", "k_over_m_error_pct", "starts_at_best")))
+
+
+# ---- merged
+
+
+def test_a_submission_is_verified_added_and_marked(
+    computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = submission(computed, tmp_path / "ls.submission")
+    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 0
+    out = capsys.readouterr().out
+    assert "5 of 24 rows computed again, and all come out the same" in out
+    assert "2 cells added" in out
+    for before, after in zip(of_method(computed), into, strict=True):
+        assert after.cell == {**before.cell, "label": "ls (submitted)"}
+        assert [row.scores for row in after.rows] == [row.scores for row in before.rows]
+        facts = after.provenance["submitted"]
+        assert (facts["by"], facts["rows_compared"], facts["of_rows"]) == ("somebody", 5, 24)
+        # of 24 rows 2 are changed: C(22, 5) / C(24, 5)
+        assert facts["missed_5_percent"] == pytest.approx(math.comb(22, 5) / math.comb(24, 5), rel=1e-4)
+        assert stored_as_cell(after).identity == before.identity
+        assert into.arrays(after).keys() == computed.arrays(before).keys()
+    assert sum(len(stored.provenance["submitted"]["replicates"]) for stored in into) == 5
+
+
+def test_rows_made_better_are_found_and_nothing_is_added(
+    computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = submission(computed, tmp_path / "ls.submission", better_numbers)
+    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 1
+    out = capsys.readouterr().out
+    assert "come out otherwise" in out
+    assert "ls on sdof" in out
+    assert into.identities() == []
+
+
+def test_a_summary_is_not_believed(computed: Store, into: Store, tmp_path: Path) -> None:
+    path = submission(computed, tmp_path / "ls.submission", better_summary)
+    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 0
+    name = "k_over_m_error_pct"
+    for before, after in zip(of_method(computed), into, strict=True):
+        assert after.summary[name]["median"] == pytest.approx(before.summary[name]["median"], rel=1e-4)
+
+
+def test_other_packages_are_no_hindrance_where_the_numbers_are_the_same(
+    computed: Store, into: Store, tmp_path: Path
+) -> None:
+    path = submission(computed, tmp_path / "ls.submission", other_packages)
+    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 0
+    assert {stored.version["digest"] for stored in into} == {"0" * 16}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [(other_code, "computed by other code (bench."), (fewer_rows, "lacks some of its 12 rows")],
+)
+def test_what_could_not_be_computed_again_is_bad_input(
+    change: Change, words: str, computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = submission(computed, tmp_path / "ls.submission", change)
+    assert merge.main([str(path), f"store={into.folder}"]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert into.identities() == []
+
+
+def test_ones_own_cell_is_not_replaced_by_a_submitted_one_but_replaces_it(
+    computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = submission(computed, tmp_path / "ls.submission")
+    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 0
+    assert merge.main([str(computed.folder), f"store={into.folder}"]) == 0
+    assert "1 cells added, 2 in the place of others, 0 kept" in capsys.readouterr().out
+    assert not any(map(is_submitted, into))
+    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 0
+    assert "0 cells added, 0 in the place of others, 2 kept" in capsys.readouterr().out
+    assert not any(map(is_submitted, into))
+
+
+def filled(folder: Path, *labels: str) -> Store:
+    """A store of made-up cells, some with arrays and tracebacks."""
+    store = Store(folder)
+    store.prepare()
+    for label in labels:
+        rows = scored(label, 6)
+        stored = save(store, described(label, n=6), rows, recorded(rows, reconstructs=True, trained=False))
+        store.save(stored, store.arrays(stored), f"traceback of {label}")
+    return store
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_two_stores_merge_and_nothing_is_lost(turned: bool, tmp_path: Path) -> None:
+    """Whichever is merged into the other: every cell, its rows, arrays and tracebacks."""
+    one, other = filled(tmp_path / "one", "a", "b"), filled(tmp_path / "other", "b", "c", "d")
+    every = {stored.identity: stored for store in (one, other) for stored in store}
+    source, target = (one, other) if turned else (other, one)
+    assert merge.main([str(source.folder), f"store={target.folder}"]) == 0
+    assert set(target.identities()) == every.keys()
+    for stored in target:
+        assert same(stored, every[stored.identity])
+        assert target.tracebacks(stored.identity) == f"traceback of {stored.cell['label']}"
+        assert target.arrays(stored)["displacement"].shape == (1, 200)
+
+
+def test_of_two_answers_the_present_codes_is_kept_and_then_the_one_with_more_fits(
+    computed: Store, tmp_path: Path
+) -> None:
+    stale, short, into = (Store(tmp_path / name) for name in ("stale", "short", "into"))
+    first = of_method(computed)[0]
+    for store, stored in (
+        (stale, replace(first, version={**first.version, "digest": "0" * 16})),
+        (short, replace(first, rows=tuple(replace(row, status=Status.TIMEOUT) for row in first.rows))),
+    ):
+        store.prepare()
+        store.save(stored, computed.arrays(first))
+    for source, expected in ((stale, "0" * 16), (short, first.version["digest"]), (computed, first.version["digest"])):
+        assert merge.main([str(source.folder), f"store={into.folder}"]) == 0
+        found = into.load(first.identity)
+        assert found is not None
+        assert found.version["digest"] == expected
+    assert found.n_ok == N
+    assert merge.main([str(stale.folder), f"store={into.folder}"]) == 0
+    assert into.load(first.identity) is not None
+    assert same(found, next(stored for stored in into if stored.identity == first.identity))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "name one file or folder"),
+        (["nowhere.submission"], "no such file or folder"),
+        (["."], "no cell is stored there"),
+        (["nowhere", "verify=0.01"], "verify=0.01: a number from 0.1 to 1"),
+        (["nowhere", "verify=all"], "verify=all: a number from 0.1 to 1"),
+        (["nowhere", "seed=x"], "seed=x: a whole number"),
+        ([".", "store=."], "not merged with itself"),
+    ],
+)
+def test_bad_input_to_merge_is_one_line(
+    arguments: list[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert merge.main(arguments) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+# ---- submitted
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder as the current one."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_cells_of_a_method_are_packed(computed: Store, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert submit.main(["method=ls", f"store={computed.folder}", "by=a group"]) == 0
+    assert "2 cells of ls, 24 rows" in capsys.readouterr().out
+    manifest, theirs = unpack(here / "ls.submission", here / "there")
+    assert (manifest["method"], manifest["class"], manifest["by"]) == ("ls", "methods.regression.ls:LS", "a group")
+    assert "open" in manifest["releases"]
+    assert len(theirs.identities()) == 2
+
+
+def test_only_the_cells_of_an_experiment_are_packed(computed: Store, here: Path) -> None:
+    """Table 3 has 20 dB alone, and 100 replicates: the scenario counts, not how often it was drawn."""
+    assert submit.main(["method=ls", "experiment=table3", f"store={computed.folder}"]) == 0
+    manifest, _ = unpack(here / "ls.submission", here / "there")
+    assert [line["snr_db"] for line in manifest["cells"]] == [20.0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["method=nobody"], "method=nobody: one of"),
+        (["method=oracle"], "method=oracle: one of"),
+        (["method=ekf"], "holds no cell of it"),
+        (["method=ls", "experiment=open"], "holds no cell of it of open"),
+        (["name=ls"], "argument=name=ls"),
+    ],
+)
+def test_bad_input_to_submit_is_one_line_and_writes_nothing(
+    arguments: list[str], words: str, computed: Store, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert submit.main([*arguments, f"store={computed.folder}"]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert list(here.glob("*.submission")) == []
+
+
+def test_stale_cells_are_not_submitted(computed: Store, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = Store(here / "stale")
+    store.prepare()
+    for stored in of_method(computed):
+        store.save(replace(stored, version={**stored.version, "digest": "0" * 16}))
+    assert submit.main(["method=ls", f"store={store.folder}"]) == 2
+    assert "2 of 2 cells" in capsys.readouterr().err

@@ -1,0 +1,63 @@
+"""A submitted method stands in the tables of which it has every scenario, with its mark; others do not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from stored import BOUND, scored
+
+from bench.commands.tables import main
+from bench.config.experiment import Experiment
+from bench.reporting.frame import experiment_frame, submitted_results, with_submitted
+from bench.reporting.labels import in_order, title
+from bench.scoring.summary import summarise
+from bench.store.cell import Cell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
+from bench.store.submitted import marked
+
+METHOD = "srivc"  # registered, and not one of those that Table 4 asks for
+
+
+def keep(store: Store, cells: list[Cell]) -> None:
+    for cell in cells:
+        rows = scored(cell.identity, 10)
+        what = {**cell.description(), "label": cell.label, "system": cell.scenario.label, "sigma": [0.05],
+                "snr_db": cell.scenario.snr_db, "initial_state": cell.scenario.initial_state}  # fmt: skip
+        summary = {name: vars(line) for name, line in summarise(rows, BOUND).items()}
+        store.save(marked(StoredCell(cell.identity, what, tuple(rows), summary, {}, {}, 1.0), {"by": "somebody"}))
+
+
+def cells() -> list[Cell]:
+    return Experiment("table4").cells({"method": [METHOD]})
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "rows")
+    store.prepare()
+    return store
+
+
+def test_a_method_with_every_scenario_stands_in_the_table_and_is_marked(store: Store, tmp_path: Path) -> None:
+    keep(store, cells())
+    assert main([f"store={store.folder}", f"out={tmp_path / 'out'}"]) == 0
+    name = title(METHOD) + " (submitted)"
+    assert name in (tmp_path / "out" / "table4.md").read_text(encoding="utf-8")
+    assert f"{METHOD} (submitted)" in (tmp_path / "out" / "table4.csv").read_text(encoding="utf-8")
+
+
+def test_a_method_that_lacks_a_scenario_does_not(store: Store) -> None:
+    keep(store, cells()[:-1])
+    frame = experiment_frame("table4", store)
+    submitted = submitted_results(store)
+    assert len(submitted) == len(cells()) - 1
+    assert with_submitted(frame, submitted).results == frame.results
+
+
+def test_it_is_called_and_ordered_as_its_method() -> None:
+    assert title("ls (submitted)") == f"{title('ls')} (submitted)"
+    assert title("unheard_of (submitted)") == "unheard_of (submitted)"
+    known = in_order(["ls", "rls", "prior"])
+    assert in_order([f"{label} (submitted)" for label in known]) == [f"{label} (submitted)" for label in known]
