@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import pickle
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import is_dataclass, replace
 from typing import Any, get_args
 
@@ -16,8 +16,9 @@ from bench.conformance.imports import HARNESS, foreign_imports, package_files
 from bench.conformance.specimen import Motion, Specimen
 from bench.contract.problem import InitialState, Units
 from bench.dynamics.mechanics import mass_matrix
-from bench.dynamics.ops import array_ops, float_ops, numpy_ops, ops_from
+from bench.dynamics.ops import array_ops, float_ops, numpy_ops
 from bench.dynamics.simulate import simulate
+from bench.dynamics.symbolic import sympy_ops
 from bench.errors import InputError
 from bench.information.structural import readable, structure_of
 from bench.scenario.scenario import Scenario
@@ -217,10 +218,7 @@ def _jax(specimen: Specimen, p: Mapping[str, float], motion: Motion) -> np.ndarr
 def _sympy(specimen: Specimen, p: Mapping[str, float], motion: Motion) -> np.ndarray:
     import sympy
 
-    def solve(matrix: Sequence[Sequence[Any]], right: Sequence[Any]) -> list[Any]:
-        return list(sympy.Matrix(matrix).LUsolve(sympy.Matrix(right)))
-
-    ops = ops_from(sympy, solve, abs=sympy.Abs, where=lambda c, a, b: sympy.Piecewise((a, c), (b, True)))
+    ops = sympy_ops()
     symbols = {letter: [sympy.Symbol(f"{letter}{i}", real=True) for i in range(len(part))]
                for letter, part in vars(motion).items()}  # fmt: skip
     names = {name: sympy.Symbol(f"p_{name}", positive=True) for name in p}

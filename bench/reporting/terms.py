@@ -5,11 +5,10 @@ from __future__ import annotations
 import re
 from collections import Counter
 from functools import cache
-from typing import Any
 
 from bench.contract.estimate import Status
 from bench.dynamics.mechanics import acceleration
-from bench.dynamics.ops import ops_from
+from bench.dynamics.symbolic import sympy_ops
 from bench.scenario.scenario import Scenario
 from bench.store.stored import StoredCell
 from bench.systems import System
@@ -30,15 +29,11 @@ def true_terms(system: System, forced: frozenset[int]) -> tuple[frozenset[str], 
     # parameters as different primes: exact, fast, and no term of theirs is nil by accident
     p = {name: sympy.Integer(sympy.prime(10 + i)) for i, name in enumerate(system.names)}
 
-    def solve(matrix: Any, right: Any) -> list[Any]:
-        return list(sympy.Matrix(matrix).LUsolve(sympy.Matrix(right)))
-
-    ops = ops_from(sympy, solve, abs=sympy.Abs, where=lambda c, a, b: sympy.Piecewise((a, c), (b, True)))
     if system.n_hidden:
         return None
     pushed = [f[i] if i in forced else sympy.Integer(0) for i in range(n)]
     states, found = [*x, *v, *f], []
-    for one in acceleration(system, p, x, v, pushed, [], ops):
+    for one in acceleration(system, p, x, v, pushed, [], sympy_ops()):
         try:
             polynomial = sympy.Poly(sympy.expand(one), *states)
         except sympy.PolynomialError:

@@ -184,22 +184,6 @@ def test_quantities_are_the_textbook_formulas() -> None:
     assert values["damping_ratio"] == pytest.approx(0.6 / (2 * np.sqrt(36.0)))
 
 
-@pytest.mark.parametrize("system", SYSTEMS, ids=IDS)
-def test_dimensions_are_consistent_every_term_of_the_equation_is_a_force(system: System) -> None:
-    """Rescaling mass, length and time rescales the residual like a force, so declared dimensions match the equation."""
-    mass, length, time = 3.0, 5.0, 7.0
-
-    def scale(d: Dimension) -> float:
-        return mass**d.mass * length**d.length * time**d.time
-
-    p, (x, v, a, f) = drawn(system)
-    there = {parameter.name: p[parameter.name] / scale(parameter.dimension) for parameter in system.parameters}
-    parts = zip((x, v, a, f), (length, length / time, length / time**2, mass * length / time**2), strict=True)
-    scaled = [[c / size for c in part] for part, size in parts]
-    left = np.array(system.residual(there, *scaled, [], numpy_ops)) * mass * length / time**2
-    np.testing.assert_allclose(left, by_hand(system, p, x, v, a, f), rtol=1e-12, atol=1e-12)
-
-
 def test_the_dimension_of_a_quantity_follows_from_its_exponents() -> None:
     system = SDOF()
     assert system.dimension(system.quantity("natural_frequency")) == Dimension(0, 0, -1)

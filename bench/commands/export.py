@@ -1,0 +1,98 @@
+"""``python -m bench.export``: a scenario, posterior draws or a cell in the forms of other tools.
+
+``petab``: a replicate's data, equations and prior as a PEtab problem (version 1, with SBML), and the truth beside it.
+``arviz``: the posterior draws of a stored cell as InferenceData (netCDF). ``notebook``: a cell as a Jupyter notebook.
+Needs the extra ``exchange``.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from bench.commands.guard import command, read_fields, whole
+from bench.errors import InputError
+from bench.store.opening import DEFAULT_STORE
+
+USAGE = f"""usage: python -m bench.export petab [system=sdof snr=20 ...] [replicate=0] [out=petab]
+       python -m bench.export arviz <cell> [store={DEFAULT_STORE}] [archive=<folder>|none] [out=<cell>.nc]
+       python -m bench.export notebook method=<name> [snr=20 ...] [out=cell.ipynb]
+
+<cell>: an identity, or the start of one. Other fields: as for python -m bench\n\n"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the files written; exit status 2 for bad input."""
+    return command("bench.export", USAGE + str(__doc__), argv, _main)
+
+
+def _main(arguments: Sequence[str]) -> int:
+    kinds = {"petab": _petab, "arviz": _arviz, "notebook": _notebook}
+    kind = arguments[0] if arguments else ""
+    if kind not in kinds:
+        raise InputError("export", kind, f"one of {', '.join(kinds)}")
+    for path in kinds[kind](arguments[1:]):
+        print(path)
+    return 0
+
+
+def _parted(arguments: Sequence[str], own: dict[str, str]) -> tuple[dict[str, str], list[str]]:
+    """The fields of this command, and what describes a cell."""
+    mine = [argument for argument in arguments if argument.partition("=")[0] in own]
+    return read_fields(mine, own), [argument for argument in arguments if argument not in mine]
+
+
+def _petab(arguments: Sequence[str]) -> list[Path]:
+    from bench.config.experiment import expand
+    from bench.exchange.petab import petab_files
+
+    fields, described = _parted(arguments, {"replicate": "0", "out": "petab"})
+    replicate, out = whole("replicate", fields["replicate"], 0), Path(fields["out"])
+    job = expand([*described, "method=oracle"], multirun=False)[0]
+    files = petab_files(job.cell().scenario, job.config.seed, replicate)
+    return [_written(out / name, text.encode()) for name, text in files.items()]
+
+
+def _arviz(arguments: Sequence[str]) -> list[Path]:
+    from bench.commands.reproduce import find
+    from bench.exchange.inference_data import inference_data
+    from bench.store.opening import open_store
+
+    fields, names = _parted(arguments, {"store": DEFAULT_STORE, "archive": "", "out": ""})
+    if len(names) != 1 or not names[0] or set(names[0]) - set("0123456789abcdef"):
+        raise InputError("cell", " ".join(names), "give one identity, or the start of one")
+    store = open_store(fields["store"], fields["archive"])
+    stored = find(store, names[0])
+    path = Path(fields["out"] or f"{names[0]}.nc")
+    found = inference_data(stored, store.arrays(stored))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        found.to_netcdf(str(path))
+    except OSError as error:
+        raise InputError("out", path, f"cannot be written ({error.strerror}); name another file") from None
+    return [path]
+
+
+def _notebook(arguments: Sequence[str]) -> list[Path]:
+    from bench.config.experiment import sweep
+    from bench.config.overrides import read_overrides
+    from bench.exchange.notebook import notebook
+
+    fields, described = _parted(arguments, {"out": "cell.ipynb"})
+    overrides = read_overrides(described)
+    (job,) = sweep(overrides, multirun=False)
+    return [_written(Path(fields["out"]), notebook(job.cell(), overrides).encode())]
+
+
+def _written(path: Path, content: bytes) -> Path:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    except OSError as error:
+        raise InputError("out", path, f"cannot be written ({error.strerror}); name another place") from None
+    return path
+
+
+if __name__ == "__main__":
+    sys.exit(main())
