@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = ("README.md", "CONTRIBUTING.md", "docs/clusters.md")
+DOCUMENTS = ("README.md", "CONTRIBUTING.md", "docs/clusters.md", "docs/kit.md")
 
 
 def test_the_readme_shows_the_generated_table_3() -> None:

@@ -22,6 +22,7 @@ from bench.conformance.system_checks import SYSTEM_CHECKS
 from bench.conformance.target import KINDS, Subject, Target
 from bench.contract.method import Identifier
 from bench.entrants import registry
+from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import load_method, make_method, missing_package
 from bench.errors import InputError
 from bench.isolation.failure import one_line
@@ -122,15 +123,19 @@ def _free(name: str) -> str:
 
 
 def _register(subjects: Sequence[Subject], site: Path) -> None:
-    """Have the entry points of subjects found, as those of an installed package are."""
+    """Have the entry points of subjects found, as those of an installed package are; what is installed is already."""
+    points = {"method": registry.registered(), "system": registered_systems()}
+    new = []
     for subject in subjects:
-        known = registry.method_names() if subject.kind == "method" else registered_systems()
-        if subject.name in known:
+        known = points[subject.kind].get(subject.name)
+        if known is None and subject.name not in REFERENCES:
+            new.append(subject)
+        elif known is None or known.value != subject.value:
             raise InputError(subject.kind, subject.name, "the benchmark has one of that name; choose another")
     info = site / "under_check-0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: under-check\nVersion: 0\n", encoding="utf-8")
-    lines = [f"[{group}]\n" + "".join(f"{s.name} = {s.value}\n" for s in subjects if s.kind == kind)
+    lines = [f"[{group}]\n" + "".join(f"{s.name} = {s.value}\n" for s in new if s.kind == kind)
              for group, kind in KINDS.items()]  # fmt: skip
     (info / "entry_points.txt").write_text("\n".join(lines), encoding="utf-8")
     importlib.invalidate_caches()

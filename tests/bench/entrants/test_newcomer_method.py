@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from conftest import Python, StoreFactory
 
+from bench.commands.check import main
+
 README = Path(__file__).parents[3] / "README.md"
 IMPORTS = "from dataclasses import dataclass\n\nimport numpy as np\n\nimport bench\n\n\n"
 DAMPING_RATIO = 0.4 / (2 * 8**0.5)
@@ -51,6 +53,11 @@ def test_a_new_method_is_one_file(folder: Path, python: Python, new_store: Store
         ratio = row.scores["k_over_m_ratio"]
         assert ratio == pytest.approx(1.0, abs=0.06)
         assert row.scores["c_over_m_ratio"] == pytest.approx(ratio**0.5, rel=1e-5)
+
+
+def test_it_keeps_the_contract(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What a reader copies passes the checks of anybody's method."""
+    assert main([str(folder / "zero_crossings.py")]) == 0, capsys.readouterr().out
 
 
 def test_without_its_package_it_is_unknown(python: Python) -> None:
