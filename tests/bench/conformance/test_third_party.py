@@ -62,6 +62,11 @@ def test_a_good_method_passes_every_check(third_party: dict[str, ModuleType]) ->
     assert failures(third_party["dishonest"].Dishonest(way="none")) == {}
 
 
+@pytest.mark.filterwarnings("ignore:a warning with its place")
+def test_who_logs_and_warns_is_not_taken_for_one_who_looks_at_frames(third_party: dict[str, ModuleType]) -> None:
+    assert failures(third_party["sloppy"].Sloppy(fault="only_talks")) == {}
+
+
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_is_seen_by_its_check_and_has_a_remedy(fault: str, third_party: dict[str, ModuleType]) -> None:
     found = failures(third_party["sloppy"].Sloppy(fault=fault))

@@ -9,8 +9,9 @@ from stored import BOUND, scored
 
 from bench.commands.tables import main
 from bench.config.experiment import Experiment
-from bench.reporting.frame import experiment_frame, submitted_results, with_submitted
+from bench.reporting.frame import experiment_frame, stored_results, submitted_results, with_submitted
 from bench.reporting.labels import in_order, title
+from bench.reporting.page.reading import read
 from bench.scoring.summary import summarise
 from bench.store.cell import Cell
 from bench.store.store import Store
@@ -54,6 +55,15 @@ def test_a_method_that_lacks_a_scenario_does_not(store: Store) -> None:
     submitted = submitted_results(store)
     assert len(submitted) == len(cells()) - 1
     assert with_submitted(frame, submitted).results == frame.results
+
+
+def test_the_page_reads_it_with_its_mark(store: Store) -> None:
+    """Every cell is on the page, whether its method has all scenarios of a table or not."""
+    keep(store, cells()[:1])
+    (found,) = stored_results(store)
+    assert found.title == title(METHOD) + " (submitted)"
+    (panel,) = read(store).panels
+    assert [result.title for result in panel.methods] == [found.title]
 
 
 def test_it_is_called_and_ordered_as_its_method() -> None:

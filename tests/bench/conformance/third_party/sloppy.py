@@ -1,8 +1,11 @@
 """Somebody's method with a fault for each check; ``fault`` chooses one."""
 
+import logging
 import os
 import threading
 import time
+import warnings
+from collections import namedtuple
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -76,6 +79,12 @@ class Sloppy(bench.Identifier):
             return Estimate(problem.system, groups=Normal(("k_over_m", "c_over_m"), mean, np.eye(3), log=False))
         if fault == "foreign_names":
             return Estimate(problem.system, groups=Normal(("stiffness", "c_over_m"), mean, None, log=False))
+        if fault == "only_talks":  # what libraries do looks at frames, too: no fault
+            logging.getLogger("sloppy").warning("a line with the place that it was written at")
+            warnings.warn("a warning with its place", stacklevel=2)
+            namedtuple("Pair", "a b")(1, 2)
+            dataclass(type("Made", (), {"__annotations__": {"a": int}}))
+            return found
         if fault == "goes_on":
             threading.Thread(target=time.sleep, args=(20.0,), daemon=True, name="goes on").start()
         return found
