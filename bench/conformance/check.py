@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ class Refusal(Exception):
 
 @dataclass(frozen=True)
 class Check(Generic[Subject]):
-    """One thing that a method or a system must keep.
+    """One thing that a method or a system must keep: what the docstring of ``run`` says.
 
     ``run`` returns a remark, or nothing, and raises :class:`Refusal`; any other exception is one of what is checked.
     ``long``: it asks for a fit of data unlike those of most checks, for which some methods prepare anew. ``gate``:
@@ -30,11 +31,15 @@ class Check(Generic[Subject]):
     """
 
     name: str
-    about: str
-    remedy: str
     run: Callable[[Subject], str]
+    remedy: str
     long: bool = False
     gate: bool = False
+
+    @property
+    def about(self) -> str:
+        """What must hold."""
+        return str(inspect.getdoc(getattr(self.run, "func", self.run)))
 
 
 @dataclass(frozen=True)

@@ -245,44 +245,35 @@ UNITS = "state works_in = 'natural units', or scale every constant, start value 
 HARD_REMEDY = "check the data and the answer; raise bench.NoEstimate('why, and what to do') where there is none"
 
 METHOD_CHECKS: tuple[Check[Candidate], ...] = (
-    Check("card", str(card.__doc__), "give the class a card = bench.Card(...) without empty fields", card),
+    Check("card", card, "give the class a card = bench.Card(...) without empty fields"),
+    Check("imports", only_the_contract, "import the names of bench itself (bench.__all__), and no module below it"),
     Check(
-        "imports", str(only_the_contract.__doc__),
-        "import the names of bench itself (bench.__all__), and no module below it", only_the_contract,
-    ),
-    Check(
-        "answer", str(answer.__doc__),
-        "return bench.Estimate with parameters (of all names) or groups, and shapes as its docstring says", answer,
+        "answer",
+        answer,
+        "return bench.Estimate with parameters (of all names) or groups, and shapes as its docstring says",
         gate=True,
     ),
-    Check("seed", str(same_seed.__doc__), SEED, same_seed),
-    Check("state", str(keeps_nothing.__doc__), f"{STATE}; {SEED}", keeps_nothing),
-    Check("honesty", str(honest.__doc__), TRUTH, honest),
-    Check("input", str(input_untouched.__doc__), "copy what you change: the arrays are others', too", input_untouched),
-    Check("company", str(in_company.__doc__), "treat each problem of estimate_many by itself", in_company),
+    Check("seed", same_seed, SEED),
+    Check("state", keeps_nothing, f"{STATE}; {SEED}"),
+    Check("honesty", honest, TRUTH),
+    Check("input", input_untouched, "copy what you change: the arrays are others', too"),
+    Check("company", in_company, "treat each problem of estimate_many by itself"),
     *(
-        Check(
-            f"units, {name}", str(in_units.__doc__), UNITS, partial(in_units, units=units, start=start), long=not start
-        )
+        Check(f"units, {name}", partial(in_units, units=units, start=start), UNITS, long=not start)
         for name, units, start in (
             ("mm", Units(length=1e-3), True),
             ("tenths of a second", Units(time=0.1), True),
             ("both, start unknown", Units(length=1e-3, time=0.1), False),
         )
     ),
-    *(
-        Check(case, str(hard_data.__doc__), HARD_REMEDY, partial(hard_data, case=case), long="dead" not in case)
-        for case in HARD
-    ),
-    Check("pickling", str(travels.__doc__), "use classes and functions of a module, no lambdas or closures", travels),
+    *(Check(case, partial(hard_data, case=case), HARD_REMEDY, long="dead" not in case) for case in HARD),
+    Check("pickling", travels, "use classes and functions of a module, no lambdas or closures"),
+    Check("no prior", ratios_alone, "give groups (k/m, c/m) only where there is neither prior nor force", long=True),
     Check(
-        "no prior", str(ratios_alone.__doc__),
-        "without prior or force give groups (k/m, c/m) only; or set free_without_prior=False in serves", ratios_alone,
+        "known force",
+        mass_of_a_force,
+        "use problem.records[i].force, or set forced=False in serves",
         long=True,
     ),
-    Check(
-        "known force", str(mass_of_a_force.__doc__),
-        "use problem.records[i].force, or set forced=False in serves", mass_of_a_force, long=True,
-    ),
-    Check("time", str(in_time.__doc__), "join what you start before you return", in_time),
-)  # fmt: skip
+    Check("time", in_time, "join what you start before you return"),
+)

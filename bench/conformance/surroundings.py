@@ -55,6 +55,9 @@ class DecoyTruth(Truth):
                 one.note(f"read {name!r} of a truth that lay beside the problem")
         return super().__getattribute__(name)
 
+    def __reduce_ex__(self, protocol: Any) -> tuple[Any, ...]:
+        return decoy_truth, (dict(object.__getattribute__(self, "parameters")),)  # who copies a problem may
+
 
 DecoyTruth.__name__ = DecoyTruth.__qualname__ = "Truth"  # as who looks for it by name knows it
 

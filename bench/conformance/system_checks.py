@@ -257,30 +257,23 @@ def _rounded(p: Mapping[str, float]) -> str:
 
 
 SYSTEM_CHECKS: tuple[Check[Specimen], ...] = (
+    Check("declaration", declaration, "list every parameter as bench.Parameter(name, unit, kind, dimension)"),
+    Check("imports", only_systems, "import names of bench and bench.systems"),
     Check(
-        "declaration", str(declaration.__doc__),
-        "list every parameter as bench.Parameter(name, unit, kind, dimension)", declaration,
-    ),
-    Check("imports", str(only_systems.__doc__), "import names of bench and bench.systems", only_systems),
-    Check(
-        "libraries", str(every_library.__doc__),
+        "libraries",
+        every_library,
         "write the residual with plain operators, and with ops.sin, ops.tanh, ops.abs, ops.where instead of numpy's",
-        every_library, gate=True,
+        gate=True,
     ),
-    Check("input", str(untouched.__doc__), "compute from the arguments alone, and assign to none of them", untouched),
+    Check("input", untouched, "compute from the arguments alone, and assign to none of them"),
+    Check("affinity", affine_as_declared, "let the accelerations a stand in the equation as factors only"),
+    Check("parameters", every_parameter_counts, "use it in residual, or drop it"),
+    Check("dimensions", dimensions, "compare the dimensions of the parameters with the terms that they stand in"),
+    Check("motion", moves, "look at the signs; set smooth = False where it bends suddenly"),
     Check(
-        "affinity", str(affine_as_declared.__doc__),
-        "let the accelerations a stand in the equation as factors only", affine_as_declared,
+        "groups",
+        groups_are_told,
+        "declare these as groups; python -m bench.identifiability shows what a scenario tells",
     ),
-    Check("parameters", str(every_parameter_counts.__doc__), "use it in residual, or drop it", every_parameter_counts),
-    Check(
-        "dimensions", str(dimensions.__doc__),
-        "compare the dimensions of the parameters with the terms that they stand in", dimensions,
-    ),
-    Check("motion", str(moves.__doc__), "look at the signs; set smooth = False where it bends suddenly", moves),
-    Check(
-        "groups", str(groups_are_told.__doc__),
-        "declare these as groups; python -m bench.identifiability shows what a scenario tells", groups_are_told,
-    ),
-    Check("pickling", str(travels.__doc__), "a frozen dataclass of a module does, with plain fields", travels),
-)  # fmt: skip
+    Check("pickling", travels, "a frozen dataclass of a module does, with plain fields"),
+)

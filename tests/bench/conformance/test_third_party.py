@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from conftest import Python
 
 from bench import Identifier
 from bench.commands.check import main
@@ -65,6 +66,24 @@ def test_a_good_method_passes_every_check(third_party: dict[str, ModuleType]) ->
 @pytest.mark.filterwarnings("ignore:a warning with its place")
 def test_who_logs_and_warns_is_not_taken_for_one_who_looks_at_frames(third_party: dict[str, ModuleType]) -> None:
     assert failures(third_party["sloppy"].Sloppy(fault="only_talks")) == {}
+
+
+def test_who_sends_the_problem_to_another_process_is_not_taken_for_a_spy(third_party: dict[str, ModuleType]) -> None:
+    assert failures(third_party["sloppy"].Sloppy(fault="only_copies")) == {}
+
+
+def test_an_installed_package_is_known_by_its_name(tmp_path: Path, python: Python) -> None:
+    """As ``pip install`` leaves it: by the name of the distribution, of its module and of the method alike."""
+    (tmp_path / "good.py").write_text((FOLDER / "good.py").read_text())
+    info = tmp_path / "somebodys_methods-2.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: Somebodys_Methods\nVersion: 2.0\n")
+    (info / "entry_points.txt").write_text("[bench.methods]\nother_name = good:Good\n")
+    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    for name in ("somebodys-methods", "good", "other_name"):
+        done = python("-m", "bench.check", name, env={"PYTHONPATH": path})
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert done.stdout.startswith("method other_name (good:Good)\n")
 
 
 @pytest.mark.parametrize("fault", FAULTS)

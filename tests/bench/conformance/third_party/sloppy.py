@@ -1,7 +1,9 @@
 """Somebody's method with a fault for each check; ``fault`` chooses one."""
 
+import copy
 import logging
 import os
+import pickle
 import threading
 import time
 import warnings
@@ -46,7 +48,12 @@ class Sloppy(bench.Identifier):
                 raise IndexError("index 5 is out of bounds")
             if self.fault == "says_nothing":
                 raise bench.NoEstimate("failed")
-        return Good().estimate(problem, rng)
+        return Good().estimate(self.copied(problem) if self.fault == "only_copies" else problem, rng)
+
+    @staticmethod
+    def copied(problem: Problem) -> Problem:
+        """The problem by way of a copy and a pickle, as who fits in other processes sends it."""
+        return pickle.loads(pickle.dumps(copy.deepcopy(problem)))  # type: ignore[no-any-return]
 
     def faulty(self, problem: Problem, found: Estimate) -> Estimate:
         """An answer with the fault in it."""
