@@ -80,18 +80,20 @@ def _lines(found: Any) -> list[str]:
     return [*lines, *(f"{'':10}| {line}" for line in found.traceback.strip().splitlines()[-LOG_LINES:])]
 
 
-def _settings(arguments: Sequence[str]) -> dict[str, Any]:
+def _settings(arguments: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Settings of methods and options of systems, by ``method`` and ``system``."""
     import yaml
 
-    found = {}
+    found: dict[str, dict[str, Any]] = {}
     for argument in arguments:
-        key, equals, value = argument.partition("=")
-        if not equals or not value:
-            raise InputError("argument", argument, "write method.<setting>=<value>")
+        path, equals, value = argument.partition("=")
+        kind, _, name = path.partition(".")
+        if not equals or not value or not name:
+            raise InputError("argument", argument, f"write {kind}.<name>=<value>")
         try:
-            found[key.partition(".")[2]] = yaml.safe_load(value)
+            found.setdefault(kind, {})[name] = yaml.safe_load(value)
         except yaml.YAMLError:
-            raise InputError(key, value, "a number, a word or a list") from None
+            raise InputError(path, value, "a number, a word or a list") from None
     return found
 
 

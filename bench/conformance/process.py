@@ -145,9 +145,10 @@ def _register(subjects: Sequence[Subject], site: Path) -> None:
 
 
 def _made(subject: Subject, target: Target) -> Candidate | Specimen:
+    settings = dict(target.settings.get(subject.kind, {}))
     if subject.kind == "system":
-        return Specimen(subject.name, target.settings, make_system(subject.name, target.settings))
+        return Specimen(subject.name, settings, make_system(subject.name, settings))
     missing = missing_package(subject.name)
     if missing:
         raise InputError("package", target.text, missing)
-    return Candidate(make_method(subject.name, dict(target.settings)))
+    return Candidate(make_method(subject.name, settings))

@@ -38,7 +38,8 @@ class Subject:
 class Target:
     """What a command line names: subjects, or a ``module`` in which they are to be looked for.
 
-    ``paths`` must be importable from. ``installed``: whether its entry points are known already.
+    ``paths`` must be importable from. ``installed``: whether its entry points are known already. ``settings``: those
+    of its methods, and the options of its systems, by kind.
     """
 
     text: str
@@ -46,10 +47,10 @@ class Target:
     module: str = ""
     paths: tuple[str, ...] = ()
     installed: bool = False
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
-def read_target(text: str, settings: Mapping[str, Any] | None = None) -> Target:
+def read_target(text: str, settings: Mapping[str, Mapping[str, Any]] | None = None) -> Target:
     """Find what a text names; raises InputError where it names nothing."""
     path, own = Path(text), dict(settings or {})
     if path.suffix == ".py" or path.is_dir():
@@ -72,7 +73,7 @@ def read_target(text: str, settings: Mapping[str, Any] | None = None) -> Target:
     raise InputError("package", text, WANTED)
 
 
-def _project(folder: Path, settings: Mapping[str, Any]) -> Target:
+def _project(folder: Path, settings: Mapping[str, Mapping[str, Any]]) -> Target:
     path = folder / "pyproject.toml"
     try:
         project = tomllib.loads(path.read_text(encoding="utf-8")).get("project", {})

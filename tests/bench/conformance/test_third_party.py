@@ -117,6 +117,11 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list
     return status, [json.loads(line) for line in capsys.readouterr().out.splitlines()]
 
 
+def test_a_system_is_checked_with_its_options(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["chain", "system.n=3"]) == 0
+    assert "9 parameters, 3 DOF" in capsys.readouterr().out
+
+
 def test_the_command_passes_a_good_file(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(FOLDER / "good.py")]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -165,6 +170,8 @@ def test_the_command_catches_a_dishonest_one(capsys: pytest.CaptureFixture[str])
         ([str(FOLDER / "good.py"), "timeout_s=never"], "timeout_s=never: a number of seconds"),
         ([str(FOLDER / "good.py"), "method.width=3"], "method.width=3: settings of good: none"),
         ([str(FOLDER / "good.py"), "format=xml"], "format=xml: table or json"),
+        ([str(FOLDER / "good.py"), "method.=3"], "argument=method.=3: write method.<name>"),
+        (["chain", "system.n=0"], "one mass"),
         (["json"], "no class in it subclasses"),
     ],
 )

@@ -1,0 +1,45 @@
+"""The whole way of somebody's method: written from the template, run, submitted, and merged by somebody else."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tomllib
+from pathlib import Path
+
+from conftest import Python, StoreFactory
+
+from bench.commands.new import main
+from bench.store.store import Store
+
+
+def test_a_method_from_the_template_is_run_submitted_and_merged(
+    tmp_path: Path, python: Python, new_store: StoreFactory
+) -> None:
+    folder, theirs, ours = tmp_path / "own", new_store(), Store(tmp_path / "ours")
+    assert main(["method", "quarter_car", f"out={folder}"]) == 0
+    project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    info = folder / "quarter_car-0.1.0.dist-info"  # what pip leaves of it
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
+    ((group, points),) = project["entry-points"].items()
+    (info / "entry_points.txt").write_text(f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in points.items()))
+    ours.prepare()
+    shutil.copytree(theirs.bounds, ours.bounds)
+    env = {"PYTHONPATH": os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])}
+    sent = tmp_path / "sent.submission"
+    for arguments in (
+        ["bench", "method=quarter_car", "replicates=6", "workers=1", f"store={theirs.folder}"],
+        ["bench.submit", "method=quarter_car", f"store={theirs.folder}", f"out={sent}"],
+        ["bench.merge", str(sent), f"store={ours.folder}", "workers=1"],
+    ):
+        done = python("-m", *arguments, env=env)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert "5 of 6 rows computed again, and all come out the same" in done.stdout
+    (before,), (after,) = theirs, ours
+    assert after.cell == {**before.cell, "label": "quarter_car (submitted)"}
+    assert [(row.status, row.scores) for row in after.rows] == [(row.status, row.scores) for row in before.rows]
+    assert after.n_ok == 6
+    refused = python("-m", "bench.merge", str(sent), f"store={ours.folder}")  # where the method is not installed
+    assert refused.returncode == 2
+    assert "method=quarter_car: known methods" in refused.stderr
