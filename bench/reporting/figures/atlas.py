@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,8 @@ LEVELS = (0.1, 1.0, 10.0, 100.0)
 SHADES = "Greys"
 LINE = "#AA3377"
 AMBIGUOUS = "#88CCEE"
+SHORT = 20.0
+"""Of a logarithmic axis, highest over lowest, below which powers of two are marked instead of powers of ten."""
 
 
 def draw_atlas(slices: Sequence[tuple[Slice, pd.DataFrame]], out: Path) -> list[Path]:
@@ -95,7 +98,12 @@ def one_colour(name: str) -> Any:
 
 def set_scales(axis: Any, across: Axis, up: Axis) -> None:
     """Scales and labels of the two axes of a slice."""
-    for own, scale, label in ((across, axis.set_xscale, axis.set_xlabel), (up, axis.set_yscale, axis.set_ylabel)):
+    sides = (across, axis.xaxis, axis.set_xscale, axis.set_xlabel), (up, axis.yaxis, axis.set_yscale, axis.set_ylabel)
+    for own, side, scale, label in sides:
         if own.spacing == "logarithmic":
             scale("log")
+            if own.high < SHORT * own.low:
+                ticks = own.low * 2.0 ** np.arange(math.floor(math.log2(own.high / own.low)) + 1)
+                side.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
+                side.set_ticks([], minor=True)
         label(LABELS[own.name])
