@@ -26,7 +26,7 @@ from typing import Any, ClassVar
 import psutil
 
 from bench.errors import InputError
-from bench.isolation.descendants import adopt, descendants_of, end_descendants, end_orphans
+from bench.isolation.descendants import adopt, descendants_of, end_descendants, end_orphans, end_own_descendants
 from bench.isolation.descriptors import raise_limit
 from bench.isolation.mainless import without_main
 
@@ -334,7 +334,7 @@ def serve_child(
 
 def _end_all() -> None:
     """End this process with all that it started; no library's clean-up can hang."""
-    end_descendants(os.getpid())
+    end_own_descendants()
     os.killpg(0, signal.SIGKILL)
 
 
