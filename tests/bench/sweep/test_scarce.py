@@ -39,13 +39,6 @@ def test_workers_are_as_many_as_descriptors_suffice_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_eleven_workers_share_128_descriptors(tmp_path: Path) -> None:
-    done = swept(tmp_path, 128, "method=prior", "seed=range(0,40)", "replicates=2", "workers=11")
-    assert done.returncode == 0, done.stderr
-    assert len(Store(tmp_path / "rows").identities()) == 40
-
-
-@pytest.mark.slow
 def test_a_slow_disk_makes_a_sweep_slow_and_loses_nothing(tmp_path: Path) -> None:
     """Cells are fitted ten times as fast as they are stored: their claims would fill the table of descriptors."""
     done = swept(
