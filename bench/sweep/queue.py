@@ -44,7 +44,7 @@ class Waiting:
     holder: str
 
     def __str__(self) -> str:
-        return f"{self.cells} cells wait for another run on this store: {self.holder}"
+        return f"waiting for another run on this store (cells left: {self.cells}): {self.holder}"
 
 
 @dataclass

@@ -144,7 +144,10 @@ def test_a_run_that_waits_for_another_says_once_for_whom(
         waiting = pool.submit(cells.take, None)
         said = cells.events.get(timeout=60)
         assert isinstance(said, Waiting)
-        assert str(said) == f"2 cells wait for another run on this store: {other.holder(planned[0].cell.identity)}"
+        assert (
+            str(said)
+            == f"waiting for another run on this store (cells left: 2): {other.holder(planned[0].cell.identity)}"
+        )
         assert str(os.getpid()) in said.holder
         time.sleep(0.3)
         assert cells.events.empty()
