@@ -100,8 +100,12 @@ def any_bound(monkeypatch: pytest.MonkeyPatch) -> None:
         for one in wanted:
             (folder / f"{bound_identity(one)}.bound").write_text(json.dumps(asdict(empty)))
 
-    for module in (runner, benchmark):
-        monkeypatch.setattr(module, "load_bounds", write)
+    def make(wanted: Any, store: Store, *_: Any) -> dict[str, str]:
+        write(wanted, store.bounds)
+        return {}
+
+    monkeypatch.setattr(benchmark, "load_bounds", write)
+    monkeypatch.setattr(runner, "make_bounds", make)
 
 
 Python = Callable[..., "subprocess.CompletedProcess[str]"]

@@ -43,6 +43,13 @@ class Unpicklable:
         raise TypeError("this stays here")
 
 
+class Unspeakable(Exception):
+    """Cannot even say what it is."""
+
+    def __str__(self) -> str:
+        raise RuntimeError("no words")
+
+
 def explode() -> None:
     """What unpickling a :class:`Trap` calls."""
     raise RuntimeError("unpickled")
@@ -84,9 +91,46 @@ class Scalar:
         return np.zeros(3)
 
 
+def daemonise(pid_file: str) -> None:
+    """Leave a process behind that is in a session of its own, and whose parent has ended."""
+    if os.fork() == 0:
+        os.setsid()
+        if os.fork() == 0:
+            pathlib.Path(pid_file).write_text(str(os.getpid()))
+            time.sleep(600)
+        os._exit(0)
+    while not pathlib.Path(pid_file).exists():
+        time.sleep(0.01)
+
+
 def misbehave(kind: str, problem: Problem) -> Any:
     """Go wrong as ``kind`` says, or answer."""
     good = answer(problem)
+    kind, _, argument = kind.partition(":")
+    if kind == "raise_surrogate":
+        raise FileNotFoundError("no file r\udcffcord.csv")
+    if kind == "raise_long":
+        raise ValueError("x" * 10 ** int(argument))
+    if kind == "message":
+        return answer(problem, message="r\udcffcord " + "x" * 2**16)
+    if kind == "trace_name":
+        return replace(good, traces={"r\udcffcord\0" + "x" * 2**16: np.ones(3)})
+    if kind == "trace":
+        return replace(good, traces={"loss": np.ones(10 ** int(argument))})
+    if kind == "unspeakable":
+        raise Unspeakable
+    if kind == "chatter":
+        for _ in range(10 ** int(argument) // 10**6):
+            print("x" * 10**6)
+    if kind == "daemon":
+        daemonise(argument)
+    if kind == "daemon_alone":
+        daemonise(argument)
+        os._exit(0)
+    if kind == "stop_server":
+        os.kill(os.getppid(), signal.SIGSTOP)
+    if kind == "kill_server":
+        os.kill(os.getppid(), signal.SIGKILL)
     if kind == "raise":
         raise ValueError("two lines\nof reasons")
     if kind == "exit":

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from bench.commands.guard import read_fields, whole
 from bench.config.atlas import SAMPLED, TESTS, atlas_methods, atlas_slices, atlas_tasks, part_names
 from bench.errors import InputError
+from bench.isolation.cores import usable_cores
 
 if TYPE_CHECKING:
     from bench.atlas.run import Blocks, Task
@@ -63,7 +64,7 @@ def made_atlas(arguments: Sequence[str]) -> int:
     parts = [part.strip() for part in fields["part"].split(",") if part.strip()] or part_names(test)
     methods = [name.strip() for name in fields["method"].split(",") if name.strip()]
     most = whole("points", fields["points"]) if fields["points"] else None
-    workers = whole("workers", fields["workers"]) if fields["workers"] else os.cpu_count() or 1
+    workers = whole("workers", fields["workers"]) if fields["workers"] else usable_cores()
     if fields["engine"] not in ENGINES:
         raise InputError("engine", fields["engine"], f"one of {', '.join(ENGINES)}")
     number, shards = _shard(fields["shard"])

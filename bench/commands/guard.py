@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from bench.errors import InputError
+from bench.isolation.ending import Ended, ended_by_signals
 
 
 def command(
@@ -32,13 +34,15 @@ def command(
 def guarded(name: str, body: Callable[[], int], interrupted: str = "interrupted") -> int:
     """Run a command; its exit status, which is 2 for bad input, 130 for Ctrl-C, 141 where its reader has gone.
 
-    Each of these is one line on the error stream, the last none; letters that the output cannot hold become ``?``.
+    SIGTERM and SIGHUP give 143 and 129. Each of these is one line on the error stream, a reader that has gone none;
+    letters that the output cannot hold become ``?``.
     """
     for stream in (sys.stdout, sys.stderr):
         if getattr(stream, "errors", None) == "strict" and hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
     try:
-        status = body()
+        with ended_by_signals():
+            status = body()
         sys.stdout.flush()  # here, where a reader that has gone is no traceback
         return status
     except InputError as error:
@@ -47,6 +51,10 @@ def guarded(name: str, body: Callable[[], int], interrupted: str = "interrupted"
     except KeyboardInterrupt:
         print(f"\n{name}: {interrupted}", file=sys.stderr)
         return 130
+    except Ended as ended:
+        with contextlib.suppress(OSError):  # the terminal may be gone
+            print(f"{name}: {interrupted}", file=sys.stderr)
+        return ended.status
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141

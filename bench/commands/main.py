@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Sequence
 from typing import Any
 
 from bench.errors import InputError
+from bench.isolation.cores import usable_cores
 
 USAGE = """usage: python -m bench method=<name> [field=value ...]        one cell
        python -m bench -m method=a,b snr=40,20 [...]        a sweep of all of these
@@ -156,7 +156,7 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
     if config.dry_run:
         store = open_store(config.store, config.archive)
         planned = plan(cells, store, read_retry(config.retry))
-        print(listing(planned, store, config.workers or os.cpu_count() or 1))
+        print(listing(planned, store, config.workers or usable_cores()))
         return 0
 
     def say(planned: Any) -> None:

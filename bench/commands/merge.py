@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 import secrets
 import sys
 import tempfile
@@ -28,6 +27,7 @@ from bench.commands.guard import command, read_fields, whole
 from bench.commands.recheck import SAME, Check, difference, miss_probability, summarised
 from bench.contract.estimate import Status
 from bench.errors import InputError
+from bench.isolation.cores import usable_cores
 from bench.scoring.path import of_clock
 from bench.scoring.row import Row
 from bench.store.bounds import load_bounds
@@ -49,7 +49,7 @@ fields (defaults in brackets):
   verify         [0.1] which part of a submission's rows is computed again
   seed           [drawn] which rows these are
   workers        [one a core] processes that fit\n\n"""
-DEFAULTS = {"store": DEFAULT_STORE, "verify": "0.1", "seed": "", "workers": str(os.cpu_count() or 1)}
+DEFAULTS = {"store": DEFAULT_STORE, "verify": "0.1", "seed": "", "workers": str(usable_cores())}
 LEAST_SHARE, LEAST_ROWS = 0.1, 5
 OF_MACHINE = (Status.TIMEOUT, Status.KILLED, Status.OOM)
 """What becomes of a fit on a slower or smaller machine: rows that are not compared."""

@@ -7,7 +7,6 @@ the scenarios of the track; what is made of it is written to ``out``, which is t
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 from bench.commands.guard import read_fields, whole
 from bench.config.online import VARYING, listed_names, online_scenario, online_track, own_scenarios, scenario_names
 from bench.errors import InputError
+from bench.isolation.cores import usable_cores
 
 if TYPE_CHECKING:
     from bench.online.follow import Followed
@@ -75,7 +75,7 @@ def followed_online(arguments: Sequence[str]) -> int:
     if fields["dry_run"] == "true":
         return 0
     if left and fields["fit"] == "true":
-        _run(every, paths, left, whole("workers", fields["workers"]) if fields["workers"] else os.cpu_count() or 1)
+        _run(every, paths, left, whole("workers", fields["workers"]) if fields["workers"] else usable_cores())
     _write(every, refused, paths, Path(fields["out"] or ("outputs/online_own" if fields["system"] else "results")))
     return 0
 

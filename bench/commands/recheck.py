@@ -18,12 +18,11 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import re
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -35,10 +34,12 @@ from bench.config.experiment import Experiment
 from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.information.fisher import Bound
+from bench.isolation.cores import usable_cores
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.bounds import load_bounds
 from bench.store.cell import Cell, stored_as_cell
+from bench.store.locks import Claims
 from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.provenance import provenance
 from bench.store.store import Store
@@ -64,11 +65,15 @@ HIT_ONE_IN = 20
 
 @dataclass(frozen=True)
 class Check:
-    """A stored cell to be checked, as this version describes it, and the replicates that are compared."""
+    """A stored cell to be checked, as this version describes it, and the replicates that are compared.
+
+    ``stamp`` says when its file was written: what another run has stored since then is not written over.
+    """
 
     stored: StoredCell
     cell: Cell
     replicates: tuple[int, ...]
+    stamp: int = 0
 
     @property
     def miss(self) -> float:
@@ -99,7 +104,7 @@ def miss_probability(n: int, compared: int) -> float:
 def checks(store: Store, wanted: Callable[[StoredCell], bool] = lambda stored: True) -> list[Check]:
     """The cells to be checked: stale, or vouched for on too few replicates; none of whose replicates failed."""
     found = []
-    for stored in store:
+    for stored, stamp in _stamped(store):
         failed = any(row.status in FAILURES or row.status is Status.MISSING_DEPENDENCY for row in stored.rows)
         if failed or not wanted(stored):
             continue
@@ -108,8 +113,16 @@ def checks(store: Store, wanted: Callable[[StoredCell], bool] = lambda stored: T
         except InputError:
             continue  # its configuration means something else now
         if cell.version.digest != stored.version.get("digest") or _vouched_on_few(stored):
-            found.append(Check(stored, cell, draw(cell.identity, cell.replicates)))
+            found.append(Check(stored, cell, draw(cell.identity, cell.replicates), stamp))
     return found
+
+
+def _stamped(store: Store) -> Iterator[tuple[StoredCell, int]]:
+    """Every stored cell, and when its file was written at the latest (ns)."""
+    for identity in store.identities():
+        stamp = store.stamp(identity)
+        if (stored := store.load(identity)) is not None:
+            yield stored, stamp
 
 
 def _notes(stored: StoredCell) -> list[dict[str, Any]]:
@@ -186,7 +199,7 @@ def _main(arguments: Sequence[str]) -> int:
     store, wanted = open_store(fields["store"], fields["archive"]), _filter(fields)
     if not store.there():
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
-    renewed = summarise_anew([stored for stored in store if wanted(stored)], store)
+    renewed = summarise_anew([(stored, stamp) for stored, stamp in _stamped(store) if wanted(stored)], store)
     found = checks(store, wanted)
     if renewed:
         print(f"{renewed} cells: rows as they were, summaries and bounds made anew")
@@ -198,20 +211,31 @@ def _main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def summarise_anew(found: Sequence[StoredCell], store: Store) -> int:
-    """Store the cells whose rows are those of the present code with a summary and bound of it; returns how many."""
-    pairs = []
-    for stored in found:
+def summarise_anew(found: Sequence[tuple[StoredCell, int]], store: Store) -> int:
+    """Store the cells whose rows are those of the present code with a summary and bound of it; returns how many.
+
+    Each is given with when its file was written. One that another run is at, or has stored since, is left to that.
+    """
+    wanted = []
+    for stored, stamp in found:
         with contextlib.suppress(InputError):  # its configuration means something else now
             cell, digest = stored_as_cell(stored), str(stored.version.get("digest"))
             if cell.version.digest != digest and cell.version.of_rows == rows_digest(digest):
-                pairs.append((stored, cell))
-    if pairs:
+                wanted.append((stored, stamp, cell))
+    if wanted:
         store.prepare()
-    bounds = load_bounds([cell for _, cell in pairs], store.bounds)
-    for (stored, cell), bound in zip(pairs, bounds, strict=True):
-        store.restate(summarised(stored, cell, bound))
-    return len(pairs)
+    bounds = load_bounds([cell for _, _, cell in wanted], store.bounds)
+    claims, done = Claims(store.claims), 0
+    try:
+        for (stored, stamp, cell), bound in zip(wanted, bounds, strict=True):
+            if claims.take(cell.identity):
+                if store.stamp(cell.identity) == stamp:
+                    store.restate(summarised(stored, cell, bound))
+                    done += 1
+                claims.release(cell.identity)
+    finally:
+        claims.release_all()
+    return done
 
 
 def _filter(fields: Mapping[str, str]) -> Callable[[StoredCell], bool]:
@@ -232,7 +256,7 @@ def _limits(found: Sequence[Check]) -> Limits:
         name: max([getattr(Limits(), name), *(one[name] for one in given if name in one)])
         for name in ("timeout_s", "memory_mb")
     }
-    return Limits(os.cpu_count() or 1, **widest, preload=preloaded())
+    return Limits(usable_cores(), **widest, preload=preloaded())
 
 
 def run(found: Sequence[Check], store: Store, limits: Limits) -> dict[str, bool]:
@@ -246,6 +270,8 @@ def run(found: Sequence[Check], store: Store, limits: Limits) -> dict[str, bool]
 
     def on_rows(cell: Cell, rows: Sequence[Row]) -> None:
         check = by_identity[cell.identity]
+        if store.stamp(cell.identity) != check.stamp:
+            return  # by another run, whose rows are newer; from here to the end the cell is claimed
         largest = difference(check, rows)
         confirmed[cell.identity] = largest < SAME
         if confirmed[cell.identity]:

@@ -8,7 +8,6 @@ packages and the machine since. ``<cell>`` is an identity, or the start of one; 
 from __future__ import annotations
 
 import math
-import os
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -18,6 +17,7 @@ from statistics import median
 
 from bench.commands.guard import command, read_fields
 from bench.errors import InputError
+from bench.isolation.cores import usable_cores
 from bench.scoring.row import Row
 from bench.store.cell import stored_as_cell
 from bench.store.opening import DEFAULT_STORE, open_store
@@ -122,7 +122,7 @@ def run_again(stored: StoredCell) -> StoredCell:
     with tempfile.TemporaryDirectory() as folder:
         fresh = Store(Path(folder) / "rows")
         fresh.prepare()
-        complete([cell], fresh, Limits(os.cpu_count() or 1, limits.get("timeout_s", 600.0)))
+        complete([cell], fresh, Limits(usable_cores(), limits.get("timeout_s", 600.0)))
         again = fresh.load(cell.identity)
     assert again is not None
     return again

@@ -6,12 +6,12 @@ that the store lacks are run first; the page is ``results/reproduction.md``.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bench.commands.guard import command, read_fields
+from bench.isolation.cores import usable_cores
 from bench.reporting.frame import Result
 from bench.reporting.reproduction import Place, all_cells, ratio_verdicts, verdicts
 from bench.reporting.reproduction_page import files
@@ -45,7 +45,7 @@ def _main(arguments: Sequence[str]) -> int:
 def _results(cells: Mapping[str, Mapping[Place, Cell]], store: Store) -> dict[str, dict[Place, Result]]:
     """The results of all cells; what is missing is run first, with a progress bar."""
     wanted = {cell.identity: cell for own in cells.values() for cell in own.values()}
-    complete(list(wanted.values()), store, Limits(os.cpu_count() or 1))
+    complete(list(wanted.values()), store, Limits(usable_cores()))
     results = {identity: Result.of_cell(cell, store.load(identity)) for identity, cell in wanted.items()}
     return {name: {place: results[cell.identity] for place, cell in own.items()} for name, own in cells.items()}
 

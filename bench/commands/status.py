@@ -7,7 +7,6 @@ far that sweep is, and with ``watch=true`` follows it until it is done.
 from __future__ import annotations
 
 import math
-import os
 import sys
 from collections.abc import Sequence
 
@@ -19,6 +18,7 @@ from bench.commands.watch import Progress, follow
 from bench.contract.estimate import Status
 from bench.entrants.registry import method_names
 from bench.errors import InputError
+from bench.isolation.cores import usable_cores
 from bench.reporting.plan_table import listing
 from bench.reporting.terminal import table, wrapped
 from bench.store import index as view
@@ -145,7 +145,7 @@ def _main(arguments: Sequence[str]) -> int:
     elif seconds:
         follow(Progress(sweep[0], store, sweep[1]), seconds)
     else:
-        print(listing(plan(sweep[0], store, sweep[1]), store, os.cpu_count() or 1))
+        print(listing(plan(sweep[0], store, sweep[1]), store, usable_cores()))
     return 0
 
 

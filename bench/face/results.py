@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from bench.config.experiment import Experiment, sweep
 from bench.config.overrides import overrides_of
 from bench.config.schema import Config
 from bench.errors import InputError
+from bench.isolation.cores import usable_cores
 from bench.store.cell import Cell
 from bench.store.opening import open_store
 from bench.store.store import Store
@@ -220,7 +220,7 @@ def compute(
     store.prepare()
     if how.local and not all(store.holds(cell.identity) for cell in cells):
         warm_up({cell.method for cell in cells})
-    limits = Limits(config.workers or os.cpu_count() or 1, config.timeout_s, config.memory_mb)
+    limits = Limits(config.workers or usable_cores(), config.timeout_s, config.memory_mb)
     planned = plan(cells, store, retry)
     if say is not None:
         say(planned)

@@ -1,15 +1,43 @@
-"""How a failure is told: an exception in one line, and a traceback that says nothing of the machine it was on."""
+"""How a failure is told: an exception in one line, and a traceback that says nothing of the machine it was on.
+
+What a method says is foreign text: of any length, and with characters that no file or terminal takes.
+"""
 
 from __future__ import annotations
 
 import re
+import traceback
 
 LONGEST = 300
+LONGEST_TRACEBACK = 8000
+UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
+"""Control characters and lone surrogates: the latter stand for bytes that are no UTF-8, and cannot be encoded."""
 
 
 def one_line(error: BaseException) -> str:
     """An exception's type and message in one line, cut where it is too long for a table."""
-    return " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST]
+    try:
+        text = str(error)
+    except Exception:  # of a class that somebody else wrote
+        text = "(its message cannot be read)"
+    return printable(" ".join(f"{type(error).__name__}: {text[: 10 * LONGEST]}".split()), LONGEST)
+
+
+def printable(text: str, longest: int) -> str:
+    """The beginning of a text, with a backslash escape for each character that cannot be encoded or printed."""
+    return UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text[:longest])[:longest]
+
+
+def traceback_text() -> str:
+    """The traceback of the exception that is being handled, without the middle where it is too long."""
+    try:
+        text = traceback.format_exc()
+    except Exception:  # it asks the exception for its message
+        text = "the traceback cannot be read"
+    if len(text) > LONGEST_TRACEBACK:
+        half = LONGEST_TRACEBACK // 2
+        text = f"{text[:half]}\n[...]\n{text[-half:]}"
+    return UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
 
 
 def without_places(text: str) -> str:

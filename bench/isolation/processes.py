@@ -1,7 +1,8 @@
 """Child processes that may die, hang or grow: started from a server that has the heavy imports, ended by a kill.
 
 Every child is the head of a process group of its own, writes whatever it prints to a file, and ends with the process
-that started it, even when that one is killed.
+that started it, even when that one is killed. What it started ends with it. A server that a child has stopped is
+continued, and one that a child has killed is started again.
 """
 
 from __future__ import annotations
@@ -18,12 +19,15 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from multiprocessing import forkserver
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import psutil
 
+from bench.errors import InputError
+from bench.isolation.descendants import adopt, descendants_of, end_descendants, end_orphans, end_own_descendants
+from bench.isolation.descriptors import raise_limit
 from bench.isolation.mainless import without_main
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
@@ -31,14 +35,23 @@ NEEDED = (
     "bench.isolation.processes",
     "bench.sweep.method_process",
     "bench.sweep.scoring_process",
+    "bench.sweep.bounds_process",
     "scipy.integrate",  # makes the truth of a nonlinear system
     "scipy.interpolate",  # which most methods use: each of their processes would import it anew
 )
 """Modules that children import from their server."""
 LOG_TAIL = 8000
 """How much of what a child printed is kept (characters)."""
+LONGEST_LOG = 1 << 20
+"""A log that is longer is emptied before the child is asked again (bytes)."""
+LONGEST_MESSAGE = 512 << 20
+"""A message that is longer is not read (bytes): the run's own memory is at stake."""
 READY_S = 300.0
 """How long a child may take to start."""
+STARTS, PAUSE_S = 6, 0.2
+"""How often a start is tried, and the pause between (s): a server that is killed takes a moment to be gone."""
+WATCH_S = 1.0
+"""How often it is made sure that the server goes on."""
 
 
 def single_threaded() -> None:
@@ -75,13 +88,22 @@ def start_server(preload: Sequence[str] = ()) -> None:
 
 def _context(preload: Sequence[str]) -> Any:
     single_threaded()
+    raise_limit()
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.frozen"])
     return context
 
 
 class Children:
-    """Starts children; one a run, since it owns their server, the folder of their logs, and their lifeline."""
+    """Starts children; one a run, since it owns the folder of their logs, and their lifeline.
+
+    The server is shared by all that this process has, and so is the list of its children.
+    """
+
+    _starting = threading.Lock()
+    """Held while a child is started, or one that is not known is looked for."""
+    _known: ClassVar[set[int]] = set()
+    """The children of the server that this process has started and not ended."""
 
     def __init__(self, preload: Sequence[str] = ()) -> None:
         self.context = _context(preload)
@@ -90,31 +112,76 @@ class Children:
         self.numbers = itertools.count()
         self._all: set[Child] = set()
         self._lock = threading.Lock()
-        self.closed = False
+        self._closed = threading.Event()
+        threading.Thread(target=self._watch, daemon=True).start()
 
     def start(self, serve: Callable[..., None], *arguments: Any) -> Child:
-        """A child that runs ``serve(connection, *arguments)``."""
-        with self._lock:
-            if self.closed:
-                raise Died("killed", "the run is over", "")
-            with without_main():
-                child = Child(self, serve, arguments)
-            self._all.add(child)
-        return child
+        """A child that runs ``serve(connection, *arguments)``; raises InputError where the system gives no more."""
+        lacking: Exception | None = None
+        for attempt in range(STARTS):
+            self._closed.wait(PAUSE_S * min(attempt, 1))
+            with self._starting:
+                if self._closed.is_set():
+                    raise Died("killed", "the run is over", "")
+                try:
+                    with without_main():
+                        child = Child(self, serve, arguments)
+                except (OSError, EOFError) as error:  # the server is gone, or there is no descriptor left
+                    lacking = error
+                    continue
+                self._known.add(child.pid)
+            with self._lock:
+                self._all.add(child)
+            if self._closed.is_set():  # meanwhile: whoever closes may not have seen it
+                child.kill()
+            return child
+        why = getattr(lacking, "strerror", None) or type(lacking).__name__
+        raise InputError("workers", len(self._all), f"no further process can be started ({why}); ask for fewer")
 
     def forget(self, child: Child) -> None:
+        """Note that a child ends, or has ended."""
         with self._lock:
             self._all.discard(child)
+        self._known.discard(child.pid)
+
+    def end_orphans(self) -> None:
+        """End what children have left to the server."""
+        _continue(_server())  # else a start that is under way is never over
+        with self._starting:
+            if server := _server():
+                end_orphans(server, self._known)
 
     def close(self) -> None:
         """End every child."""
+        self._closed.set()
+        _continue(_server())  # else nobody says that a child has ended
         with self._lock:
-            self.closed, children = True, list(self._all)
+            children = list(self._all)
         for child in children:
             child.kill()
+        self.end_orphans()
         for connection in (self.lifeline, self._alive):
             connection.close()
         self.folder.cleanup()
+
+    def _watch(self) -> None:
+        """Have the server go on that a child has stopped: whoever starts another waits for it."""
+        while not self._closed.wait(WATCH_S):
+            _continue(_server())
+
+
+def _server() -> int | None:
+    """The process that children are started from, where there is one; its number may be another's once it has ended."""
+    pid = getattr(forkserver._forkserver, "_forkserver_pid", None)  # multiprocessing tells nobody
+    with contextlib.suppress(psutil.Error):
+        return pid if pid is not None and psutil.Process(pid).ppid() == os.getpid() else None
+    return None
+
+
+def _continue(server: int | None) -> None:
+    if server is not None:
+        with contextlib.suppress(OSError):
+            os.kill(server, signal.SIGCONT)
 
 
 class Child:
@@ -124,16 +191,24 @@ class Child:
         self._children = children
         self.log_path = Path(children.folder.name) / f"{next(children.numbers)}.log"
         self.connection, theirs = children.context.Pipe()
-        self.process = children.context.Process(
-            target=serve_child,
-            args=(serve, theirs, children.lifeline, str(self.log_path), tuple(arguments)),
-            daemon=True,
-        )
-        self.process.start()
-        theirs.close()
+        try:
+            self.process = children.context.Process(
+                target=serve_child,
+                args=(serve, theirs, children.lifeline, str(self.log_path), tuple(arguments)),
+                daemon=True,
+            )
+            self.process.start()
+        except BaseException:
+            self.connection.close()
+            raise
+        finally:
+            theirs.close()
+        self.pid: int = self.process.pid
+        self._watched: list[Any] = [self.connection, self.process.sentinel]
 
     def send(self, message: bytes) -> None:
         """Send; a child that has died is seen at the next :meth:`receive`."""
+        self._shorten_log()
         with contextlib.suppress(OSError):
             self.connection.send_bytes(message)
 
@@ -143,10 +218,19 @@ class Child:
         while True:
             left = deadline - time.monotonic()
             try:
-                if self.connection.poll(max(0.0, min(left, 0.2))):
-                    return self.connection.recv_bytes()  # type: ignore[no-any-return]
-            except (EOFError, OSError):
+                ready = wait(self._watched, max(0.0, min(left, 0.2)))
+                if self.connection in ready:
+                    return self.connection.recv_bytes(LONGEST_MESSAGE)  # type: ignore[no-any-return]
+            except EOFError:
                 raise self._died() from None
+            except OSError:
+                if self.connection.closed:
+                    raise self._ended("crashed", f"its answer is longer than {LONGEST_MESSAGE >> 20} MB") from None
+                raise self._died() from None
+            if ready:  # it has ended, while what it left behind keeps the connection open; or the server has
+                if not self._alive():
+                    raise self._died()
+                self._watched = [self.connection]
             if left <= 0:
                 self._ask_for_stack()
                 raise self._ended("timeout", f"stopped after the limit of {limit_s:g} s")
@@ -156,19 +240,30 @@ class Child:
     def resident_mb(self) -> float:
         """Resident memory of the child and of all that it started."""
         total = 0.0
-        with contextlib.suppress(psutil.Error):
-            process = psutil.Process(self.process.pid)
-            for one in (process, *_descendants(process)):
-                with contextlib.suppress(psutil.Error):
-                    total += one.memory_info().rss / 2**20
+        for pid in (self.pid, *descendants_of(self.pid)):
+            with contextlib.suppress(psutil.Error):
+                total += psutil.Process(pid).memory_info().rss / 2**20
         return total
 
     def log(self) -> str:
         """The end of what the child printed, with the stack that it was ended in."""
         try:
-            return self.log_path.read_text(encoding="utf-8", errors="replace")[-LOG_TAIL:]
+            with self.log_path.open("rb") as file:
+                file.seek(max(0, file.seek(0, os.SEEK_END) - LOG_TAIL))
+                return file.read().decode("utf-8", errors="replace")
         except OSError:
             return ""
+
+    def _shorten_log(self) -> None:
+        """Empty a log that has become long: what matters is what is printed from now on."""
+        with contextlib.suppress(OSError):
+            if self.log_path.stat().st_size > LONGEST_LOG:
+                os.truncate(self.log_path, 0)
+
+    def _alive(self) -> bool:
+        with contextlib.suppress(psutil.Error):
+            return psutil.Process(self.pid).status() not in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
+        return False
 
     def _ask_for_stack(self) -> None:
         with contextlib.suppress(OSError, TypeError):
@@ -177,7 +272,9 @@ class Child:
 
     def _ended(self, reason: str, message: str) -> Died:
         self.kill()
-        return Died(reason, message, self.log())
+        log = self.log()
+        self.log_path.unlink(missing_ok=True)
+        return Died(reason, message, log)
 
     def _died(self) -> Died:
         self.process.join(5)
@@ -199,14 +296,15 @@ class Child:
 
     def kill(self) -> None:
         """End it and all that it started, at once."""
-        if self.process.pid is not None:
-            with contextlib.suppress(OSError):
-                os.killpg(self.process.pid, signal.SIGKILL)
+        end_descendants(self.pid)  # while it lives they are its own
+        with contextlib.suppress(OSError):
+            os.killpg(self.pid, signal.SIGKILL)
         self.process.kill()
         self.process.join(10)
         with contextlib.suppress(OSError):
             self.connection.close()
         self._children.forget(self)
+        self._children.end_orphans()
 
 
 def serve_child(
@@ -216,6 +314,7 @@ def serve_child(
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError):
         os.setsid()
+    adopt()
     file = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
     for stream in (1, 2):  # whatever a library prints must not mix with results and progress
         os.dup2(file, stream)
@@ -230,21 +329,18 @@ def serve_child(
         sys.excepthook(*sys.exc_info())
         sys.stderr.flush()
         os._exit(1)
-    # what it started goes with it, and no library's clean-up can hang
+    _end_all()
+
+
+def _end_all() -> None:
+    """End this process with all that it started; no library's clean-up can hang."""
+    end_own_descendants()
     os.killpg(0, signal.SIGKILL)
-
-
-def _descendants(process: psutil.Process) -> list[psutil.Process]:
-    """All that a process started. To find any takes a look at every process there is, so that waits until there are."""
-    with contextlib.suppress(OSError):  # where the kernel keeps no such lists
-        if not any((task / "children").read_bytes() for task in Path(f"/proc/{process.pid}/task").iterdir()):
-            return []
-    return process.children(recursive=True)  # type: ignore[no-any-return]
 
 
 def _end_with_parent(lifeline: Connection) -> None:
     with contextlib.suppress(EOFError, OSError):
         lifeline.poll(None)
     with contextlib.suppress(OSError):
-        os.killpg(0, signal.SIGKILL)
+        _end_all()
     os._exit(1)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from bench.errors import InputError
 from bench.store.store import Store
+from bench.store.stored import StoredCell
 
 FEW = 50
 """So many cells are sooner read themselves than the view of all is loaded, with the packages that read it."""
@@ -40,7 +41,10 @@ def _answer(store: Store, identity: str) -> Answer | None:
         cell = store.load(identity)
     except InputError as error:
         return Answer(str(error), "", "")
-    if cell is None:
-        return None
+    return None if cell is None else answer_of(cell)
+
+
+def answer_of(cell: StoredCell) -> Answer:
+    """What a plan asks of a stored cell."""
     statuses = Counter(status.value for status in cell.columns.statuses)
     return Answer("", cell.version.get("digest", ""), json.dumps(statuses))

@@ -62,12 +62,18 @@ def bound_identity(wanted: Bounded) -> str:
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
 
-Job = tuple[Bounded, Path]
-"""A bound, and the file that keeps it."""
+def bound_file(wanted: Bounded, folder: Path) -> Path:
+    """The file of a folder that keeps a bound."""
+    return folder / f"{bound_identity(wanted)}.bound"
 
 
-def _compute_to_file(job: Job) -> None:
-    wanted, path = job
+def keep_bound(wanted: Bounded, folder: Path) -> None:
+    """Compute a bound here and write its file; raises InputError where ``folder`` cannot be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        raise _unwritable(folder) from None
+    path = bound_file(wanted, folder)
     text = json.dumps(asdict(compute_bound(wanted.scenario, wanted.seed, wanted.replicates)))
     temporary = path.with_suffix(f".{uuid.uuid4().hex}.tmp")  # two machines can have the same process ids
     try:
@@ -81,11 +87,11 @@ def _unwritable(folder: Path) -> InputError:
     return InputError("store", folder, "the bounds cannot be written; make room, or name another folder")
 
 
-def _compute_all(jobs: Sequence[Job]) -> None:
+def _keep_all(wanted: Sequence[Bounded], folder: Path) -> None:
     """Main function of the process that computes bounds with jax."""
     try:
-        for job in jobs:
-            _compute_to_file(job)
+        for one in wanted:
+            keep_bound(one, folder)
     except InputError:
         sys.exit(UNWRITABLE)
 
@@ -96,16 +102,13 @@ def load_bounds(wanted: Sequence[Bounded], folder: Path) -> list[Bound]:
     What is missing is computed first: of linear systems here, of others in one process of its own, so that jax never
     shares a process with a fit. Raises InputError where ``folder`` cannot be written.
     """
-    paths = [folder / f"{bound_identity(one)}.bound" for one in wanted]
-    missing = {path: one for path, one in zip(paths, wanted, strict=True) if not path.exists()}
-    if missing:
-        folder.mkdir(parents=True, exist_ok=True)
-    jobs = [(one, path) for path, one in missing.items()]
-    for job in jobs:
-        if job[0].scenario.make_system().linear:
-            _compute_to_file(job)
-    if others := [job for job in jobs if not job[0].scenario.make_system().linear]:
-        process = multiprocessing.get_context("spawn").Process(target=_compute_all, args=(others,))
+    paths = [bound_file(one, folder) for one in wanted]
+    missing = {path: one for path, one in zip(paths, wanted, strict=True) if not path.exists()}.values()
+    for one in missing:
+        if one.scenario.make_system().linear:
+            keep_bound(one, folder)
+    if others := [one for one in missing if not one.scenario.make_system().linear]:
+        process = multiprocessing.get_context("spawn").Process(target=_keep_all, args=(others, folder))
         with without_main():
             process.start()
         process.join()

@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 
 from bench.errors import InputError
 from bench.store.line import LISTS, PLAIN, SCHEMA, STATISTICS, described
-from bench.store.store import Store
+from bench.store.store import Store, Unreadable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,9 +41,16 @@ def cells(store: Store, columns: Iterable[str] = tuple(PLAIN)) -> pd.DataFrame:
     changed = [name for name in there if name not in fresh]
     unsaved = []
     for i in range(0, len(changed), BATCH):
-        part = pa.Table.from_pylist([_line(store, n, there[n]) for n in changed[i : i + BATCH]], SCHEMA)
+        lines, passing = [], []
+        for name in changed[i : i + BATCH]:
+            try:
+                lines.append(_line(store, name, there[name]))
+            except Unreadable as error:
+                passing.append(_stamped(name, there[name]) | {"problem": str(error)})
+        part = pa.Table.from_pylist(lines, SCHEMA)
         if not _write(store, part):
             unsaved.append(part.select(wanted))
+        unsaved.append(pa.Table.from_pylist(passing, SCHEMA).select(wanted))
     if found.num_rows > 2 * len(fresh) + BATCH or len(_parts(store)) > MOST_PARTS:
         _compact(store, there)
     if changed:
@@ -187,10 +194,17 @@ def _compact(store: Store, there: Mapping[str, tuple[int, int]]) -> None:
             os.unlink(part)
 
 
+def _stamped(identity: str, stamp: tuple[int, int]) -> dict[str, Any]:
+    return {"identity": identity, "mtime_ns": stamp[0], "size": stamp[1], "problem": ""}
+
+
 def _line(store: Store, identity: str, stamp: tuple[int, int]) -> dict[str, Any]:
-    line: dict[str, Any] = {"identity": identity, "mtime_ns": stamp[0], "size": stamp[1], "problem": ""}
+    """What the view says of a file; raises Unreadable where it could not be read just now."""
+    line = _stamped(identity, stamp)
     try:
         cell = store.load(identity)
+    except Unreadable:
+        raise
     except InputError as error:
         return line | {"problem": str(error)}
     return line if cell is None else line | described(cell)

@@ -29,6 +29,10 @@ ABANDONED_S = 3600.0
 """Age at which a temporary file has no writer any more."""
 
 
+class Unreadable(InputError):
+    """A file that may well be whole, but could not be read just now: nothing is concluded from that."""
+
+
 class Store:
     """A folder with one ``<identity>.json`` a cell; bounds lie in a folder beside them, under another ending.
 
@@ -116,7 +120,7 @@ class Store:
         before = self._arrays_before(cell.identity)
         errors = self.errors(cell.identity)
         if tracebacks:
-            self._write(errors, tracebacks.encode())
+            self._write(errors, tracebacks.encode("utf-8", "replace"))
         self._write(self.path(cell.identity), cell_file(stored))
         if not tracebacks:
             errors.unlink(missing_ok=True)
@@ -210,5 +214,7 @@ class Store:
             return cell_from_json(content)
         except InputError:
             raise
-        except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError):
+        except OSError as error:
+            raise Unreadable("store", path, f"it cannot be read now ({error.strerror}); run again") from None
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError):
             raise InputError("store", path, "not a whole cell of this benchmark; move it away and run again") from None

@@ -130,7 +130,7 @@ def cell_file(cell: StoredCell) -> bytes:
     text = json.dumps(
         {**to_json(content), "cell": exact, "rows": _columns(cell)}, ensure_ascii=False, separators=(",", ":")
     )
-    return f"{text}\n".encode()
+    return f"{text}\n".encode("utf-8", "replace")  # a label may have been read from bytes that are no text
 
 
 def arrays_file(arrays: Mapping[str, np.ndarray]) -> bytes:

@@ -6,13 +6,13 @@ One process serves one cell, with one thread. What goes wrong in a fit of severa
 from __future__ import annotations
 
 import contextlib
+import errno
 import importlib
 import os
 import pickle
 import resource
 import sys
 import time
-import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,12 +26,16 @@ from bench.contract.method import Identifier
 from bench.contract.problem import Problem
 from bench.contract.progress import listen
 from bench.entrants.reference import REFERENCES
-from bench.isolation.failure import one_line
+from bench.isolation.failure import one_line, traceback_text
 from bench.isolation.processes import READY_S, Child, Children, Died
 from bench.scenario.truth import Truth
 from bench.sweep.wire import pack, plain
 
 CPU_MARGIN_S = 60.0
+LONGEST_ANSWER = 64 << 20
+"""Of one replicate, packed (bytes)."""
+LONGEST_FILE = 64 << 20
+"""Of whatever a fit writes, its output included (bytes)."""
 
 
 class Fit(Protocol):
@@ -89,6 +93,7 @@ def serve(connection: Connection) -> None:
         with contextlib.suppress(ImportError):
             importlib.import_module(package)
     _limit_memory(memory_mb)
+    _limit_files()
     connection.send_bytes(b"ready")
     while True:
         content = connection.recv_bytes()
@@ -171,10 +176,13 @@ def _answer(estimate: Estimate, times: np.ndarray) -> dict[str, Any]:
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            return {"answer": plain(estimate, times)}
+            answer = plain(estimate, times)
+        if (length := len(pack(answer))) > LONGEST_ANSWER:
+            raise ValueError(f"{length >> 20} MB, of which at most {LONGEST_ANSWER >> 20} are taken")
+        return {"answer": answer}
     except Exception as error:
         message = f"the estimate cannot be scored: {one_line(error)}"
-        return {"status": Status.INVALID.value, "message": message, "traceback": traceback.format_exc()}
+        return {"status": Status.INVALID.value, "message": message, "traceback": traceback_text()}
 
 
 def _failure(replicate: int) -> dict[str, Any]:
@@ -182,11 +190,11 @@ def _failure(replicate: int) -> dict[str, Any]:
     assert error is not None
     if isinstance(error, MemoryError):
         status, message = Status.OOM, "out of memory"
+    elif isinstance(error, OSError) and error.errno == errno.EFBIG:
+        status, message = Status.CRASHED, f"it printed, or wrote to a file, more than {LONGEST_FILE >> 20} MB"
     else:
         status, message = Status.CRASHED, one_line(error)
-    return {
-        "replicate": replicate, "status": status.value, "message": message, "traceback": traceback.format_exc(),
-    }  # fmt: skip
+    return {"replicate": replicate, "status": status.value, "message": message, "traceback": traceback_text()}
 
 
 def _peak_memory_mb() -> float:
@@ -200,6 +208,13 @@ def _limit_memory(memory_mb: float | None) -> None:
         return
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (int(memory_mb * 2**20) + _data_bytes(), hard))
+
+
+def _limit_files() -> None:
+    """Let a file that grows beyond the limit fail its write; Python ignores the signal that comes with it."""
+    _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if hard == resource.RLIM_INFINITY or hard > LONGEST_FILE:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (LONGEST_FILE, hard))
 
 
 def _data_bytes() -> int:

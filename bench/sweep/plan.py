@@ -10,7 +10,7 @@ from enum import StrEnum
 from bench.contract.estimate import Status
 from bench.entrants.registry import missing_package
 from bench.errors import InputError
-from bench.store.answers import Answer, answers
+from bench.store.answers import Answer, answer_of, answers
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.store.version import Version
@@ -61,8 +61,9 @@ def plan(cells: Sequence[Cell], store: Store, retry: Collection[Status] = ()) ->
 def _planned(cell: Cell, stored: Answer | None, reasons: Reasons, retry: Collection[Status]) -> Planned:
     if stored is None:
         return Planned(cell, State.MISSING, "not computed yet", True)
-    if stored.problem:
-        reasons.store.load(cell.identity)  # says it
+    if stored.problem:  # said again, unless it was one of reading that has passed
+        found = reasons.store.load(cell.identity)
+        stored = answer_of(found) if found else Answer("", "", "{}")
     state, why = reasons.standing(cell.identity, cell.method, cell.version, stored.version, stored.statuses)
     if state is State.FAILED:
         counts = {Status(name) for name in json.loads(stored.statuses)}

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 import queue
 import threading
 import time
 from collections import deque
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,19 @@ after it. A process that dies loses all of its task, and they are tried again on
 TASK_S = 0.5
 """Seconds of fitting in a task, where its replicates take so little that there are several in it."""
 WAIT_S = 0.5
+PATIENCE_S = 3.0
+"""How long a run waits for another before it says so."""
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """So many cells are left, all claimed by other runs, one of them by ``holder``."""
+
+    cells: int
+    holder: str
+
+    def __str__(self) -> str:
+        return f"waiting for another run on this store (cells left: {self.cells}): {self.holder}"
 
 
 @dataclass
@@ -48,6 +62,7 @@ class QueuedCell:
         pending: Replicates to be fitted.
         alone: Replicates to be fitted by themselves.
         facts: What tables say of the data that all replicates share.
+        bounded: Whether the store keeps a bound of it; without one nothing is fitted.
         started: Seconds since the epoch.
     """
 
@@ -64,6 +79,7 @@ class QueuedCell:
     tracebacks: dict[int, str] = field(default_factory=dict)
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
     facts: dict[str, Any] = field(default_factory=dict)
+    bounded: bool = True
     started: float = 0.0
 
     @property
@@ -93,13 +109,21 @@ class QueuedCell:
         share = -(-len(self.pending) // (2 * self.workers))
         return max(1, min(LARGEST_TASK, share, int(TASK_S / max(each, 1e-6))))
 
+    def refuse(self, message: str, log: str = "") -> None:
+        """Have every replicate say why the cell cannot be told, in the place of whatever was known of it."""
+        self.rows = [replace(row, status=Status.INVALID, message=message, scores={}) for row in self.rows]
+        self.arrays, self.facts, self.tracebacks = {}, {}, {self.rows[0].replicate: log}
+        self.bounded = False  # that may have been the reason
+
     def errors(self) -> str:
         """The tracebacks of all failed replicates, in order."""
         parts = [f"replicate {i}\n{text.rstrip()}\n" for i, text in sorted(self.tracebacks.items()) if text.strip()]
         return without_places("\n".join(parts))
 
 
-def queue_cell(planned: Planned, store: Store, workers: int, replicates: Collection[int] | None = None) -> QueuedCell:
+def queue_cell(
+    planned: Planned, store: Store, workers: int, replicates: Collection[int] | None = None, unbounded: str = ""
+) -> QueuedCell:
     """A planned cell, with what is to be fitted.
 
     Args:
@@ -107,12 +131,17 @@ def queue_cell(planned: Planned, store: Store, workers: int, replicates: Collect
         store: Where it is, or will be.
         workers: How many share the replicates.
         replicates: The numbers of those that are wanted; None: all.
+        unbounded: Why it has no bound, if it has none.
     """
     cell = planned.cell
     wanted = sorted(range(cell.replicates) if replicates is None else replicates)
     fit, requires, size = _fit(cell)
     stamp = store.stamp(cell.identity)
     queued = QueuedCell(cell, pickle.dumps(fit), requires, len(wanted), stamp, size, workers)
+    if unbounded:
+        queued.rows = [Row(i, Status.INVALID, unbounded) for i in wanted]
+        queued.bounded = False
+        return queued
     lacking = missing_package(cell.method)
     if lacking:
         queued.rows = [Row(i, Status.MISSING_DEPENDENCY, lacking) for i in wanted]
@@ -142,19 +171,24 @@ def _keep_good(queued: QueuedCell, store: Store) -> None:
 
 
 class CellQueue:
-    """The cells of a run, shared by its threads: each call is one step under a lock."""
+    """The cells of a run, shared by its threads: each call is one step under a lock.
 
-    def __init__(self, cells: Sequence[QueuedCell], store: Store) -> None:
+    No cell is begun while ``most_complete`` wait to be stored, be the store ever so slow: each holds a claim.
+    """
+
+    def __init__(self, cells: Sequence[QueuedCell], store: Store, most_complete: int = 4) -> None:
         self.store, self.claims = store, Claims(store.claims)
         self.events: queue.Queue[Any] = queue.Queue()
         self.n_replicates = sum(max(1, queued.open) for queued in cells)
         self.wanted = tuple(queued.cell for queued in cells)
         self.methods = {cell.method for cell in self.wanted}
+        self.complete: queue.Queue[QueuedCell] = queue.Queue()
+        self.most_complete = most_complete
         self._waiting = deque(cells)
         self._open: list[QueuedCell] = []
-        self._lock = threading.Lock()
+        self._changed = threading.Condition()
         self._stopped = threading.Event()
-        self.complete: queue.Queue[QueuedCell] = queue.Queue()
+        self._waited_since: float | None = None
 
     @property
     def more(self) -> bool:
@@ -167,23 +201,38 @@ class CellQueue:
 
     def stop(self) -> None:
         self._stopped.set()
+        with self._changed:
+            self._changed.notify_all()
 
     def take(self, last: QueuedCell | None) -> tuple[QueuedCell, tuple[int, ...]] | None:
         """The next task, of the same cell if it has any; None at the end.
 
         A cell of one worker is shared with others only when no cell is left that nobody works on.
         """
-        while not self._stopped.is_set():
-            with self._lock:
+        with self._changed:
+            while not self._stopped.is_set():
                 if last is not None and last.open:
                     return last, last.next_task()
-                queued = self._claimed() or max(self._open, key=lambda one: one.open, default=None)
+                room = sum(queued.complete for queued in self._open) < self.most_complete
+                queued = (self._claimed() if room else None) or max(self._open, key=lambda one: one.open, default=None)
                 if queued is not None and queued.open:
                     return queued, queued.next_task()
                 if not self._waiting:
                     return None
-            self._stopped.wait(WAIT_S)  # for cells that another run has claimed
+                if not self._open:
+                    self._tell_of_waiting()
+                self._changed.wait(WAIT_S)  # for room, or for cells that another run has claimed
         return None
+
+    def _tell_of_waiting(self) -> None:
+        """Say once, after a while, that all that is left is claimed by other runs, and by whom."""
+        now = time.monotonic()
+        if self._waited_since is None:
+            self._waited_since = now
+        elif now - self._waited_since > PATIENCE_S:
+            self._waited_since = math.inf
+            holder = self.claims.holder(self._waiting[0].cell.identity)
+            self.events.put(Waiting(len(self._waiting), holder))
 
     def _claimed(self) -> QueuedCell | None:
         """The next cell that nobody works on; one that another run has stored meanwhile is done."""
@@ -198,7 +247,7 @@ class CellQueue:
                 continue
             queued.started = time.time()
             self._open.append(queued)
-            if not queued.open:  # nothing to fit: its package is missing
+            if not queued.open:  # nothing to fit: its package or its bound is missing
                 self.complete.put(queued)
                 continue
             return queued
@@ -213,12 +262,12 @@ class CellQueue:
 
     def split(self, queued: QueuedCell, replicates: Sequence[int]) -> None:
         """Have replicates tried again one by one."""
-        with self._lock:
+        with self._changed:
             queued.alone.extend(replicates)
 
     def add(self, queued: QueuedCell, scored: Sequence[Scored]) -> None:
         """Note rows; a cell that is complete goes to be stored."""
-        with self._lock:
+        with self._changed:
             for one in scored:
                 queued.rows.append(one.row)
                 queued.arrays.update(one.arrays)
@@ -232,6 +281,7 @@ class CellQueue:
 
     def close(self, queued: QueuedCell) -> None:
         """Note that a complete cell has been dealt with."""
-        with self._lock:
+        with self._changed:
             self._open.remove(queued)
             self.claims.release(queued.cell.identity)
+            self._changed.notify_all()

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import queue
-from collections.abc import Callable, Collection, Sequence
+import sys
+from collections.abc import Callable, Collection, Iterator, Sequence
 from importlib.util import find_spec
+from typing import Any
 
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import load_method
+from bench.isolation.descriptors import affordable_workers
 from bench.isolation.processes import Children
 from bench.scoring.row import Row
-from bench.store.bounds import load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
+from bench.sweep.bounds_process import make_bounds
 from bench.sweep.plan import Planned
-from bench.sweep.queue import CellQueue, queue_cell
+from bench.sweep.queue import CellQueue, QueuedCell, Waiting, queue_cell
 from bench.sweep.workers import Limits, RunThread, Worker, Writer
 
 WORKERS_A_WRITER = 4
+COMPLETE_A_WRITER = 8
+"""Cells that wait for a writer, at most: so many that it need not wait for the next, and few enough to be claimed."""
 
 Progress = Callable[[Cell, int], None]
 """Is called with a cell and a number when so many more of its replicates are done."""
@@ -33,9 +37,12 @@ def run_cells(planned: Sequence[Planned], store: Store, limits: Limits, on_progr
     Raises InputError where the store can no longer be written; all that was stored stays.
     """
     wanted = [one for one in planned if one.run]
-    if wanted:
-        _make_bounds(wanted, store)
-        _run(CellQueue([queue_cell(one, store, limits.workers) for one in wanted], store), limits, on_progress)
+    if not wanted:
+        return
+    with _children(limits, {one.cell.method for one in wanted}) as children:
+        lost = make_bounds([one.cell for one in wanted], store, children, limits)
+        cells = [queue_cell(one, store, limits.workers, unbounded=lost.get(one.cell.identity, "")) for one in wanted]
+        _run(cells, store, children, limits, on_progress)
 
 
 def run_replicates(
@@ -51,29 +58,45 @@ def run_replicates(
         planned: Cells, each with the numbers of the wanted replicates.
         store: Where the cells are; a cell that another run is at is waited for, and left out where that has stored it.
         limits: Of the run.
-        on_rows: Gets the rows of a cell as soon as they are complete.
+        on_rows: Gets the rows of a cell as soon as they are complete, while the cell is claimed.
         on_progress: Gets what is done.
     """
-    cells = [queue_cell(one, store, limits.workers, replicates) for one, replicates in planned]
-    _run(CellQueue(cells, store), limits, on_progress, on_rows)
+    with _children(limits, {one.cell.method for one, _ in planned}) as children:
+        cells = [queue_cell(one, store, limits.workers, replicates) for one, replicates in planned]
+        _run(cells, store, children, limits, on_progress, on_rows)
 
 
-def _run(cells: CellQueue, limits: Limits, on_progress: Progress | None, on_rows: OnRows | None = None) -> None:
-    """Work a queue off; with ``on_rows``, that gets what is complete instead of a writer."""
-    children = Children(needed(limits.preload, cells.methods))
-    workers = [Worker(cells, children, limits) for _ in range(max(1, min(limits.workers, cells.n_replicates)))]
-    n_writers = 0 if on_rows else -(-len(workers) // WORKERS_A_WRITER)
+@contextlib.contextmanager
+def _children(limits: Limits, methods: Collection[str]) -> Iterator[Children]:
+    """The processes of a run; at its end all are ended."""
+    children = Children(needed(limits.preload, methods))
+    try:
+        yield children
+    finally:
+        children.close()
+
+
+def _run(
+    queued: Sequence[QueuedCell],
+    store: Store,
+    children: Children,
+    limits: Limits,
+    on_progress: Progress | None,
+    on_rows: OnRows | None = None,
+) -> None:
+    """Work cells off; with ``on_rows``, that gets what is complete instead of a writer."""
+    n_workers = _affordable(limits.workers)
+    n_writers = 0 if on_rows else -(-n_workers // WORKERS_A_WRITER)
+    cells = CellQueue(queued, store, COMPLETE_A_WRITER * max(1, n_writers))
+    cells.claims.prepare()
+    workers = [Worker(cells, children, limits) for _ in range(max(1, min(n_workers, cells.n_replicates)))]
     threads: list[RunThread] = [*workers, *(Writer(cells, children, limits, workers) for _ in range(n_writers))]
     try:
         for thread in threads:
             thread.start()
         while any(thread.is_alive() for thread in threads) or not cells.events.empty():
             with contextlib.suppress(queue.Empty):
-                event = cells.events.get(timeout=0.1)
-                if isinstance(event, BaseException):
-                    raise event
-                if on_progress is not None:
-                    on_progress(*event)
+                _deal_with(cells.events.get(timeout=0.1), on_progress)
             if on_rows is not None:
                 _hand_over(cells, on_rows)
         if on_rows is not None:
@@ -84,23 +107,35 @@ def _run(cells: CellQueue, limits: Limits, on_progress: Progress | None, on_rows
         cells.claims.release_all()
 
 
+def _affordable(workers: int) -> int:
+    """As many workers as there are descriptors for; says so where these are fewer than are wanted."""
+    affordable = affordable_workers(workers)
+    if affordable < workers:
+        _say(f"{affordable} workers instead of {workers}: more need more open files than the system gives (ulimit -n)")
+    return affordable
+
+
+def _deal_with(event: Any, on_progress: Progress | None) -> None:
+    if isinstance(event, BaseException):
+        raise event
+    if isinstance(event, Waiting):
+        _say(str(event))
+    elif on_progress is not None:
+        on_progress(*event)
+
+
+def _say(line: str) -> None:
+    """A line on the error stream, above a progress bar if there is one."""
+    from tqdm.auto import tqdm
+
+    tqdm.write(f"bench: {line}", file=sys.stderr)
+
+
 def _hand_over(cells: CellQueue, on_rows: OnRows) -> None:
     while not cells.complete.empty():
         queued = cells.complete.get()
         on_rows(queued.cell, sorted(queued.rows, key=lambda row: row.replicate))
         cells.close(queued)
-
-
-def _make_bounds(wanted: Sequence[Planned], store: Store) -> None:
-    """The bounds of all cells, in the store; an interrupt does not wait for the process that computes them."""
-    different = {one.cell.bound_identity: one.cell for one in wanted}
-    try:
-        store.fetch_bounds(different.keys())
-        load_bounds(list(different.values()), store.bounds)
-    except KeyboardInterrupt:
-        for child in multiprocessing.active_children():
-            child.kill()
-        raise
 
 
 def needed(packages: Sequence[str], methods: Collection[str]) -> list[str]:

@@ -7,8 +7,8 @@ way and plain numbers the other, as bytes that the run's own process passes on u
 from __future__ import annotations
 
 import hashlib
+import math
 import pickle
-import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
@@ -21,7 +21,7 @@ from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
 from bench.entrants.reference import REFERENCES
 from bench.information.fisher import Bound
-from bench.isolation.failure import one_line
+from bench.isolation.failure import one_line, traceback_text
 from bench.scenario.scenario import METHOD
 from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
@@ -39,6 +39,8 @@ from bench.sweep.wire import rebuilt, unpack
 
 KEPT_DRAWS = 500
 """How many draws of a belief are kept, evenly thinned, for the replicate whose arrays are."""
+NO_BOUND = Bound((), {}, {}, {}, math.inf, math.inf, ())
+"""Says nothing: of a cell whose bound cannot be computed."""
 KEPT = 0
 """The replicate whose record, reconstruction and traces are kept for pictures."""
 
@@ -79,7 +81,7 @@ def serve(connection: Connection) -> None:
         try:
             answer = True, requests[request](*arguments)
         except Exception as error:
-            answer = False, (one_line(error), traceback.format_exc())
+            answer = False, (one_line(error), traceback_text())
         connection.send_bytes(pickle.dumps(answer))
 
 
@@ -165,12 +167,18 @@ class Scorer:
         arrays: Mapping[str, np.ndarray],
         known: Mapping[str, Any],
         tracebacks: str,
+        bounded: bool,
         version: dict[str, Any],
         provenance: Mapping[str, Any],
     ) -> str:
-        """Summarise and store a cell; returns why it could not be written, or nothing."""
+        """Summarise and store a cell; returns why it could not be written, or nothing.
+
+        One that is not ``bounded`` has no scores, and its data may be as impossible as its bound.
+        """
         ordered = tuple(sorted(rows, key=lambda row: row.replicate))
-        bound = self._bound(cell, store)
+        bound = self._bound(cell, store) if bounded else NO_BOUND
+        if bounded and not known:
+            known = facts(self._pair(cell, 0)[1])
         stored = StoredCell(
             identity=cell.identity,
             cell={
@@ -179,7 +187,7 @@ class Scorer:
                 "system": cell.scenario.label,
                 "snr_db": cell.scenario.snr_db,
                 "initial_state": cell.scenario.initial_state,
-                **(known or facts(self._pair(cell, 0)[1])),
+                **known,
             },
             rows=ordered,
             summary={name: dict(vars(summary)) for name, summary in summarise(ordered, bound).items()},

@@ -17,8 +17,11 @@ import numpy as np
 from bench.contract.belief import Belief, Draws, Normal
 from bench.contract.estimate import Cost, Estimate, Reconstruction, Status
 from bench.contract.problem import InitialState
+from bench.isolation.failure import printable
 from bench.systems import System
 
+LONGEST_MESSAGE, LONGEST_NAME = 2000, 100
+"""Of a method's message and of the name of a trace (characters)."""
 Plain = Mapping[str, Any]
 """Nested dictionaries and tuples of strings, numbers and numpy arrays of numbers."""
 
@@ -50,9 +53,11 @@ def plain(estimate: Estimate, times: np.ndarray) -> dict[str, Any]:
         else [(np.array(s.displacement, float), np.array(s.velocity, float)) for s in starts],
         "offsets": None if estimate.offsets is None else [float(offset) for offset in estimate.offsets],
         "status": str(Status(estimate.status)),
-        "message": str(estimate.message),
+        "message": printable(str(estimate.message), LONGEST_MESSAGE),
         "cost": (int(estimate.cost.evaluations), int(estimate.cost.iterations)),
-        "traces": {str(name): np.array(values, float) for name, values in estimate.traces.items()},
+        "traces": {
+            printable(str(name), LONGEST_NAME): np.array(values, float) for name, values in estimate.traces.items()
+        },
     }
 
 

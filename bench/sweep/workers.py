@@ -160,11 +160,15 @@ class Worker(RunThread):
         n, limits = len(replicates), self.limits
         task: bytes = self.ask("open", queued.cell, queued.fit, replicates, limits.timeout_s, limit_s=SCORING_S * n)
         reports: list[bytes] = []
+
+        def keep(report: bytes) -> None:
+            reports[:] = [report]
+
         try:
             if self.method is None:
                 spare, self.spare = self.spare, None
                 self.method = method_process.ready(self.children, spare, queued.requires, limits.memory_mb)
-            return method_process.answers(self.method, task, n, limits.timeout_s, limits.memory_mb, reports.append)
+            return method_process.answers(self.method, task, n, limits.timeout_s, limits.memory_mb, keep)
         except Died as died:
             self.go_on()
             self.method = None
@@ -200,18 +204,26 @@ class Writer(RunThread):
     def _store(self, queued: QueuedCell) -> None:
         limits, version = self.limits, queued.cell.version
         come = provenance(version, limits.workers, limits.timeout_s, limits.memory_mb, queued.started)
-        kept = (queued.rows, queued.arrays, queued.facts, queued.errors())
-        problem = ""
-        for _ in range(WRITE_ATTEMPTS):
-            try:
-                problem = self.ask(
-                    "finish", queued.cell, self.cells.store, *kept, version.as_json(), come, limit_s=SCORING_S
-                )
-                break
-            except Died as died:
-                self.go_on()
-                problem = died.message
+        try:
+            problem = self._finish(queued, version.as_json(), come)
+        except ScoringError as error:
+            queued.refuse(f"it cannot be summarised: {error.message}", error.log)
+            problem = self._finish(queued, version.as_json(), come)
         if problem:
             remedy = f"cannot be written ({problem}); what is stored stays, make room and run the same command again"
             raise InputError("store", self.cells.store.path(queued.cell.identity), remedy)
         self.cells.close(queued)
+
+    def _finish(self, queued: QueuedCell, version: Any, come: Any) -> str:
+        """Have a cell stored; returns why it could not be written, or nothing. Raises ScoringError."""
+        kept = (queued.rows, queued.arrays, queued.facts, queued.errors(), queued.bounded)
+        problem = ""
+        for _ in range(WRITE_ATTEMPTS):
+            try:
+                return self.ask(  # type: ignore[no-any-return]
+                    "finish", queued.cell, self.cells.store, *kept, version, come, limit_s=SCORING_S
+                )
+            except Died as died:
+                self.go_on()
+                problem = died.message
+        return problem

@@ -179,7 +179,7 @@ def test_a_finished_cell_is_answered_from_the_store(
     def never(*arguments: Any, **options: Any) -> Any:
         raise AssertionError("computed again")
 
-    for name in ("Children", "load_bounds"):
+    for name in ("Children", "make_bounds"):
         monkeypatch.setattr(runner, name, never)
     assert main([*arguments, "snr=20.0", "workers=2"]) == 0
     assert capsys.readouterr().out == first

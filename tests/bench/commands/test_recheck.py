@@ -15,6 +15,7 @@ import pytest
 
 from bench.commands import recheck
 from bench.config.experiment import expand
+from bench.store.locks import Claims
 from bench.store.store import Store
 from bench.sweep.launch import complete
 from bench.sweep.workers import Limits
@@ -86,14 +87,11 @@ def test_nothing_is_stale(store: Store, capsys: pytest.CaptureFixture[str]) -> N
 def test_where_only_the_summary_is_of_older_code_it_is_made_anew_and_nothing_is_fitted(
     store: Store, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def older(version: dict[str, Any]) -> dict[str, Any]:
-        return {**version, "digest": version["digest"].partition("-")[0] + "-" + OLD}
-
     def unbounded(summary: dict[str, Any]) -> dict[str, Any]:
         return {name: {**one, "bound": "nan"} for name, one in summary.items()}
 
     before = json.loads(_edit(store, "ls").read_text())
-    path = _edit(store, "ls", version=older, summary=unbounded)
+    path = _edit(store, "ls", version=_only_summary, summary=unbounded)
     monkeypatch.setattr(recheck, "run_replicates", None)
     assert recheck.main([f"store={store.folder}", "archive=none"]) == 0
     assert "1 cells: rows as they were" in capsys.readouterr().out
@@ -256,3 +254,41 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert recheck.main([f"store={tmp_path}/none"]) == 2
     assert recheck.main(["replicates=2"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 2
+
+
+def _only_summary(version: dict[str, Any]) -> dict[str, Any]:
+    return {**version, "digest": version["digest"].partition("-")[0] + "-" + OLD}
+
+
+def _store_newer(path: Path) -> str:
+    """As another run does; returns what the file holds then."""
+    path.write_text(path.read_text().replace('"wall_s":', '"wall_s": '))
+    return path.read_text()
+
+
+def test_rows_that_another_run_stores_meanwhile_are_not_written_over(store: Store) -> None:
+    path = _edit(store, "ls", version=_older)
+    found = recheck.checks(store)
+    newer = _store_newer(path)
+    assert path.stem not in recheck.run(found, store, Limits(1, 60.0))
+    assert path.read_text() == newer
+    assert list(store.claims.iterdir()) == []
+
+
+def test_a_summary_that_another_run_stores_meanwhile_is_not_written_over(store: Store) -> None:
+    path = _edit(store, "ls", version=_only_summary)
+    found = list(recheck._stamped(store))
+    newer = _store_newer(path)
+    assert recheck.summarise_anew(found, store) == 0
+    assert path.read_text() == newer
+    assert list(store.claims.iterdir()) == []
+
+
+def test_a_cell_that_another_run_is_at_is_left_to_it(store: Store) -> None:
+    path = _edit(store, "ls", version=_only_summary)
+    before, other = path.read_text(), Claims(store.claims)
+    assert other.take(path.stem)
+    assert recheck.summarise_anew(list(recheck._stamped(store)), store) == 0
+    assert path.read_text() == before
+    other.release_all()
+    assert recheck.summarise_anew(list(recheck._stamped(store)), store) == 1

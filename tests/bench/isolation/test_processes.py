@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-import psutil
-
-from bench.isolation.processes import _descendants
+from bench.isolation.descendants import descendants_of
 
 ASLEEP = [sys.executable, "-c", "import sys; sys.stdin.read()"]
 NESTED = [sys.executable, "-c", f"import subprocess; subprocess.run({ASLEEP!r})"]
@@ -17,12 +16,12 @@ NESTED = [sys.executable, "-c", f"import subprocess; subprocess.run({ASLEEP!r})"
 def test_descendants_are_found_whichever_thread_started_them_and_however_deep() -> None:
     starter = subprocess.Popen(ASLEEP, stdin=subprocess.PIPE)
     with starter, ThreadPoolExecutor(1) as pool:
-        assert _descendants(psutil.Process(starter.pid)) == []
+        assert descendants_of(starter.pid) == []
         nested = pool.submit(subprocess.Popen, NESTED, stdin=subprocess.PIPE, stdout=subprocess.PIPE).result()
         with nested:
             found: set[int] = set()
             while len(found) < 3:
-                found = {one.pid for one in _descendants(psutil.Process())}
+                found = set(descendants_of(os.getpid()))
             assert {starter.pid, nested.pid} < found
             assert nested.stdin is not None
             nested.stdin.close()

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -85,3 +88,41 @@ def test_the_view_may_be_deleted_damaged_or_impossible_to_write(store: Store, mo
     monkeypatch.setattr(view, "_write", lambda store, part: False)
     assert len(view.cells(store)) == 3
     assert len(view.summaries(store, ["rmse"])) == 3
+
+
+@pytest.fixture
+def unreadable(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of files whose reading fails, as by a server of files that is away for a moment."""
+    names: list[str] = []
+    read = Path.read_text
+
+    def failing(path: Path, *arguments: Any, **options: Any) -> str:
+        if path.name in names:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return read(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "read_text", failing)
+    return names
+
+
+def test_a_read_error_is_said_and_not_kept(store: Store, unreadable: list[str]) -> None:
+    for i in range(2):
+        store.save(a_cell(i))
+    away, there = (f"{i:020x}" for i in range(2))
+    unreadable.append(f"{away}.json")
+    found = view.cells(store, ("problem", "label"))
+    assert list(found["problem"] == "") == [False, True]
+    assert "cannot be read now (Input/output error)" in found["problem"][away]
+    assert list(view.cells(store)["problem"] == "") == [False, True]
+    unreadable.clear()
+    assert list(view.cells(store, ("label",))["label"]) == ["m0", "m1"]
+    assert list(view.cells(store)["problem"]) == ["", ""]
+    assert there in view.cells(store).index
+
+
+def test_what_is_damaged_is_kept_as_such_until_its_file_changes(store: Store, unreadable: list[str]) -> None:
+    store.save(a_cell(0))
+    store.path(f"{0:020x}").write_text("{")
+    assert "not a whole cell" in view.cells(store)["problem"].iloc[0]
+    unreadable.append(f"{0:020x}.json")  # nobody reads it again
+    assert "not a whole cell" in view.cells(store)["problem"].iloc[0]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
@@ -13,10 +16,13 @@ from bench.entrants.registry import default_settings, make_method
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell
+from bench.store.locks import Claims
 from bench.store.store import Store
+from bench.sweep import queue as queues
 from bench.sweep.plan import Planned, State, plan
-from bench.sweep.queue import queue_cell
+from bench.sweep.queue import CellQueue, Waiting, queue_cell
 from bench.sweep.runner import run_cells, run_replicates
+from bench.sweep.scoring_process import Scored
 from bench.sweep.workers import Limits
 
 
@@ -90,3 +96,61 @@ def test_chosen_replicates_are_those_of_the_whole_cell_and_are_not_stored(
     stored_digits = [{name: float(f"{v:.6g}") for name, v in row.scores.items()} for row in found]
     assert stored_digits == [whole[i].scores for i in chosen]
     assert [row.data for row in found] == [whole[i].data for i in chosen]
+
+
+def planned_cells(reference: Scenario, n: int) -> list[Planned]:
+    return [Planned(replace(a_cell(reference), seed=seed, replicates=1), State.MISSING, "", True) for seed in range(n)]
+
+
+def test_no_cell_is_begun_while_the_store_is_behind(
+    reference: Scenario, plugins: Plugins, new_store: StoreFactory
+) -> None:
+    """Of ten cells that take no time two are complete, each with its claim, until one of them is stored."""
+    plugins("Together")
+    store = new_store()
+    cells = CellQueue([queue_cell(one, store, 1) for one in planned_cells(reference, 10)], store, most_complete=2)
+
+    def fit() -> bool:
+        taken = cells.take(None)
+        if taken is not None:
+            cells.add(taken[0], [Scored(Row(0, Status.OK))])
+        return taken is not None
+
+    with ThreadPoolExecutor(1) as pool:
+        assert [fit(), fit()] == [True, True]
+        third = pool.submit(fit)
+        time.sleep(3 * queues.WAIT_S)
+        assert not third.done()
+        assert len(list(store.claims.iterdir())) == 2
+        cells.close(cells.complete.get_nowait())
+        assert third.result(timeout=60)
+        assert len(list(store.claims.iterdir())) == 2
+        cells.stop()
+    cells.claims.release_all()
+
+
+def test_a_run_that_waits_for_another_says_once_for_whom(
+    reference: Scenario, plugins: Plugins, new_store: StoreFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plugins("Together")
+    monkeypatch.setattr(queues, "WAIT_S", 0.01)
+    monkeypatch.setattr(queues, "PATIENCE_S", 0.05)
+    store = new_store()
+    planned = planned_cells(reference, 2)
+    other = Claims(store.claims)
+    assert all(other.take(one.cell.identity) for one in planned)
+    cells = CellQueue([queue_cell(one, store, 1) for one in planned], store)
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(cells.take, None)
+        said = cells.events.get(timeout=60)
+        assert isinstance(said, Waiting)
+        assert (
+            str(said)
+            == f"waiting for another run on this store (cells left: 2): {other.holder(planned[0].cell.identity)}"
+        )
+        assert str(os.getpid()) in said.holder
+        time.sleep(0.3)
+        assert cells.events.empty()
+        other.release_all()
+        assert waiting.result(timeout=60) is not None
+    cells.claims.release_all()

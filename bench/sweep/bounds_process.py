@@ -1,0 +1,89 @@
+"""The bounds of a run's cells, computed in a process of their own within the limits of the run.
+
+A bound that cannot be computed, or not within the limits, costs the cells of its scenario, and no others. The process
+is none of those that fit or score: bounds of nonlinear systems load jax.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections import defaultdict
+from collections.abc import Iterable
+from multiprocessing.connection import Connection
+
+from bench.errors import InputError
+from bench.isolation.failure import one_line
+from bench.isolation.processes import READY_S, Child, Children, Died
+from bench.store.bounds import bound_file, keep_bound
+from bench.store.cell import Cell
+from bench.store.store import Store
+from bench.sweep.workers import Limits
+
+
+def serve(connection: Connection) -> None:
+    """Keep the bound of one cell after another; the answers say why there is none, or are InputError."""
+    connection.send_bytes(b"ready")
+    while True:
+        cell, folder = pickle.loads(connection.recv_bytes())
+        answer: str | InputError = ""
+        try:
+            keep_bound(cell, folder)
+        except InputError as error:
+            answer = error
+        except Exception as error:
+            answer = one_line(error)
+        connection.send_bytes(pickle.dumps(answer))
+
+
+def make_bounds(cells: Iterable[Cell], store: Store, children: Children, limits: Limits) -> dict[str, str]:
+    """Have the store keep the bound of every cell, or as many as can be computed.
+
+    Returns:
+        Why a cell has no bound, by the identity of the cell.
+
+    Raises:
+        InputError: where the store cannot be written.
+    """
+    sharing: dict[str, list[Cell]] = defaultdict(list)
+    lost = {}
+    for cell in cells:
+        try:
+            sharing[cell.bound_identity].append(cell)
+        except Exception as error:  # it draws the times of a scenario that may be absurd
+            lost[cell.identity] = one_line(error)
+    store.fetch_bounds(sharing.keys())
+    process = _BoundsProcess(store, children, limits)
+    for group in sharing.values():
+        if why := process.why_none(group[0]):
+            lost |= dict.fromkeys((cell.identity for cell in group), why)
+    process.retire()
+    return {identity: f"its bound cannot be computed: {why}" for identity, why in lost.items()}
+
+
+class _BoundsProcess:
+    """The process, started when the first bound is missing, and again where it was ended."""
+
+    def __init__(self, store: Store, children: Children, limits: Limits) -> None:
+        self.store, self.children, self.limits = store, children, limits
+        self.child: Child | None = None
+
+    def why_none(self, cell: Cell) -> str:
+        """Have a bound kept that is missing; returns why there is none, or nothing."""
+        if bound_file(cell, self.store.bounds).exists():
+            return ""
+        try:
+            if self.child is None:
+                self.child = self.children.start(serve)
+                self.child.receive(READY_S)
+            self.child.send(pickle.dumps((cell, self.store.bounds)))
+            answer = pickle.loads(self.child.receive(self.limits.timeout_s, self.limits.memory_mb))
+        except Died as died:
+            self.child = None
+            return died.message
+        if isinstance(answer, InputError):
+            raise answer
+        return str(answer)
+
+    def retire(self) -> None:
+        if self.child is not None:
+            self.child.retire()
