@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import random
+import secrets
 from dataclasses import replace
 from pathlib import Path
 
@@ -70,7 +73,7 @@ def test_a_damaged_or_foreign_file_is_a_line_that_says_so(store: Store) -> None:
     found = view.cells(store, ("problem",))
     assert found.loc[f"{0:020x}", "problem"] == ""
     assert "not a whole cell" in found.loc["broken", "problem"]
-    assert "format 1, this version reads 2" in found.loc["old", "problem"]
+    assert "format 1, this version reads 3" in found.loc["old", "problem"]
 
 
 def test_the_view_may_be_deleted_damaged_or_impossible_to_write(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,3 +88,36 @@ def test_the_view_may_be_deleted_damaged_or_impossible_to_write(store: Store, mo
     monkeypatch.setattr(view, "_write", lambda store, part: False)
     assert len(view.cells(store)) == 3
     assert len(view.summaries(store, ["rmse"])) == 3
+
+
+def test_a_view_with_a_flipped_bit_tells_what_the_cells_tell(store: Store) -> None:
+    """Wherever the bit is: in a column that is looked at first, or in one that only the statistics are read from."""
+    for i in range(3):
+        store.save(a_cell(i, wall_s=1.0 + i))
+    whole = view.summaries(store, ["rmse"]).drop(columns=["mtime_ns", "size"])
+    (part,) = store.view.iterdir()
+    content, seed = part.read_bytes(), secrets.randbits(32)
+    print(f"seed {seed}")
+    rng = random.Random(seed)
+    for _ in range(60):
+        for left in store.view.iterdir():
+            left.unlink()
+        at = rng.randrange(len(content))
+        part.write_bytes(content[:at] + bytes([content[at] ^ 1 << rng.randrange(8)]) + content[at + 1 :])
+        assert view.cells(store, ("wall_s",))["wall_s"].tolist() == [1.0, 2.0, 3.0]
+        found = view.summaries(store, ["rmse"]).drop(columns=["mtime_ns", "size"])
+        pd.testing.assert_frame_equal(found, whole)
+
+
+def test_a_view_that_was_made_from_cells_of_another_format_is_made_anew(store: Store) -> None:
+    """It would say of a file that is refused now what it held."""
+    store.save(a_cell(0))
+    view.cells(store)
+    (part,) = store.view.iterdir()
+    part.rename(store.view / f"2-{part.name}")
+    path = store.path(f"{0:020x}")
+    stamp = path.stat().st_mtime_ns
+    path.write_bytes(b" " * path.stat().st_size)
+    os.utime(path, ns=(stamp, stamp))
+    assert "not a whole cell" in view.cells(store, ("problem",))["problem"].iloc[0]
+    assert len(list(store.view.iterdir())) == 1
