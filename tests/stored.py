@@ -18,8 +18,9 @@ from bench.reporting.frame import table_experiments
 from bench.scoring.path import MOMENTS
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
+from bench.store.seal import sealed
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored import FORMAT, StoredCell
 
 TRUTH = {"m": 1.0, "c": 0.4, "k": 8.0}
 NOISE = 0.05
@@ -97,6 +98,12 @@ def recorded(rows: Sequence[Row], reconstructs: bool, trained: bool) -> dict[str
         arrays |= {"trace_evaluations": steps, "trace_loss": 1e4 / steps**2, "trace_mean_square_data": 1.0 / steps}
         arrays |= {"trace_start_objectives": np.array([-70.0, -70.0, 3.0])}
     return arrays
+
+
+def resealed(content: Mapping[str, Any]) -> bytes:
+    """The file of a cell with this content, which a test has taken from another and changed."""
+    text = json.dumps({key: value for key, value in content.items() if key not in ("format", "sha256")})
+    return sealed(FORMAT, text)
 
 
 def save(

@@ -31,7 +31,8 @@ fields (defaults in brackets):
   archive        [that of the checkout] published cells, which are not computed
                  again: a folder, or none
   format         [table] table, json
-  retry          [none] failed, or statuses: try stored replicates again that failed
+  retry          [none] failed, or statuses: try stored replicates again that failed;
+                 with failed, damaged cells are computed anew
   dry_run        [false] list the cells, why each would run, and how long it may take
   data           a measured record, or several of one rig: run1.csv,run2.csv
                  (text, xlsx, mat, npz, Parquet, UFF 58, TDMS); with it

@@ -4,29 +4,35 @@ A cell of the store takes the place of the archive's, and a cell of an experimen
 another number of replicates. A file of the archive holds the cells of one experiment (those of several stand with the
 first: tables by number, then the others by name; those of none, in ``other``), and is written only where one of its
 cells has changed. An interrupt leaves every file whole; run the command again.
+
+Cells and files of before they carried checksums are refused. ``seal=true`` publishes nothing: it takes those of the
+store and of the archive as they are, writes them with a checksum, and says how many. Do this once, with results that
+you know to be whole; what is not is named and left.
 """
 
 from __future__ import annotations
 
-import os
+import contextlib
 import sys
-import uuid
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from bench.commands.guard import command, read_folders
+from bench.commands.guard import command, read_fields
 from bench.config.choices import choices
 from bench.config.drawn import drawn_scenarios
 from bench.config.experiment import Experiment
 from bench.errors import InputError
-from bench.store.archive.archive import BOUNDS, Archive
+from bench.store.archive.archive import Archive
+from bench.store.bound_file import bound_text
 from bench.store.cell import stored_as_cell
+from bench.store.older import seal_archive, seal_store
 from bench.store.opening import DEFAULT_STORE, NONE, default_archive
+from bench.store.seal import Unsealed, read_regular
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 
-USAGE = f"usage: python -m bench.publish [store={DEFAULT_STORE}] [archive=results/archive]\n\n"
+USAGE = f"usage: python -m bench.publish [store={DEFAULT_STORE}] [archive=results/archive] [seal=true]\n\n"
 OTHER = "other"
 
 
@@ -61,8 +67,8 @@ def superseded(stored: StoredCell, own: Described, both: Store) -> bool:
     """Whether a cell of no experiment asks what a stored cell of one asks, with another number of replicates."""
     try:
         cell = stored_as_cell(stored)
-    except (InputError, KeyError):
-        return False  # its configuration means something else now, or lacks a field: nothing that an experiment asks
+    except InputError:
+        return False  # its configuration means something else now: nothing that an experiment asks
     identity = own.questions.get(cell.question, stored.identity)
     return identity != stored.identity and both.holds(identity)
 
@@ -106,26 +112,20 @@ def publish(store: Store, archive: Archive, own: Described) -> list[Path]:
 
 
 def _publish_bounds(both: Store, archive: Archive, used: Collection[str]) -> list[Path]:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    from bench.store.archive.part import ENDING
+    from bench.store.archive.bounds import write_bounds
 
     known = archive.bounds()
     kept = {name: text for name, text in known.items() if not used or name in used}
-    own = {path.stem: path for path in both.bounds.glob("*.bound") if not used or path.stem in used}
-    texts = kept | {name: path.read_text(encoding="utf-8") for name, path in own.items()}
-    if texts == known:
-        return []
-    path = archive.folder / f"{BOUNDS}{ENDING}"
-    temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex}.tmp")
-    table = pa.table({"identity": sorted(texts), "text": [texts[name] for name in sorted(texts)]})
-    try:
-        pq.write_table(table, temporary, compression="zstd", compression_level=19, store_schema=False)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    return [path]
+    own = [path for path in both.bounds.glob("*.bound") if not used or path.stem in used]
+    texts = kept | {path.stem: text for path in own if (text := _bound_text(path))}
+    return [] if texts == known else [write_bounds(archive.folder, texts)]
+
+
+def _bound_text(path: Path) -> str:
+    """The text of a bound; nothing where its file is not whole: whoever needs that bound computes it anew."""
+    with contextlib.suppress(OSError, Unsealed):
+        return bound_text(read_regular(path))
+    return ""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -136,20 +136,44 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: Sequence[str]) -> int:
     known = default_archive()
     usual = "results/archive" if known == NONE else known
-    folders = read_folders(arguments, {"store": DEFAULT_STORE, "archive": usual})
-    store, archive = Store(folders["store"]), Archive(folders["archive"])
+    given = read_fields(arguments, {"store": DEFAULT_STORE, "archive": usual, "seal": "false"})
+    if given["seal"] not in ("true", "false"):
+        raise InputError("seal", given["seal"], "true or false")
+    store, archive = Store(Path(given["store"])), Archive(Path(given["archive"]))
+    if given["seal"] == "true":
+        return _seal(store, archive.folder)
     if not store.folder.is_dir():
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
     Store(archive.folder).prepare()
     try:
         changed = publish(store, archive, described())
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
         raise InputError("archive", archive.folder, f"not written whole ({error})") from None
+    _print_files(changed, archive.folder)
+    return 0
+
+
+def _seal(store: Store, folder: Path) -> int:
+    """Seal what lies in a store and an archive; exit status 1 where some of it is not whole."""
+    try:
+        n, left = seal_store(store)
+        changed = seal_archive(folder)
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
+        raise InputError("seal", "true", f"not written whole ({error}); run it again") from None
+    print("\n".join([*left, f"{store.folder}: {n} cells taken as they were, and sealed; {len(left)} left"]))
+    _print_files(changed, folder)
+    return 1 if left else 0
+
+
+def _print_files(changed: Sequence[Path], folder: Path) -> None:
     for path in changed:
         print(f"{path}: {f'{path.stat().st_size / 1e6:.2f} MB' if path.exists() else 'removed'}")
-    sizes = [path.stat().st_size for path in archive.folder.glob("*.parquet")]
+    sizes = [path.stat().st_size for path in folder.glob("*.parquet")]
     print(f"{len(changed)} of {len(sizes)} files written; the archive takes {sum(sizes) / 1e6:.2f} MB")
-    return 0
 
 
 if __name__ == "__main__":

@@ -61,7 +61,7 @@ def states(store: Store) -> pd.DataFrame:
 def _state(identity: str, kind: tuple[str, ...], reasons: Reasons) -> tuple[str, str]:
     problem, method, system, disturbance, statuses, version = kind
     if problem:
-        return "damaged", problem
+        return State.DAMAGED.value, problem
     if method not in method_names():
         return "foreign", f"no method {method} is installed here"
     now = cell_version(method, system, disturbance or "none")
@@ -76,7 +76,7 @@ def store_page(store: Store) -> str:
         return f"{store.folder}: no cells yet; python -m bench method=ls computes a first one"
     labels = found["label"].fillna("?")
     counts = found.groupby([labels, "state"]).size().unstack(fill_value=0)
-    order = [name for name in (*(s.value for s in State), "foreign", "damaged") if name in counts]
+    order = [name for name in (*(s.value for s in State), "foreign") if name in counts]
     spent = found.groupby(labels)["wall_s"].sum()
     fits = found.groupby(labels)["replicates"].sum()
     rows = [

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import zipfile
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -159,7 +158,7 @@ class Result:
     @property
     def start_told(self) -> InitialState | None:
         """The initial state, where the methods were told it."""
-        if self.initial_state != "known":
+        if self.initial_state != "known" or "initial" not in self.data:
             return None
         displacement, velocity = self.data["initial"]
         return InitialState(np.array(displacement, float), np.array(velocity, float))
@@ -303,7 +302,7 @@ class Result:
     def arrays(self, store: Store) -> dict[str, np.ndarray]:
         """The arrays kept of replicate 0, as double precision; none where they are missing or damaged."""
         if self.stored:
-            with contextlib.suppress(OSError, ValueError, KeyError, zipfile.BadZipFile):
+            with contextlib.suppress(InputError):
                 found = store.arrays(self.stored)
                 return {name: a.astype(float) if a.dtype.kind == "f" else a for name, a in found.items()}
         return {}

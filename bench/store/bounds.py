@@ -1,4 +1,7 @@
-"""Bounds are computed once and kept, each in a file named by all that it depends on, its code included."""
+"""Bounds are computed once and kept, each in a file named by all that it depends on, its code included.
+
+The name decides the number: a file that is not whole is computed anew, without a word.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,8 @@ from bench.errors import InputError
 from bench.information.fisher import Bound, compute_bound, own_times
 from bench.isolation.mainless import without_main
 from bench.scenario.scenario import Scenario
+from bench.store.bound_file import bound_file, bound_text
+from bench.store.seal import read_regular, write_new
 from bench.store.version import bound_version
 
 UNWRITABLE = 74
@@ -62,7 +67,7 @@ def bound_identity(wanted: Bounded) -> str:
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def bound_file(wanted: Bounded, folder: Path) -> Path:
+def bound_path(wanted: Bounded, folder: Path) -> Path:
     """The file of a folder that keeps a bound."""
     return folder / f"{bound_identity(wanted)}.bound"
 
@@ -73,11 +78,11 @@ def keep_bound(wanted: Bounded, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
         raise _unwritable(folder) from None
-    path = bound_file(wanted, folder)
+    path = bound_path(wanted, folder)
     text = json.dumps(asdict(compute_bound(wanted.scenario, wanted.seed, wanted.replicates)))
     temporary = path.with_suffix(f".{uuid.uuid4().hex}.tmp")  # two machines can have the same process ids
     try:
-        temporary.write_text(text)
+        write_new(temporary, bound_file(text))
         os.replace(temporary, path)
     except OSError:
         raise _unwritable(path.parent) from None
@@ -99,11 +104,12 @@ def _keep_all(wanted: Sequence[Bounded], folder: Path) -> None:
 def load_bounds(wanted: Sequence[Bounded], folder: Path) -> list[Bound]:
     """The bounds from the cache under ``folder``.
 
-    What is missing is computed first: of linear systems here, of others in one process of its own, so that jax never
-    shares a process with a fit. Raises InputError where ``folder`` cannot be written.
+    What is missing or damaged is computed first: of linear systems here, of others in one process of its own, so that
+    jax never shares a process with a fit. Raises InputError where ``folder`` cannot be written.
     """
-    paths = [bound_file(one, folder) for one in wanted]
-    missing = {path: one for path, one in zip(paths, wanted, strict=True) if not path.exists()}.values()
+    paths = [bound_path(one, folder) for one in wanted]
+    found = {path: kept_bound(path) for path in dict.fromkeys(paths)}
+    missing = {path: one for path, one in zip(paths, wanted, strict=True) if found[path] is None}.values()
     for one in missing:
         if one.scenario.make_system().linear:
             keep_bound(one, folder)
@@ -116,13 +122,22 @@ def load_bounds(wanted: Sequence[Bounded], folder: Path) -> list[Bound]:
             raise _unwritable(folder)
         if process.exitcode != 0:
             raise RuntimeError(f"the computation of {len(others)} bound(s) failed (exit {process.exitcode})")
-    return [_from_file(path) for path in paths]
+    return [found[path] or _written(path) for path in paths]
 
 
-def _from_file(path: Path) -> Bound:
+def _written(path: Path) -> Bound:
+    """The bound that has just been written."""
+    bound = kept_bound(path)
+    if bound is None:
+        raise InputError("store", path, "the bound that was written there cannot be read; run again")
+    return bound
+
+
+def kept_bound(path: Path) -> Bound | None:
+    """The bound of a file; None where there is none, or none that is whole."""
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
+        values = json.loads(bound_text(read_regular(path)))
         names, null_space = tuple(values.pop("names")), tuple(map(tuple, values.pop("null_space")))
         return Bound(names=names, null_space=null_space, **values)
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError("store", path, "not a whole bound; remove it, it is computed anew") from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None

@@ -12,11 +12,14 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from bench.entrants.registry import default_settings
 from bench.errors import InputError
+from bench.isolation.failure import one_line
 from bench.scenario.scenario import Scenario
+from bench.store.shape import DESCRIPTION
 from bench.store.stored import StoredCell
 from bench.store.version import Version, cell_version
 
@@ -45,6 +48,37 @@ class Cell:
             "seed": self.seed,
             **_stated(self.scenario),
         }
+
+    def stated(self) -> dict[str, Any]:
+        """The description with the labels of the cell and of its system: all that :meth:`restored` needs."""
+        return {**self.description(), "label": self.label, "system": self.scenario.label}
+
+    @classmethod
+    def restored(cls, stated: Mapping[str, Any], identity: str, force_file: Path | None = None) -> Cell:
+        """The cell of that name that is stated so; raises InputError where this version would name it otherwise.
+
+        A force that was read from a file is stated by the digest of its numbers; ``force_file`` is where they are.
+        """
+        reason = "this version describes its configuration differently; run it anew"
+        if not DESCRIPTION(stated):
+            raise InputError("cell", identity, reason)
+        force = stated.get("data", {}).get("force") or {}
+        if "file" in force:  # never a path that a description names
+            if force_file is None or not force_file.is_file():
+                raise InputError("cell", identity, f"the file of its force is not there ({force_file or 'not kept'})")
+            stated = {**stated, "data": {**stated["data"], "force": {**force, "file": str(force_file)}}}
+        try:
+            scenario = Scenario.from_dict(stated, label=stated["system"])
+            settings = {**default_settings(stated["method"]), **stated["settings"]}  # what it has got since: defaults
+            cell = cls(scenario, stated["method"], settings, stated["replicates"], stated["seed"], stated["label"])
+            own = cell.identity
+        except InputError:
+            raise
+        except Exception as error:  # whatever a description makes of a scenario that no version has written
+            raise InputError("cell", identity, f"{reason} ({one_line(error)})") from None
+        if own != identity:
+            raise InputError("cell", identity, reason)
+        return cell
 
     @property
     def version(self) -> Version:
@@ -78,13 +112,7 @@ class Cell:
 
 def stored_as_cell(stored: StoredCell) -> Cell:
     """The cell whose description is stored; raises InputError where this version describes it differently."""
-    what = stored.cell
-    scenario = Scenario.from_dict(what, label=what["system"])
-    settings = {**default_settings(what["method"]), **what["settings"]}  # what it has got since is at its default
-    cell = Cell(scenario, what["method"], settings, what["replicates"], what["seed"], what["label"])
-    if cell.identity != stored.identity:
-        raise InputError("cell", stored.identity, "this version describes its configuration differently; run it anew")
-    return cell
+    return Cell.restored(stored.cell, stored.identity)
 
 
 def _stated(scenario: Scenario) -> dict[str, Any]:

@@ -1,15 +1,18 @@
 """The collected view of a store: one line a cell in Parquet, for reading many cells at once.
 
 Derived from the cells' files, and brought up to date whenever it is read: only files that are new or changed are
-opened. It may be deleted at any time. ``pandas.read_parquet("outputs/rows/view")`` reads it, too.
+opened. It may be deleted at any time. ``pandas.read_parquet("outputs/rows/view")`` reads it, too. The name of a part is
+the digest of its bytes: one that is damaged, or was made from cells of another format, is removed and made anew.
 """
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import uuid
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +22,8 @@ import pyarrow.parquet as pq
 
 from bench.errors import InputError
 from bench.store.line import LISTS, PLAIN, SCHEMA, STATISTICS, described
-from bench.store.store import Store, Unreadable
+from bench.store.store import Store, Unreadable, named_by
+from bench.store.stored import FORMAT
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -129,23 +133,36 @@ def _files(store: Store) -> dict[str, tuple[int, int]]:
         return found
     with os.scandir(store.folder) as entries:
         for entry in entries:
-            if entry.name.endswith(".json"):
+            if name := named_by(entry):
                 with contextlib.suppress(OSError):  # gone in between
                     stat = entry.stat()
-                    found[entry.name[: -len(".json")]] = (stat.st_mtime_ns, stat.st_size)
+                    found[name] = (stat.st_mtime_ns, stat.st_size)
     return found
 
 
 def _parts(store: Store) -> list[str]:
+    """Its parts that are whole; what is none of them goes."""
+    whole = []
     with contextlib.suppress(OSError):
-        return sorted(str(path) for path in store.view.glob("*.parquet"))
-    return []
+        for path in sorted(store.view.glob("*.parquet")):
+            with contextlib.suppress(FileNotFoundError):  # another reader has just merged it away
+                if path.name == _name(path):
+                    whole.append(str(path))
+                else:
+                    path.unlink()
+    return whole
+
+
+def _name(path: Path) -> str:
+    """What a part with these bytes is called, for cells of the format that is read."""
+    with path.open("rb") as file:
+        return f"{FORMAT}-{hashlib.file_digest(file, 'sha256').hexdigest()[:32]}.parquet"
 
 
 def _load(store: Store, columns: Sequence[str]) -> pa.Table:
     tables = [pa.schema([SCHEMA.field(name) for name in columns]).empty_table()]
     for part in _parts(store):
-        # a part that another reader has just merged away, or that a stranger put there, is read anew from the cells
+        # a part that another reader has just merged away, or that a stranger has named so, is read anew from the cells
         with contextlib.suppress(OSError, pa.ArrowException, KeyError):
             tables.append(pq.read_table(part, columns=list(columns)).cast(tables[0].schema))
     return pa.concat_tables(tables)
@@ -162,26 +179,33 @@ def _write(store: Store, part: pa.Table) -> bool:
     """Write a part whole; False where the store cannot be written, which a reader need not be able to."""
     if not part.num_rows:
         return True
-    path = store.view / f"{uuid.uuid4().hex}.parquet"
-    temporary = path.with_suffix(".tmp")
     try:
         store.view.mkdir(exist_ok=True)
-        pq.write_table(part, temporary, compression="zstd")
-        os.replace(temporary, path)
+        _new_part(store, lambda temporary: pq.write_table(part, temporary, compression="zstd"))
     except OSError:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
         return False
     return True
+
+
+def _new_part(store: Store, write: Callable[[Path], None]) -> Path:
+    """The part that a function writes to the file it is given; nothing is left of it where that raises."""
+    temporary = store.view / f"{uuid.uuid4().hex}.tmp"
+    try:
+        write(temporary)
+        place = store.view / _name(temporary)
+        os.replace(temporary, place)
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+    return place
 
 
 def _compact(store: Store, there: Mapping[str, tuple[int, int]]) -> None:
     """All parts in one, part by part; a reader that meets one going reads those cells anew."""
     parts = _parts(store)
-    seen: set[str] = set()
-    path = store.view / f"{uuid.uuid4().hex}.parquet"
-    temporary = path.with_suffix(".tmp")
-    with contextlib.suppress(OSError, pa.ArrowException):
+
+    def write(temporary: Path) -> None:
+        seen: set[str] = set()
         with pq.ParquetWriter(temporary, SCHEMA, compression="zstd") as writer:
             for part in parts:
                 table = pq.read_table(part, schema=SCHEMA)
@@ -189,8 +213,10 @@ def _compact(store: Store, there: Mapping[str, tuple[int, int]]) -> None:
                 keep = [i for name, i in lines.items() if name not in seen]
                 seen.update(lines)
                 writer.write_table(table.take(pa.array(keep, pa.int64())))
-        os.replace(temporary, path)
-        for part in parts:
+
+    with contextlib.suppress(OSError, pa.ArrowException):
+        whole = _new_part(store, write)
+        for part in set(parts) - {str(whole)}:
             os.unlink(part)
 
 

@@ -1,14 +1,13 @@
 """The store: one JSON file a cell, written whole or not at all, named by the hash of the question it answers.
 
 Beside it lie, written first, the arrays of one of its replicates (``.npz``) and the tracebacks of those that failed
-(``.errors.txt``).
+(``.errors.txt``). The cell's file carries a checksum of its own content and of that of its arrays; what does not agree
+with it is damaged, and never read. Nothing in a store is run: it is text, numbers and names.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 import os
 import time
 import uuid
@@ -20,11 +19,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bench.errors import InputError
-from bench.store.stored import FORMAT, StoredCell, arrays_file, cell_file, cell_from_json
+from bench.store.bound_file import bound_file
+from bench.store.seal import OtherFormat, Unsealed, read_regular, write_new
+from bench.store.stored import (
+    FORMAT,
+    WITHOUT_SEAL,
+    StoredCell,
+    arrays_file,
+    arrays_name,
+    cell_file,
+    cell_from_file,
+    read_arrays,
+)
 
 if TYPE_CHECKING:
     from bench.store.archive.archive import Archive
 
+AGAIN = "retry=failed computes it again, or move it away"
 ABANDONED_S = 3600.0
 """Age at which a temporary file has no writer any more."""
 
@@ -60,8 +71,8 @@ class Store:
         """Make the folder and check that it can be written; raises InputError before anything runs."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            probe = self.folder / f".write-test.{os.getpid()}"
-            probe.write_bytes(b"")
+            probe = self.folder / f"write-test.{uuid.uuid4().hex}.tmp"
+            write_new(probe, b"")
             probe.unlink()
         except OSError as error:
             reason = f"cannot be written ({error.strerror}); name another folder"
@@ -113,9 +124,9 @@ class Store:
         Returns the cell with the name of its arrays. Raises OSError where there is no room; what was there then stays.
         """
         content = arrays_file(arrays) if arrays else b""
-        name = f"{cell.identity}.{hashlib.sha256(content).hexdigest()[:8]}.npz" if content else ""
+        name = arrays_name(cell.identity, content) if content else ""
         stored = replace(cell, arrays=name)
-        if content and not (self.folder / name).exists():
+        if content:  # where such a file is there, too: it may be damaged
             self._write(self.folder / name, content)
         before = self._arrays_before(cell.identity)
         errors = self.errors(cell.identity)
@@ -152,17 +163,37 @@ class Store:
         """The tracebacks of a cell's failed replicates, or nothing."""
         path = self.errors(identity)
         if path.exists():
-            return path.read_text(encoding="utf-8")
+            try:
+                return read_regular(path).decode(errors="replace")
+            except OSError as error:
+                raise InputError("store", path, f"cannot be read ({error.strerror}); move it away") from None
         return self.archive.tracebacks(identity) if self.archive is not None and not self.own(identity) else ""
 
     def arrays(self, cell: StoredCell) -> dict[str, np.ndarray]:
-        """The arrays kept of one replicate; none where the cell has none."""
+        """The arrays kept of one replicate; none where the cell has none.
+
+        Raises InputError where they are missing, or not the ones that the cell was stored with.
+        """
         if not cell.arrays:
             return {}
         if self.archive is not None and not self.own(cell.identity):
             return self.archive.arrays(cell.identity)
-        with np.load(self.folder / cell.arrays, allow_pickle=False) as found:
-            return {name: found[name] for name in found.files}
+        path = self.folder / cell.arrays
+        try:
+            return read_arrays(cell.arrays, read_regular(path))
+        except OSError as error:
+            raise InputError("store", path, f"cannot be read ({error.strerror}); {AGAIN}") from None
+        except Unsealed as reason:
+            raise InputError("store", path, f"not the arrays of its cell ({reason}); {AGAIN}") from None
+
+    def damage(self, identity: str) -> str:
+        """Why the folder's own file of a cell, or of its arrays, is not whole; nothing where they are, or none is."""
+        try:
+            if self.own(identity):
+                self.arrays(self._read(self.path(identity)))
+        except InputError as error:
+            return str(error)
+        return ""
 
     def fetch_bounds(self, identities: Set[str]) -> None:
         """Write the bounds that the archive has and the folder lacks beside the cells; raises InputError."""
@@ -172,7 +203,7 @@ class Store:
                 path = self.bounds / f"{identity}.bound"
                 if not path.exists():
                     self.bounds.mkdir(parents=True, exist_ok=True)
-                    self._write(path, known[identity].encode())
+                    self._write(path, bound_file(known[identity]))
         except OSError as error:
             raise InputError("store", self.bounds, f"cannot be written ({error.strerror}); make room") from None
 
@@ -180,10 +211,7 @@ class Store:
         """To a temporary file, flushed to disk, then renamed."""
         temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex}.tmp")  # two machines can have the same process ids
         try:
-            with temporary.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
+            write_new(temporary, content)
             os.replace(temporary, path)
         except OSError:
             with contextlib.suppress(OSError):
@@ -194,7 +222,7 @@ class Store:
         """The names of all stored cells, in order."""
         found = set(self.archive.identities()) if self.archive is not None else set()
         if self.folder.is_dir() or self.archive is None:
-            found |= {e.name[: -len(".json")] for e in os.scandir(self.folder) if e.name.endswith(".json")}
+            found |= {name for entry in os.scandir(self.folder) if (name := named_by(entry))}
         return sorted(found)
 
     def __iter__(self) -> Iterator[StoredCell]:
@@ -205,16 +233,24 @@ class Store:
 
     def _read(self, path: Path) -> StoredCell:
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-            if content["format"] != FORMAT:
-                remedy = f"a cell of format {content['format']}, this version reads {FORMAT}; move it away"
-                raise InputError("store", path, remedy)
-            if content["identity"] != path.stem:
-                raise InputError("store", path, f"it holds the cell {content['identity']}; move it away")
-            return cell_from_json(content)
-        except InputError:
-            raise
+            cell = cell_from_file(read_regular(path))
         except OSError as error:
             raise Unreadable("store", path, f"it cannot be read now ({error.strerror}); run again") from None
-        except (ValueError, KeyError, TypeError, IndexError, AttributeError):
-            raise InputError("store", path, "not a whole cell of this benchmark; move it away and run again") from None
+        except OtherFormat as other:
+            raise InputError("store", path, _of_format(other.found)) from None
+        except Unsealed as reason:
+            raise InputError("store", path, f"not a whole cell of this benchmark ({reason}); {AGAIN}") from None
+        if cell.identity != path.stem:
+            raise InputError("store", path, f"it holds the cell {cell.identity}; move it away")
+        return cell
+
+
+def named_by(entry: os.DirEntry[str]) -> str:
+    """The name of the cell whose file this is; nothing for other files, or a name that cannot be printed."""
+    name = entry.name.removesuffix(".json")
+    return name if name != entry.name and name.isprintable() else ""
+
+
+def _of_format(found: int) -> str:
+    seal = "it has no checksum: python -m bench.publish seal=true takes it as it is"
+    return f"a cell of format {found}, this version reads {FORMAT}; {seal if found == WITHOUT_SEAL else 'move it away'}"

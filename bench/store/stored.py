@@ -1,10 +1,15 @@
-"""What is stored of a cell, and its form as a file of JSON and one of arrays."""
+"""What is stored of a cell, and its form as a file of JSON and one of arrays.
+
+The file of JSON is sealed (:mod:`bench.store.seal`), and names the file of arrays with the digest of its bytes.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import math
+import re
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,9 +22,14 @@ from bench.contract.estimate import Status
 from bench.scoring.row import Row
 from bench.store.archive.decimals import from_codes, to_codes
 from bench.store.columns import Columns, MadeRows
+from bench.store.seal import Unsealed, sealed, unsealed
+from bench.store.shape import is_cell
 
-FORMAT = 2
+FORMAT = 3
+WITHOUT_SEAL = 2
+"""The format before: the same content without a seal, which :mod:`bench.store.older` takes in when it is asked to."""
 DIGITS = 6
+ARRAYS_DIGITS = 16
 PLAIN = ("replicate", "message", "wall_s", "cpu_s", "peak_memory_mb", "evaluations", "data")
 
 
@@ -68,6 +78,11 @@ def to_json(value: Any, digits: int = DIGITS) -> Any:
     return value
 
 
+def _is_arrays_name(name: str, identity: str) -> bool:
+    """Whether it names nothing, or a file beside the cell that is the cell's own: never one of another folder."""
+    return not name or re.fullmatch(re.escape(identity) + r"\.[0-9a-f]{8,64}\.npz", name) is not None
+
+
 def _number(value: Any) -> float:
     return math.nan if value is None else float(value)
 
@@ -112,7 +127,6 @@ def _rows(columns: Mapping[str, Any]) -> tuple[Row, ...]:
 def cell_file(cell: StoredCell) -> bytes:
     """The bytes of a cell's file."""
     content = {
-        "format": FORMAT,
         "identity": cell.identity,
         "cell": None,  # its place: it goes there to the last digit
         "status": cell.status.value,
@@ -130,7 +144,7 @@ def cell_file(cell: StoredCell) -> bytes:
     text = json.dumps(
         {**to_json(content), "cell": exact, "rows": _columns(cell)}, ensure_ascii=False, separators=(",", ":")
     )
-    return f"{text}\n".encode("utf-8", "replace")  # a label may have been read from bytes that are no text
+    return sealed(FORMAT, f"{text}\n")
 
 
 def arrays_file(arrays: Mapping[str, np.ndarray]) -> bytes:
@@ -145,8 +159,32 @@ def arrays_file(arrays: Mapping[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-def cell_from_json(content: Mapping[str, Any]) -> StoredCell:
-    """The cell of a file's content; raises KeyError, TypeError or the like where it is none."""
+def arrays_name(identity: str, content: bytes) -> str:
+    """The name of a file of arrays: the cell's, and the beginning of the digest of its bytes."""
+    return f"{identity}.{hashlib.sha256(content).hexdigest()[:ARRAYS_DIGITS]}.npz"
+
+
+def read_arrays(name: str, content: bytes) -> dict[str, np.ndarray]:
+    """The arrays of a file of that name; raises Unsealed where its bytes are not those that the name states."""
+    digits = name.split(".")[-2]
+    if not hashlib.sha256(content).hexdigest().startswith(digits):
+        raise Unsealed("its checksum is not that of its content")
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as found:
+            return {key: found[key] for key in found.files}
+    except Exception:  # sealed by another hand: zipfile, zlib and numpy raise a dozen kinds
+        raise Unsealed("no file of arrays") from None
+
+
+def cell_from_file(content: bytes) -> StoredCell:
+    """The cell of a file's bytes; raises Unsealed where they are none that is sealed and whole."""
+    return cell_from_json(unsealed(FORMAT, content))
+
+
+def cell_from_json(content: Any) -> StoredCell:
+    """The cell of a file's content; raises Unsealed where it is none."""
+    if not is_cell(content) or not _is_arrays_name(content["arrays"], content["identity"]):
+        raise Unsealed("no cell of this benchmark")
     return StoredCell(
         identity=content["identity"],
         cell=content["cell"],

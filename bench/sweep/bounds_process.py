@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from bench.errors import InputError
 from bench.isolation.failure import one_line
 from bench.isolation.processes import READY_S, Child, Children, Died
-from bench.store.bounds import bound_file, keep_bound
+from bench.store.bounds import bound_path, keep_bound, kept_bound
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.workers import Limits
@@ -69,7 +69,7 @@ class _BoundsProcess:
 
     def why_none(self, cell: Cell) -> str:
         """Have a bound kept that is missing; returns why there is none, or nothing."""
-        if bound_file(cell, self.store.bounds).exists():
+        if kept_bound(bound_path(cell, self.store.bounds)):
             return ""
         try:
             if self.child is None:

@@ -8,13 +8,12 @@ missing, and what jobs leave behind, lost with their node, is launched again as 
 from __future__ import annotations
 
 import os
-import pickle
 import shutil
 import sys
 import threading
 import time
 import uuid
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -23,38 +22,18 @@ from typing import Any
 
 from bench.errors import InputError
 from bench.isolation.failure import one_line
+from bench.isolation.private import make_private_folder
 from bench.isolation.processes import start_server
 from bench.store.archive.archive import Archive
 from bench.store.cell import Cell
 from bench.store.store import Store
+from bench.sweep.job import Job, read_job, write_job
 from bench.sweep.plan import Planned, State, plan
 from bench.sweep.runner import Progress, needed, run_cells
 from bench.sweep.workers import Limits
 
 WATCH_S = 1.0
 """How often arrivals are counted, at most; where counting takes long, a twentieth of the time goes into it."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """What a job is given. ``before`` says when a cell that is computed anew was stored: it is done once that has
-    changed, and one that was missing once it is there."""
-
-    planned: tuple[Planned, ...]
-    before: Mapping[str, int]
-    store: Store
-    limits: Limits
-
-    def part(self, planned: Sequence[Planned]) -> Job:
-        """A job of some of the cells."""
-        own = {one.cell.identity for one in planned} & self.before.keys()
-        return replace(self, planned=tuple(planned), before={name: self.before[name] for name in own})
-
-    def left(self) -> list[Planned]:
-        """Those that are still to be computed."""
-        return [
-            one for one in self.planned if self.store.stamp(one.cell.identity) == self.before.get(one.cell.identity, 0)
-        ]
 
 
 @dataclass(frozen=True)
@@ -95,14 +74,15 @@ def launch(planned: Sequence[Planned], store: Store, limits: Limits, how: Launch
     folder = store.folder / "launches" / uuid.uuid4().hex[:12]
     again = [one.cell.identity for one in wanted if one.state is not State.MISSING]
     sweep = Job(wanted, {identity: store.stamp(identity) for identity in again}, store, limits)
-    with _launcher(folder, how) as launcher:
-        try:
-            with _watched(sweep, how.progress):
-                _rounds(launcher, sweep, folder, how)
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)  # jobs that still run elsewhere end when they see it
-            with suppress(OSError):
-                folder.parent.rmdir()  # unless another sweep is under way
+    private = make_private_folder()
+    try:
+        with _launcher(folder, private, how) as launcher, _watched(sweep, how.progress):
+            _rounds(launcher, sweep, folder, how)
+    finally:
+        for own in (folder, private):  # jobs that still run elsewhere end when they see it
+            shutil.rmtree(own, ignore_errors=True)
+        with suppress(OSError):
+            folder.parent.rmdir()  # unless another sweep is under way
 
 
 def complete(cells: Sequence[Cell], store: Store, limits: Limits) -> None:
@@ -135,7 +115,7 @@ def run_job(config: Any) -> dict[str, int]:
     from hydra.core.hydra_config import HydraConfig
 
     path = Path(config.sweep) / f"{config.job}.job"
-    job: Job = pickle.loads(path.read_bytes())
+    job = read_job(path, path.parents[2])
     limits = replace(job.limits, workers=_cores(HydraConfig.get().launcher), preload=tuple(config.preload))
     left = job.left()
 
@@ -148,12 +128,12 @@ def run_job(config: Any) -> dict[str, int]:
     return {"cells": len(job.planned), "computed": len(left)}
 
 
-def _write(path: Path, content: bytes, store: Store) -> None:
+def _write(path: Path, job: Job) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+        write_job(path, job)
     except OSError as error:
-        raise InputError("store", store.folder, f"cannot be written ({error.strerror}); make room") from None
+        raise InputError("store", job.store.folder, f"cannot be written ({error.strerror}); make room") from None
 
 
 def _cores(launcher: Any) -> int:
@@ -170,7 +150,7 @@ def _rounds(launcher: Any, sweep: Job, folder: Path, how: Launch) -> None:
         jobs: list[list[str]] = []
         for i in range(0, len(left), size):
             name = n_jobs + len(jobs)
-            _write(folder / f"{name}.job", pickle.dumps(sweep.part(left[i : i + size])), sweep.store)
+            _write(folder / f"{name}.job", sweep.part(left[i : i + size]))
             jobs.append([f"sweep={_quoted(folder)}", f"job={name}"])
         try:
             returns = launcher.launch(jobs, n_jobs)
@@ -193,8 +173,8 @@ def _rounds(launcher: Any, sweep: Job, folder: Path, how: Launch) -> None:
 
 
 @contextmanager
-def _launcher(folder: Path, how: Launch) -> Any:
-    """The launcher, composed and set up by Hydra."""
+def _launcher(folder: Path, private: Path, how: Launch) -> Any:
+    """The launcher, composed and set up by Hydra; ``private`` is for files of its own."""
     from hydra import initialize_config_module
     from hydra._internal.callbacks import Callbacks  # what Hydra's own multirun hands to its launchers
     from hydra.core.global_hydra import GlobalHydra
@@ -204,7 +184,7 @@ def _launcher(folder: Path, how: Launch) -> Any:
     from hydra.types import HydraContext, RunMode
     from omegaconf.errors import OmegaConfBaseException
 
-    own = [f"sweep={_quoted(folder)}"]
+    own = [f"sweep={_quoted(folder)}", f"hydra.sweep.dir={_quoted(private)}"]
     if how.local and not how.progress:
         own.append("hydra.launcher.progress=false")
     if how.launcher == "ray":  # its default for a Ray of its own is refused by a cluster that it joins

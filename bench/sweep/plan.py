@@ -26,6 +26,7 @@ class State(StrEnum):
     MISSING = "missing"
     STALE = "stale"
     FAILED = "failed"
+    DAMAGED = "damaged"
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,10 @@ class Planned:
 
 
 def read_retry(text: str) -> frozenset[Status]:
-    """The statuses that a command line wants tried again: ``none``, ``failed`` for all, or some by name."""
+    """The statuses that a command line wants tried again: ``none``, ``failed`` for all, or some by name.
+
+    With all of them go the cells whose files are damaged.
+    """
     if text == "none":
         return frozenset()
     if text == "failed":
@@ -51,7 +55,11 @@ def read_retry(text: str) -> frozenset[Status]:
 
 
 def plan(cells: Sequence[Cell], store: Store, retry: Collection[Status] = ()) -> list[Planned]:
-    """Every cell once, in order. Raises InputError where the file of one of them is damaged or foreign."""
+    """Every cell once, in order.
+
+    A cell whose file, or that of its arrays, is damaged or foreign is computed anew where all failures are tried again.
+    Else a damaged file of a cell raises InputError; arrays are not looked at, since only pictures need them.
+    """
     unique = {cell.identity: cell for cell in cells}
     stored = answers(store, unique)
     reasons = Reasons(store)
@@ -61,7 +69,11 @@ def plan(cells: Sequence[Cell], store: Store, retry: Collection[Status] = ()) ->
 def _planned(cell: Cell, stored: Answer | None, reasons: Reasons, retry: Collection[Status]) -> Planned:
     if stored is None:
         return Planned(cell, State.MISSING, "not computed yet", True)
-    if stored.problem:  # said again, unless it was one of reading that has passed
+    anew = set(retry) >= FAILURES
+    damage = reasons.store.damage(cell.identity) if anew else stored.problem
+    if damage and anew:
+        return Planned(cell, State.DAMAGED, damage, True)
+    if damage:  # said again, unless it was one of reading that has passed
         found = reasons.store.load(cell.identity)
         stored = answer_of(found) if found else Answer("", "", "{}")
     state, why = reasons.standing(cell.identity, cell.method, cell.version, stored.version, stored.statuses)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import pickle
 import queue
@@ -17,6 +18,7 @@ import numpy as np
 from bench.contract.estimate import Status
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import make_method, missing_package
+from bench.errors import InputError
 from bench.isolation.failure import without_places
 from bench.scoring.row import Row
 from bench.store.cell import Cell
@@ -162,12 +164,13 @@ def _fit(cell: Cell) -> tuple[Fit, tuple[str, ...], int]:
 
 
 def _keep_good(queued: QueuedCell, store: Store) -> None:
-    """Take over the rows of a stored cell that did not fail."""
-    stored = store.load(queued.cell.identity)
-    if stored is not None:
-        retried = FAILURES | {Status.MISSING_DEPENDENCY}
-        queued.rows = [row for row in stored.rows if row.status not in retried]
-        queued.arrays = store.arrays(stored)
+    """Take over the rows of a stored cell that did not fail; none where it or its arrays are damaged."""
+    with contextlib.suppress(InputError):
+        stored = store.load(queued.cell.identity)
+        if stored is not None:
+            queued.arrays = store.arrays(stored)
+            retried = FAILURES | {Status.MISSING_DEPENDENCY}
+            queued.rows = [row for row in stored.rows if row.status not in retried]
 
 
 class CellQueue:

@@ -182,9 +182,7 @@ class Scorer:
         stored = StoredCell(
             identity=cell.identity,
             cell={
-                **cell.description(),
-                "label": cell.label,
-                "system": cell.scenario.label,
+                **cell.stated(),
                 "snr_db": cell.scenario.snr_db,
                 "initial_state": cell.scenario.initial_state,
                 **known,

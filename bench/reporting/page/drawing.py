@@ -71,12 +71,13 @@ def svg(figure: Any, title: str, name: str) -> str:
         text = text.replace(stand_in, f"var({variable})")
     used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
     text = re.sub(r' id="([^"]*)"', lambda m: f' id="{name}-{m.group(1)}"' if m.group(1) in used else "", text)
-    text = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", text)
+    text = re.sub(r'(href="#|url\(#)', lambda m: f"{m.group(1)}{name}-", text)
     text = re.sub(r"\s*\n\s*(?=[LMCQzZ\"])", "", re.sub(r"[ \t]*\n\s*", "\n", text))
     text = re.sub(r"([LMCQ]) ", r"\1", re.sub(r"<defs>\s*</defs>\n?", "", text)).strip()
     size = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text)
     box = f'viewBox="0 0 {size.group(1)} {size.group(2)}"' if size else ""
-    return re.sub(r"<svg[^>]*>", f'<svg {box} role="img" aria-label="{_plain(title)}">', text, count=1)
+    start = f'<svg {box} role="img" aria-label="{_plain(title)}">'
+    return re.sub(r"<svg[^>]*>", lambda _: start, text, count=1)  # as it is: a title may hold what a template reads
 
 
 def _plain(text: str) -> str:

@@ -16,26 +16,28 @@ if TYPE_CHECKING:  # pyarrow and what it brings is loaded when a file is read
 
     from bench.store.archive.part import Part
 
-BOUNDS = "bounds"
-"""The file of the archive that holds bounds, not cells."""
-
 
 class Archive:
-    """A folder of the archive's files. What is not there is an empty archive."""
+    """A folder of the archive's files. What is not there is an empty archive.
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    Every file carries a checksum of itself, and is read only where that agrees. ``older`` files, which had none, are
+    read as they are by who says so: to write them anew with one.
+    """
+
+    def __init__(self, folder: Path, older: bool = False) -> None:
+        self.folder, self._older = folder, older
 
     def __reduce__(self) -> tuple[object, ...]:
-        return Archive, (self.folder,)
+        return Archive, (self.folder, self._older)
 
     @cached_property
     def parts(self) -> dict[str, Part]:
         """The files with cells, by name; raises InputError for one that is damaged or of another format."""
+        from bench.store.archive.bounds import NAME
         from bench.store.archive.part import ENDING, Part
 
         paths = sorted(self.folder.glob(f"*{ENDING}"))
-        return {path.stem: Part(path) for path in paths if path.stem != BOUNDS}
+        return {path.stem: Part(path, self._older) for path in paths if path.name != NAME}
 
     @cached_property
     def _places(self) -> dict[str, tuple[Part, int]]:
@@ -95,17 +97,7 @@ class Archive:
         return found
 
     def bounds(self) -> dict[str, str]:
-        """The texts of all bounds by identity."""
-        import pyarrow.parquet as pq
+        """The texts of all bounds by identity; raises InputError where their file is damaged."""
+        from bench.store.archive.bounds import read_bounds
 
-        from bench.errors import InputError
-        from bench.store.archive.part import ENDING, REMEDY
-
-        path = self.folder / f"{BOUNDS}{ENDING}"
-        if not path.exists():
-            return {}
-        try:
-            table = pq.read_table(path)
-            return dict(zip(table["identity"].to_pylist(), table["text"].to_pylist(), strict=True))
-        except (OSError, ValueError, KeyError):  # of which those of pyarrow are some
-            raise InputError("archive", path, REMEDY) from None
+        return read_bounds(self.folder, self._older)

@@ -8,8 +8,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
-import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -22,15 +20,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from bench.errors import InputError
-from bench.store.archive import curves, scores
+from bench.store.archive import checked, curves, scores
 from bench.store.archive.decimals import MISSING, from_codes, listed, to_codes
 from bench.store.archive.rows import NUMBERS, Line, PackedRows
 from bench.store.line import PLAIN, described
 from bench.store.line import STATISTICS as OF_ERRORS
 from bench.store.stored import StoredCell, arrays_file, cell_file, cell_from_json, to_json
 
-FORMAT = 1
-FORMAT_KEY, CONTENT_KEY = "vibration-bench archive", "content"
+CONTENT_KEY = "content"
 ENDING = ".parquet"
 STATISTICS = (*OF_ERRORS, "n_ok")
 DESCRIBED = {
@@ -52,7 +49,6 @@ SCHEMA = pa.schema(
 )  # fmt: skip
 SUMMARY = ("metrics", *TEXTS, *(f"all_{name}" for name in STATISTICS))
 ARRAYS = ("kept", "npz", *(name for name in LISTS if name.startswith("array_")))
-REMEDY = "not a whole file of the archive; fetch it again"
 
 
 @dataclass(frozen=True)
@@ -80,7 +76,7 @@ class Entry:
 def content_digest(entries: Sequence[Entry]) -> str:
     """Of all that a file with these cells holds, whatever the libraries that write it."""
     found = sorted((entry.cell.identity, entry.digest) for entry in entries)
-    return hashlib.sha256(json.dumps([FORMAT, found]).encode()).hexdigest()
+    return hashlib.sha256(json.dumps([checked.FORMAT, found]).encode()).hexdigest()
 
 
 # ---- writing
@@ -99,22 +95,14 @@ def write_part(path: Path, entries: Sequence[Entry]) -> None:
     }  # fmt: skip
     leaves = [f"{n}.list.element" if n in LISTS else n for n in SCHEMA.names]
     booleans = {f"{n}.list.element" for n, kind in LISTS.items() if kind == pa.bool_()}
-    temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex}.tmp")
-    try:
-        with pq.ParquetWriter(
-            temporary, SCHEMA, compression="zstd", compression_level=19, write_statistics=False, store_schema=False,
-            use_dictionary=[name for name in leaves if name not in split | booleans],
-            column_encoding=dict.fromkeys(sorted(split), "BYTE_STREAM_SPLIT"),
-            data_page_size=2**30, dictionary_pagesize_limit=2**30, write_page_checksum=True,
-        ) as writer:  # fmt: skip
-            writer.write_table(table, row_group_size=max(1, len(ordered)))
-            writer.add_key_value_metadata({FORMAT_KEY: str(FORMAT), CONTENT_KEY: content_digest(entries)})
-        _check(Part(temporary), table, ordered)
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    checked.write(
+        path, table, {CONTENT_KEY: content_digest(entries)},
+        check=lambda written: _check(Part(written), table, ordered),
+        compression="zstd", compression_level=19, write_statistics=False,
+        use_dictionary=[name for name in leaves if name not in split | booleans],
+        column_encoding=dict.fromkeys(sorted(split), "BYTE_STREAM_SPLIT"),
+        data_page_size=2**30, dictionary_pagesize_limit=2**30,
+    )  # fmt: skip
 
 
 def _check(written: Part, table: pa.Table, entries: Sequence[Entry]) -> None:
@@ -233,19 +221,16 @@ def _numbers(values: np.ndarray) -> tuple[int, int, int, np.ndarray, np.ndarray]
 
 
 class Part:
-    """A file of the archive, of which columns are read when they are first needed."""
+    """A file of the archive, of which columns are read when they are first needed.
 
-    def __init__(self, path: Path) -> None:
+    ``checked`` says whether its bytes agree with its checksum; only one that was opened as ``older`` may have none.
+    """
+
+    def __init__(self, path: Path, older: bool = False) -> None:
         self.path = path
         self._columns: dict[str, Any] = {}
-        try:
-            stored = pq.read_metadata(path).metadata or {}
-        except (OSError, pa.ArrowException):
-            raise InputError("archive", path, REMEDY) from None
-        found = stored.get(FORMAT_KEY.encode(), b"?").decode()
-        if found != str(FORMAT):
-            raise InputError("archive", path, f"an archive of format {found}, this version reads {FORMAT}")
-        self.content = stored.get(CONTENT_KEY.encode(), b"").decode()
+        self._buffer, says, self.checked = checked.read(path, older)
+        self.content = says.get(CONTENT_KEY, "")
 
     @cached_property
     def identities(self) -> list[str]:
@@ -254,9 +239,9 @@ class Part:
     def table(self, columns: Sequence[str]) -> pa.Table:
         """Some columns as they lie in the file."""
         try:
-            return pq.ParquetFile(self.path, page_checksum_verification=True).read(list(columns))
+            return pq.ParquetFile(pa.BufferReader(self._buffer)).read(list(columns))
         except (OSError, pa.ArrowException, KeyError, ValueError):
-            raise InputError("archive", self.path, REMEDY) from None
+            raise InputError("archive", self.path, checked.REMEDY) from None
 
     def line(self, number: int, columns: Sequence[str]) -> dict[str, Any]:
         """Some columns of one line: texts and numbers as they are, lists as arrays."""

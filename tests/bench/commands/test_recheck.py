@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from stored import resealed
 
 from bench.commands import recheck
 from bench.config.experiment import expand
@@ -50,7 +51,7 @@ def _edit(store: Store, method: str, **changes: Callable[[Any], Any]) -> Path:
         if content["cell"]["method"] == method:
             for key, value in changes.items():
                 content[key] = value(content[key])
-            path.write_text(json.dumps(content))
+            path.write_bytes(resealed(content))
             return path
     raise AssertionError(method)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -60,12 +61,23 @@ def test_a_store_of_one_method_gives_all_but_comparisons(tmp_path: Path, capsys:
     assert [line.split(": ")[1] for line in missing] == [name for name in PICTURES if name not in ALONE]
 
 
-def test_a_store_that_lost_its_arrays_still_gives_what_rows_tell(tmp_path: Path) -> None:
+ARRAYS_LOST: dict[str, Callable[[Path], object]] = {
+    "missing": Path.unlink,
+    "empty": lambda path: path.write_bytes(b""),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:-10]),
+    "flipped": lambda path: path.write_bytes(
+        bytes([*path.read_bytes()[:99], path.read_bytes()[99] ^ 1]) + path.read_bytes()[100:]
+    ),
+}
+
+
+@pytest.mark.parametrize("how", ARRAYS_LOST)
+def test_a_store_that_lost_its_arrays_still_gives_what_rows_tell(tmp_path: Path, how: str) -> None:
     store = Store(tmp_path / "rows")
     store.prepare()
     rows = scored("shooting", 30)
     stored = save(store, described("shooting"), rows, recorded(rows, True, True))
-    (store.folder / stored.arrays).unlink()
+    ARRAYS_LOST[how](store.folder / stored.arrays)
     assert main([f"store={store.folder}", f"out={tmp_path / 'out'}"]) == 0
     assert pictures(tmp_path / "out") == {
         "scatter", "error_against_noise", "forest", "coverage", "accuracy_against_time"

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from conftest import REPOSITORY
 from scipy.stats import chi2
+from stored import described, recorded, save, scored
 
 from bench.commands.report import main
 from bench.contract.estimate import Status
@@ -188,6 +189,42 @@ def test_names_are_text_and_nothing_else(cells: Cells) -> None:
     assert OTHER_SCRIPTS in found.text
     assert "a$b$_c" in found.text
     assert not [a for _, own in found.elements for a in own if a.startswith("on")]
+
+
+TEMPLATES = (
+    r"\74img src=x onerror=alert(1)\76", r"\g<0>", r"\1", "C:\\rigs\\new", "\\", "{{7*7}}", "{% raw %}", "${HOME}",
+    "$\\frac{a$",
+)  # fmt: skip
+"""What a template of regular expressions, of Jinja, of a shell or of TeX would take for more than letters."""
+PICTURE = 'aria-label="Record, fits and intervals: '
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_a_name_that_a_template_would_read_is_a_name(cells: Cells, name: str) -> None:
+    store, rows = cells(), scored("shooting", 30)
+    for label in ("shooting", name):
+        save(store, {**described(label), "system": name}, rows, recorded(rows, True, True))
+    text = made(store)
+    found = Page(text)
+    assert name in found.text
+    assert PICTURE in text
+    assert [tag for tag, _ in found.elements].count("script") == 1
+    assert not [a for _, own in found.elements for a in own if a.startswith("on")]
+    assert not [own for _, own in found.elements if own.get("src") == "x"]
+
+
+def test_a_scenario_whose_arrays_are_damaged_has_no_picture(cells: Cells) -> None:
+    store, rows = cells(), scored("shooting", 30)
+    for label in ("shooting", "pinn"):
+        save(store, described(label), rows, recorded(rows, True, True))
+    assert PICTURE in made(store)
+    one, two = (store.folder / cell.arrays for cell in store)
+    one.write_bytes(one.read_bytes()[:50])
+    assert PICTURE in made(store)  # of the other
+    two.write_bytes(b"")
+    text = made(store)
+    assert PICTURE not in text
+    assert "Multiple shooting" in words(text)
 
 
 def test_nothing_is_loaded_from_anywhere(cells: Cells) -> None:

@@ -22,6 +22,7 @@ from bench.store.archive import curves
 from bench.store.archive.archive import Archive
 from bench.store.archive.decimals import from_codes, listed, to_codes
 from bench.store.archive.part import Part
+from bench.store.bound_file import bound_file, bound_text
 from bench.store.opening import VARIABLE, open_store
 from bench.store.store import Store
 from bench.store.stored import StoredCell, cell_file
@@ -107,7 +108,8 @@ def store(tmp_path: Path) -> Store:
         store.save(random_cell(seed), arrays, "Traceback\n  größer\n" if seed == 5 else "")
     store.save(random_cell(12, summary={"rmse": {"mean": 1.0, "another": 2.0}}), {"flags": np.array([True, False])})
     store.bounds.mkdir()
-    (store.bounds / "0123.bound").write_text('{"rmse": 0.1234567890123456}')
+    (store.bounds / "0123.bound").write_bytes(bound_file('{"rmse": 0.1234567890123456}'))
+    (store.bounds / "0124.bound").write_text('{"rmse": 0.1234567890123456}')  # without a checksum
     return store
 
 
@@ -163,7 +165,7 @@ def test_of_drawn_scenarios_rows_are_published_and_curves_are_not(store: Store, 
 def test_bounds_that_no_experiment_uses_are_not_published(store: Store, tmp_path: Path) -> None:
     folder = tmp_path / "used"
     folder.mkdir()
-    (store.bounds / "4567.bound").write_text("{}")
+    (store.bounds / "4567.bound").write_bytes(bound_file('{"rmse": 1.0}'))
     publish(store, Archive(folder), Described(PLACES, bounds=("0123",)))
     assert list(Archive(folder).bounds()) == ["0123"]
 
@@ -266,8 +268,8 @@ def test_a_damaged_file_is_one_line(archive: Archive, what: str) -> None:
 
 
 def test_an_archive_of_another_format_is_refused(archive: Archive, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bench.store.archive.part.FORMAT", 2)
-    with pytest.raises(InputError, match="an archive of format 1, this version reads 2"):
+    monkeypatch.setattr("bench.store.archive.checked.FORMAT", 3)
+    with pytest.raises(InputError, match="an archive of format 2, this version reads 3; fetch the archive again"):
         Archive(archive.folder).identities()
 
 
@@ -310,11 +312,11 @@ def test_a_cell_of_the_archive_that_is_restated_is_whole_in_the_store(
     both = Store(tmp_path / "mine", archive)
     cell = both.load(f"{5:020x}")
     assert cell is not None
-    both.restate(replace(cell, provenance={"rechecked": True}))
+    both.restate(replace(cell, provenance={"rechecked": []}))
     alone = Store(tmp_path / "mine")
     found = alone.load(cell.identity)
     assert found is not None
-    assert found.provenance == {"rechecked": True}
+    assert found.provenance == {"rechecked": []}
     assert alone.arrays(found).keys() == random_arrays(0).keys()
     assert alone.tracebacks(cell.identity) == "Traceback\n  größer\n"
 
@@ -323,7 +325,7 @@ def test_bounds_are_fetched_from_the_archive(archive: Archive, tmp_path: Path) -
     both = Store(tmp_path / "mine", archive)
     both.fetch_bounds({"0123", "unknown"})
     assert [path.name for path in both.bounds.iterdir()] == ["0123.bound"]
-    assert (both.bounds / "0123.bound").read_text() == '{"rmse": 0.1234567890123456}'
+    assert bound_text((both.bounds / "0123.bound").read_bytes()) == '{"rmse": 0.1234567890123456}'
 
 
 def test_the_archive_is_named_by_field_or_environment(archive: Archive, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +13,10 @@ import pytest
 
 from bench.errors import InputError
 from bench.information.fisher import compute_bound
+from bench.isolation.limit import limited
 from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
 from bench.store import bounds as bound_module
+from bench.store.bound_file import bound_file
 from bench.store.bounds import Replicates, bound_identity, load_bounds
 
 SDOF_TRUE = {"m": 1.0, "c": 0.4, "k": 8.0}
@@ -77,8 +81,23 @@ def test_a_bound_is_shared_where_nothing_that_it_depends_on_differs() -> None:
     assert bound_identity(Replicates(forced, 0)) != bound_identity(Replicates(forced, 1))
 
 
-def test_a_damaged_bound_is_named_in_one_line(tmp_path: Path) -> None:
-    (tmp_path / f"{bound_identity(Replicates(SDOF_FREE, 0))}.bound").write_text('{"names": ["m"')
-    with pytest.raises(InputError, match=r"store=.*\.bound: ") as caught:
-        load_bounds([Replicates(SDOF_FREE)], tmp_path)
-    assert len(str(caught.value).splitlines()) == 1
+BARE = json.dumps(asdict(compute_bound(replace(SDOF_FREE, snr_db=30.0))))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b'{"names": ["m"', BARE.encode(), bound_file('{"names": ["m"]}'), bound_file("[" * 10**5)],
+    ids=["empty", "cut", "without a checksum", "another shape", "nested"],
+)
+def test_a_bound_that_is_not_whole_is_computed_anew(tmp_path: Path, content: bytes) -> None:
+    """Where its number would have been believed, it would have been that of another noise level."""
+    path = tmp_path / f"{bound_identity(Replicates(SDOF_FREE, 0))}.bound"
+    path.write_bytes(content)
+    assert load_bounds([Replicates(SDOF_FREE)], tmp_path) == [compute_bound(SDOF_FREE)]
+    assert path.read_bytes() != content
+
+
+def test_a_pipe_in_the_place_of_a_bound_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / f"{bound_identity(Replicates(SDOF_FREE, 0))}.bound")
+    with limited(60.0):
+        assert load_bounds([Replicates(SDOF_FREE)], tmp_path) == [compute_bound(SDOF_FREE)]

@@ -5,15 +5,17 @@ from __future__ import annotations
 import errno
 import json
 import os
+import random
+import secrets
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 import pytest
 from test_store import CELL
 
 from bench.store import index as view
+from bench.store.seal import read_regular
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 
@@ -73,7 +75,7 @@ def test_a_damaged_or_foreign_file_is_a_line_that_says_so(store: Store) -> None:
     found = view.cells(store, ("problem",))
     assert found.loc[f"{0:020x}", "problem"] == ""
     assert "not a whole cell" in found.loc["broken", "problem"]
-    assert "format 1, this version reads 2" in found.loc["old", "problem"]
+    assert "format 1, this version reads 3" in found.loc["old", "problem"]
 
 
 def test_the_view_may_be_deleted_damaged_or_impossible_to_write(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,14 +96,14 @@ def test_the_view_may_be_deleted_damaged_or_impossible_to_write(store: Store, mo
 def unreadable(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of files whose reading fails, as by a server of files that is away for a moment."""
     names: list[str] = []
-    read = Path.read_text
+    read = read_regular
 
-    def failing(path: Path, *arguments: Any, **options: Any) -> str:
+    def failing(path: Path) -> bytes:
         if path.name in names:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
-        return read(path, *arguments, **options)
+        return read(path)
 
-    monkeypatch.setattr(Path, "read_text", failing)
+    monkeypatch.setattr("bench.store.store.read_regular", failing)
     return names
 
 
@@ -126,3 +128,36 @@ def test_what_is_damaged_is_kept_as_such_until_its_file_changes(store: Store, un
     assert "not a whole cell" in view.cells(store)["problem"].iloc[0]
     unreadable.append(f"{0:020x}.json")  # nobody reads it again
     assert "not a whole cell" in view.cells(store)["problem"].iloc[0]
+
+
+def test_a_view_with_a_flipped_bit_tells_what_the_cells_tell(store: Store) -> None:
+    """Wherever the bit is: in a column that is looked at first, or in one that only the statistics are read from."""
+    for i in range(3):
+        store.save(a_cell(i, wall_s=1.0 + i))
+    whole = view.summaries(store, ["rmse"]).drop(columns=["mtime_ns", "size"])
+    (part,) = store.view.iterdir()
+    content, seed = part.read_bytes(), secrets.randbits(32)
+    print(f"seed {seed}")
+    rng = random.Random(seed)
+    for _ in range(60):
+        for left in store.view.iterdir():
+            left.unlink()
+        at = rng.randrange(len(content))
+        part.write_bytes(content[:at] + bytes([content[at] ^ 1 << rng.randrange(8)]) + content[at + 1 :])
+        assert view.cells(store, ("wall_s",))["wall_s"].tolist() == [1.0, 2.0, 3.0]
+        found = view.summaries(store, ["rmse"]).drop(columns=["mtime_ns", "size"])
+        pd.testing.assert_frame_equal(found, whole)
+
+
+def test_a_view_that_was_made_from_cells_of_another_format_is_made_anew(store: Store) -> None:
+    """It would say of a file that is refused now what it held."""
+    store.save(a_cell(0))
+    view.cells(store)
+    (part,) = store.view.iterdir()
+    part.rename(store.view / f"2-{part.name}")
+    path = store.path(f"{0:020x}")
+    stamp = path.stat().st_mtime_ns
+    path.write_bytes(b" " * path.stat().st_size)
+    os.utime(path, ns=(stamp, stamp))
+    assert "not a whole cell" in view.cells(store, ("problem",))["problem"].iloc[0]
+    assert len(list(store.view.iterdir())) == 1

@@ -16,7 +16,7 @@ import pytest
 from bench import InputError, Status
 from bench.scoring.row import Row
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored import StoredCell, cell_file
 
 NAN, INF = math.nan, math.inf
 ROWS = (
@@ -89,45 +89,31 @@ def test_nothing_stored_is_none(store: Store) -> None:
     assert list(store) == []
 
 
-def damaged() -> dict[str, bytes]:
-    whole = {
-        "format": 1, "identity": CELL.identity, "cell": {}, "rows": {}, "summary": {}, "prior_share": {},
-        "identifiable": {}, "wall_s": 1.0, "provenance": {},
-    }  # fmt: skip
-    columns = {
-        "status": ["ok"], "replicate": [0], "message": [""], "scores": {}, "wall_s": [1], "cpu_s": [1],
-        "peak_memory_mb": [1], "evaluations": [1],
-    }  # fmt: skip
-    return {
-        "empty": b"",
-        "cut": b'{"format": 1, "identity": "01',
-        "binary": b"\x80\x04\x95\xff\xfe",
-        "list": b"[1, 2]",
-        "number": b"3",
-        "foreign": b'{"name": "package", "version": "1.0"}',
-        "only the format": b'{"format": 1}',
-        "another format": json.dumps({**whole, "format": 99}).encode(),
-        "rows without columns": json.dumps(whole).encode(),
-        "unknown status": json.dumps({**whole, "rows": {**columns, "status": ["fine"]}}).encode(),
-        "short column": json.dumps({**whole, "rows": {**columns, "message": []}}).encode(),
-        "scores in a list": json.dumps({**whole, "rows": {**columns, "scores": []}}).encode(),
-        "summary of numbers": json.dumps({**whole, "rows": columns, "summary": {"rmse": 3}}).encode(),
-        "another cell's file": json.dumps({**whole, "rows": columns, "identity": "another"}).encode(),
-    }
+DAMAGED = {
+    "empty": b"",
+    "cut": b'{"format": 3, "identity": "01',
+    "binary": b"\x80\x04\x95\xff\xfe",
+    "list": b"[1, 2]",
+    "number": b"3",
+    "foreign": b'{"name": "package", "version": "1.0"}',
+    "only the format": b'{"format": 3}',
+    "another format": b'{"format": 99, "identity": "0123456789abcdef0123"}',
+    "another cell's file": cell_file(replace(CELL, identity="another")),
+}
 
 
-@pytest.mark.parametrize("what", damaged())
+@pytest.mark.parametrize("what", DAMAGED)
 def test_a_damaged_or_foreign_file_is_named_in_one_line_and_left_alone(store: Store, what: str) -> None:
     store.save(CELL)
     other = replace(CELL, identity="fedcba98765432100123")
     store.save(other)
     path = store.path(CELL.identity)
-    path.write_bytes(damaged()[what])
+    path.write_bytes(DAMAGED[what])
     with pytest.raises(InputError) as caught:
         store.load(CELL.identity)
     assert str(path) in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
-    assert path.read_bytes() == damaged()[what]
+    assert path.read_bytes() == DAMAGED[what]
     with pytest.raises(InputError):
         list(store)
     assert store.load(other.identity) is not None

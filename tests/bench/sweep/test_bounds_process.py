@@ -11,7 +11,7 @@ from conftest import Plugins, StoreFactory
 from bench import InputError, Status
 from bench.isolation.processes import Children
 from bench.scenario.scenario import Scenario
-from bench.store.bounds import bound_file, load_bounds
+from bench.store.bounds import bound_path, load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.bounds_process import make_bounds
@@ -77,7 +77,7 @@ def test_bounds_are_those_that_are_computed_here(reference: Scenario, store: Sto
         children.close()
     kept = load_bounds(cells, store.bounds)
     for cell in cells:
-        bound_file(cell, store.bounds).unlink()
+        bound_path(cell, store.bounds).unlink()
     assert load_bounds(cells, store.bounds) == kept
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +18,8 @@ from bench.store.bounds import load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep import launch
-from bench.sweep.launch import Job, Launch
+from bench.sweep.job import Job, read_job, write_job
+from bench.sweep.launch import Launch
 from bench.sweep.plan import plan
 from bench.sweep.workers import Limits
 
@@ -110,12 +110,13 @@ def test_an_option_of_a_launcher_that_is_not_named_is_one_line(
 
 
 def test_a_job_that_is_tried_again_takes_what_its_first_try_did_not_store(
-    cells: list[Cell], make_store: Callable[[], Store]
+    cells: list[Cell], make_store: Callable[[], Store], tmp_path: Path
 ) -> None:
     store = make_store()
-    job = Job(tuple(plan(cells, store)), {}, store, Limits())
+    write_job(tmp_path / "0.job", Job(tuple(plan(cells, store)), {}, store, Limits()))
     store.path(cells[1].identity).write_text("{}")
-    assert [one.cell for one in pickle.loads(pickle.dumps(job)).left()] == [cells[0], *cells[2:]]
+    left = [one.cell.identity for one in read_job(tmp_path / "0.job", store.folder).left()]
+    assert left == [cell.identity for cell in (cells[0], *cells[2:])]
 
 
 def test_a_stale_cell_is_left_until_it_is_stored_anew(cells: list[Cell], make_store: Callable[[], Store]) -> None:
@@ -137,9 +138,8 @@ class Flaky:
     def launch(self, jobs: list[list[str]], first: int) -> list[Any]:
         self.rounds += 1
         folder = Path(jobs[0][0].partition("=")[2].strip("'"))
-        todo = [
-            one for i in range(len(jobs)) for one in pickle.loads((folder / f"{first + i}.job").read_bytes()).left()
-        ]
+        own = [read_job(folder / f"{first + i}.job", self.store.folder) for i in range(len(jobs))]
+        todo = [one for job in own for one in job.left()]
         for one in todo[: self.stored]:
             self.store.path(one.cell.identity).write_text("{}")
         raise ConnectionError("a node is gone")

@@ -9,7 +9,6 @@ listing, collecting and loading cost for each cell; then multiplies. Under two m
 from __future__ import annotations
 
 import os
-import pickle
 import platform
 import sys
 import tempfile
@@ -29,10 +28,12 @@ from bench.information.fisher import compute_bound
 from bench.store import index as view
 from bench.store.bounds import Replicates, load_bounds
 from bench.store.cell import Cell
+from bench.store.seal import sealed, unsealed_text
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored import FORMAT, StoredCell
 from bench.sweep import launch
-from bench.sweep.launch import Job, Launch
+from bench.sweep.job import Job, write_job
+from bench.sweep.launch import Launch
 from bench.sweep.plan import plan
 from bench.sweep.runner import run_cells
 from bench.sweep.workers import Limits
@@ -111,9 +112,10 @@ def measure(folder: Path) -> Costs:
     many = _cells(STORED // 2)
     names = [cell.identity for cell in many]
     make_s = (time.perf_counter() - started) / STORED
-    job = Job(tuple(plan(many[:20], store)), {}, store, Limits(1))
+    job = folder / "0.job"
+    write_job(job, Job(tuple(plan(many[:20], store)), {}, store, Limits(1)))
     big = Store(folder / "big")
-    _fill(big, store.path(found[0].identity).read_text(encoding="utf-8"), found[0].identity, many)
+    _fill(big, store.path(found[0].identity).read_bytes(), found[0].identity, many)
     collect_s = _seconds(lambda: view.cells(big)) / STORED
     some = names[:300]
     return Costs(
@@ -127,7 +129,7 @@ def measure(folder: Path) -> Costs:
         write_s=_written(Store(folder / "written"), found[0], store.arrays(found[0])),
         make_s=make_s,
         make_bytes=_held(lambda: [(cell, cell.identity) for cell in _cells(STORED // 20)]) / (STORED // 10),
-        job_bytes=len(pickle.dumps(job)) / 20,
+        job_bytes=job.stat().st_size / 20,
         collect_s=collect_s,
         view_bytes=sum(pq.read_table(path).nbytes for path in big.view.iterdir()) / STORED,
         plan_s=_seconds(lambda: plan(many, big)) / STORED,
@@ -161,7 +163,7 @@ def _written(store: Store, cell: StoredCell, arrays: Any) -> float:
 
 def _launched(folder: Path, n: int = 50) -> float:
     """Seconds in which Hydra makes the configuration of one job."""
-    with launch._launcher(folder, Launch(("hydra/launcher=basic",))) as launcher:
+    with launch._launcher(folder, folder, Launch(("hydra/launcher=basic",))) as launcher:
         loader, config = launcher.hydra_context.config_loader, launcher.config
         return _seconds(lambda: [loader.load_sweep_config(config, [f"job={i}"]) for i in range(n)]) / n
 
@@ -176,11 +178,12 @@ def _held(make: Callable[[], Any]) -> float:
     return size
 
 
-def _fill(store: Store, text: str, identity: str, cells: Sequence[Cell]) -> None:
+def _fill(store: Store, content: bytes, identity: str, cells: Sequence[Cell]) -> None:
     """A store of many cells: one cell's content under the names of all."""
     store.prepare()
+    text = unsealed_text(FORMAT, content)
     for cell in cells:
-        store.path(cell.identity).write_text(text.replace(identity, cell.identity), encoding="utf-8")
+        store.path(cell.identity).write_bytes(sealed(FORMAT, text.replace(identity, cell.identity)))
 
 
 def _measured(c: Costs) -> str:

@@ -15,6 +15,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from bench.store.seal import sealed, unsealed
+from bench.store.stored import FORMAT
 from tests.studies.sweeps.common import bench, environment, finish
 
 TABLES = """
@@ -33,13 +35,13 @@ print(time.perf_counter() - started, resource.getrusage(resource.RUSAGE_SELF).ru
 def fill(store: Path, cells: int) -> int:
     """Copies of the one stored cell; returns its size in bytes."""
     (original,) = store.glob("*.json")
-    content = json.loads(original.read_text(encoding="utf-8"))
+    content = unsealed(FORMAT, original.read_bytes())
     labels, levels = ("ls", "rls", "pinn", "shooting", "mcmc"), (40.0, 30.0, 20.0, 10.0, 5.0)
     for i in range(cells - 1):
-        content["identity"] = f"{i:020x}"
+        content |= {"identity": f"{i:020x}", "arrays": ""}
         content["cell"] |= {"label": labels[i % 5], "snr_db": levels[i // 5 % 5], "seed": i}
         text = json.dumps(content, ensure_ascii=False, separators=(",", ":"))
-        (store / f"{i:020x}.json").write_text(text, encoding="utf-8")
+        (store / f"{i:020x}.json").write_bytes(sealed(FORMAT, text))
     return original.stat().st_size
 
 
