@@ -15,11 +15,14 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from bench.commands.guard import command, read_folders
+from bench.commands.fields import path_of, read_fields
+from bench.commands.guard import command
+from bench.commands.stores import filled_store
 from bench.config.choices import choices
 from bench.config.drawn import drawn_scenarios
 from bench.config.experiment import Experiment
 from bench.errors import InputError
+from bench.reporting.whole_file import check_folder
 from bench.store.archive.archive import BOUNDS, Archive
 from bench.store.cell import stored_as_cell
 from bench.store.opening import DEFAULT_STORE, NONE, default_archive
@@ -136,11 +139,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: Sequence[str]) -> int:
     known = default_archive()
     usual = "results/archive" if known == NONE else known
-    folders = read_folders(arguments, {"store": DEFAULT_STORE, "archive": usual})
-    store, archive = Store(folders["store"]), Archive(folders["archive"])
-    if not store.folder.is_dir():
-        raise InputError("store", store.folder, "there is no such folder; run some cells first")
-    Store(archive.folder).prepare()
+    fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": usual})
+    store, archive = filled_store({"store": fields["store"], "archive": NONE}), Archive(path_of(fields["archive"]))
+    check_folder(archive.folder, "archive")
     try:
         changed = publish(store, archive, described())
     except (OSError, ValueError) as error:

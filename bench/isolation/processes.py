@@ -25,6 +25,7 @@ from typing import Any
 import psutil
 
 from bench.isolation.mainless import without_main
+from bench.isolation.temporary import check_temporary
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 NEEDED = (
@@ -74,6 +75,7 @@ def start_server(preload: Sequence[str] = ()) -> None:
 
 
 def _context(preload: Sequence[str]) -> Any:
+    check_temporary()
     single_threaded()
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.frozen"])
