@@ -23,8 +23,8 @@ from typing import Any
 
 REPOSITORY = Path(__file__).parents[1]
 MODULES = (
-    "benchmark", "certify", "check", "claims", "design", "expect", "export", "figures", "identifiability", "main", "merge", "new", "publish", "recheck",
-    "report", "reproduce", "reproduction", "status", "submit", "tables", "track",
+    "benchmark", "certify", "check", "claims", "design", "expect", "export", "figures", "identifiability", "main",
+    "merge", "new", "publish", "recheck", "report", "reproduce", "reproduction", "status", "submit", "tables", "track",
 )  # fmt: skip
 WARM = (
     ["method=ls", "snr=nan"], ["method=ls", "data=nowhere.csv"], ["experiment=online", "x=1"],

@@ -450,7 +450,7 @@ online | system=sdof samples=1e12 dry_run=true | samples | 1e12 |
 online | system=sdof snr=1e300 dry_run=true | snr | 1e300 |
 atlas | zz=1 | argument | zz=1 |
 atlas | test=zz dry_run=true | test | zz |
-atlas | engine=zz dry_run=true | engine | zz | one of
+atlas | engine=zz dry_run=true | engine | zz | processes or ray
 check | | package | | name one
 check | nowhere | package | nowhere |
 check | ls timeout_s=0 | timeout_s | 0 | positive
@@ -462,17 +462,15 @@ export | zz | export | zz | one of
 export | petab replicate=-1 | replicate | -1 | whole number
 export | petab snr=nan | snr | nan | finite
 export | petab system=beam | system | beam | known
-export | petab out=file/below | out | file/below | cannot be written
 export | arviz zz | cell | zz | identity
 export | arviz 00 store=missing | store | missing | no such folder
 export | notebook snr=20 | method | | choose one
-export | notebook method=ls out=folder | out | folder | cannot be written
 merge | | submission | | name one
 merge | missing | submission | missing | no such file
 merge | random | submission | random |
 merge | empty | submission | empty |
 merge | plain.zip | submission | plain.zip |
-merge | good.csv verify=2 | verify | 2 | to 1
+merge | good.csv verify=2 | verify | 2 | at most 1
 merge | good.csv workers=0 | workers | 0 | whole number
 merge | pipe | submission | pipe | no such file
 new | method | argument | method | write method
