@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+LONGEST_VALUE, LONGEST_LINE = 200, 1900
+
 
 class InputError(ValueError):
     """Bad input. ``str(error)`` is one line: field, value, and what would be right.
@@ -15,3 +17,17 @@ class InputError(ValueError):
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str]]:
         return type(self), (self.field, self.value, self.remedy)
+
+
+def line_of(error: InputError) -> str:
+    """An error as a terminal may show it: what is long is cut, what is no letter is written out."""
+    line = f"{shortened(error.field)}={shortened(error.value)}: {shortened(error.remedy, LONGEST_LINE)}"
+    return shortened(line, LONGEST_LINE)
+
+
+def shortened(value: object, longest: int = LONGEST_VALUE) -> str:
+    """A value in one line of letters that a terminal shows, cut in its middle where it is longer than so many."""
+    text = " ".join(str(value).split())
+    if len(text) > longest:
+        text = f"{text[: longest - 60]}...{text[-50:]}"
+    return "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text)

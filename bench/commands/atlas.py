@@ -6,15 +6,18 @@ Finished blocks are kept in ``store``, and the same command goes on from them. `
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.commands.guard import read_fields, whole
+from bench.commands.fields import flag, listed, one_of, path_of, read_fields, whole
 from bench.config.atlas import SAMPLED, TESTS, atlas_methods, atlas_slices, atlas_tasks, part_names
+from bench.config.schema import MOST_WORKERS
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
+from bench.reporting.whole_file import check_folder
 
 if TYPE_CHECKING:
     from bench.atlas.run import Blocks, Task
@@ -57,34 +60,34 @@ def made_atlas(arguments: Sequence[str]) -> int:
     from bench.atlas.run import Blocks
 
     fields = read_fields(arguments, FIELDS)
-    for name in ("fit", "dry_run"):
-        if fields[name] not in ("true", "false"):
-            raise InputError(name, fields[name], "true or false")
-    test = fields["test"]
-    parts = [part.strip() for part in fields["part"].split(",") if part.strip()] or part_names(test)
-    methods = [name.strip() for name in fields["method"].split(",") if name.strip()]
+    fitting, dry_run = flag("fit", fields["fit"]), flag("dry_run", fields["dry_run"])
+    test, engine = fields["test"], one_of("engine", fields["engine"], ENGINES)
+    parts = listed("part", fields["part"]) if fields["part"] else part_names(test)
+    methods = listed("method", fields["method"]) if fields["method"] else []
+    store, out = path_of(fields["store"]), path_of(fields["out"])
     most = whole("points", fields["points"]) if fields["points"] else None
-    workers = whole("workers", fields["workers"]) if fields["workers"] else usable_cores()
-    if fields["engine"] not in ENGINES:
-        raise InputError("engine", fields["engine"], f"one of {', '.join(ENGINES)}")
+    workers = whole("workers", fields["workers"], most=MOST_WORKERS) if fields["workers"] else usable_cores()
     number, shards = _shard(fields["shard"])
     tasks = {part: atlas_tasks(part, methods, most, test) for part in parts}
-    blocks = Blocks(Path(fields["store"]))
+    if not dry_run:
+        check_folder(store, "store")
+        if shards == 1:
+            check_folder(out)
+            _check_packages()
+    blocks = Blocks(store)
     every = [task for own in tasks.values() for task in own][number - 1 :: shards]
     left = [task for task in every if not blocks.holds(task)]
     fits, left_fits = sum(task.fits for task in every), sum(task.fits for task in left)
     print(f"bench: {fits:,} fits in {len(every):,} blocks, {left_fits:,} in {len(left):,} to do", file=sys.stderr)
-    if fields["dry_run"] == "true":
+    if dry_run:
         print(_progress(every, blocks, workers))
         return 0
-    if shards == 1:
-        _check_packages()
-    if left and fields["fit"] == "true":
-        _run(every, blocks, left_fits, workers, fields["engine"])
+    if left and fitting:
+        _run(every, blocks, left_fits, workers, engine)
     if shards > 1:
         return 0
     told = [f"{name}={fields[name]}" for name in ("test", "part", "points") if fields[name] != FIELDS[name]]
-    return _write(test, tasks, blocks, Path(fields["out"]), " ".join([COMMAND, *told]))
+    return _write(test, tasks, blocks, out, " ".join([COMMAND, *told]))
 
 
 def _check_packages() -> None:
@@ -105,7 +108,7 @@ def _shard(text: str) -> tuple[int, int]:
         return int(os.environ["SLURM_ARRAY_TASK_ID"]) - first + 1, int(os.environ.get("SLURM_ARRAY_TASK_COUNT", "1"))
     text = text or "1/1"
     number, _, shards = text.partition("/")
-    if not (number.isdecimal() and shards.isdecimal() and 1 <= int(number) <= int(shards)):
+    if not re.fullmatch(r"[0-9]{1,6}/[0-9]{1,6}", text) or not 1 <= int(number) <= int(shards):
         raise InputError("shard", text, "<number>/<of how many>, as 3/10")
     return int(number), int(shards)
 
@@ -152,7 +155,6 @@ def _write(test: str, tasks: dict[str, list[Task]], blocks: Blocks, out: Path, a
     from bench.reporting.figures.atlas import draw_atlas
     from bench.reporting.figures.atlas_regions import draw_regions
 
-    out.mkdir(parents=True, exist_ok=True)
     every = atlas_slices(test)
     if SAMPLED in tasks:
         frame = atlas_frame(tasks[SAMPLED], blocks)

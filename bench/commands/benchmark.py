@@ -17,6 +17,7 @@ from tabulate import tabulate
 from bench.commands.guard import command
 from bench.config.experiment import Experiment
 from bench.config.overrides import Overrides, read_overrides
+from bench.errors import InputError
 from bench.store.bounds import Replicates, bound_identity, load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
@@ -24,6 +25,7 @@ from bench.sweep.launch import complete
 from bench.sweep.workers import Limits
 
 EXPERIMENTS = ("table3", "table4", "table5")
+FIELDS = ("replicates", "method", "workers")
 
 
 def _cells(overrides: Overrides) -> list[Cell]:
@@ -45,6 +47,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: Sequence[str]) -> int:
     overrides = {"workers": [2], **read_overrides(arguments)}
+    for field, values in overrides.items():
+        if field not in FIELDS:
+            raise InputError(field, values[0], f"the tables say what is run; fields: {', '.join(FIELDS)}")
     workers = Experiment(EXPERIMENTS[0]).jobs(overrides)[0].config.workers or 2
     full = {_place(c): c.replicates for c in _cells({k: v for k, v in overrides.items() if k == "method"})}
     cells = _cells(overrides)

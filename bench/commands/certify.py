@@ -19,15 +19,16 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
-from bench.commands.guard import command, whole
+from bench.commands.fields import listed, path_of, read_fields, whole
+from bench.commands.guard import command
 from bench.errors import InputError
-from bench.reporting.whole_file import write
+from bench.reporting.whole_file import check_folder, write
 
 OWN = {"out": "certificate", "twins": "200", "system": "auto", "method": "fast"}
 """Fields that are read here, since they have other values than for a simulated record."""
+MOST_TWINS = 100_000
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -37,8 +38,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: list[str]) -> int:
     fields, rest = _own_fields(arguments)
-    twins, request = whole("twins", fields["twins"], 0), _request(fields, rest)
-    folder = Path(fields["out"])
+    twins, request = whole("twins", fields["twins"], 0, MOST_TWINS), _request(fields, rest)
+    folder = path_of(fields["out"])
     try:
         from bench.face.results import nulls
         from bench.measured.certificate import certify
@@ -52,7 +53,7 @@ def _main(arguments: list[str]) -> int:
         print(f"bench.certify: {error.name} is missing: pip install 'vibration-bench[report]'", file=sys.stderr)
         return 2
     measured = read_measured(request)
-    _check_writable(folder)
+    check_folder(folder)
     with _bar() as say:
         certificate = certify(request, measured, twins, say)
     shown = contents(certificate, shlex.join(["python", "-m", "bench.certify", *arguments]))
@@ -66,18 +67,8 @@ def _main(arguments: list[str]) -> int:
 
 def _own_fields(arguments: Sequence[str]) -> tuple[dict[str, str], list[str]]:
     """The fields of this command, and the arguments that are of any measured record."""
-    fields, rest, given = dict(OWN), [], set()
-    for argument in arguments:
-        key, equals, value = argument.partition("=")
-        if key not in OWN or not equals:
-            rest.append(argument)
-            continue
-        if not value:
-            raise InputError("argument", argument, "write field=value, see --help")
-        if key in given:
-            raise InputError(key, value, "given twice; give it once")
-        given.add(key)
-        fields[key] = value
+    rest = [argument for argument in arguments if argument.partition("=")[0] not in OWN]
+    fields = read_fields([argument for argument in arguments if argument not in rest], OWN)
     if not any(argument.startswith("data=") for argument in rest):
         raise InputError("data", None, "name a record: data=record.csv")
     return fields, rest
@@ -89,7 +80,7 @@ def _request(fields: dict[str, str], rest: Sequence[str]) -> Any:
     from bench.config.records import certificate_methods
     from bench.measured.request import ALL, request_of
 
-    names = [name.strip() for name in fields["method"].split(",") if name.strip()]
+    names = listed("method", fields["method"])
     if names == ["fast"]:
         names = [name for name in certificate_methods() if name in choices("method")]
     for name in names if names != [ALL] else []:
@@ -101,12 +92,6 @@ def _check_packages() -> None:
     """Raise ImportError before the work where the page could not be made after it."""
     import jinja2  # noqa: F401
     import matplotlib  # noqa: F401
-
-
-def _check_writable(folder: Path) -> None:
-    """Raise InputError before the work where nothing can be written after it."""
-    write(folder / ".certificate", "", folder)
-    (folder / ".certificate").unlink(missing_ok=True)
 
 
 @contextmanager

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from bench.commands.guard import command, read_fields
+from bench.commands.fields import one_of, positive, read_fields
+from bench.commands.guard import command
 from bench.errors import InputError
 
 USAGE = """usage: python -m bench.check <package> [field=value ...]
@@ -27,7 +28,7 @@ fields (defaults in brackets):
 
 exit status: 0, 1 where a check failed, 2 for bad input\n\n"""
 DEFAULTS = {"timeout_s": "300", "format": "table"}
-LOG_LINES = 12
+LOG_LINES, MOST_S = 12, 1e9
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -41,9 +42,8 @@ def _main(arguments: Sequence[str]) -> int:
         raise InputError("package", " ".join(names), "name one file, folder, package, method or system")
     own = [argument for argument in arguments if argument.startswith(("method.", "system."))]
     fields = read_fields([a for a in arguments if "=" in a and a not in own], DEFAULTS)
-    timeout_s = _seconds(fields["timeout_s"])
-    if fields["format"] not in ("table", "json"):
-        raise InputError("format", fields["format"], "table or json")
+    timeout_s = positive("timeout_s", fields["timeout_s"], MOST_S)
+    one_of("format", fields["format"], ("table", "json"))
 
     from bench.conformance.process import CHECKS, checked
     from bench.conformance.target import read_target
@@ -92,19 +92,9 @@ def _settings(arguments: Sequence[str]) -> dict[str, dict[str, Any]]:
             raise InputError("argument", argument, f"write {kind}.<name>=<value>")
         try:
             found.setdefault(kind, {})[name] = yaml.safe_load(value)
-        except yaml.YAMLError:
+        except (yaml.YAMLError, RecursionError):
             raise InputError(path, value, "a number, a word or a list") from None
     return found
-
-
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < float("inf"):
-        raise InputError("timeout_s", text, "a number of seconds above 0")
-    return value
 
 
 if __name__ == "__main__":

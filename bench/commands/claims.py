@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.commands.guard import command, read_fields
-from bench.errors import InputError
-from bench.store.opening import DEFAULT_STORE, open_store
+from bench.commands.fields import file_of, flag, folder_of, read_fields, text_of
+from bench.commands.guard import command
+from bench.commands.stores import store_of
+from bench.reporting.whole_file import write
+from bench.store.opening import DEFAULT_STORE
 
 if TYPE_CHECKING:
     from bench.reporting.claims.document import Checked
@@ -36,16 +37,13 @@ def _main(arguments: Sequence[str]) -> int:
 
     known = {"write": "false", "document": "README.md", "results": "results", "store": DEFAULT_STORE, "archive": ""}
     fields = read_fields(arguments, known)
-    if fields["write"] not in ("true", "false"):
-        raise InputError("write", fields["write"], "true or false")
-    path = Path(fields["document"])
-    if not path.is_file():
-        raise InputError("document", path, "there is no such file; run the command in a clone")
-    text = path.read_text(encoding="utf-8")
-    evidence = Evidence(Path(fields["results"]), open_store(fields["store"], fields["archive"]))
-    checked, results = list(check(text, evidence)), Path(fields["results"])
-    if fields["write"] == "true" and (new := with_panels(filled(text, checked), results)) != text:
-        path.write_text(new, encoding="utf-8")
+    writing, store = flag("write", fields["write"]), store_of(fields)
+    path = file_of("document", fields["document"], "run the command in a clone")
+    text, results = text_of("document", path), folder_of("results", fields["results"])
+    evidence = Evidence(results, store)
+    checked = list(check(text, evidence))
+    if writing and (new := with_panels(filled(text, checked), results)) != text:
+        write(path, new, field="document")
         print(f"{path}: written", file=sys.stderr)
         text, checked = new, list(check(new, evidence))
     loose = [*typed(text), *(one for found in typed_in_claims().values() for one in found)]

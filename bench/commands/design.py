@@ -10,7 +10,8 @@ import sys
 from collections.abc import Sequence
 
 from bench.commands.design_request import request_of
-from bench.commands.guard import command, read_fields
+from bench.commands.fields import one_of, read_fields
+from bench.commands.guard import command
 from bench.config.atlas import on_the_bound
 from bench.errors import InputError
 
@@ -64,8 +65,7 @@ def designed(arguments: Sequence[str]) -> int:
     fields = read_fields(arguments, FIELDS)
     request = request_of(fields)
     for name, choices in CHOICES.items():
-        if fields[name] not in choices:
-            raise InputError(name, fields[name], " or ".join(choices))
+        one_of(name, fields[name], choices)
     if fields["force"] == "optimal":
         from bench.commands.design_force import driven
 
@@ -77,6 +77,8 @@ def designed(arguments: Sequence[str]) -> int:
         from bench.commands.design_times import sampled
 
         return sampled(request)
+    if fields["out"]:
+        raise InputError("out", fields["out"], "with times=optimal or force=optimal, which it is for")
     from bench.commands.design_plan import planned
 
     return planned(request)

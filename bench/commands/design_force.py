@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 
 from bench.commands.design_request import TITLES, Request, Simulation, errors_of, median_words, percent, positive
-from bench.commands.guard import whole
+from bench.commands.fields import path_of, whole
 from bench.errors import InputError
 from bench.planning.forced import FORCED_QUANTITIES, ForcedTest
 from bench.planning.forces import LEAST_LINES, Forces, Told, line_frequencies, told_by
 from bench.planning.multisine import ALL
 from bench.planning.search import LEAST_RATE
 from bench.reporting.tables.common import markdown_table
+from bench.reporting.whole_file import check_file, write
 
 MOST_SAMPLES = 500
 MEANING = """Each force has the energy {energy:g} N² s and starts at rest, which is not told; it is measured with the
@@ -26,6 +28,9 @@ size of their errors."""
 def driven(request: Request) -> int:
     """Find the best forces, print, simulate and write where asked; raises InputError."""
     test, size = _test(request)
+    out = path_of(request.fields["out"]) if request.fields["out"] else None
+    if out is not None:
+        check_file(out)
     found = _compared(request, test)
     best = found[f"best for {request.title}"]
     headers = ["force", "peak, N", *(f"{TITLES.get(name, name)}, %" for name in FORCED_QUANTITIES), "over the best"]
@@ -38,8 +43,8 @@ def driven(request: Request) -> int:
         rows = [[*row, value] for row, value in zip(rows, _counted(request, test, list(found.values())), strict=True)]
         said += "\n" + COUNTED.format(title=request.title, number=request.simulations, method=request.method)
     print(f"{markdown_table(rows, headers)}\n\n{said}")
-    if request.fields["out"]:
-        _write(request.fields["out"], test.times, size * best.force)
+    if out is not None:
+        _write(out, test.times, size * best.force)
     return 0
 
 
@@ -94,11 +99,7 @@ def _counted(request: Request, test: ForcedTest, every: list[Told]) -> list[str]
     return [percent(counted(errors)) for errors in errors_of(request, [simulation(told) for told in every])]
 
 
-def _write(path: str, times: np.ndarray, force: np.ndarray) -> None:
+def _write(path: Path, times: np.ndarray, force: np.ndarray) -> None:
     """A record of the force, which lacks only the motion."""
     rows = "\n".join(f"{time:.9g},{value:.9g}" for time, value in zip(times, force, strict=True))
-    try:
-        with open(path, "w", encoding="utf-8") as file:
-            file.write(f"t (s),force (N)\n{rows}\n")
-    except OSError as error:
-        raise InputError("out", path, f"cannot be written: {error.strerror}") from None
+    write(path, f"t (s),force (N)\n{rows}\n")

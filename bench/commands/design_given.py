@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bench.commands.design_request import TITLES, percent, wanted
-from bench.commands.guard import read_fields
+from bench.commands.fields import read_fields
 from bench.config.atlas import on_the_bound
+from bench.config.choices import check_choice
+from bench.errors import InputError
 from bench.planning.free_decay import QUANTITIES
 from bench.planning.longer import Taken
 from bench.reporting.tables.common import markdown_table
@@ -26,7 +28,11 @@ def gone_on(arguments: Sequence[str]) -> int:
     rest = [one for one in arguments if one.partition("=")[0] not in own]
     want = wanted(fields["want"]) if fields["want"] else None
     given = [f"data={fields['given']}", f"method={fields['method']}", *rest]
-    record = taken(read_overrides(given))
+    check_choice("method", fields["method"])
+    try:
+        record = taken(read_overrides(given))
+    except InputError as error:
+        raise InputError("given" if error.field == "data" else error.field, error.value, error.remedy) from None
     lines = [("as it is", record.duration, record.supported)]
     lines += [(f"{factor:g} times as long", factor * record.duration, record.expected(factor)) for factor in FACTORS]
     lines += [(f"{number} records alike", number * record.duration, record.repeated(number)) for number in AGAIN]

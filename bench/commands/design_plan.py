@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from bench.commands.design_request import TITLES, Request, Simulation, errors_of, length, percent, positive
-from bench.commands.guard import whole
+from bench.commands.fields import whole
 from bench.config.atlas import on_the_bound
 from bench.planning.free_decay import QUANTITIES, Decay
-from bench.planning.search import SHARE, WITHIN, Proposal, cheapest, proposal
+from bench.planning.search import MOST_SAMPLES, SHARE, WITHIN, Proposal, cheapest, proposal
 from bench.reporting.tables.common import markdown_table
 
 STARTS = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
@@ -35,7 +35,9 @@ def _proposals(request: Request) -> list[Proposal]:
     fields, likely, noise = request.fields, request.likely, request.noise
     starts = [length("amplitude", fields["amplitude"]) / noise] if fields["amplitude"] else list(STARTS)
     if fields["samples"] or fields["duration"]:
-        samples, duration = whole("samples", fields["samples"] or "0", 8), positive("duration", fields["duration"])
+        request.need(("samples", "duration"), "errors are")
+        samples = whole("samples", fields["samples"], 8, MOST_SAMPLES)
+        duration = positive("duration", fields["duration"])
         return [proposal(likely, Decay(samples, duration, start)) for start in starts]
     rate = positive("rate", fields["rate"]) if fields["rate"] else 0.0
     tried = [cheapest(likely, request.quantity, request.error, start, rate) for start in starts]

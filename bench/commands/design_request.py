@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.commands.guard import whole
+from bench.commands.fields import number, whole
 from bench.config.atlas import on_the_bound
+from bench.config.choices import check_choice
 from bench.contract.method import Identifier
 from bench.errors import InputError
 from bench.measured.reading.units import unit_of
@@ -20,6 +21,9 @@ from bench.planning.search import Likely
 
 Simulation = Callable[[Identifier, int, Callable[[], object]], np.ndarray]
 """Errors of a simulated test by a method, so many times, and what it calls after each."""
+LEAST, MOST, LEAST_SHARE, MOST_SHARE = 1e-9, 1e9, 1e-6, 1000.0
+"""Of every quantity (SI units) and every percentage."""
+MOST_SIMULATIONS = 100_000
 TITLES = {"k_over_m": "k/m", "c_over_m": "c/m", "natural_frequency": "frequency", "damping_ratio": "damping ratio"}
 
 
@@ -57,9 +61,13 @@ def request_of(fields: Mapping[str, str]) -> Request:
             raise InputError(name, "", f"{name}=...; see python -m bench.design --help")
     quantity, error = wanted(fields["want"])
     (frequency, frequency_sd), (damping, damping_sd) = (known(name, fields[name]) for name in ("frequency", "damping"))
+    if damping >= 1.0:
+        raise InputError("damping", fields["damping"], "below 1: a motion that swings")
+    if fields["method"]:
+        check_choice("method", fields["method"])
     return Request(
         quantity, error, Likely(frequency, damping, frequency_sd, damping_sd), length("noise", fields["noise"]),
-        fields["method"] or on_the_bound()[0], whole("verify", fields["verify"], least=0), fields,
+        fields["method"] or on_the_bound()[0], whole("verify", fields["verify"], 0, MOST_SIMULATIONS), fields,
     )  # fmt: skip
 
 
@@ -68,31 +76,25 @@ def wanted(text: str) -> tuple[str, float]:
     quantity, _, error = text.partition(":")
     if quantity not in QUANTITIES:
         raise InputError("want", text, f"<quantity>:<error>%, of {', '.join(QUANTITIES)}")
-    return quantity, share("want", error)
+    return quantity, share("want", error, text)
 
 
 def known(field: str, text: str) -> tuple[float, float]:
     """A number and the standard deviation of its logarithm."""
     value, colon, doubt = text.partition(":")
-    return positive(field, value), share(field, doubt) if colon else 0.0
+    return positive(field, value, text), share(field, doubt, text) if colon else 0.0
 
 
-def share(field: str, text: str) -> float:
-    """A percentage, as a share."""
+def share(field: str, text: str, shown: str) -> float:
+    """A percentage, as a share; an error shows it within what was given."""
     if not text.endswith("%"):
-        raise InputError(field, text, "a percentage, as 5%")
-    return positive(field, text[:-1]) / 100.0
+        raise InputError(field, shown, "a percentage, as 5%")
+    return number(field, text[:-1], LEAST_SHARE, MOST_SHARE, f"a percentage from {LEAST_SHARE:g}", shown) / 100.0
 
 
-def positive(field: str, text: str) -> float:
-    """A positive number."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value < math.inf:
-        raise InputError(field, text, "a positive number")
-    return value
+def positive(field: str, text: str, shown: str = "") -> float:
+    """A positive number; an error shows it within what was given."""
+    return number(field, text, LEAST, MOST, f"a positive number from {LEAST:g}", shown or text)
 
 
 def length(field: str, text: str) -> float:
@@ -101,7 +103,7 @@ def length(field: str, text: str) -> float:
     unit = unit_of(parts[2]) if parts else None
     if parts is None or unit is None or unit.measures != "displacement":
         raise InputError(field, text, "a length with its unit, as 0.5mm")
-    return positive(field, parts[1]) * unit.size
+    return positive(field, parts[1], text) * unit.size
 
 
 def percent(value: float) -> str:

@@ -8,10 +8,10 @@ import numpy as np
 
 from bench.commands.design_plan import simulated_shares
 from bench.commands.design_request import TITLES, Request, length, median_words, percent, positive
-from bench.commands.guard import whole
-from bench.errors import InputError
+from bench.commands.fields import path_of, whole
 from bench.planning.free_decay import QUANTITIES, Decay
 from bench.reporting.tables.common import markdown_table
+from bench.reporting.whole_file import check_file, write
 
 
 def sampled(request: Request) -> int:
@@ -24,6 +24,9 @@ def sampled(request: Request) -> int:
         whole("samples", fields["samples"], 8, 500), positive("duration", fields["duration"]),
         length("amplitude", fields["amplitude"]) / request.noise,
     )  # fmt: skip
+    out = path_of(fields["out"]) if fields["out"] else None
+    if out is not None:
+        check_file(out)
     found = {
         "even": told_by(likely, decay.times, decay.amplitude),
         f"best for {request.title}": best_times(likely, decay, request.quantity),
@@ -38,8 +41,8 @@ def sampled(request: Request) -> int:
     best = found[f"best for {request.title}"].times
     print(f"{markdown_table(rows, headers)}\n\n{fill(f'Best for {request.title} (s): {_bursts(best, decay)}.', 120)}")
     print(f"Percentages are standard deviations by the Cramér-Rao bound{median_words(likely)}.")
-    if fields["out"]:
-        _write_times(fields["out"], best)
+    if out is not None:
+        write(out, "\n".join(["t (s)", *(f"{time:.9g}" for time in best)]) + "\n")
     return 0
 
 
@@ -54,11 +57,3 @@ def _bursts(times: np.ndarray, decay: Decay) -> str:
     return ", ".join(
         f"{one[0]:.3g}" if len(one) == 1 else f"{len(one)} from {one[0]:.3g} to {one[-1]:.3g}" for one in bursts
     )
-
-
-def _write_times(path: str, times: np.ndarray) -> None:
-    try:
-        with open(path, "w", encoding="utf-8") as file:
-            file.write("\n".join(["t (s)", *(f"{time:.9g}" for time in times)]) + "\n")
-    except OSError as error:
-        raise InputError("out", path, f"cannot be written: {error.strerror}") from None

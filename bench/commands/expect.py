@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import sys
+import zlib
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.commands.guard import command, read_fields, whole
+from bench.commands.fields import file_of, number, one_of, read_fields, whole
+from bench.commands.guard import command
 from bench.errors import InputError
 
 if TYPE_CHECKING:
@@ -41,11 +42,10 @@ def expected(arguments: Sequence[str]) -> int:
     from bench.atlas.point import GROUPS
 
     fields = read_fields(arguments, FIELDS)
-    if fields["quantity"] not in GROUPS:
-        raise InputError("quantity", fields["quantity"], " or ".join(GROUPS))
+    one_of("quantity", fields["quantity"], GROUPS)
     ensembles()  # before the work, where it is missing
     frame = _frame(fields)
-    atlas = _atlas(Path(fields["atlas"]))
+    atlas = _atlas(fields["atlas"], fields["quantity"])
     print(_answer(frame, atlas, fields["quantity"]))
     return 0
 
@@ -58,22 +58,28 @@ def _frame(fields: Mapping[str, str]) -> pd.DataFrame:
     for name in ("samples", "cycles", "damping", "snr"):
         if not fields[name]:
             raise InputError(name, "", f"{name}=...; see python -m bench.expect --help")
-    if fields["start"] not in ("known", "unknown"):
-        raise InputError("start", fields["start"], "known or unknown")
-    samples = whole("samples", fields["samples"], 4)
-    cycles, damping = _number("cycles", fields["cycles"]), _number("damping", fields["damping"])
-    phase = math.radians(_number("phase", fields["phase"]) % 180.0)
-    point = FreeDecay(samples, cycles, damping, _number("snr", fields["snr"]), phase, fields["start"] == "known")
+    known = one_of("start", fields["start"], ("known", "unknown")) == "known"
+    samples = whole("samples", fields["samples"], 4, 100_000)
+    cycles = number("cycles", fields["cycles"], 0.0, 1e6, "a positive number")
+    damping = number("damping", fields["damping"], 0.0, 100.0, "a positive number")
+    snr = number("snr", fields["snr"], -100.0, 300.0, "decibels above -100")
+    phase = math.radians(number("phase", fields["phase"]) % 180.0)
+    point = FreeDecay(samples, cycles, damping, snr, phase, known)
     return point_frame(point)
 
 
-def _atlas(path: Path) -> pd.DataFrame:
+def _atlas(text: str, quantity: str) -> pd.DataFrame:
     import pandas as pd
 
+    wanted = "a file that python -m bench -m experiment=atlas has written"
+    path = file_of("atlas", text, wanted)
     try:
-        return pd.read_csv(path)
-    except (OSError, ValueError, EOFError):
-        raise InputError("atlas", path, "a file that python -m bench -m experiment=atlas has written") from None
+        found = pd.read_csv(path)
+    except (OSError, ValueError, EOFError, zlib.error):
+        raise InputError("atlas", text, wanted) from None
+    if not {"method", f"{quantity}_core", f"{quantity}_gross"} <= set(found):
+        raise InputError("atlas", text, wanted)
+    return found
 
 
 def _answer(frame: pd.DataFrame, atlas: pd.DataFrame, quantity: str) -> str:
@@ -110,16 +116,6 @@ MEANING = """The bound on the standard deviation of {quantity} is {bound:.2g} %;
 likelihood is largest at a wrong frequency. Errors are those of fits that are not gross, with the range in which eight
 of ten tests like this lie; gross are those beyond five times the bound."""
 TITLES = {"k_over_m": "k/m", "c_over_m": "c/m"}
-
-
-def _number(field: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(field, text, "a number")
-    return value
 
 
 if __name__ == "__main__":

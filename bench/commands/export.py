@@ -11,8 +11,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench.commands.guard import command, read_fields, whole
+from bench.commands.fields import path_of, read_fields, whole
+from bench.commands.guard import command
+from bench.commands.stores import FIELDS, store_of
 from bench.errors import InputError
+from bench.reporting.whole_file import check_file, write
 from bench.store.opening import DEFAULT_STORE
 
 USAGE = f"""usage: python -m bench.export petab [system=sdof snr=20 ...] [replicate=0] [out=petab]
@@ -48,7 +51,7 @@ def _petab(arguments: Sequence[str]) -> list[Path]:
     from bench.exchange.petab import petab_files
 
     fields, described = _parted(arguments, {"replicate": "0", "out": "petab"})
-    replicate, out = whole("replicate", fields["replicate"], 0), Path(fields["out"])
+    replicate, out = whole("replicate", fields["replicate"], 0), path_of(fields["out"])
     job = expand([*described, "method=oracle"], multirun=False)[0]
     files = petab_files(job.cell().scenario, job.config.seed, replicate)
     return [_written(out / name, text.encode()) for name, text in files.items()]
@@ -57,14 +60,14 @@ def _petab(arguments: Sequence[str]) -> list[Path]:
 def _arviz(arguments: Sequence[str]) -> list[Path]:
     from bench.commands.reproduce import find
     from bench.exchange.inference_data import inference_data
-    from bench.store.opening import open_store
 
-    fields, names = _parted(arguments, {"store": DEFAULT_STORE, "archive": "", "out": ""})
+    fields, names = _parted(arguments, {**FIELDS, "out": ""})
     if len(names) != 1 or not names[0] or set(names[0]) - set("0123456789abcdef"):
         raise InputError("cell", " ".join(names), "give one identity, or the start of one")
-    store = open_store(fields["store"], fields["archive"])
+    store = store_of(fields)
     stored = find(store, names[0])
-    path = Path(fields["out"] or f"{names[0]}.nc")
+    path = path_of(fields["out"] or f"{names[0]}.nc")
+    check_file(path)
     found = inference_data(stored, store.arrays(stored))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -82,15 +85,11 @@ def _notebook(arguments: Sequence[str]) -> list[Path]:
     fields, described = _parted(arguments, {"out": "cell.ipynb"})
     overrides = read_overrides(described)
     (job,) = sweep(overrides, multirun=False)
-    return [_written(Path(fields["out"]), notebook(job.cell(), overrides).encode())]
+    return [_written(path_of(fields["out"]), notebook(job.cell(), overrides).encode())]
 
 
 def _written(path: Path, content: bytes) -> Path:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    except OSError as error:
-        raise InputError("out", path, f"cannot be written ({error.strerror}); name another place") from None
+    write(path, content)
     return path
 
 

@@ -9,9 +9,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench.commands.guard import command, read_fields
+from bench.commands.fields import path_of, read_fields
+from bench.commands.guard import command
+from bench.commands.stores import FIELDS, filled_store
 from bench.errors import InputError
-from bench.store.opening import DEFAULT_STORE, open_store
+from bench.reporting.whole_file import check_folder
+from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store
 
 
@@ -22,12 +25,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str]) -> int:
-    fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": "", "out": "results/figures"})
-    store = open_store(fields["store"], fields["archive"])
-    if not store.there() or not store.identities():
-        raise InputError("store", store.folder, "no cell there; run python -m bench -m experiment=table5 first")
+    fields = read_fields(arguments, {**FIELDS, "out": "results/figures"})
+    store, out = filled_store(fields), path_of(fields["out"])
+    check_folder(out)
     try:
-        if not _draw(store, Path(fields["out"])):
+        if not _draw(store, out):
             raise InputError("store", store.folder, "no cell there has what a picture needs; run experiment=table5")
     except ImportError as error:
         if "matplotlib" not in str(error):
@@ -43,7 +45,6 @@ def _draw(store: Store, out: Path) -> int:
     from bench.reporting.figures.pictures import PICTURES, write_picture
 
     gallery = Gallery(store)
-    Store(out).prepare()
     drawn = 0
     for name in PICTURES:
         try:

@@ -1,15 +1,16 @@
-"""What all commands share: arguments as fields, help, one line for bad input, and the exit status."""
+"""What every command ends with: its exit status, and one line where it could not be done."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 
-from bench.errors import InputError
+from bench.commands.streams import OUTPUT, check_output, drop_output, prepare_streams
+from bench.errors import InputError, line_of
 from bench.isolation.ending import Ended, ended_by_signals
+from bench.isolation.interrupts import interrupts_again
 
 
 def command(
@@ -32,22 +33,24 @@ def command(
 
 
 def guarded(name: str, body: Callable[[], int], interrupted: str = "interrupted") -> int:
-    """Run a command; its exit status, which is 2 for bad input, 130 for Ctrl-C, 141 where its reader has gone.
+    """Run a command; its exit status, which is 130 for Ctrl-C and 141 where its reader has gone.
 
-    SIGTERM and SIGHUP give 143 and 129. Each of these is one line on the error stream, a reader that has gone none;
-    letters that the output cannot hold become ``?``.
+    It is 2 for bad input, and where the machine does not give what the command needs: a file that cannot be read or
+    written, a full disk, no memory. SIGTERM and SIGHUP give 143 and 129. Each of these is one line on the error stream,
+    that of a reader that has gone none; letters that the output cannot hold become ``?``. Anything else is a fault of
+    the program, and a traceback.
     """
-    for stream in (sys.stdout, sys.stderr):
-        if getattr(stream, "errors", None) == "strict" and hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")
+    prepare_streams()
     try:
+        interrupts_again()
+        check_output()
+        _check_folder()
         with ended_by_signals():
             status = body()
         sys.stdout.flush()  # here, where a reader that has gone is no traceback
         return status
     except InputError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        return 2
+        return _refused(name, error)
     except KeyboardInterrupt:
         print(f"\n{name}: {interrupted}", file=sys.stderr)
         return 130
@@ -56,30 +59,37 @@ def guarded(name: str, body: Callable[[], int], interrupted: str = "interrupted"
             print(f"{name}: {interrupted}", file=sys.stderr)
         return ended.status
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        drop_output()
         return 141
+    except OSError as error:
+        return _refused(name, _of_system(error))
+    except MemoryError:
+        return _refused(name, InputError("memory", "exhausted", "ask for less, or give the machine more"))
 
 
-def read_fields(arguments: Sequence[str], defaults: Mapping[str, str], wanted: str = "") -> dict[str, str]:
-    """Values given as ``field=value``, over the defaults; raises InputError, which says what is ``wanted`` instead."""
-    fields = dict(defaults)
-    for argument in arguments:
-        key, _, value = argument.partition("=")
-        if key not in fields or not value:
-            raise InputError("argument", argument, wanted or f"write one of {', '.join(f'{k}=' for k in defaults)}")
-        fields[key] = value
-    return fields
+def _refused(name: str, error: InputError) -> int:
+    print(f"{name}: {line_of(error)}", file=sys.stderr)
+    try:
+        sys.stdout.flush()
+    except OSError:
+        drop_output()
+    return 2
 
 
-def whole(field: str, text: str, least: int = 1, most: int | None = None) -> int:
-    """A whole number within limits; raises InputError."""
-    if not text.isdecimal() or int(text) < least or (most is not None and int(text) > most):
-        within = f"of at least {least}" if most is None else f"from {least} to {most}"
-        raise InputError(field, text, f"a whole number {within}")
-    return int(text)
+def _of_system(error: OSError) -> InputError:
+    """What the system refused, as bad input: a file by its name, or the output."""
+    reason = error.strerror or str(error)
+    if error.filename == OUTPUT:
+        return InputError("output", OUTPUT, f"cannot be written: {reason}; make room, or send it elsewhere")
+    if error.filename is not None:
+        return InputError("file", error.filename, f"{reason}; see to it, and run the command again")
+    return InputError("system", type(error).__name__, f"{reason}; see to it, and run the command again")
 
 
-def read_folders(arguments: Sequence[str], defaults: Mapping[str, str]) -> dict[str, Path]:
-    """Folders given as ``field=path``, over the defaults; raises InputError for anything else."""
-    wanted = f"write {' or '.join(f'{field}=<folder>' for field in defaults)}"
-    return {key: Path(value) for key, value in read_fields(arguments, defaults, wanted).items()}
+def _check_folder() -> None:
+    """Raise InputError where the working folder has been removed."""
+    try:
+        os.getcwd()
+    except OSError as error:
+        where = os.environ.get("PWD", ".")
+        raise InputError("folder", where, f"where you are: {error.strerror}; change to one that is there") from None

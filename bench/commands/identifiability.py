@@ -18,12 +18,14 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.commands.fields import flag, path_of, read_fields
 from bench.commands.guard import command
 from bench.errors import InputError
 from bench.information.fisher import Bound, Information, compute_bound, information
 from bench.information.structural import Structure, check_dofs, structure_of
 from bench.reporting.rounding import number, readable, rounded
 from bench.reporting.terminal import table, wrapped
+from bench.reporting.whole_file import check_folder, write
 from bench.scenario.scenario import Scenario
 from bench.scoring.verdict import DECIDED_BY_PRIOR
 from bench.systems import Quantity
@@ -38,7 +40,7 @@ fields (defaults in brackets):
   profile    [false] true: profile likelihoods of one replicate, printed, drawn
   out        [results/figures] where the picture goes"""
 SCENARIO_FIELDS = ("system", "snr", "initial_state", "prior", "seed")
-OWN_FIELDS = ("measured", "profile", "out")
+OWN_FIELDS = {"measured": "", "profile": "false", "out": "results/figures"}
 LISTED = 5
 
 FROM_DATA, WITH_PRIOR, BY_PRIOR = "from the data", "with the prior", "decided by the prior"
@@ -97,27 +99,20 @@ def read_request(arguments: Sequence[str]) -> Request:
     """The request of a command line; raises InputError for what makes no sense."""
     from bench.config.experiment import expand
 
-    own: dict[str, str] = {"profile": "false", "out": "results/figures"}
-    overrides = []
     for argument in arguments:
-        key, equals, value = argument.partition("=")
+        key, equals, _ = argument.partition("=")
         if not equals or key.split(".")[0] not in (*SCENARIO_FIELDS, *OWN_FIELDS):
             fields = ", ".join((*SCENARIO_FIELDS, *OWN_FIELDS))
             raise InputError("argument", argument, f"write field=value with one of the fields {fields}")
-        if key in OWN_FIELDS:
-            own[key] = value
-        else:
-            overrides.append(argument)
-    if own["profile"] not in ("true", "false"):
-        raise InputError("profile", own["profile"], "true or false")
-    if not own["out"]:
-        raise InputError("out", "", "write out=<folder>")
+    overrides = [argument for argument in arguments if argument.partition("=")[0] not in OWN_FIELDS]
+    own = read_fields([argument for argument in arguments if argument not in overrides], OWN_FIELDS)
+    profile = flag("profile", own["profile"])
     job = expand([*overrides, "method=oracle"], multirun=False)[0]
     scenario = job.cell().scenario
     system = scenario.make_system()
-    measured = _dofs(own["measured"]) if "measured" in own else scenario.measured_dofs
+    measured = _dofs(own["measured"]) if own["measured"] else scenario.measured_dofs
     check_dofs(system, measured)
-    return Request(scenario, job.config.seed, measured, own["profile"] == "true", Path(own["out"]))
+    return Request(scenario, job.config.seed, measured, profile, path_of(own["out"]))
 
 
 def _dofs(text: str) -> tuple[int, ...]:
@@ -125,8 +120,8 @@ def _dofs(text: str) -> tuple[int, ...]:
         value = json.loads(text)
     except ValueError:
         value = None
-    value = [value] if isinstance(value, int) else value
-    if not isinstance(value, list) or not all(type(entry) is int for entry in value):
+    value = [value] if type(value) is int else value
+    if not isinstance(value, list) or not value or not all(type(entry) is int for entry in value):
         raise InputError("measured", text, "a list of DOFs counted from 0, such as [0,1]")
     return tuple(value)
 
@@ -210,13 +205,11 @@ def _profile(request: Request, structure: Structure, told: Information) -> None:
     from bench.information.profile import profiles
     from bench.reporting.figures.profile_likelihood import CAPTION, draw_profiles
     from bench.reporting.figures.style import save_figure
-    from bench.store.store import Store
 
     scenario = request.scenario
     system = scenario.make_system()
     parameters = [system.quantity(name) for name in system.names]
     groups = {group.name: group for group in (*system.groups, *structure.groups) if len(group.exponents) > 1}
-    Store(request.out).prepare()
     found = profiles(scenario, structure, told, [*parameters, *groups.values()], request.seed, request.measured)
     rows = []
     for p in found:
@@ -229,7 +222,7 @@ def _profile(request: Request, structure: Structure, told: Information) -> None:
     name = f"profile_{scenario.label}"
     for path in save_figure(figure, request.out, name):
         print(path)
-    (request.out / f"{name}.txt").write_text(CAPTION + "\n", encoding="utf-8")
+    write(request.out / f"{name}.txt", CAPTION + "\n", request.out)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -240,6 +233,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: Sequence[str]) -> int:
     try:
         request = read_request(arguments)
+        if request.profile:
+            check_folder(request.out)
         structure = structure_of(request.scenario, request.measured)
         told = information(request.scenario, request.seed, request.measured)
         print(report(request, structure, told, listed(structure, request.scenario)))

@@ -113,15 +113,19 @@ def _main(arguments: list[str]) -> int:
         from bench.commands.atlas import made_atlas
 
         return made_atlas([text for text in arguments if text not in {*flags, ATLAS}])
-    from bench.config.overrides import of_launcher, read_overrides
+    from bench.config.launcher import check_launcher, of_launcher
+    from bench.config.overrides import read_overrides
 
     launcher = [text for text in arguments if of_launcher(text)]
+    check_launcher(launcher)
     overrides = read_overrides([text for text in arguments if text not in {*launcher, *flags}])
     from bench.config.experiment import sweep  # half a second to import: a mistyped name is said before
 
     if any(value is not None for value in overrides.get("data", [])):
         return _identify(overrides, show="--cfg" in flags)
     jobs = sweep(overrides, multirun=bool(flags & {"-m", "--multirun"}))
+    if "cells_per_job" in overrides and not launcher:
+        raise InputError("cells_per_job", overrides["cells_per_job"][0], "with hydra/launcher=, whose jobs it is of")
     if "--cfg" in flags:
         for job in jobs:
             print(job.config.model_dump_json(indent=2))

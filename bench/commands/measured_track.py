@@ -7,12 +7,13 @@ that says so. Finished fits are kept in ``store``, and the same command goes on 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.commands.guard import read_fields, whole
-from bench.errors import InputError
+from bench.commands.fields import flag, folder_of, listed, path_of, read_fields, whole
+from bench.config.choices import check_choice
+from bench.reporting.whole_file import check_folder, write
 
 if TYPE_CHECKING:
     from bench.measured.track import Fit, Task
@@ -33,39 +34,31 @@ def tracked(arguments: Sequence[str]) -> int:
     from bench.reporting.tables.track_table import Track
 
     fields = read_fields(arguments, FIELDS)
-    timeout_s, root = float(whole("timeout_s", fields["timeout_s"])), _root(fields["data_root"])
-    names, methods = _listed(fields["set"]) or set_names(), _listed(fields["method"]) or track_methods()
-    fits = Fits(Path(fields["store"]))
+    dry_run, fitting = flag("dry_run", fields["dry_run"]), flag("fit", fields["fit"])
+    timeout_s = float(whole("timeout_s", fields["timeout_s"]))
+    root = folder_of("data_root", fields["data_root"]) if fields["data_root"] else None
+    names = listed("set", fields["set"]) if fields["set"] else set_names()
+    methods = listed("method", fields["method"]) if fields["method"] else track_methods()
+    for name in methods:
+        check_choice("method", name)
+    store, out = path_of(fields["store"]), path_of(fields["out"])
+    if not dry_run:
+        check_folder(store, "store")
+        check_folder(out)
+    fits = Fits(store)
     every = {name: list(tasks(name, measured_set(name), methods, root, timeout_s)) for name in names}
     missing = sum(fits.get(task.key, timeout_s) is None for own in every.values() for task in own)
     print(f"bench: {sum(map(len, every.values()))} fits, {missing} to do", file=sys.stderr)
-    if _flag(fields, "dry_run"):
+    if dry_run:
         return 0
-    fitting = _flag(fields, "fit")
     panels, free_runs = [], []
     for name, own in every.items():
         kept = [fit for task in own if (fit := fits.get(task.key, 0.0))]
         found = _panels(name, own, run(own, fits, timeout_s, _say) if fitting else kept, root)
         panels += found
         free_runs += [one for panel in found for one in _free_runs(panel, root)]
-    _write(Track(panels, free_runs, 0 if fitting else missing), Path(fields["out"]))
+    _write(Track(panels, free_runs, 0 if fitting else missing), out)
     return 0
-
-
-def _flag(fields: Mapping[str, str], name: str) -> bool:
-    if fields[name] not in ("true", "false"):
-        raise InputError(name, fields[name], "true or false")
-    return fields[name] == "true"
-
-
-def _listed(text: str) -> list[str]:
-    return [part.strip() for part in text.split(",") if part.strip()]
-
-
-def _root(text: str) -> Path | None:
-    if text and not Path(text).is_dir():
-        raise InputError("data_root", text, "there is no such folder")
-    return Path(text) if text else None
 
 
 def _say(fit: Fit) -> None:
@@ -114,9 +107,7 @@ def _free_runs(panel: Panel, root: Path | None) -> Iterator[FreeRun]:
 def _write(track: Track, out: Path) -> None:
     """The table, and where the packages of the page are there, the page."""
     from bench.reporting.tables.track_table import track_table
-    from bench.store.store import Store
 
-    Store(out).prepare()
     made = dict(track_table(track, COMMAND))
     try:
         from bench.reporting.track.page import page
@@ -126,5 +117,5 @@ def _write(track: Track, out: Path) -> None:
         said = f"bench: no page, since {error.name} is missing: pip install 'vibration-bench[report]'"
         print(said, file=sys.stderr)
     for name, content in made.items():
-        (out / name).write_text(content, encoding="utf-8")
+        write(out / name, content, out)
         print(out / name)

@@ -23,8 +23,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.commands.guard import command, read_fields, whole
+from bench.commands.fields import number, path_of, read_fields, whole
+from bench.commands.guard import command
 from bench.commands.recheck import SAME, Check, difference, miss_probability, summarised
+from bench.config.schema import MOST_WORKERS
 from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
@@ -80,8 +82,9 @@ def _main(arguments: Sequence[str]) -> int:
     fields = read_fields([argument for argument in arguments if "=" in argument], DEFAULTS)
     if len(names) != 1:
         raise InputError("submission", " ".join(names), "name one file or folder")
-    share, seed = _share(fields["verify"]), whole("seed", fields["seed"] or str(secrets.randbits(48)), 0)
-    workers, source, into = whole("workers", fields["workers"]), Path(names[0]), Store(Path(fields["store"]))
+    share, seed = _share(fields["verify"]), whole("seed", fields["seed"] or str(secrets.randbits(48)), 0, 2**63 - 1)
+    workers = whole("workers", fields["workers"], most=MOST_WORKERS)
+    source, into = path_of(names[0]), Store(path_of(fields["store"]))
     if source.is_dir():
         return _merge_store(Store(source), into)
     if not source.is_file():
@@ -90,13 +93,7 @@ def _main(arguments: Sequence[str]) -> int:
 
 
 def _share(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not LEAST_SHARE <= value <= 1.0:
-        raise InputError("verify", text, f"a number from {LEAST_SHARE:g} to 1")
-    return value
+    return number("verify", text, math.nextafter(LEAST_SHARE, 0.0), 1.0, f"a number from {LEAST_SHARE:g}")
 
 
 def _merge_store(source: Store, into: Store) -> int:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
-from bench.commands.guard import command, read_fields
+from bench.commands.fields import path_of, read_fields
+from bench.commands.guard import command
 from bench.errors import InputError
 
 USAGE = """usage: python -m bench.new method <name> [out=<folder>]
@@ -32,7 +32,7 @@ def _main(arguments: Sequence[str]) -> int:
 
     from bench.conformance.template_files import written
 
-    for path in written(words[0], words[1], Path(fields["out"])):
+    for path in written(words[0], words[1], path_of(fields["out"])):
         print(path)
     print(f"try it: python -m bench.check {fields['out']}")
     return 0

@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.commands.guard import read_fields, whole
-from bench.config.online import VARYING, listed_names, online_scenario, online_track, own_scenarios, scenario_names
+from bench.commands.fields import flag, listed, path_of, read_fields, whole
+from bench.config.online import VARYING, online_scenario, online_track, own_scenarios, scenario_names
+from bench.config.schema import MOST_WORKERS
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
+from bench.reporting.whole_file import check_folder, write
 
 if TYPE_CHECKING:
     from bench.online.follow import Followed
@@ -31,6 +33,8 @@ FIELDS = {
 }  # fmt: skip
 OF_SYSTEM = ("snr", "samples", "rate", "force")
 """Fields of a scenario of one's own."""
+OWN = "outputs/online_own"
+"""Where what is made of a scenario of one's own goes."""
 COMMAND = "python -m bench -m experiment=online"
 USAGE = """usage: python -m bench -m experiment=online [field=value ...]
 
@@ -68,15 +72,21 @@ def followed_online(arguments: Sequence[str]) -> int:
 
     varying = dict(_varying(text) for text in arguments if text.startswith(VARYING))
     fields = read_fields([text for text in arguments if not text.startswith(VARYING)], FIELDS)
+    dry_run, fitting = flag("dry_run", fields["dry_run"]), flag("fit", fields["fit"])
+    workers = whole("workers", fields["workers"], most=MOST_WORKERS) if fields["workers"] else usable_cores()
     every, refused = _tasks(fields, _scenarios(fields, varying))
-    paths = Paths(Path(fields["store"]))
+    store, out = path_of(fields["store"]), path_of(fields["out"] or (OWN if fields["system"] else "results"))
+    if not dry_run:
+        check_folder(store, "store")
+        check_folder(out)
+    paths = Paths(store)
     left = sum(len(missing(task, paths)) for task in every)
     print(f"bench: {sum(task.replicates for task in every)} runs, {left} to do", file=sys.stderr)
-    if fields["dry_run"] == "true":
+    if dry_run:
         return 0
-    if left and fields["fit"] == "true":
-        _run(every, paths, left, whole("workers", fields["workers"]) if fields["workers"] else usable_cores())
-    _write(every, refused, paths, Path(fields["out"] or ("outputs/online_own" if fields["system"] else "results")))
+    if left and fitting:
+        _run(every, paths, left, workers)
+    _write(every, refused, paths, out)
     return 0
 
 
@@ -99,7 +109,8 @@ def _scenarios(fields: Mapping[str, str], varying: Mapping[str, str]) -> list[On
             raise InputError(name, fields[name], "with system=<name>; the track's scenarios have their own")
     if varying:
         raise InputError(f"{VARYING}{next(iter(varying))}", next(iter(varying.values())), "with system=<name>")
-    return [online_scenario(name) for name in listed_names(fields["scenario"]) or scenario_names()]
+    named = listed("scenario", fields["scenario"]) if fields["scenario"] else scenario_names()
+    return [online_scenario(name) for name in named]
 
 
 def _tasks(fields: Mapping[str, str], scenarios: Sequence[OnlineScenario]) -> tuple[list[Task], list[Line]]:
@@ -109,7 +120,9 @@ def _tasks(fields: Mapping[str, str], scenarios: Sequence[OnlineScenario]) -> tu
     from bench.reporting.tables.online_table import Line
 
     content = online_track()
-    methods = listed_names(fields["method"]) or content["methods"]
+    methods = listed("method", fields["method"]) if fields["method"] else content["methods"]
+    seed = whole("seed", fields["seed"], 0, 2**63 - 1)
+    most = whole("replicates", fields["replicates"]) if fields["replicates"] else None
     settings = {name: dict(own) for name, own in content["variants"].items()}
     registered = {name: settings.get(name, {}).pop("method", name) for name in methods}
     made = {name: make_online(registered[name], settings.get(name, {})) for name in methods}
@@ -125,9 +138,7 @@ def _tasks(fields: Mapping[str, str], scenarios: Sequence[OnlineScenario]) -> tu
                 refused.append(Line(name, method, _title(method, registered[method]), message=objection))
                 continue
             n = content["replicates_by_method"].get(method, content["replicates"])
-            if fields["replicates"]:
-                n = min(n, whole("replicates", fields["replicates"]))
-            seed = whole("seed", fields["seed"], least=0)
+            n = n if most is None else min(n, most)
             tasks.append(Task(scenario, registered[method], settings.get(method, {}), n, seed, method))
     return tasks, refused
 
@@ -164,10 +175,9 @@ def _write(tasks: Sequence[Task], refused: Sequence[Line], paths: Paths, out: Pa
         lines += [*found[0], *(line for line in refused if line.scenario == scenario.label)]
         if found[1] is not None:
             shown.append(found[1])
-    out.mkdir(parents=True, exist_ok=True)
     described = {name: scenario.describe() for name, scenario in scenarios.items()}
     for name, text in table(lines, described, COMMAND).items():
-        (out / name).write_text(text, encoding="utf-8")
+        write(out / name, text, out)
         print(out / name)
     try:
         for place in draw_online(shown, out / "figures"):

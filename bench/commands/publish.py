@@ -18,11 +18,14 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from bench.commands.guard import command, read_fields
+from bench.commands.fields import flag, path_of, read_fields
+from bench.commands.guard import command
+from bench.commands.stores import filled_store
 from bench.config.choices import choices
 from bench.config.drawn import drawn_scenarios
 from bench.config.experiment import Experiment
 from bench.errors import InputError
+from bench.reporting.whole_file import check_folder
 from bench.store.archive.archive import Archive
 from bench.store.bound_file import bound_text
 from bench.store.cell import stored_as_cell
@@ -136,15 +139,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: Sequence[str]) -> int:
     known = default_archive()
     usual = "results/archive" if known == NONE else known
-    given = read_fields(arguments, {"store": DEFAULT_STORE, "archive": usual, "seal": "false"})
-    if given["seal"] not in ("true", "false"):
-        raise InputError("seal", given["seal"], "true or false")
-    store, archive = Store(Path(given["store"])), Archive(Path(given["archive"]))
-    if given["seal"] == "true":
-        return _seal(store, archive.folder)
-    if not store.folder.is_dir():
-        raise InputError("store", store.folder, "there is no such folder; run some cells first")
-    Store(archive.folder).prepare()
+    fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": usual, "seal": "false"})
+    archive = Archive(path_of(fields["archive"]))
+    if flag("seal", fields["seal"]):
+        return _seal(Store(path_of(fields["store"])), archive.folder)
+    store = filled_store({"store": fields["store"], "archive": NONE})
+    check_folder(archive.folder, "archive")
     try:
         changed = publish(store, archive, described())
     except InputError:

@@ -28,8 +28,11 @@ from typing import Any
 
 import numpy as np
 
-from bench.commands.guard import command, read_fields
+from bench.commands.fields import listed, read_fields
+from bench.commands.guard import command
 from bench.commands.reproduce import compare_rows
+from bench.commands.stores import FIELDS, store_of
+from bench.config.choices import check_choice
 from bench.config.experiment import Experiment
 from bench.contract.estimate import Status
 from bench.errors import InputError
@@ -40,7 +43,7 @@ from bench.scoring.summary import summarise
 from bench.store.bounds import load_bounds
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.locks import Claims
-from bench.store.opening import DEFAULT_STORE, open_store
+from bench.store.opening import DEFAULT_STORE
 from bench.store.provenance import provenance
 from bench.store.store import Store
 from bench.store.stored import StoredCell
@@ -195,10 +198,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str]) -> int:
-    fields = read_fields(arguments, {"experiment": "", "method": "", "store": DEFAULT_STORE, "archive": ""})
-    store, wanted = open_store(fields["store"], fields["archive"]), _filter(fields)
-    if not store.there():
-        raise InputError("store", store.folder, "there is no such folder; run some cells first")
+    fields = read_fields(arguments, {"experiment": "", "method": "", **FIELDS})
+    wanted, store = _filter(fields), store_of(fields)
     renewed = summarise_anew([(stored, stamp) for stored, stamp in _stamped(store) if wanted(stored)], store)
     found = checks(store, wanted)
     if renewed:
@@ -240,7 +241,9 @@ def summarise_anew(found: Sequence[tuple[StoredCell, int]], store: Store) -> int
 
 def _filter(fields: Mapping[str, str]) -> Callable[[StoredCell], bool]:
     """Whether a stored cell is of the experiment and the methods that were asked for, if any."""
-    methods = set(fields["method"].split(",")) if fields["method"] else None
+    methods = set(listed("method", fields["method"])) if fields["method"] else None
+    for name in methods or ():
+        check_choice("method", name.split(" ")[0])  # behind a blank, a label has the settings of a variant
     identities: Collection[str] | None = None
     if fields["experiment"]:
         identities = {cell.identity for cell in Experiment(fields["experiment"]).cells()}

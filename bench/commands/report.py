@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
-from bench.commands.guard import command, read_fields
+from bench.commands.fields import path_of, read_fields
+from bench.commands.guard import command
+from bench.commands.stores import FIELDS, filled_store
 from bench.reporting.page.page import page
-from bench.reporting.whole_file import write
-from bench.store.opening import DEFAULT_STORE, open_store
+from bench.reporting.whole_file import check_file, write
+from bench.store.opening import DEFAULT_STORE
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -24,9 +25,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: Sequence[str]) -> int:
     try:
-        fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": "", "out": "results/report.html"})
-        out = Path(fields["out"])
-        write(out, page(open_store(fields["store"], fields["archive"]), out))
+        fields = read_fields(arguments, {**FIELDS, "out": "results/report.html"})
+        store, out = filled_store(fields), path_of(fields["out"])
+        check_file(out)
+        write(out, page(store, out))
         print(out)
     except ImportError as error:
         print(f"bench.report: {error.name} is missing: pip install 'vibration-bench[report]'", file=sys.stderr)

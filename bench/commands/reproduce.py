@@ -8,6 +8,7 @@ packages and the machine since. ``<cell>`` is an identity, or the start of one; 
 from __future__ import annotations
 
 import math
+import re
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -15,12 +16,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 
-from bench.commands.guard import command, read_fields
+from bench.commands.fields import read_fields
+from bench.commands.guard import command
+from bench.commands.stores import FIELDS, store_of
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
 from bench.scoring.row import Row
 from bench.store.cell import stored_as_cell
-from bench.store.opening import DEFAULT_STORE, open_store
+from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store
 from bench.store.stored import DIGITS, StoredCell
 from bench.store.version import Version
@@ -106,7 +109,7 @@ def _circumstances(old: StoredCell, new: StoredCell) -> list[str]:
 
 def find(store: Store, text: str) -> StoredCell:
     """The stored cell whose identity starts so; raises InputError for none or several."""
-    found = [identity for identity in store.identities() if identity.startswith(text)] if store.there() else []
+    found = [identity for identity in store.identities() if identity.startswith(text)]
     if len(found) != 1:
         reason = "no such cell" if not found else f"{len(found)} cells start so"
         raise InputError("cell", text, f"{reason} in {store.folder}; their files are named by them")
@@ -148,14 +151,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str]) -> int:
-    if not arguments:
-        print(USAGE + str(__doc__))
-        return 2
     names = [a for a in arguments if "=" not in a]
-    given = read_fields([a for a in arguments if "=" in a], {"store": DEFAULT_STORE, "archive": ""})
-    if len(names) != 1 or not all(c in "0123456789abcdef" for c in names[0]):
-        raise InputError("cell", " ".join(names), "give one identity, or the start of one")
-    store = open_store(given["store"], given["archive"])
+    given = read_fields([a for a in arguments if "=" in a], FIELDS)
+    if len(names) != 1 or not re.fullmatch("[0-9a-f]+", names[0]):
+        raise InputError("cell", " ".join(names), "give one identity, or the start of one; see --help")
+    store = store_of(given)
     stored = find(store, names[0])
     verdict = compare(stored, run_again(stored))
     print(page(stored, verdict))

@@ -1,22 +1,24 @@
 """``python -m bench.reproduction``: a verdict on each of the paper's 59 numbers, and what it rests on.
 
 Each number is judged under the reading of the protocol and under others (:mod:`bench.reporting.reproduction`). Cells
-that the store lacks are run first; the page is ``results/reproduction.md``.
+that the store lacks are run first, where it holds some; the page is ``results/reproduction.md``.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
-from bench.commands.guard import command, read_fields
+from bench.commands.fields import path_of, read_fields
+from bench.commands.guard import command
+from bench.commands.stores import FIELDS, filled_store
 from bench.isolation.cores import usable_cores
 from bench.reporting.frame import Result
 from bench.reporting.reproduction import Place, all_cells, ratio_verdicts, verdicts
 from bench.reporting.reproduction_page import files
+from bench.reporting.whole_file import check_folder, write
 from bench.store.cell import Cell
-from bench.store.opening import DEFAULT_STORE, open_store
+from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store
 from bench.sweep.launch import complete
 from bench.sweep.workers import Limits
@@ -30,14 +32,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str]) -> int:
-    fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": "", "out": "results"})
-    store, out = open_store(fields["store"], fields["archive"]), Path(fields["out"])
+    fields = read_fields(arguments, {**FIELDS, "out": "results"})
+    store, out = filled_store(fields), path_of(fields["out"])
+    check_folder(out)
     store.prepare()
-    Store(out).prepare()
     cells = all_cells()
     results = _results(cells, store)
     for name, text in files(verdicts(results), ratio_verdicts(results), next(iter(cells.values()))).items():
-        (out / name).write_text(text, encoding="utf-8")
+        write(out / name, text, out)
         print(out / name)
     return 0
 

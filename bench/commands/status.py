@@ -13,7 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
+from bench.commands.fields import number, read_fields
 from bench.commands.guard import command
+from bench.commands.stores import FIELDS, store_of
 from bench.commands.watch import Progress, follow
 from bench.contract.estimate import Status
 from bench.entrants.registry import method_names
@@ -23,7 +25,7 @@ from bench.reporting.plan_table import listing
 from bench.reporting.terminal import table, wrapped
 from bench.store import index as view
 from bench.store.cell import Cell
-from bench.store.opening import DEFAULT_STORE, open_store
+from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store
 from bench.store.version import cell_version
 from bench.sweep.plan import Reasons, State, plan, read_retry
@@ -41,7 +43,7 @@ fields (defaults in brackets):
                  cell is stored, or with Ctrl-C (status 130; the run goes on)
   experiment, method, ...    the sweep, as for python -m bench -m
 """
-OWN_FIELDS = ("store", "archive", "watch")
+OWN_FIELDS = {**FIELDS, "watch": "false"}
 MOST_REASONS = 3
 WATCH_S, SHORTEST_S, LONGEST_S = 2.0, 0.1, 3600.0
 
@@ -128,18 +130,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: Sequence[str]) -> int:
     fields = [argument for argument in arguments if argument.partition("=")[0] not in OWN_FIELDS]
-    given = {key: value for key, _, value in (argument.partition("=") for argument in arguments) if key in OWN_FIELDS}
-    if given.get("store") == "":
-        raise InputError("store", "", "name a folder")
-    store, seconds = (
-        open_store(given.get("store", DEFAULT_STORE), given.get("archive")),
-        read_watch(given.get("watch", "false")),
-    )
+    given = read_fields([argument for argument in arguments if argument not in fields], OWN_FIELDS)
+    seconds = read_watch(given["watch"])
     if seconds and not fields:
         raise InputError("watch", given["watch"], "say what to follow: experiment=<name>, or the fields of the sweep")
     sweep = _sweep(fields) if fields else None  # first, so that a misspelt field is said whatever the store is
-    if not store.there():
-        raise InputError("store", store.folder, "there is no such folder; run a sweep first, or name another")
+    store = store_of(given)
     if sweep is None:
         print(store_page(store))
     elif seconds:
@@ -151,16 +147,10 @@ def _main(arguments: Sequence[str]) -> int:
 
 def read_watch(text: str) -> float:
     """Seconds between two looks; 0 for none. Raises InputError."""
-    known = {"false": 0.0, "true": WATCH_S}
-    try:
-        seconds = known[text] if text in known else float(text)
-    except ValueError:
-        seconds = math.nan
-    if text not in known and not SHORTEST_S <= seconds <= LONGEST_S:
-        raise InputError(
-            "watch", text, f"true, false, or the seconds between two looks, {SHORTEST_S:g} to {LONGEST_S:g}"
-        )
-    return seconds
+    if text in ("false", "true"):
+        return WATCH_S if text == "true" else 0.0
+    wanted = f"true, false, or the seconds between two looks, at least {SHORTEST_S:g}"
+    return number("watch", text, math.nextafter(SHORTEST_S, 0.0), LONGEST_S, wanted)
 
 
 def _sweep(fields: Sequence[str]) -> tuple[list[Cell], frozenset[Status]]:

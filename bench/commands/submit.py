@@ -11,15 +11,17 @@ import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
-from bench.commands.guard import command, read_fields
+from bench.commands.fields import path_of, read_fields
+from bench.commands.guard import command
+from bench.commands.stores import store_of
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import DISTRIBUTION, registered
 from bench.errors import InputError
+from bench.reporting.whole_file import check_file
 from bench.store.cell import stored_as_cell
-from bench.store.opening import DEFAULT_STORE, open_store
+from bench.store.opening import DEFAULT_STORE, NONE
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.store.submitted import unmarked_cell
@@ -47,9 +49,9 @@ def _main(arguments: Sequence[str]) -> int:
     method = fields["method"]
     if method in REFERENCES or method not in registered():
         raise InputError("method", method, f"one of {', '.join(registered())}")
-    store, path = open_store(fields["store"], "none"), Path(fields["out"] or f"{method}{ENDING}")
-    if not store.there():
-        raise InputError("store", store.folder, "there is no such folder; run some cells first")
+    store = store_of({"store": fields["store"], "archive": NONE})
+    path = path_of(fields["out"] or f"{method}{ENDING}")
+    check_file(path)
     cells = chosen(store, method, fields["experiment"])
     manifest = pack(path, store, cells, _facts(fields))
     rows = sum(len(stored.rows) for stored in cells)

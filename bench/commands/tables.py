@@ -11,10 +11,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.commands.guard import command, read_fields
+from bench.commands.fields import path_of, read_fields
+from bench.commands.guard import command
+from bench.commands.stores import FIELDS, filled_store
 from bench.errors import InputError
-from bench.store.opening import DEFAULT_STORE, open_store
-from bench.store.store import Store
+from bench.reporting.whole_file import check_folder, write
+from bench.store.opening import DEFAULT_STORE
 
 if TYPE_CHECKING:
     from bench.reporting.frame import Frame
@@ -32,12 +34,10 @@ def _main(arguments: Sequence[str]) -> int:
     from bench.reporting.tables.forms import table_files
     from bench.reporting.tables.leaderboard import EXPERIMENTS, leaderboard
 
-    fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": "", "out": "results"})
-    store, out = open_store(fields["store"], fields["archive"]), Path(fields["out"])
-    if not store.there():
-        raise InputError("store", store.folder, "there is no such folder; run some cells first")
-    Store(out).prepare()
-    pooled, drawn, submitted = [], None, submitted_results(store)
+    fields = read_fields(arguments, {**FIELDS, "out": "results"})
+    store, out = filled_store(fields), path_of(fields["out"])
+    check_folder(out)
+    pooled, drawn, submitted, written = [], None, submitted_results(store), 0
     for name in table_experiments():
         frame = with_submitted(experiment_frame(name, store), submitted)
         files = table_files(frame, store)
@@ -45,18 +45,21 @@ def _main(arguments: Sequence[str]) -> int:
             _say_stale(frame)
         else:
             print(f"{name}: no cells stored; run python -m bench -m experiment={name}", file=sys.stderr)
-        _write(files, out)
+        written += _write(files, out)
         pooled += [frame] if name in EXPERIMENTS else []
         drawn = frame if frame.table.get("form") == "open" else drawn
-    _write(leaderboard(pooled, drawn), out)
+    written += _write(leaderboard(pooled, drawn), out)
+    if not written:
+        raise InputError("store", fields["store"], "none of its cells stands in a table; see bench.status")
     return 0
 
 
-def _write(files: Mapping[str, str], out: Path) -> None:
-    """Write files by name, saying so."""
+def _write(files: Mapping[str, str], out: Path) -> int:
+    """Write files by name, saying so; how many."""
     for name, content in files.items():
-        (out / name).write_text(content, encoding="utf-8")
+        write(out / name, content, out)
         print(out / name)
+    return len(files)
 
 
 def _say_stale(frame: Frame) -> None:

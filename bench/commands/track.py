@@ -8,14 +8,18 @@ where ``state`` says.
 from __future__ import annotations
 
 import itertools
+import math
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from bench.commands.guard import command, read_fields, whole
+from bench.commands.fields import file_of, flag, listed, number, one_of, path_of, read_fields, whole
+from bench.commands.guard import command
 from bench.errors import InputError
 from bench.isolation.processes import compiled_single_threaded
+from bench.reporting.whole_file import check_file
 
 if TYPE_CHECKING:
     from bench.contract.online import Layout, OnlineIdentifier, Tracker
@@ -47,7 +51,7 @@ USAGE = """usage: python -m bench.track system=sdof method=<name> [field=value .
              the end; resume=true goes on from it, and counts nothing twice
   alarm      threshold of the method's alarm; without: none rings"""
 INTERRUPTED = "interrupted; the state is kept where state= says"
-FIRST_LINES = 20
+FIRST_LINES, LEAST_RATE = 20, 1e-9
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -70,14 +74,18 @@ def tracked(arguments: Sequence[str]) -> int:
     objection = method.objection(_layout(shape, 1.0))
     if objection:
         raise InputError("method", fields["method"], objection)
-    intake = _intake(fields, shape)
+    for name in ("out", "state"):
+        _check_writable(name, fields[name])
+    if fields["rate"]:
+        _rate(fields["rate"])
     content = _state(fields)
+    intake = _intake(fields, shape)
     held: list[Any] = []
     interval = content["interval"] if content else _interval(fields["rate"], intake, held)
     layout = _layout(shape, interval)
     from bench.twin.state import resumed
 
-    tracker = resumed(Path(fields["state"]), content, method, layout) if content else method.start(layout)
+    tracker = resumed(path_of(fields["state"]), content, method, layout) if content else method.start(layout)
     tracker.prepare()
     page = _page(fields, layout)
     try:
@@ -90,6 +98,13 @@ def tracked(arguments: Sequence[str]) -> int:
     return 0
 
 
+def _check_writable(field: str, text: str) -> None:
+    """Raise InputError before any sample is read where a file cannot be written; a pipe or a device is not tried."""
+    path = path_of(text)
+    if text not in ("", "-", "none") and (os.path.isfile(path) or os.path.isdir(path) or not os.path.exists(path)):
+        check_file(path, field)
+
+
 def _read(arguments: Sequence[str]) -> tuple[dict[str, str], dict[str, Any]]:
     """Fields, and the settings of the method."""
     from bench.config.suggest import did_you_mean
@@ -98,24 +113,28 @@ def _read(arguments: Sequence[str]) -> tuple[dict[str, str], dict[str, Any]]:
     for argument in arguments:
         key, _, value = argument.partition("=")
         if key.startswith("method.") and value:
-            settings[key.removeprefix("method.")] = _value(value)
+            settings[key.removeprefix("method.")] = _value(key, value)
         else:
             rest.append(argument)
             if key not in FIELDS:
                 raise InputError("argument", argument, f"{did_you_mean(key, list(FIELDS))}see --help")
     fields = read_fields(rest, FIELDS)
     for name in ("follow", "view", "page", "resume"):
-        if fields[name] not in ("true", "false"):
-            raise InputError(name, fields[name], "true or false")
-    if fields["policy"] not in ("lag", "decimate"):
-        raise InputError("policy", fields["policy"], "lag or decimate")
+        flag(name, fields[name])
+    one_of("policy", fields["policy"], ("lag", "decimate"))
+    whole("save_every", fields["save_every"])
+    whole("port", fields["port"], 0, 65535)
+    _threshold(fields["alarm"])
     return fields, settings
 
 
-def _value(text: str) -> Any:
+def _value(field: str, text: str) -> Any:
     import yaml
 
-    return yaml.safe_load(text)
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError):
+        raise InputError(field, text, "a number, a word, or a list as [1, 2]") from None
 
 
 def _method(name: str, settings: Mapping[str, Any]) -> OnlineIdentifier:
@@ -134,7 +153,7 @@ def _shape(fields: Mapping[str, str]) -> dict[str, Any]:
     from bench.config.choices import check_choice
     from bench.config.online import system_content
     from bench.contract.online import Sensor
-    from bench.systems import make_system
+    from bench.systems import MEASURED, make_system
 
     check_choice("system", fields["system"])
     stated = system_content(fields["system"])
@@ -142,14 +161,22 @@ def _shape(fields: Mapping[str, str]) -> dict[str, Any]:
     limits = _limits(fields["limits"])
     named = fields["sensors"] or ",".join(f"displacement:{dof}" for dof in range(system.n_dof))
     sensors = []
-    for text in named.split(","):
-        kind, _, dof = text.strip().partition(":")
-        sensors.append(Sensor(kind, whole("sensors", dof or "0", least=0), limits))  # type: ignore[arg-type]
-    dofs = {
-        name: tuple(whole(name, text.strip(), least=0) for text in fields[name].split(",") if text.strip())
-        for name in ("forced", "ambient")
-    }
+    for text in listed("sensors", named):
+        kind, _, dof = text.partition(":")
+        if kind not in MEASURED or (dof or "0") not in map(str, range(system.n_dof)):
+            wanted = f"<{', '.join(MEASURED)}>:<DOF>, of DOFs 0 to {system.n_dof - 1}, several with commas"
+            raise InputError("sensors", text, wanted)
+        sensors.append(Sensor(kind, int(dof or "0"), limits))  # type: ignore[arg-type]
+    dofs = {name: _dofs(name, fields[name], system.n_dof) for name in ("forced", "ambient")}
     return {"system": system, "sensors": tuple(sensors), **dofs}
+
+
+def _dofs(field: str, text: str, n: int) -> tuple[int, ...]:
+    """Different DOFs of a system that has ``n``."""
+    found = tuple(whole(field, part, 0, n - 1) for part in listed(field, text)) if text else ()
+    if len(set(found)) < len(found):
+        raise InputError(field, text, "every DOF once")
+    return found
 
 
 def _limits(text: str) -> tuple[float, float] | None:
@@ -158,7 +185,9 @@ def _limits(text: str) -> tuple[float, float] | None:
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
-        raise InputError("limits", text, "lo:hi, e.g. -0.1:0.1") from None
+        low, high = math.nan, math.nan
+    if not low < high:
+        raise InputError("limits", text, "lo:hi, the lower first, e.g. -0.1:0.1")
     return low, high
 
 
@@ -185,16 +214,16 @@ def _state(fields: Mapping[str, str]) -> dict[str, Any] | None:
 
     if fields["resume"] == "true" and not fields["state"]:
         raise InputError("resume", "true", "with state=<file>")
-    return read(Path(fields["state"])) if fields["resume"] == "true" else None
+    if fields["resume"] != "true":
+        return None
+    wanted = "a state file of this command; leave resume out to begin"
+    return read(file_of("state", fields["state"], wanted))
 
 
 def _interval(rate: str, intake: Intake, held: list[Any]) -> float:
     """Of the samples (s): as told, or the median of the first; what was read for it is held."""
     if rate:
-        try:
-            return 1.0 / float(rate)
-        except (ValueError, ZeroDivisionError):
-            raise InputError("rate", rate, "samples a second, a positive number") from None
+        return 1.0 / _rate(rate)
     while len(held) < FIRST_LINES:
         sample = intake.get()
         held.append(sample)
@@ -206,6 +235,10 @@ def _interval(rate: str, intake: Intake, held: list[Any]) -> float:
         wanted = f"lines that read {intake.form.columns}; or say rate="
         raise InputError("stream", f"{len(times)} sample(s)", wanted)
     return float(steps[len(steps) // 2])
+
+
+def _rate(text: str) -> float:
+    return number("rate", text, LEAST_RATE, 1.0 / LEAST_RATE, "samples a second, a positive number")
 
 
 def _page(fields: Mapping[str, str], layout: Layout) -> Page | None:
@@ -246,10 +279,10 @@ def _follow(
                     if shown is not None:
                         shown.add(found)
                 if place and tracker.samples % every == 0:
-                    save(Path(place), method, tracker)
+                    save(path_of(place), method, tracker)
         finally:
             if place:
-                save(Path(place), method, tracker)
+                save(path_of(place), method, tracker)
             if view is not None:
                 view.close()
             if again:
@@ -257,10 +290,7 @@ def _follow(
 
 
 def _threshold(text: str) -> float | None:
-    try:
-        return float(text) if text else None
-    except ValueError:
-        raise InputError("alarm", text, "a number, compared with the method's alarm") from None
+    return number("alarm", text, wanted="a number, compared with the method's alarm") if text else None
 
 
 class _Output:
@@ -273,8 +303,9 @@ class _Output:
             self.file = sys.stdout
         elif self.own:
             try:
-                before = [] if seen is None else _until(Path(place), seen)
-                self.file = open(place, "w", encoding="utf-8")  # noqa: SIM115 - closed on exit
+                path = path_of(place)
+                before = [] if seen is None else _until(path, seen)
+                self.file = path.open("w", encoding="utf-8")
                 self.file.writelines(before)
             except OSError as error:
                 raise InputError("out", place, f"cannot be written: {error.strerror}") from None

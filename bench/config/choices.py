@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from bench.config.drawn import drawn_ranges, drawn_scenario
@@ -35,6 +35,6 @@ def check_choice(group: str, value: Any) -> None:
 def own_file(group: str, value: Any) -> bool:
     """Whether a choice names a file of one's own: ``system=<path>.yaml``; raises InputError if it is not there."""
     named = group == "system" and isinstance(value, str) and value.endswith(".yaml")
-    if named and not Path(value).is_file():
+    if named and not os.path.isfile(os.path.expanduser(value)):
         raise InputError(group, value, "there is no such file; give the path of a file like those of conf/system")
     return named

@@ -8,22 +8,28 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from bench.config.choices import choices, own_file
 from bench.config.drawn import drawn_scenario
 from bench.config.files import FOLDERS, file_names, file_text, read_yaml
+from bench.config.own_file import read_own_system
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import default_settings, registered
 from bench.errors import InputError
-from bench.isolation.failure import one_line
 from bench.scenario import scenario as declared
+from bench.scenario.force import ForceSpec
 
+PLAIN = re.compile(r"[A-Za-z_][\w./-]*")
+"""Texts that need no quotes in Hydra's grammar, unless they are one of the words that it takes for something else."""
+TOLD = ("nominal.", "fixed.")
+"""What fields begin with that no file has: they are of the user's own system."""
+NO_NAMES = ("null", "true", "false", "nan", "inf")
 COMPOSED = ("method", "system", "prior", "disturbance")
 """Groups whose files Hydra composes."""
 
@@ -36,7 +42,7 @@ def composed(chosen: Mapping[str, Any]) -> dict[str, Any]:
     """
     literals = {key: _literal(value) for key, value in chosen.items()}
     if own_file("system", chosen.get("system")):
-        literals["system"] = _register_file(chosen["system"])
+        literals["system"] = _register_file(os.path.expanduser(chosen["system"]))
     rest = tuple((key, text) for key, text in literals.items() if key.split(".")[0] not in COMPOSED)
     content: dict[str, Any] = json.loads(_composed("", rest))
     for group in COMPOSED:
@@ -53,25 +59,30 @@ def _defaults() -> dict[str, str]:
 
 
 def _literal(value: Any) -> str:
-    return json.dumps(value) if isinstance(value, list | dict) or value is None else str(value)
+    """A value as Hydra's grammar has it."""
+    if isinstance(value, list | tuple):
+        return f"[{','.join(map(_literal, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{{','.join(f'{_literal(key)}:{_literal(item)}' for key, item in value.items())}}}"
+    if value is None or isinstance(value, bool):
+        return json.dumps(value)
+    if not isinstance(value, str) or (PLAIN.fullmatch(value) and value.lower() not in NO_NAMES):
+        return str(value)
+    return "'" + re.sub(r"(\\*)('|$)", lambda found: 2 * found[1] + found[2].replace("'", "\\'"), value) + "'"
+
+
+_OWN_FILES: dict[str, str] = {}
+"""The file of one's own behind each name that Hydra has been given."""
 
 
 def _register_file(path: str) -> str:
     """Give Hydra a scenario from a file of one's own, which may start from one of ``conf/system``; its name there."""
     from hydra.core.config_store import ConfigStore
-    from omegaconf import OmegaConf
-    from omegaconf.errors import OmegaConfBaseException
-    from yaml import YAMLError
 
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-        content = OmegaConf.to_container(OmegaConf.create(text))
-    except (OSError, UnicodeDecodeError, YAMLError, OmegaConfBaseException) as error:
-        raise InputError("system", path, f"it cannot be read: {one_line(error)}") from None
-    if not isinstance(content, dict) or not content:
-        raise InputError("system", path, "fields like those of the files of conf/system are wanted")
-    name = f"file_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+    content = read_own_system(path)
+    name = f"file_{hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:16]}"
     ConfigStore.instance().store(group="system", name=name, node=content)
+    _OWN_FILES[name] = path
     return name
 
 
@@ -145,21 +156,50 @@ def _by_hydra(overrides: Sequence[tuple[str, str]]) -> Any:
 
     register_method(dict(overrides).get("method") or _defaults()["method"])
     _register_system(dict(overrides).get("system") or "")
-    texts = [f"{'++' if _may_be_added(key) else ''}{key}={value}" for key, value in overrides]
+    addable = _addable(overrides)
+    texts = [f"{'++' if key.startswith(TOLD) or key in addable else ''}{key}={value}" for key, value in overrides]
     try:
         with initialize_config_module("conf", version_base="1.3"):
             return OmegaConf.to_container(compose("config", overrides=texts), resolve=True)
     except (HydraException, OmegaConfBaseException) as error:
         match = re.search(r"'([\w.]+)'", str(error))
         key = match.group(1) if match and match.group(1) in dict(overrides) else overrides[-1][0]
-        reason = "no such field" if "Could not override" in str(error) else str(error).splitlines()[0]
-        raise InputError(key, dict(overrides).get(key, ""), reason) from None
+        reason = str(error).splitlines()[0]
+        if "Could not override" in reason:
+            reason = f"no such field{_beside(key, overrides)}"
+        value = dict(overrides).get(key, "")
+        for name, path in _OWN_FILES.items():
+            value, reason = value.replace(name, path), reason.replace(name, path)
+        raise InputError(key, value, reason) from None
 
 
-def _may_be_added(key: str) -> bool:
-    """Whether a field need not stand in a file: a nominal value, or an optional field of a scenario."""
-    optional = {declared.config_path(f) for f in fields(declared.Scenario) if not f.metadata.get("stated")}
-    return key.startswith(("nominal.", "fixed.")) or (key.startswith("system.") and key in optional)
+def _chosen(group: str, overrides: Sequence[tuple[str, str]]) -> Any:
+    """What a group holds by its choice alone, without fields that are set in it; raises InputError."""
+    return json.loads(
+        _composed(group, tuple(one for one in overrides if one[0] == group) or ((group, _defaults()[group]),))
+    )
+
+
+def _beside(key: str, overrides: Sequence[tuple[str, str]]) -> str:
+    """The fields beside one that is not there, in words; empty where nothing tells them."""
+    group, *between, _ = key.split(".")
+    try:
+        found = _chosen(group, overrides)
+        for name in between:
+            found = found[name]
+        return f"; there are {', '.join(found)}" if found else "; there is none"
+    except (InputError, KeyError, TypeError):
+        return ""
+
+
+def _addable(overrides: Sequence[tuple[str, str]]) -> set[str]:
+    """Fields of a scenario and its prior that need not stand in their files; those of a force where there is one."""
+    found = {path for f in fields(declared.Scenario) if (path := declared.config_path(f)).startswith("system.")}
+    found |= {f"prior.{f.name}" for f in fields(declared.PriorSpec)}
+    of_force = {f"system.force.{f.name}" for f in fields(ForceSpec)}
+    if of_force & set(dict(overrides)) and _chosen("system", overrides).get("force"):
+        found |= of_force
+    return found
 
 
 def register_method(name: str) -> None:

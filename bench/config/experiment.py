@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,11 +13,14 @@ from bench.config.choices import GROUPS, check_choice, choices
 from bench.config.composition import composed
 from bench.config.drawn import drawn_scenarios
 from bench.config.files import read_yaml
-from bench.config.overrides import OF_EXPERIMENTS, Overrides, read_overrides
+from bench.config.overrides import OF_EXPERIMENTS, Overrides, check_of_records, read_overrides
 from bench.config.schema import Job, config_from
 from bench.errors import InputError
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
+
+MOST_CELLS = 200_000
+"""Of one sweep."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,8 @@ def sweep(overrides: Overrides, multirun: bool = True) -> list[Job]:
     if not multirun:
         _check_single(overrides)
     own = {field: values for field, values in overrides.items() if field != "experiment"}
+    if all(value is None for value in own.get("data", [])):
+        check_of_records(own)
     found: list[Job] = []
     for name in overrides.get("experiment", [None]):
         found += _product(own, {}, frozenset(own)) if name is None else Experiment(name).jobs(own)
@@ -114,6 +120,11 @@ def _product(sweep: Overrides, experiment: Mapping[str, Any], explicit: frozense
             check_choice(group, value)
     if "method" not in sweep:
         raise InputError("method", "", f"choose one: {', '.join(choices('method'))}")
+    number = math.prod(map(len, sweep.values()))
+    if number > MOST_CELLS:
+        widest = max(sweep, key=lambda field: len(sweep[field]))
+        remedy = f"{number} cells in all, at most {MOST_CELLS}; sweep over less at a time"
+        raise InputError(widest, f"{len(sweep[widest])} values", remedy)
     every = (dict(zip(sweep, values, strict=True)) for values in itertools.product(*sweep.values()))
     return [_job(chosen, experiment, explicit) for chosen in every]
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
 
 import yaml
 
-from bench.config.choices import check_choice
+from bench.config.choices import check_choice, own_file
+from bench.config.drawn import drawn_scenario
 from bench.config.files import read_yaml
+from bench.config.own_file import read_own_system
 from bench.config.suggest import did_you_mean
 from bench.errors import InputError
 from bench.online.course import Course
@@ -47,6 +50,8 @@ def online_scenario(name: str, changes: Mapping[str, Any] | None = None) -> Onli
 A_CYCLE = 20.0
 """Samples a cycle of an own scenario, where its rate is not said."""
 SAMPLES = 2000
+LARGEST = 1e9
+"""Of the numbers of an own scenario."""
 VARYING = "system.varying."
 """What stands before the parameter whose course is said on the command line."""
 
@@ -87,7 +92,11 @@ def own_scenarios(system: str, stated: Mapping[str, str], varying: Mapping[str, 
 
 def system_content(name: str) -> dict[str, Any]:
     """A file of ``conf/system`` over those that it starts from."""
-    stated = read_yaml("system", name)
+    drawn = drawn_scenario(name)
+    if own_file("system", name):
+        stated = read_own_system(os.path.expanduser(name))
+    else:
+        stated = dict(drawn.system) if drawn else read_yaml("system", name)
     for base in stated.get("defaults", []):
         if isinstance(base, str) and base != "_self_":
             stated = {**system_content(base), **stated}
@@ -103,9 +112,12 @@ def _first_frequency(system: Any, parameters: Mapping[str, float]) -> float:
 
 def _number(field: str, text: str, usual: float) -> float:
     try:
-        return float(text) if text else usual
+        value = float(text) if text else usual
     except ValueError:
-        raise InputError(field, text, "a number") from None
+        value = math.nan
+    if not abs(value) <= LARGEST:
+        raise InputError(field, text, f"a number of at most {LARGEST:g}")
+    return value
 
 
 def _courses(name: str, text: str) -> list[Course]:
@@ -134,8 +146,3 @@ def _yaml(field: str, text: str) -> Any:
         return yaml.safe_load(text)
     except yaml.YAMLError:
         raise InputError(field, text, "a kind, or {kind: step, change: -0.3}") from None
-
-
-def listed_names(text: str) -> Sequence[str]:
-    """Names with commas between them."""
-    return [part.strip() for part in text.split(",") if part.strip()]

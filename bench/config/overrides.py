@@ -5,6 +5,8 @@ A command line and a call from Python become the same mapping; an experiment's f
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
@@ -12,9 +14,21 @@ from pathlib import Path
 from typing import Any
 
 from bench.config.choices import GROUPS, check_choice, choices
+from bench.config.files import ENDING
 from bench.config.suggest import did_you_mean
 from bench.errors import InputError
 
+TEXTS = ("data", "columns", "units", "store", "archive", "retry")
+"""Fields whose values are taken as they are written, and are not swept over: paths may hold any letter."""
+PATHS = ("store", "archive")
+BRANCHED = (*GROUPS, "fixed", "nominal")
+"""Fields that have others below them."""
+OF_RECORDS = (
+    "columns", "units", "rate", "from", "to", "decimate", "detrend", "force_gain", "hold", "fixed", "nominal", "start",
+)  # fmt: skip
+"""Fields that say something of a measured record alone."""
+MOST_VALUES = 100_000
+"""Of one field of a sweep."""
 OF_EXPERIMENTS = ("draw", "sweep", "also", "replicates_by_method", "table")
 """Fields that an experiment alone sets."""
 
@@ -29,11 +43,6 @@ def settable() -> tuple[str, ...]:
     named = (line.partition(":")[0] for line in lines if line[:1].isalpha())
     plain = [name for name in named if name not in (*OF_EXPERIMENTS, "defaults")]
     return (*GROUPS[:-1], *plain, GROUPS[-1])
-
-
-def of_launcher(text: str) -> bool:
-    """Whether an override is one of Hydra's own: ``hydra/launcher=ray``, ``hydra.launcher.partition=debug``."""
-    return text.lstrip("+~").startswith(("hydra/", "hydra."))
 
 
 def overrides_of(*settings: Mapping[str, Any]) -> Overrides:
@@ -52,6 +61,7 @@ def overrides_of(*settings: Mapping[str, Any]) -> Overrides:
             if key in found:
                 raise InputError(key, item, "given twice; give it once")
             found[key] = _values(item)
+            _check_plain(key, found[key])
             if not found[key]:
                 raise InputError(key, item, "sweeps over nothing")
             for choice in found[key] if key in GROUPS else []:
@@ -70,33 +80,85 @@ def _values(item: Any) -> list[Any]:
 
 def check_field(field: str, value: Any) -> None:
     """Raise InputError for a field that cannot be set."""
-    if field.split(".")[0] not in settable():
+    group, _, below = field.partition(".")
+    if group not in settable():
         near = did_you_mean(field, settable())
         raise InputError(field, value, f"not a field; {near}fields: {', '.join(settable())}")
+    if below and group not in BRANCHED:
+        raise InputError(field, value, f"{group} has no fields below it; write {group}=<value>")
+    if below == "name" and group in GROUPS:
+        raise InputError(field, value, f"a name stands for all that it brings; choose it by {group}=<name>")
+
+
+def _check_plain(field: str, values: Sequence[Any]) -> None:
+    """Raise InputError for a text that Hydra would take for something else than itself."""
+    for value in values:
+        if "${" in str(value):
+            raise InputError(field, value, "write the value itself; ${...} is not looked up")
 
 
 def read_overrides(texts: Sequence[str]) -> Overrides:
     """The overrides of a command line, written in Hydra's grammar."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
-    from hydra.errors import HydraException
 
     parser = OverridesParser.create()
     of_record = any(text.startswith("data=") and text != "data=null" for text in texts)
     values: dict[str, list[Any]] = {}
     for text in texts:
-        try:
-            override = parser.parse_overrides([text])[0]
-        except HydraException:
-            raise InputError("argument", repr(text), _how_to_write(text)) from None
-        key = override.get_key_element()
-        check_field(key, _after_equals(text))
+        key = text.partition("=")[0]
+        if not key:
+            raise InputError("argument", repr(text), _how_to_write(text))
+        if key in TEXTS or (key == "system" and _is_path(_after_equals(text))):
+            found = [_text(key, _after_equals(text))]
+        else:
+            key, found = _parsed(parser, text)
         if key in values:
             raise InputError(key, _after_equals(text), "given twice; give it once")
-        values[key] = _swept(override, key, text)
+        _check_plain(key, found)
+        values[key] = found
         if key in GROUPS and not (of_record and (key == "system" or (key, values[key]) == ("method", ["all"]))):
             for value in values[key]:
                 check_choice(key, value)
     return values
+
+
+def _parsed(parser: Any, text: str) -> tuple[str, list[Any]]:
+    """The field of an argument and its values; raises InputError."""
+    from hydra.errors import HydraException
+
+    try:
+        override = parser.parse_overrides([text])[0]
+        key = override.get_key_element()
+        check_field(key, _after_equals(text))
+        return key, _swept(override, key, text)
+    except InputError:
+        raise
+    except (HydraException, ValueError, TypeError, ArithmeticError, RecursionError):
+        raise _not_understood(text) from None
+
+
+def _is_path(text: str) -> bool:
+    """Whether a value is the path of one file, whatever letters are in it."""
+    return text.endswith(ENDING) and not set(text) & set(",()")
+
+
+def _text(field: str, text: str) -> str | None:
+    """The value of a field that is taken as it is written, without the quotes around it; raises InputError."""
+    if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"":
+        text = text[1:-1]
+    if not text:
+        raise InputError(field, text, "name a folder" if field == "store" else "give a value, or leave the field out")
+    return None if text == "null" else os.path.expanduser(text) if field in PATHS else text
+
+
+def _not_understood(text: str) -> InputError:
+    """What is wrong with an argument that Hydra's grammar has no place for."""
+    field, equals, value = text.partition("=")
+    if equals and field.split(".")[0] in settable():
+        quoted = value.replace("'", "")
+        remedy = f"""not understood; a text with signs in it is quoted: "{field}='{quoted}'\""""
+        return InputError(field, value, remedy)
+    return InputError("argument", repr(text), _how_to_write(text))
 
 
 def _how_to_write(text: str) -> str:
@@ -113,7 +175,7 @@ def _after_equals(text: str) -> str:
 
 def _swept(override: Any, key: str, text: str) -> list[Any]:
     """The values of one argument: one, or those that its sweep stands for."""
-    from hydra.core.override_parser.types import Glob, QuotedString
+    from hydra.core.override_parser.types import Glob, IntervalSweep, QuotedString, RangeSweep
 
     if not override.is_sweep_override():
         value = override.value()
@@ -123,7 +185,28 @@ def _swept(override: Any, key: str, text: str) -> list[Any]:
         if not found:
             raise InputError(key, _after_equals(text), "matches nothing")
         return list(found)
+    if isinstance(override.value(), IntervalSweep):
+        raise InputError(key, _after_equals(text), "an interval has no values to run; list some, or write range(1,10)")
+    if isinstance(override.value(), RangeSweep):
+        _check_range(key, _after_equals(text), override.value())
     found = [v.text if isinstance(v, QuotedString) else v for v in override.sweep_iterator()]
     if not found:
         raise InputError(key, _after_equals(text), "sweeps over nothing")
     return found
+
+
+def _check_range(field: str, text: str, found: Any) -> None:
+    """Raise InputError for a range without end, or with more values than anybody means."""
+    start = found.start or 0.0
+    if not found.step or not all(map(math.isfinite, (start, found.stop, found.step))):
+        raise InputError(field, text, "range(start,stop,step) of finite numbers, with a step that is not 0")
+    count = (found.stop - start) / found.step
+    if count > MOST_VALUES:
+        raise InputError(field, text, f"it stands for {count:.3g} values; at most {MOST_VALUES}")
+
+
+def check_of_records(overrides: Overrides) -> None:
+    """Raise InputError where something is said of a measured record, and there is none."""
+    for field, values in overrides.items():
+        if field.split(".")[0] in OF_RECORDS and values != [None]:
+            raise InputError(field, values[0], "it is of a measured record; name one by data=, or leave it out")

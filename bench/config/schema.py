@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from bench.config.limits import check_numbers, check_options
 from bench.contract.problem import Hold
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import default_settings, make_method
@@ -23,6 +24,11 @@ from bench.store.cell import Cell
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(allow_inf_nan=False, gt=0)]
+MOST_WORKERS = 1024
+SCENARIO = ("system", "prior", "disturbance")
+"""The groups that hold the numbers of a scenario."""
+FLAGS = ("dry_run", "detrend")
+"""The fields of a run that are true or false."""
 
 
 class Config(BaseModel):
@@ -43,12 +49,12 @@ class Config(BaseModel):
     store: Path
     archive: str | None
     format: Literal["table", "json"]
-    workers: Annotated[int, Field(ge=1, le=1024)] | None
-    timeout_s: Positive
-    memory_mb: Annotated[float, Field(allow_inf_nan=False, ge=100)]
+    workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] | None
+    timeout_s: Annotated[float, Field(allow_inf_nan=False, gt=0, le=1e9)]
+    memory_mb: Annotated[float, Field(allow_inf_nan=False, ge=100, le=1e9)]
     retry: str
     dry_run: bool
-    cells_per_job: Annotated[int, Field(ge=1)]
+    cells_per_job: Annotated[int, Field(ge=1, le=1_000_000)]
     data: str | None
     columns: str | None
     units: str | None
@@ -88,6 +94,9 @@ class Job:
         name, given = self.config.method["name"], {k: v for k, v in self.config.method.items() if k != "name"}
         if name in REFERENCES:
             return {}
+        for key, default in default_settings(name).items():
+            if isinstance(given.get(key), bool) and not isinstance(default, bool):
+                raise InputError(f"method.{key}", given[key], "not true or false")
         method = make_method(name, given)
         return {key: getattr(method, key) for key in default_settings(name)}
 
@@ -107,6 +116,11 @@ def config_from(content: Mapping[str, Any]) -> Config:
     """The validated fields of a composed configuration; raises InputError."""
     if not str(content["store"] or ""):
         raise InputError("store", "", "name a folder")
+    for name, value in content.items():
+        if isinstance(value, bool) and name not in FLAGS:
+            raise InputError(name, value, "a number or a name, not true or false")
+        if name in FLAGS and not isinstance(value, bool):
+            raise InputError(name, value, "true or false")
     return validated(Config, content)
 
 
@@ -118,6 +132,8 @@ def _shared_scenario(stated: str) -> Scenario:
 
 def scenario_from(content: Mapping[str, Any]) -> Scenario:
     """The scenario of a composed configuration: each field from where its declaration says; raises InputError."""
+    check_numbers({name: content[name] for name in SCENARIO})
+    check_options(content["system"])
     kind = declared.Scenario
     system = {name: value for name, value in content["system"].items() if name != "default_prior"}
     given = {**content, "prior": _prior(content["prior"]), "disturbance": _disturbance(content["disturbance"])}

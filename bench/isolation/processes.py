@@ -29,6 +29,7 @@ from bench.errors import InputError
 from bench.isolation.descendants import adopt, descendants_of, end_descendants, end_orphans, end_own_descendants
 from bench.isolation.descriptors import raise_limit
 from bench.isolation.mainless import without_main
+from bench.isolation.temporary import check_temporary
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 NEEDED = (
@@ -87,6 +88,7 @@ def start_server(preload: Sequence[str] = ()) -> None:
 
 
 def _context(preload: Sequence[str]) -> Any:
+    check_temporary()
     single_threaded()
     raise_limit()
     context = multiprocessing.get_context("forkserver")

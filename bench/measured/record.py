@@ -109,7 +109,10 @@ def _system(request: Request, recording: Recording) -> System:
     words = request.system.split("+")
     if motion is not None and motion.unit == ANGLE and "pendulum" in words and "l" not in fixed:
         fixed["l"] = 1.0
-    system = sum_from(request.system, smoothing_velocity=velocity, fixed=tuple(fixed.items()))
+    try:
+        system = sum_from(request.system, smoothing_velocity=velocity, fixed=tuple(fixed.items()))
+    except InputError as error:
+        raise InputError(error.field.removeprefix("system.options."), error.value, error.remedy) from None
     if system.needs_scale and not any(s.measures == "force" for s in recording.signals) and "prior" not in job.explicit:
         raise InputError("fixed", fixed, "without a force or a prior only ratios to the mass can be told; give one")
     return system
@@ -150,6 +153,8 @@ def _record(recording: Recording, system: System, start: InitialState | None, jo
 def _start(job: Job) -> InitialState | None:
     config = job.config
     if "initial_state" not in job.explicit or config.initial_state == "unknown":
+        if config.start is not None:
+            raise InputError("start", config.start, "with initial_state=known; or leave it out")
         return None
     if config.start is None or len(config.start) % 2 or not config.start:
         raise InputError("start", config.start, "initial_state=known needs start=[displacement,velocity] at time 0")

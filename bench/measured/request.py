@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,7 +68,13 @@ def request_of(overrides: Overrides) -> Request:
     )
     if options.decimate > 1 and config.start is not None:
         raise InputError("start", config.start, "decimate= leaves the first samples out; leave start= out, too")
-    files = tuple(Path(part.strip()) for part in str(config.data).split(",") if part.strip())
+    files = tuple(Path(os.path.expanduser(part.strip())) for part in str(config.data).split(",") if part.strip())
+    if not files:
+        raise InputError("data", config.data, "name a file, or several with a comma between two")
+    spec = jobs[0].prior_spec() if "prior" in given else None
+    if spec is not None and (spec.wrong or spec.draws != "nominal"):
+        field, value = ("prior.draws", spec.draws) if spec.draws != "nominal" else ("prior", spec.name)
+        raise InputError(field, value, "it is of simulated data; nominal.<p>= states your values")
     return Request(files, options, system, tuple(jobs))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from bench.atlas.statistics import DISPLACEMENT, columns
 from bench.atlas.threshold import wrong_basin
 from bench.entrants.registry import load_method
 from bench.reporting.tables.common import markdown_table
+from bench.reporting.whole_file import write
 
 NEAR = 1.2
 """A method is near the bound where its core error is within so many times it, and gross errors are rare."""
@@ -87,15 +89,17 @@ class Page:
 def written(frame: pd.DataFrame, page: Page, out: Path, command: str) -> list[Path]:
     """The atlas as compressed CSV, and its summary with the data dictionary."""
     summed = out / f"{page.name}.md"
-    summed.write_text(summary(frame, page, command), encoding="utf-8")
+    write(summed, summary(frame, page, command), out)
     return [packed(frame, out / f"{page.name}.csv.gz"), summed]
 
 
 def packed(frame: pd.DataFrame, path: Path) -> Path:
     """Write a frame as compressed CSV: of the same frame the same bytes."""
     text = frame.dropna(axis=1, how="all").to_csv(index=False, float_format="%.4g", lineterminator="\n")
-    with path.open("wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
+    content = io.BytesIO()
+    with gzip.GzipFile("", "wb", fileobj=content, mtime=0) as file:
         file.write(text.encode())
+    write(path, content.getvalue(), path.parent)
     return path
 
 

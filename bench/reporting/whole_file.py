@@ -1,4 +1,4 @@
-"""A file written in one step, so that nobody meets half of one."""
+"""A file written in one step, so that nobody meets half of one, nor an empty one where the disk is full."""
 
 from __future__ import annotations
 
@@ -10,24 +10,53 @@ from pathlib import Path
 from bench.errors import InputError
 
 
-def write(path: Path, text: str, given: Path | None = None) -> None:
-    """Write a text in one step.
+def write(path: Path, content: str | bytes, given: Path | None = None, field: str = "out") -> None:
+    """Write a file in one step.
 
     Args:
         path: The file.
-        text: What is to be in it.
-        given: The folder that the user named with ``out=``, where it was no file.
+        content: What is to be in it; a text in UTF-8.
+        given: The folder that the user named, where it was no file.
+        field: The field in which it was named.
 
     Raises:
         InputError: Where that cannot be done; it names what the user gave.
     """
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    data = content.encode() if isinstance(content, str) else content
+    temporary = path.with_name(f".{path.name[:100]}.{uuid.uuid4().hex}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())  # a full disk may say so only here
         os.replace(temporary, path)
     except OSError as error:
         with suppress(OSError):  # nor can it be taken away where it could not be made
             temporary.unlink(missing_ok=True)
         other = "another file" if given is None else "another folder"
-        raise InputError("out", given or path, f"cannot be written ({error.strerror}); name {other}") from None
+        raise InputError(field, given or path, f"cannot be written ({error.strerror}); name {other}") from None
+
+
+def check_folder(folder: Path, field: str = "out") -> None:
+    """Raise InputError before any work where nothing can be written into a folder after it; nothing is left there."""
+    _check(folder / ".write-test", folder, field)
+
+
+def check_file(path: Path, field: str = "out") -> None:
+    """The same of a file that is to be written, which must be no folder."""
+    if os.path.isdir(path):
+        raise InputError(field, path, "it is a folder; name a file")
+    _check(path.with_name(f".{path.name}.write-test"), path, field)
+
+
+def _check(probe: Path, given: Path, field: str) -> None:
+    """Write a file and take it away again, and with it the folders that it needed."""
+    new = [folder for folder in probe.parents if not os.path.lexists(folder)]
+    try:
+        write(probe, "", given, field)
+    finally:
+        with suppress(OSError):
+            probe.unlink(missing_ok=True)
+            for folder in new:
+                folder.rmdir()

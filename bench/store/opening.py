@@ -29,6 +29,6 @@ def open_store(folder: str | Path, archive: str | Path | None = None) -> Store:
     chosen = str(archive or default_archive())
     if chosen == NONE:
         return Store(Path(folder))
-    if not Path(chosen).is_dir():
+    if not os.path.isdir(chosen):
         raise InputError("archive", chosen, f"there is no such folder; name another, or {NONE}")
     return Store(Path(folder), Archive(Path(chosen)))

@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TextIO
 
 from bench.contract.online import Sample
@@ -16,6 +15,8 @@ from bench.errors import InputError
 
 LOOK_S = 0.02
 """How often a file is looked at that has not grown."""
+LONGEST = 65_536
+"""Of a line, in letters."""
 WITHOUT = ("", "nan", "na", "null", "none")
 
 
@@ -55,10 +56,11 @@ def opened(place: str) -> TextIO:
     """Standard input for ``-``, else a file or a named pipe; raises InputError."""
     if place == "-":
         return sys.stdin
-    if not Path(place).exists():
+    path = os.path.expanduser(place)
+    if not os.path.exists(path):
         raise InputError("from", place, "there is no such file or pipe; - is standard input")
     try:
-        return open(place, encoding="utf-8", errors="replace")
+        return open(path, encoding="utf-8", errors="replace")
     except OSError as error:
         raise InputError("from", place, f"cannot be read: {error.strerror}") from None
 
@@ -71,12 +73,14 @@ def lines(source: TextIO, place: str, follow: bool) -> Iterator[str]:
     half = ""
     try:
         while True:
-            text = source.readline()
+            text = source.readline(LONGEST)
             if text.endswith("\n"):
                 yield half + text
                 half = ""
             elif text:
                 half += text
+                if len(half) >= LONGEST:
+                    raise InputError("from", place, f"a line of more than {LONGEST} letters holds no sample")
             elif not follow:
                 if half:
                     yield half

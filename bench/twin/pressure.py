@@ -28,6 +28,7 @@ class Intake:
         self.queue: queue.Queue[Sample | None] = queue.Queue(size)
         self.size, self.decimated, self.unreadable, self.thinned = size, 0, 0, 1
         self._said_full = self._ended = False
+        self._error: Exception | None = None
         threading.Thread(target=self._read, daemon=True).start()
 
     @property
@@ -36,12 +37,15 @@ class Intake:
         return max(self.queue.qsize() - self._ended, 0)
 
     def get(self) -> Sample | None:
-        """The next sample, waited for; None at the end of the stream."""
+        """The next sample, waited for; None at the end of the stream. Raises what reading it has raised."""
         while True:
             try:
-                return self.queue.get(timeout=0.2)  # so that an interrupt is heard
+                found = self.queue.get(timeout=0.2)  # so that an interrupt is heard
             except queue.Empty:
                 continue
+            if found is END and self._error is not None:
+                raise self._error
+            return found
 
     def _read(self) -> None:
         seen = 0
@@ -57,6 +61,8 @@ class Intake:
                     self.decimated += 1
                 else:
                     self.queue.put(sample)
+        except Exception as error:
+            self._error = error  # raised where the samples are taken
         finally:
             self._ended = True
             self.queue.put(END)

@@ -46,16 +46,18 @@ def read(path: Path) -> dict[str, Any]:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:
             raise InputError("state", path, f"it has format {content['format']}, this version reads {FORMAT}")
+        if not (isinstance(content["tracker"], dict) and 0 < float(content["interval"]) < float("inf")):
+            raise ValueError
         return dict(content)
     except FileNotFoundError:
         raise InputError("state", path, "there is no such file; leave resume out to begin") from None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise InputError("state", path, "it is not a state file of this command") from None
 
 
 def resumed(path: Path, content: dict[str, Any], method: OnlineIdentifier, layout: Layout) -> Tracker:
     """The tracker of a state; raises InputError for a state of something else."""
-    if content["of"] != digest(method, layout):
+    if content.get("of") != digest(method, layout):
         raise InputError("state", path, "it belongs to another method, setting or layout; give those, or another file")
     try:
         return method.start(layout).restored({name: restored(value) for name, value in content["tracker"].items()})

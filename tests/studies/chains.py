@@ -21,7 +21,8 @@ import numpy as np
 import pandas as pd
 from tabulate import tabulate
 
-from bench.commands.guard import command, read_fields, whole
+from bench.commands.fields import read_fields, whole
+from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.contract.estimate import Status
 from bench.entrants.reference import REFERENCES

@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from bench import InputError, Layout, Sample, Sensor
-from bench.commands.guard import command, read_folders
+from bench.commands.fields import folder_of, path_of, read_fields
+from bench.commands.guard import command
 from bench.entrants.online import make_online
 from bench.reporting.tables.common import markdown_table
 from bench.systems import make_system
@@ -150,15 +151,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     """``python -m tests.studies.dropbear data=<folder> [out=results]``."""
 
     def body(arguments: list[str]) -> int:
-        folders = read_folders(arguments, {"data": "", "out": "results"})
-        record = read(folders["data"])
+        fields = read_fields(arguments, {"data": "", "out": "results"})
+        out, record = path_of(fields["out"]), read(folder_of("data", fields["data"]))
         found, sds = followed(record)
-        folders["out"].mkdir(parents=True, exist_ok=True)
+        out.mkdir(parents=True, exist_ok=True)
         text = (
             f"{HEAD}\n\n{table(record, found, sds)}\n\nRegenerate: `python -m tests.studies.dropbear data=<folder>`\n"
         )
-        (folders["out"] / "online_dropbear.md").write_text(text, encoding="utf-8")
-        draw(record, found, sds, folders["out"] / "figures")
+        (out / "online_dropbear.md").write_text(text, encoding="utf-8")
+        draw(record, found, sds, out / "figures")
         print(text)
         return 0
 

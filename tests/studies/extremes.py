@@ -18,7 +18,8 @@ import numpy as np
 import pandas as pd
 
 import bench
-from bench.commands.guard import command, read_fields, whole
+from bench.commands.fields import read_fields, whole
+from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.config.schema import Job
 from bench.contract.problem import Channel, Problem, Record

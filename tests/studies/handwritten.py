@@ -24,7 +24,8 @@ from tabulate import tabulate
 from tqdm import tqdm
 
 from bench import Estimate, Normal, Problem, Status
-from bench.commands.guard import command, read_fields, whole
+from bench.commands.fields import read_fields, whole
+from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.entrants.registry import make_method
 from bench.isolation.failure import one_line

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.stats import binom, norm
 from tqdm import tqdm
 
-from bench.commands.guard import command, read_fields, whole
+from bench.commands.fields import read_fields, whole
+from bench.commands.guard import command
 from bench.config.atlas import on_the_bound
 from bench.entrants.registry import make_method
 from bench.isolation.processes import single_threaded

@@ -6,6 +6,7 @@ import gzip
 import hashlib
 import io
 import re
+import stat
 import zipfile
 import zlib
 from pathlib import Path
@@ -19,7 +20,7 @@ from bench.measured.reading.text import read_text
 from bench.measured.reading.universal import read_universal
 
 MAX_BYTES = 256 * 2**20
-MAX_UNPACKED = 1024 * 2**20
+MAX_UNPACKED = MAX_BYTES
 
 
 def read_file(path: Path) -> tuple[Table, str]:
@@ -43,7 +44,10 @@ def read_file(path: Path) -> tuple[Table, str]:
 
 def _bytes(path: Path) -> bytes:
     try:
-        size = path.stat().st_size
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):  # a pipe is waited on, a device may have no end
+            raise InputError("data", path, "cannot be read: it is a folder, a pipe or a device; name a file")
+        size = status.st_size
         if size > MAX_BYTES:
             raise InputError("data", path, f"{size / 2**20:.0f} MiB; at most {MAX_BYTES // 2**20}, thin or cut it")
         data = path.read_bytes()

@@ -21,6 +21,7 @@ from bench.measured.reading.times import rebuilt
 from bench.measured.reading.units import Measures
 
 NO_OPTIONS = ReadOptions()
+LARGEST, SMALLEST = 1e15, 1e-30
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,14 @@ def read_recording(path: Path, options: ReadOptions = NO_OPTIONS) -> Recording:
         for found, (values, times) in zip(signals, kept, strict=True)
     )
     return prepared(Recording(made, tuple(dict.fromkeys(notes)), str(path), sha256), options)
+
+
+def _check_size(name: str, values: np.ndarray, path: Path) -> None:
+    """Raise InputError for numbers in SI units whose squares are none any more."""
+    largest = float(np.max(np.abs(values)))
+    if largest > LARGEST or 0 < largest < SMALLEST:
+        remedy = f"{name} is up to {largest:.3g} in SI units; from {SMALLEST:g} to {LARGEST:g}, see units="
+        raise InputError("data", path, remedy)
 
 
 def prepared(recording: Recording, options: ReadOptions) -> Recording:
@@ -96,6 +105,7 @@ def _clock(table: Table, stamps: np.ndarray, unit: float, signals: list[Pick], p
         notes.append(f"rows without a time are left out: {stamps.size - kept.size} of {stamps.size}")
     if not kept.size:
         raise InputError("data", path, "the column of the time holds no number; name another with columns=t:…")
+    _check_size("t", stamps[kept] * unit, path)
     back = np.flatnonzero(np.diff(stamps[kept]) < 0)
     if back.size:
         i = kept[back[0] + 1]
@@ -134,6 +144,7 @@ def _kept(
         notes.append(f"{found.role}: {np.sum(~there)} of {there.size} values are missing and left out")
     if np.sum(there) < MIN_SAMPLES:
         raise InputError("data", path, f"{np.sum(there)} samples of {found.role}; at least {MIN_SAMPLES} are needed")
+    _check_size(found.role, values[there] * found.size, path)
     return values[there], times[there]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 
 import numpy as np
 
@@ -17,6 +18,7 @@ def read_tdms(data: bytes, source: object) -> Table:
         InputError: a channel is too long, or npTDMS is missing.
     """
     nptdms = optional("nptdms", source)
+    nptdms.log.log_manager.set_level(logging.CRITICAL)  # what is wrong is said once, by the error
     with nptdms.TdmsFile.open(io.BytesIO(data)) as file:
         columns = []
         for channel in (channel for group in file.groups() for channel in group.channels()):

@@ -9,6 +9,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
 
+import numpy as np
+
 from bench.errors import InputError
 from bench.measured.reading.grid import (
     NAN,
@@ -32,6 +34,8 @@ SAMPLED, BLOCK = 3000, 600
 HEADER_LINES = 30
 """So far above a table a header is looked for, comments between them."""
 PREAMBLE = 10_000
+LONGEST_LINE = 32_768
+"""Of a text, in bytes."""
 DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eEdD][+-]?\d+)?|[+-]?\d+(?:[eEdD][+-]?\d+)?")
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 
@@ -100,6 +104,7 @@ def read_text(data: bytes, source: object) -> Table:
     Raises:
         InputError: it is no text, holds no table, or more than one reading is possible.
     """
+    _check_shape(data.rstrip(b"\0"), source)  # loggers fill up a block with zeros
     text = decode(data, source)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     numbered = [(i, line) for i, line in enumerate(lines, 1) if line and not line.isspace()]
@@ -121,6 +126,17 @@ def read_text(data: bytes, source: object) -> Table:
     elif chosen.separator == ",":
         _check_commas(sample, span, above[0] if above else None, source)
     return make_table(rows, span, heading_above(above, span), notes)
+
+
+def _check_shape(data: bytes, source: object) -> None:
+    """Refuse what is too long or too wide to be a record before it takes ten times its size in memory."""
+    check_rows(max(data.count(b"\n"), data.count(b"\r")) - PREAMBLE, source)
+    letters = np.frombuffer(data, np.uint8)
+    ends = np.flatnonzero((letters == ord("\n")) | (letters == ord("\r")))
+    longest = int(np.max(np.diff(ends, prepend=-1, append=letters.size)))
+    if longest > LONGEST_LINE:
+        remedy = f"a line of {longest} bytes; at most {LONGEST_LINE}, a row has a few columns"
+        raise InputError("data", source, remedy)
 
 
 def decode(data: bytes, source: object) -> str:

@@ -21,6 +21,7 @@ from bench.reporting.figures.time import draw_time
 from bench.reporting.figures.training import draw_training
 from bench.reporting.figures.two_masses import draw_two_masses
 from bench.reporting.figures.waterfall import draw_waterfall
+from bench.reporting.whole_file import write
 
 PICTURES: dict[str, Callable[[Gallery], Picture]] = {
     "record": draw_record,
@@ -47,7 +48,7 @@ def write_picture(gallery: Gallery, name: str, out: Path) -> list[Path]:
     picture = PICTURES[name](gallery)
     own = picture.name or name
     paths = save_figure(picture.figure, out, own)
-    (out / f"{own}.txt").write_text(picture.caption + _changed_names(gallery) + "\n", encoding="utf-8")
+    write(out / f"{own}.txt", picture.caption + _changed_names(gallery) + "\n", out)
     pyplot().close(picture.figure)
     return paths
 

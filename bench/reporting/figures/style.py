@@ -7,6 +7,7 @@ below 7 points.
 from __future__ import annotations
 
 import hashlib
+import io
 import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from bench.reporting.labels import cards, in_order, title
+from bench.reporting.whole_file import write
 
 MM = 1.0 / 25.4
 """Inches a millimetre."""
@@ -223,7 +225,9 @@ def save_figure(figure: Any, folder: Path, name: str) -> list[Path]:
     """Write a figure as SVG and PNG, the same bytes for the same picture; returns the paths."""
     paths = []
     for ending, extra in (("svg", {"metadata": {"Date": None}}), ("png", {"dpi": DPI})):
+        drawn = io.BytesIO()
+        figure.savefig(drawn, format=ending, **extra)
         paths.append(folder / f"{name}.{ending}")
-        figure.savefig(paths[-1], **extra)
+        write(paths[-1], drawn.getvalue(), folder)
         figure.set_layout_engine("none")  # it stays as the first one laid it out
     return paths

@@ -241,7 +241,7 @@ def test_on_a_terminal_a_look_takes_the_place_of_the_one_before(store: Store) ->
     assert max(len(part) for part in looks[0].split("\r\n")) <= 60
 
 
-@pytest.mark.parametrize("text", ["maybe", "", "0", "-1", "nan", "inf", "1e9", "5s", "True"])
+@pytest.mark.parametrize("text", ["maybe", "0", "-1", "nan", "inf", "1e9", "5s", "True"])
 def test_a_watch_that_makes_no_sense_is_one_line(text: str, store: Store, capsys: pytest.CaptureFixture[str]) -> None:
     assert status.main(["method=prior", f"store={store.folder}", f"watch={text}"]) == 2
     out, err = capsys.readouterr()

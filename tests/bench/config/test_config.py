@@ -180,10 +180,12 @@ def test_a_further_sweep_of_an_experiment_is_left_out_where_the_command_line_set
 
 
 def test_nominal_values_of_a_measured_record_can_be_set() -> None:
-    (job,) = expand(["method=oracle", "nominal.m=1.2", "nominal.k=8"], False)
+    (job,) = expand(["method=oracle", "data=record.csv", "nominal.m=1.2", "nominal.k=8"], False)
     assert job.config.nominal == {"m": 1.2, "k": 8.0}
     with pytest.raises(InputError, match=r"nominal.m=-1: input should be greater than 0"):
-        expand(["method=oracle", "nominal.m=-1"], False)
+        expand(["method=oracle", "data=record.csv", "nominal.m=-1"], False)
+    with pytest.raises(InputError, match=r"nominal.m=1: it is of a measured record; name one by data="):
+        expand(["method=oracle", "nominal.m=1"], False)
 
 
 def test_several_experiments_are_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:

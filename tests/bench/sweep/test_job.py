@@ -227,6 +227,7 @@ def test_pickles_are_rebuilt_from_pipes_alone() -> None:
                 found.add(path.relative_to(REPOSITORY / "bench").as_posix())
     assert found == {
         "conformance/process.py", "conformance/method_checks.py", "conformance/system_checks.py", "measured/apart.py",
-        "sweep/method_process.py", "sweep/scoring_process.py", "sweep/wire.py", "sweep/workers.py",
+        "sweep/bounds_process.py", "sweep/method_process.py", "sweep/scoring_process.py",
+        "sweep/wire.py", "sweep/workers.py",
     }  # fmt: skip
     assert not any((REPOSITORY / "bench" / name).read_text().count("read_bytes") for name in found)

@@ -6,7 +6,6 @@ import errno
 import json
 import os
 from pathlib import Path
-from typing import Any
 
 import pytest
 from conftest import Plugins, StoreFactory
@@ -15,6 +14,7 @@ from bench import InputError
 from bench.scenario.scenario import Scenario
 from bench.store import answers
 from bench.store.cell import Cell
+from bench.store.seal import read_regular
 from bench.sweep.plan import State, plan
 from bench.sweep.runner import run_cells
 from bench.sweep.workers import Limits
@@ -27,17 +27,17 @@ def test_a_cell_that_could_not_be_read_for_a_moment_is_not_computed_again(
     plugins("Wrong")
     store, cell = new_store(), Cell(reference, "wrong", {"kind": "good"}, 1, 0, "wrong")
     run_cells(plan([cell], store), store, Limits(1, 60.0, 1000.0))
-    read, failures = Path.read_text, 1
+    read, failures = read_regular, 1
 
-    def failing(path: Path, *arguments: Any, **options: Any) -> str:
+    def failing(path: Path) -> bytes:
         nonlocal failures
         if path == store.path(cell.identity) and failures:
             failures -= 1
             raise OSError(errno.EIO, os.strerror(errno.EIO))
-        return read(path, *arguments, **options)
+        return read(path)
 
     monkeypatch.setattr(answers, "FEW", few)
-    monkeypatch.setattr(Path, "read_text", failing)
+    monkeypatch.setattr("bench.store.store.read_regular", failing)
     (again,) = plan([cell], store)
     assert (again.state, again.run) == (State.DONE, False)
     assert failures == 0

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
-from bench.commands.guard import command, read_fields, whole
+from bench.commands.fields import read_fields, whole
+from bench.commands.guard import command
 from bench.errors import InputError
 from bench.isolation.processes import single_threaded
 from bench.store.store import Store

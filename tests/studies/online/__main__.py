@@ -7,7 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench.commands.guard import command, read_fields, whole
+from bench.commands.fields import read_fields, whole
+from bench.commands.guard import command
 from bench.errors import InputError
 from bench.isolation.processes import compiled_single_threaded, single_threaded
 from tests.studies.online.constant import constant

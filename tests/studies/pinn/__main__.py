@@ -16,7 +16,8 @@ from pathlib import Path
 from tabulate import tabulate
 from tqdm import tqdm
 
-from bench.commands.guard import command, read_fields, whole
+from bench.commands.fields import read_fields, whole
+from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.errors import InputError
 from bench.isolation.processes import single_threaded

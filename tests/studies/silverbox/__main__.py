@@ -26,7 +26,8 @@ from bench import (
     rk4_step,
     simulate,
 )
-from bench.commands.guard import command, read_fields, whole
+from bench.commands.fields import read_fields, whole
+from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.contract.problem import Hold
 from bench.entrants.registry import make_method, missing_package, registered
