@@ -131,7 +131,8 @@ def test_a_damaged_cell_is_one_line_and_stays(store: Path, capsys: pytest.Captur
     assert main(["method=prior", "replicates=2", "workers=1", f"store={store}"]) == 2
     err = capsys.readouterr().err
     assert [line for line in err.splitlines() if line.startswith("bench:")] == [
-        f"bench: store={path}: not a whole cell of this benchmark; move it away and run again"
+        f"bench: store={path}: not a whole cell of this benchmark (its checksum is not that of its content); "
+        "retry=failed computes it again, or move it away"
     ]
     assert snapshot(store) == before
 
