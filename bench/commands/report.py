@@ -1,7 +1,7 @@
-"""``python -m bench.report``: the results as one page, without network.
+"""``python -m bench.report``: the results as a folder of pages that opens from a disk, without network or server.
 
-From stored cells, their arrays and the files beside the store (tables, figures) alone; nothing is computed anew but
-ranks. The same store gives the same bytes.
+From stored cells, their arrays and the files beside the folder (tables, figures) alone; nothing is computed anew but
+ranks. The same store gives the same bytes. Open ``index.html``.
 """
 
 from __future__ import annotations
@@ -11,23 +11,24 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.commands.guard import command, read_fields
-from bench.reporting.page.page import page
-from bench.reporting.whole_file import write
+from bench.reporting.page.folder import check_folder, write_folder
+from bench.reporting.page.site import site_files
 from bench.store.opening import DEFAULT_STORE, open_store
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Write the page; exit status 2 for bad input."""
-    usage = f"usage: python -m bench.report [store={DEFAULT_STORE}] [archive=<folder>|none] [out=results/report.html]"
+    """Write the site; exit status 2 for bad input."""
+    usage = f"usage: python -m bench.report [store={DEFAULT_STORE}] [archive=<folder>|none] [out=results/site]"
     return command("bench.report", f"{usage}\n\n{__doc__}", argv, _main)
 
 
 def _main(arguments: Sequence[str]) -> int:
     try:
-        fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": "", "out": "results/report.html"})
+        fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": "", "out": "results/site"})
         out = Path(fields["out"])
-        write(out, page(open_store(fields["store"], fields["archive"]), out))
-        print(out)
+        check_folder(out)
+        write_folder(out, site_files(open_store(fields["store"], fields["archive"]), out))
+        print(out / "index.html")
     except ImportError as error:
         print(f"bench.report: {error.name} is missing: pip install 'vibration-bench[report]'", file=sys.stderr)
         return 2
