@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +14,10 @@ from bench.reporting.page.reading import Panel
 from bench.reporting.page.standing import Ranking, fit_seconds, rank
 from bench.scoring.comparison import gross
 
-COLUMNS = (
-    "scenario", "method", "quantity", "standing", "rms", "bound", "excess", "median", "low", "high", "gross", "prior",
-    "ok", "n", "seconds",
-)  # fmt: skip
+SHARED = ("scenario", "quantity", "bound", "prior")
+"""What all lines of a block have in common."""
+COLUMNS = ("method", "standing", "rms", "excess", "median", "low", "high", "gross", "ok", "n", "seconds")
+"""Of each line; names are places in the lists of methods, quantities and standings."""
 STANDINGS = (
     "best", "level", "only method", "undecided (fewer data)", "behind", "not ranked", "reference", "all failed", "failed",
     "unsupported",
@@ -33,30 +34,29 @@ def rankings(panels: Sequence[Panel]) -> Rankings:
     return {(i, metric): rank(panel, metric) for i, panel in enumerate(panels) for metric in panel.ranked}
 
 
-def lines(
+def blocks(
     place: int, panel: Panel, ranked: Rankings, methods: Mapping[str, int], quantities: Mapping[str, int]
-) -> list[Line]:
-    """The lines of one scenario; names are their places in the lists of methods, quantities and standings."""
+) -> list[list[Any]]:
+    """One a quantity of a scenario: what its lines share (:data:`SHARED`), then the lines (:data:`COLUMNS`)."""
     found = []
     for metric in panel.metrics:
-        for result in panel.results:
-            if metric in result.summary:
-                own = ranked.get((place, metric))
-                head = [place, methods[result.label], quantities[metric], STANDINGS.index(standing_of(result, own))]
-                found.append([*head, *numbers(panel, result, metric)])
+        own = [result for result in panel.results if metric in result.summary]
+        bound = next((result.bound(metric) for result in own), math.nan)
+        share = math.nan if metric == "rmse" else panel.prior_share.get(metric.removesuffix(ERROR), math.nan)
+        lines = [line(result, metric, methods, ranked.get((place, metric))) for result in own]
+        found.append([place, quantities[metric], short(bound), short(share), lines])
     return found
 
 
-def numbers(panel: Panel, result: Result, metric: str) -> list[float | int | None]:
-    """What comes after the names, in the order of :data:`COLUMNS`; None for what is not there."""
-    errors, bound = result.errors(metric), result.bound(metric)
-    median, low, high, excess = (result.statistic(metric, name) for name in ("median", "ci_low", "ci_high", "excess"))
-    untold = metric == "rmse" or result.method == "prior"
-    share = math.nan if untold else panel.prior_share.get(metric.removesuffix(ERROR), math.nan)
+def line(result: Result, metric: str, methods: Mapping[str, int], ranking: Ranking | None) -> Line:
+    """A method's numbers; None for what is not there."""
+    errors = result.errors(metric)
     unable = result.status is Status.UNSUPPORTED
-    off = math.nan if unable or not errors.size else float(np.mean(gross(errors, bound)))
-    measured = [root_mean_square(errors), bound, excess, median, low, high, off, share]
-    return [*map(short, measured), result.n_ok, result.n, short(fit_seconds(result))]
+    off = math.nan if unable or not errors.size else float(np.mean(gross(errors, result.bound(metric))))
+    median, low, high, excess = (result.statistic(metric, name) for name in ("median", "ci_low", "ci_high", "excess"))
+    measured = [root_mean_square(errors), excess, median, low, high, off]
+    head = [methods[result.label], STANDINGS.index(standing_of(result, ranking))]
+    return [*head, *map(short, measured), result.n_ok, result.n, short(fit_seconds(result))]
 
 
 def root_mean_square(errors: np.ndarray) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from bench.reporting.frame import Result
 from bench.reporting.page.reading import Panel, decibels
@@ -35,6 +36,21 @@ def scenario_words(panel: Panel) -> str:
     facts = panel.facts
     special = "" if panel.kind == "undisturbed" else f"; {panel.kind}"
     return f"{system_words(facts)}, {decibels(facts.snr_db)} dB, start {facts.initial_state}{special}"
+
+
+def distinct_words(panels: Sequence[Panel]) -> list[str]:
+    """The titles of scenarios, with what tells apart those that would have the same."""
+    titles = [scenario_words(panel) for panel in panels]
+    first: dict[str, Result] = {}
+    found = []
+    for words, panel in zip(titles, panels, strict=True):
+        facts = panel.facts
+        other = first.setdefault(words, facts)
+        length = f"{facts.samples} samples in {facts.duration:g} s"
+        special = [length] if (other.samples, other.duration) != (facts.samples, facts.duration) else []
+        special += [f"prior: {_prior(facts)}"] if other.prior != facts.prior and facts.prior else []
+        found.append(f"{words}; {', '.join(special)}" if special else words)
+    return found
 
 
 def told(panel: Panel) -> tuple[tuple[str, str], ...]:

@@ -8,9 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-NUMBER = re.compile(r"[*×>< ]*([-−+]?\d[\d,]*\.?\d*(?:e[-+]?\d+)?)")
-LAST = 1e300
-"""By what a cell without a number is sorted in a column of numbers."""
 OTHER_FORMS = (".csv", ".csv.gz", ".tex", ".html", ".md")
 
 
@@ -68,7 +65,7 @@ def _body(tokens: Sequence[Any]) -> str:
             _retarget(child)
         shown.append(token)
     first = next((i for i, token in enumerate(shown) if token.type == "heading_close"), -1)
-    body = _parser().renderer.render(sortable(shown[first + 1 :]), _parser().options, {})
+    body = _parser().renderer.render(shown[first + 1 :], _parser().options, {})
     body = re.sub(r"<table([^>]*)>", r'<div class="scroll" tabindex="0" role="region" aria-label="Table"><table\1>', body)
     return body.replace("</table>", "</table></div>")
 
@@ -86,33 +83,3 @@ def _retarget(token: Any) -> None:
             token.attrSet(name, f"../../{target}")
     if token.type == "image":
         token.attrSet("loading", "lazy")
-
-
-def sortable(tokens: Sequence[Any]) -> Sequence[Any]:
-    """The same tokens; cells of columns that are mostly numbers say by which they sort."""
-    row: list[Any] = []
-    rows: list[list[Any]] = []
-    for i, token in enumerate(tokens):
-        if token.type == "tr_open":
-            row = []
-            rows.append(row)
-        elif token.type == "td_open":
-            row.append((token, tokens[i + 1].content))
-        elif token.type == "table_close":
-            _sort_numbers([own for own in rows if own])
-            rows = []
-    return tokens
-
-
-def _sort_numbers(rows: Sequence[Sequence[tuple[Any, str]]]) -> None:
-    for column in zip(*rows, strict=False):
-        values = [leading_number(text) for _, text in column]
-        if sum(value is not None for value in values) * 2 > len(values):
-            for (token, _), value in zip(column, values, strict=True):
-                token.attrSet("data-order", f"{LAST if value is None else value:g}")
-
-
-def leading_number(text: str) -> float | None:
-    """The number with which a cell begins, if it does."""
-    match = NUMBER.match(text)
-    return float(match.group(1).replace(",", "").replace("−", "-")) if match else None

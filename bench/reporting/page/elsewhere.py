@@ -79,8 +79,9 @@ def _over_points(label: str, told: list[pd.DataFrame]) -> Record:
 
 
 def unsteady(atlas: Mapping[str, Record]) -> frozenset[str]:
-    """The methods with gross errors on more of the atlas than counts as rare."""
-    return frozenset(label for label, one in atlas.items() if one.risk > RARE)
+    """The methods that ran on the whole atlas and have gross errors on more of it than counts as rare."""
+    most = max((one.fits for one in atlas.values()), default=0)
+    return frozenset(label for label, one in atlas.items() if one.risk > RARE and one.fits == most)
 
 
 def atlas_order(atlas: Mapping[str, Record]) -> tuple[tuple[Record, ...], tuple[Record, ...]]:

@@ -16,10 +16,10 @@ from bench.reporting.labels import title
 from bench.reporting.page.board import short
 from bench.reporting.page.elsewhere import Followed, Measured, atlas_order, followed, measured
 from bench.reporting.page.reading import Panel, decibels
-from bench.reporting.page.situations import Advice, Record, core_excess
+from bench.reporting.page.situations import MOST_EXTRA, Advice, Record, core_excess
 from bench.reporting.page.words import joined, number, percent, seconds
 
-MOST_OTHERS = 2
+MOST_OTHERS = 1
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def advice_row(one: Advice) -> Row:
     if one.hopeless:
         best = min(((r.risk, r.label) for r in (*one.advised, *one.behind)), default=(math.nan, ""))
         risk = f"{percent(best[0])} at best" if best[1] else "–"
-        return Row(situation.words, href, basis, "None: the model has to be mended first", "", "–", risk, "–", "a better model")
+        return Row(situation.words, href, basis, "None: the model has to be mended first", "", "–", risk, "–", "–")
     first = one.advised[0]
     others: dict[str, str] = {}
     for record in one.advised[1:]:
@@ -67,12 +67,12 @@ def basis_of(panels: Sequence[Panel]) -> str:
 
 def error_text(one: Record) -> str:
     """Typical and largest error over the bound."""
-    return f"{number(one.excess)} (at most {number(one.worst)})"
+    return f"{number(one.excess)}, worst {number(one.worst)}"
 
 
 def risk_text(one: Record) -> str:
     """Gross errors counted, and what the rate is below."""
-    return f"{one.gross:,} of {one.fits:,}; below {share(one.risk_at_most)}"
+    return f"{one.gross:,} of {one.fits:,} (below {share(one.risk_at_most)})"
 
 
 def share(value: float) -> str:
@@ -86,13 +86,8 @@ def needs(name: str) -> str:
         method = load_method(name)
     except InputError:
         return "not registered here"
-    if method.card.scale == "groups":
-        said = "the record alone"
-    elif method.serves.free_without_prior:
-        said = "the record; a prior if it has to tell more than the data do"
-    else:
-        said = "the record and a prior"
-    return said + (f"; package {joined(list(method.requires))}" if method.requires else "")
+    prior = "no prior" if method.card.scale == "groups" else "prior optional" if method.serves.free_without_prior else "a prior"
+    return prior + (f"; {joined(list(method.requires))}" if method.requires else "")
 
 
 def atlas_row(atlas: Mapping[str, Record], points: int) -> list[Row]:
@@ -105,7 +100,7 @@ def atlas_row(atlas: Mapping[str, Record], points: int) -> list[Row]:
         Row(
             "Any free decay of one mass: anywhere in the atlas", "results/atlas.html",
             f"{points} tests spread over samples, cycles, damping, noise", title(first.label), first.label,
-            f"{number(first.excess)} (half of the tests are below)", risk_text(first), seconds(first.seconds),
+            f"{number(first.excess)}, half of the tests below", risk_text(first), seconds(first.seconds),
             needs(first.method), tuple((title(one.label), one.label) for one in rest[:MOST_OTHERS]),
         )
     ]  # fmt: skip
@@ -119,8 +114,8 @@ def measured_row(found: Sequence[Measured]) -> list[Row]:
     return [
         Row(
             "A real record of a rig", "results/table11.html", f"{first.fits} records of the measured track",
-            title(first.label), first.label, f"no truth; predicts {number(first.held_out)} % of what was held out",
-            f"{first.fits - first.believed} of {first.fits} answers withdrawn or not given", seconds(first.seconds),
+            title(first.label), first.label, f"no truth; predicts {number(first.held_out)} %",
+            f"{first.fits - first.believed} of {first.fits} without an answer that stands", seconds(first.seconds),
             needs(first.label), tuple((title(one.label), one.label) for one in rest[:MOST_OTHERS]),
         )
     ]  # fmt: skip
@@ -134,9 +129,9 @@ def followed_row(found: Sequence[Followed]) -> list[Row]:
     return [
         Row(
             "Parameters that change while the data arrive", "results/table10.html", f"{first.records} records",
-            first.title, "", f"{number(first.excess)} (at most {number(first.worst)})",
-            f"{first.records - first.ok} of {first.records} records lost; its 95 % intervals hold {first.coverage:.0f} %",
-            f"{seconds(first.micros / 1e6)} a sample", "a stream, and a guess to begin with",
+            first.title, "", f"{number(first.excess)}, worst {number(first.worst)}",
+            f"{first.records - first.ok} of {first.records} records lost",
+            f"{seconds(first.micros / 1e6)} a sample", "a first guess",
             tuple((one.title, "") for one in rest[:MOST_OTHERS]),
         )
     ]  # fmt: skip
@@ -160,7 +155,9 @@ def forest(one: Advice) -> dict[str, Any]:
         values = [value for value in own.values() if math.isfinite(value)]
         if not values:
             continue
-        said = f"{seconds(record.seconds)}" + (f", gross {share(record.risk)}" if record.label in fragile else "")
+        elsewhere = record.label in one.elsewhere and record.extra <= MOST_EXTRA
+        wrong = "gross in the atlas" if elsewhere else f"gross {share(record.risk)}"
+        said = seconds(record.seconds) + (f", {wrong}" if record.label in fragile else "")
         name = title(record.label)
         lines.append({"m": name, "l": short(min(values)), "h": short(max(values)), "t": said, "g": record.label in fragile})
         points += [{"m": name, "d": float(decibels(snr)), "e": short(v)} for snr, v in own.items() if math.isfinite(v)]

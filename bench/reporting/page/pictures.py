@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
-WIDTH = 1200
+WIDTH = 1000
 """Pixels across of a copy at most."""
-COLOURS = 64
+COLOURS = 32
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,15 +15,18 @@ from bench.reporting.page.reading import Panel
 from bench.reporting.page.words import quantity
 from bench.store.store import Store
 
-POINTS = 100
+POINTS = 80
 MOST_SAMPLES = 200
 MOST_FITS = 4
 MOST_ABOVE = 3.0
 """A fit whose typical error is more times the least is not drawn over the record: it would hide the others."""
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
-DECADES = (-9.0, 9.0)
-TOP = len(LETTERS) ** 3 - 1
-"""An error is written as three letters: the place of its logarithm in these decades; failed fits have the last place."""
+DECADES = (-4.0, 5.0)
+TOP = len(LETTERS) ** 2 - 1
+"""An error over the bound is written as two letters, to half a percent: the place of its logarithm in these decades.
+
+Failed fits have the last place.
+"""
 
 
 def scenario_data(store: Store, panel: Panel) -> dict[str, Any]:
@@ -33,7 +36,7 @@ def scenario_data(store: Store, panel: Panel) -> dict[str, Any]:
         "spread": {metric: spreads(store, panel, metric) for metric in panel.ranked if metric != "rmse"},
         "bounds": {metric: short(bound_of(panel, metric)) for metric in panel.ranked},
         "errors": {
-            metric: {c.label: packed(c.errors(metric)) for c in panel.methods if metric in c.summary}
+            metric: {c.label: packed(c.errors(metric) / unit(panel, metric)) for c in panel.methods if metric in c.summary}
             for metric in panel.ranked
         },
         "names": {metric: quantity(metric) for metric in panel.ranked},
@@ -45,13 +48,19 @@ def bound_of(panel: Panel, metric: str) -> float:
     return next((cell.bound(metric) for cell in panel.results if metric in cell.summary), math.nan)
 
 
+def unit(panel: Panel, metric: str) -> float:
+    """What errors are counted in: the bound, where there is one."""
+    bound = bound_of(panel, metric)
+    return bound if math.isfinite(bound) and bound > 0 else 1.0
+
+
 def packed(errors: np.ndarray) -> str:
-    """Errors (n,) to 0.02 % as three letters each; failed ones, which are infinite, as the last that there is."""
+    """Errors (n,) as two letters each; failed ones, which are infinite, as the last that there is."""
     low, high = DECADES
     with np.errstate(divide="ignore", invalid="ignore"):
         places = np.clip((np.log10(errors) - low) / (high - low), 0.0, 1.0) * (TOP - 1)
     found = np.where(np.isfinite(errors), np.nan_to_num(places), TOP).round().astype(int)
-    return "".join(LETTERS[i // 4096] + LETTERS[i // 64 % 64] + LETTERS[i % 64] for i in found.tolist())
+    return "".join(LETTERS[i // 64] + LETTERS[i % 64] for i in found.tolist())
 
 
 def chosen(cells: Sequence[Result]) -> list[Result]:
@@ -75,17 +84,20 @@ def record(store: Store, panel: Panel) -> dict[str, Any] | None:
     kept = next((one for _, one in found if one is not None), None)
     if kept is None:
         return None
-    fits = {cell.title: _curve(one.fit) for cell, one in found if one is not None and one.fit is not None}
+    places, reach = thinned(kept.dense.size), float(np.max(np.abs(kept.truth)))
+    fits = {c.title: _rounded(one.fit[places], reach) for c, one in found if one is not None and one.fit is not None}
     return {
-        "times": _short(kept.times[:MOST_SAMPLES]), "values": _short(kept.values[:MOST_SAMPLES]),
-        "dense": _curve(kept.dense), "truth": _curve(kept.truth), "fits": fits,
+        "times": _short(kept.times[:MOST_SAMPLES]), "values": _rounded(kept.values[:MOST_SAMPLES], reach),
+        "dense": _short(kept.dense[places]), "truth": _rounded(kept.truth[places], reach), "fits": fits,
         "where": f"mass {kept.dof + 1} of {kept.dofs}" if kept.dofs > 1 else "",
         "left": max(kept.times.size - MOST_SAMPLES, 0),
     }  # fmt: skip
 
 
-def _curve(values: np.ndarray) -> list[float | None]:
-    return _short(values[thinned(len(values))])
+def _rounded(values: np.ndarray, reach: float) -> list[float | None]:
+    """Displacements to a thousandth of their reach."""
+    decimals = 3 - math.floor(math.log10(reach)) if math.isfinite(reach) and reach > 0 else 6
+    return [None if not math.isfinite(value) else round(float(value), decimals) for value in values]
 
 
 def thinned(n: int) -> np.ndarray:
@@ -97,8 +109,9 @@ def _short(values: np.ndarray) -> list[float | None]:
     return [short(float(value)) for value in values]
 
 
-def spreads(store: Store, panel: Panel, metric: str) -> list[Mapping[str, Any]]:
-    """By method, worst first, in percent off the truth: the middle 95 % of all data sets, the first, what it states."""
+def spreads(store: Store, panel: Panel, metric: str) -> list[list[Any]]:
+    """By method, worst first: its name, and in percent off the truth the ends of the middle 95 % of all data sets, the
+    first data set's value, and the ends of the interval that the method states there."""
     name = metric.removesuffix(ERROR)
     found = []
     for cell in sorted(panel.results, key=lambda c: (-_excess(c, metric), c.label)):
@@ -110,7 +123,7 @@ def spreads(store: Store, panel: Panel, metric: str) -> list[Mapping[str, Any]]:
         stated = stated_interval(store, cell, name)
         ends = [None, None] if stated is None else [short(100 * (end - 1)) for end in stated]
         first = short(100 * (cell.first(f"{name}_ratio") - 1))
-        found.append({"m": cell.title, "l": short(low), "h": short(high), "f": first, "s": ends[0], "t": ends[1]})
+        found.append([cell.title, short(low), short(high), first, *ends])
     return found
 
 

@@ -7,6 +7,7 @@ ranks. The same store gives the same bytes.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -51,6 +52,11 @@ class Site:
     def scenarios(self) -> list[str]:
         """The address of each scenario."""
         return scenario_slugs(self.panels)
+
+    @cached_property
+    def words(self) -> list[str]:
+        """The title of each scenario."""
+        return describe.distinct_words(self.panels)
 
     @cached_property
     def labels(self) -> list[str]:
@@ -133,10 +139,9 @@ def _data(site: Site) -> Iterator[tuple[str, str, Any]]:
     yield "data/index.js", "index", index(site)
     places, metrics = ({name: i for i, name in enumerate(names)} for names in (site.labels, site.metrics))
     for system, own in site.systems.items():
-        lines = [
-            line for i in own for line in board.lines(i, site.panels[i], site.rankings, places, metrics)
-        ]  # fmt: skip
-        yield f"data/board/{site.system_slugs[system]}.js", "board", {"system": site.system_slugs[system], "lines": lines}
+        blocks = [block for i in own for block in board.blocks(i, site.panels[i], site.rankings, places, metrics)]
+        slug = site.system_slugs[system]
+        yield f"data/board/{slug}.js", "board", {"system": slug, "blocks": blocks}
     for slug, panel in zip(site.scenarios, site.panels, strict=True):
         yield f"data/scenario/{slug}.js", "scenario", {"slug": slug, **scenario_data(site.store, panel)}
     if site.advice:
@@ -147,6 +152,7 @@ def index(site: Site) -> dict[str, Any]:
     """What every choice of the leaderboard is made of."""
     systems = list(site.systems)
     return {
+        "shared": board.SHARED,
         "columns": board.COLUMNS,
         "standings": board.STANDINGS,
         "methods": [[label, title(label), site.methods[label]] for label in site.labels],
@@ -156,8 +162,8 @@ def index(site: Site) -> dict[str, Any]:
                     for name, own in site.systems.items()],
         "scenarios": [
             [slug, systems.index(p.facts.system), decibels(p.facts.snr_db), p.facts.initial_state, p.kind,
-             ", ".join(one.said for one in p.experiments), describe.scenario_words(p)]
-            for slug, p in zip(site.scenarios, site.panels, strict=True)
+             ", ".join(one.said for one in p.experiments), words]
+            for slug, words, p in zip(site.scenarios, site.words, site.panels, strict=True)
         ],
         "budgets": BUDGETS,
         "first": first_choice(site),
@@ -200,8 +206,13 @@ def _pages(site: Site) -> Iterator[tuple[str, str]]:
 def _page(site: Site, path: str, template: str, **values: Any) -> tuple[str, str]:
     """A page of a template; every text is escaped, and only the site's own scripts may run."""
     shared = {"site": site, "root": "../" * path.count("/"), "path": path, "title_of": title, "describe": describe}
-    shared |= {"decibels": decibels, "number": number, "percent": percent, "seconds": seconds, "share": home.share}
+    shared |= {"decibels": decibels, "number": number, "percent": percent, "seconds": seconds, "share": home.share, "order": order}
     return path, rendered(f"page/templates/{template}.html.j2", **shared, **values)
+
+
+def order(value: float) -> str:
+    """What a cell of a table sorts by; last where there is nothing."""
+    return f"{value:.4g}" if math.isfinite(value) else "1e300"
 
 
 def home_values(site: Site) -> dict[str, Any]:
@@ -269,14 +280,14 @@ def scenario_values(site: Site, place: int) -> dict[str, Any]:
     order = sorted(panel.results, key=lambda cell: (cell.is_reference, _last(pooled(cell, panel)), cell.label))
     lines = [(cell, pooled(cell, panel), fit_seconds(cell), standing(site, place, cell)) for cell in order]
     return {
-        "panel": panel, "slug": site.scenarios[place], "words": describe.scenario_words(panel), "told": describe.told(panel),
+        "panel": panel, "slug": site.scenarios[place], "words": site.words[place], "told": describe.told(panel),
         "again": describe.again(panel), "sketch": sketch(panel.facts), "lines": lines, "untold": untold(panel),
         "situations": [one for one in site.advice if panel in one.panels],
     }  # fmt: skip
 
 
 def _last(value: float) -> float:
-    return value if value == value else float("inf")
+    return math.inf if math.isnan(value) else value
 
 
 def standing(site: Site, place: int, cell: Any) -> str:

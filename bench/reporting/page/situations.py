@@ -80,7 +80,10 @@ class Order:
 
 @dataclass(frozen=True)
 class Advice:
-    """A situation and the order of its methods; ``partial`` ran on some of its scenarios only."""
+    """A situation and the order of its methods; ``partial`` ran on some of its scenarios only.
+
+    ``elsewhere``: labels of fragile methods that run away not here, but over the atlas.
+    """
 
     situation: Situation
     panels: tuple[Panel, ...]
@@ -88,6 +91,7 @@ class Advice:
     behind: tuple[Record, ...]
     fragile: tuple[Record, ...]
     partial: tuple[Record, ...]
+    elsewhere: frozenset[str] = frozenset()
 
     @property
     def hopeless(self) -> bool:
@@ -177,7 +181,7 @@ def advice(situation: Situation, panels: Sequence[Panel], unsteady: frozenset[st
     records = _with_p_gross(records, runs)
     found = ordered(records, frozenset(whole), unsteady)
     partial = sorted((r for label, r in records.items() if label not in whole), key=_by_excess)
-    return Advice(situation, tuple(panels), found.advised, found.behind, found.fragile, tuple(partial))
+    return Advice(situation, tuple(panels), found.advised, found.behind, found.fragile, tuple(partial), unsteady)
 
 
 def ordered(records: Mapping[str, Record], whole: frozenset[str], unsteady: frozenset[str]) -> Order:

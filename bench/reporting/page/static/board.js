@@ -2,6 +2,7 @@
 "use strict";
 
 const ALL = "";
+const HIDDEN = "5.9.13"; // columns that are not shown at first: the bound, the prior's share, the table
 const CHOICES = ["system", "snr", "start", "data", "method", "quantity", "budget"];
 const form = document.getElementById("filter");
 const boards = new Map();
@@ -13,7 +14,7 @@ const time = (value) => (value === null ? "–" : value < 0.1 ? `${number(1000 *
 
 bench.index = async (index) => {
   bench.site = index;
-  const at = Object.fromEntries(index.columns.map((name, i) => [name, i]));
+  const at = Object.fromEntries([...index.columns, ...index.shared].map((name, i) => [name, i]));
   const scenario = (line) => index.scenarios[line[at.scenario]];
   // What a filter looks at, by line; the time budget is a limit, and has no value of its own.
   bench.value = {
@@ -37,7 +38,9 @@ bench.index = async (index) => {
   form.elements.all.addEventListener("click", showAll);
 };
 
-bench.board = ({ system, lines }) => boards.set(system, lines);
+// A block of lines shares its scenario, quantity, bound and the prior's part; here they become whole lines again.
+bench.board = ({ system, blocks }) => boards.set(system, blocks.flatMap(([place, quantity, bound, prior, lines]) => lines.map(
+  (line) => [...line, place, quantity, bound, prior])));
 
 function fillChoices(index) {
   const unique = (values) => [...new Set(values)];
@@ -108,8 +111,8 @@ function writeAddress() {
   if (state.level) found.set("level", "yes");
   const order = bench.table.order().map(([column, way]) => `${column}.${way}`).join(",");
   if (order !== "3.asc,2.asc") found.set("sort", order);
-  const hidden = bench.table.columns().indexes().toArray().filter((i) => !bench.table.column(i).visible());
-  if (hidden.length) found.set("hide", hidden.join("."));
+  const hidden = bench.table.columns().indexes().toArray().filter((i) => !bench.table.column(i).visible()).join(".");
+  if (hidden !== HIDDEN) found.set("hide", hidden || "none");
   for (const [name, value] of Object.entries(bench.pair ? bench.pair() : {})) if (value) found.set(name, value);
   written = found.toString();
   history.replaceState(null, "", `#${written}`);
@@ -129,7 +132,7 @@ async function readAddress() {
   const columns = bench.table.columns().count();
   const valid = order.filter(([i, way]) => Number(i) >= 0 && Number(i) < columns && ["asc", "desc"].includes(way));
   bench.table.order(valid.map(([i, way]) => [Number(i), way]));
-  const hidden = new Set((given.hide || "").split(".").filter(Boolean).map(Number));
+  const hidden = new Set((given.hide || HIDDEN).split(".").map(Number));
   for (let i = 0; i < columns; i += 1) bench.table.column(i).visible(!hidden.has(i), false);
   bench.asked = { a: given.a, b: given.b, of: given.of };
   await refresh();
@@ -162,6 +165,7 @@ async function showAll() {
 async function refresh() {
   const lines = await loaded();
   const state = bench.state();
+  bench.all = lines;
   bench.lines = lines.filter((line) => bench.fits(line, state));
   grey(lines, state);
   bench.table.clear().rows.add(bench.lines).draw();

@@ -19,7 +19,7 @@ bench.config = () => {
 // Draws make() into the element of that id, again when the colours change; `name` is that of the files it is saved as.
 bench.draw = async (id, name, make) => {
   bench.charts.set(id, () => bench.draw(id, name, make));
-  const options = { ast: true, renderer: "svg", downloadFileName: name, config: bench.config(),
+  const options = { ast: true, renderer: "svg", logLevel: vega.Error, downloadFileName: name, config: bench.config(),
     tooltip: { theme: matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light" },
     actions: { export: { svg: true, png: true }, source: false, compiled: false, editor: false },
     i18n: { PNG_ACTION: "Take as PNG", SVG_ACTION: "Take as SVG", CLICK_TO_VIEW_ACTIONS: "Take this figure" } };

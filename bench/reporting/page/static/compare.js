@@ -2,25 +2,26 @@
 "use strict";
 
 const LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
-const TOP = LETTERS.length ** 3 - 1;
+const TOP = LETTERS.length ** 2 - 1;
 const pairForm = document.getElementById("pair");
 const errorsOf = new Map();
 const MOST_SCENARIOS = 40;
 
-// An error as it is packed: three letters are the place of its logarithm between 1e-9 and 1e9; the last place is a failure.
-bench.unpacked = (text) => Array.from({ length: text.length / 3 }, (_, i) => {
-  const place = [0, 1, 2].reduce((sum, j) => 64 * sum + LETTERS.indexOf(text[3 * i + j]), 0);
-  return place === TOP ? Infinity : 10 ** (18 * place / (TOP - 1) - 9);
+// An error over the bound as it is packed: two letters are the place of its logarithm between 1e-4 and 1e5; the last is a failure.
+bench.unpacked = (text) => Array.from({ length: text.length / 2 }, (_, i) => {
+  const place = 64 * LETTERS.indexOf(text[2 * i]) + LETTERS.indexOf(text[2 * i + 1]);
+  return place === TOP ? Infinity : 10 ** (9 * place / (TOP - 1) - 4);
 });
 
 bench.scenario = (data) => errorsOf.set(data.slug, data);
 bench.pair = () => Object.fromEntries(["a", "b", "of"].map((name) => [name, pairForm.elements[name].value]));
 
 bench.updatePair = () => {
-  const { at, site, lines } = bench;
-  const measurable = lines.filter((line) => line[at.standing] !== site.standings.indexOf("reference") && line[at.ok] > 0);
-  const state = bench.state();
-  const open = state.method === "" ? measurable : measurable.concat(); // a chosen method is one of the two
+  const { at, site } = bench;
+  const free = { ...bench.state(), method: "", quantity: "", budget: "", level: false }; // of the scenarios chosen above
+  const lines = bench.all.filter((line) => bench.fits(line, free));
+  bench.places = [...new Set(lines.map((line) => line[at.scenario]))];
+  const open = lines.filter((line) => line[at.standing] !== site.standings.indexOf("reference") && line[at.ok] > 0);
   const methods = [...new Set(open.map((line) => line[at.method]))].map((i) => site.methods[i]);
   const quantities = [...new Set(open.map((line) => line[at.quantity]))].map((i) => [site.metrics[i], site.quantities[i]]);
   const before = { ...bench.pair(), ...Object.fromEntries(Object.entries(bench.asked || {}).filter(([, value]) => value)) };
@@ -48,7 +49,7 @@ async function compare() {
     verdict.textContent = "Choose two different methods; they are compared in the scenarios chosen above.";
     return;
   }
-  const slugs = [...new Set(bench.lines.map((line) => bench.site.scenarios[line[bench.at.scenario]]))].slice(0, MOST_SCENARIOS);
+  const slugs = bench.places.slice(0, MOST_SCENARIOS).map((place) => bench.site.scenarios[place]);
   await Promise.all(slugs.map(([slug]) => bench.load(`data/scenario/${slug}.js`)));
   const pairs = slugs.flatMap((one) => paired(errorsOf.get(one[0]), of, a, b, one[6]));
   const title = Object.fromEntries(bench.site.methods.map(([label, name]) => [label, name]));
@@ -60,8 +61,8 @@ async function compare() {
 function paired(data, metric, a, b, scenario) {
   const errors = data.errors[metric] || {};
   if (!(a in errors) || !(b in errors)) return [];
-  const [first, second, bound] = [bench.unpacked(errors[a]), bench.unpacked(errors[b]), data.bounds[metric] || 1];
-  return first.slice(0, second.length).map((value, i) => ({ a: value / bound, b: second[i] / bound, n: i, scenario }));
+  const [first, second] = [bench.unpacked(errors[a]), bench.unpacked(errors[b])];
+  return first.slice(0, second.length).map((value, i) => ({ a: value, b: second[i], n: i, scenario }));
 }
 
 // The median of the ratios with a 95 % interval by order statistics, and the exact sign test of which is nearer the truth.
@@ -103,8 +104,9 @@ function said(found, a, b) {
   const digits = (value) => (value === Infinity ? "∞" : String(Number(value.toPrecision(4))));
   const p = found.p < 1e-4 ? "below 0.0001" : `${Number(found.p.toPrecision(2))}`;
   const lost = found.lost.some(Boolean) ? ` Without an answer: ${found.lost[0]} of ${a}, ${found.lost[1]} of ${b}.` : "";
+  const alike = found.n - found.nearer - found.further;
   return `On ${found.n} data sets the error of ${b} is ${digits(found.ratio)} times that of ${a} (median of the ratios; 95 % interval ${digits(found.low)} to ${digits(found.high)}). `
-    + `${a} is nearer the truth on ${found.nearer}, ${b} on ${found.further}; were they equal, so uneven a count would have probability ${p} (sign test).${lost}`;
+    + `${a} is nearer the truth on ${found.nearer}, ${b} on ${found.further}${alike ? `, alike to half a percent on ${alike}` : ""}; were they equal, so uneven a count would have probability ${p} (sign test).${lost}`;
 }
 
 async function drawPairs(pairs, a, b, name) {

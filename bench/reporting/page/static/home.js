@@ -22,6 +22,5 @@ bench.home = (data) => {
           scale: { domain: levels, scheme: "viridis", reverse: true }, legend: { title: "SNR (dB)", titleOrient: "left", direction: "horizontal" } } } },
       { mark: { type: "text", align: "left", dx: 6 }, encoding: { y, text: { field: "t" }, x: { value: "width" } } },
     ],
-    padding: { right: narrow ? 60 : 120 },
   }));
 };

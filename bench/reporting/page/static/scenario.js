@@ -33,14 +33,14 @@ function drawRecord(record) {
       { data: { values: curve(record.truth, "truth") }, mark: { type: "line", strokeWidth: 6, color: bench.colour("line"), tooltip: { content: "data" } }, encoding: { x, y } },
       { data: { values: fits }, mark: { type: "line", strokeWidth: 1.6 }, encoding: { x, y, tooltip: tips,
         color: { field: "what", type: "nominal", sort: Object.keys(record.fits) },
-        strokeDash: { field: "what", type: "nominal", sort: Object.keys(record.fits), legend: null } } },
+        strokeDash: { field: "what", type: "nominal", sort: Object.keys(record.fits) } } },
       { data: { values: samples }, mark: { type: "point", filled: true, size: 28, color: bench.colour("ink"), opacity: 1 }, encoding: { x, y, tooltip: tips } },
     ],
   }));
 }
 
 function drawSpread(data, metric) {
-  const lines = data.spread[metric];
+  const lines = data.spread[metric].map(([m, l, h, f, s, t]) => ({ m, l, h, f, s, t }));
   const bound = 1.96 * (data.bounds[metric] || 0);
   const widths = lines.map((line) => Math.max(Math.abs(line.l), Math.abs(line.h))).sort((a, b) => a - b);
   const reach = 1.1 * Math.max(widths[Math.floor(0.75 * (widths.length - 1))], 1.5 * bound, 1e-3);

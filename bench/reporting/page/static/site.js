@@ -80,6 +80,26 @@ window.bench = {
 DataTable.defaults.language = { search: "Search ", info: "_START_ to _END_ of _TOTAL_ lines", infoFiltered: "(of _MAX_)",
   infoEmpty: "no line", zeroRecords: "No line has this.", lengthMenu: "_MENU_ lines a page" };
 
+// A column of cells that begin with a number, such as "0.384 ×0.97" or "3/4 (2/4)", sorts by it.
+const LEADING = /^[*×><≤≥\s]*([-−+]?\d[\d,]*\.?\d*(?:e[-+]?\d+)?)/i;
+const plainText = (value) => String(value).replace(/<[^>]*>/g, "");
+DataTable.type("leading", {
+  className: "",
+  detect: { oneOf: (value) => typeof value === "string" && LEADING.test(plainText(value)),
+    allOf: (value) => typeof value !== "string" || /^\s*([–-]|failed|no answer|)\s*$/.test(plainText(value)) || LEADING.test(plainText(value)) },
+  order: { pre: (value) => {
+    const match = LEADING.exec(plainText(value));
+    return match ? Number(match[1].replace(/,/g, "").replace("−", "-")) : Infinity;
+  } },
+});
+
+for (const table of document.querySelectorAll("table.cards")) { // a phone shows a row as a card, with these names
+  const heads = Array.from(table.tHead ? table.tHead.rows[0].cells : [], (cell) => cell.textContent);
+  for (const row of table.tBodies[0] ? table.tBodies[0].rows : []) {
+    Array.from(row.cells).forEach((cell, i) => { cell.dataset.label = heads[i]; });
+  }
+}
+
 for (const table of document.querySelectorAll("table[data-grid]")) {
   const rows = table.tBodies[0] ? table.tBodies[0].rows.length : 0;
   if (rows > 1) {
