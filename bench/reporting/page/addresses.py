@@ -14,7 +14,11 @@ LONGEST = 80
 def slug(name: str) -> str:
     """A name as part of an address: lower case, digits, ``-`` and ``_``; what loses letters gets a hash of the name."""
     plain = re.sub(r"[^a-z0-9_.]+", "-", name.lower()).strip("-.")[:LONGEST]
-    return plain if re.fullmatch(r"[\w .,=()-]+", name, re.ASCII) and plain and len(name) <= LONGEST else _hashed(plain, name)
+    return (
+        plain
+        if re.fullmatch(r"[\w .,=()-]+", name, re.ASCII) and plain and len(name) <= LONGEST
+        else _hashed(plain, name)
+    )
 
 
 def _hashed(plain: str, name: str) -> str:

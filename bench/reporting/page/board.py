@@ -1,4 +1,4 @@
-"""The leaderboard's lines as numbers: one a scenario, method and quantity, in files that are loaded a system at a time."""
+"""The leaderboard's lines as numbers: one a scenario, method and quantity, loaded a system at a time."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ SHARED = ("scenario", "quantity", "bound", "prior")
 COLUMNS = ("method", "standing", "rms", "excess", "median", "low", "high", "gross", "ok", "n", "seconds")
 """Of each line; names are places in the lists of methods, quantities and standings."""
 STANDINGS = (
-    "best", "level", "only method", "undecided (fewer data)", "behind", "not ranked", "reference", "all failed", "failed",
-    "unsupported",
+    "best", "level", "only method", "undecided (fewer data)", "behind", "not ranked", "reference", "all failed",
+    "failed", "unsupported",
 )  # fmt: skip
 """In the order in which a board is sorted at first."""
 PLACES = {"best": "best", "level": "level", "behind": "behind", "alone": "only method", "all failed": "all failed"}

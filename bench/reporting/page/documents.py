@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -66,7 +67,9 @@ def _body(tokens: Sequence[Any]) -> str:
         shown.append(token)
     first = next((i for i, token in enumerate(shown) if token.type == "heading_close"), -1)
     body = _parser().renderer.render(shown[first + 1 :], _parser().options, {})
-    body = re.sub(r"<table([^>]*)>", r'<div class="scroll" tabindex="0" role="region" aria-label="Table"><table\1>', body)
+    count = itertools.count(1)
+    opened = '<div class="scroll" tabindex="0" role="region" aria-label="Table {} of this page"><table'
+    body = re.sub("<table", lambda _: opened.format(next(count)), body)
     return body.replace("</table>", "</table></div>")
 
 
@@ -77,8 +80,8 @@ def _retarget(token: Any) -> None:
             continue
         if name == "href" and re.fullmatch(r"[\w-]+\.md", target):
             token.attrSet(name, target.removesuffix(".md") + ".html")
-        elif target.startswith("figures/"):
-            token.attrSet(name, f"../{target}")
+        elif name == "src" and target.startswith("figures/"):
+            token.attrSet(name, f"../{Path(target).with_suffix('.png').as_posix()}")
         else:
             token.attrSet(name, f"../../{target}")
     if token.type == "image":

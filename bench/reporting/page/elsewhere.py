@@ -70,7 +70,9 @@ def _over_points(label: str, told: list[pd.DataFrame]) -> Record:
     """A method's lines of each quantity pooled; gross errors are counted by the quantity that has more."""
     own = [(frame[frame["method"] == label], name) for frame, name in zip(told, GROUPS, strict=True)]
     core = pd.concat([frame[f"{name}_core"] for frame, name in own]).dropna()
-    counted = [(int((frame["fits"] * frame[f"{name}_gross"]).round().sum()), int(frame["fits"].sum())) for frame, name in own]
+    counted = [
+        (int((frame["fits"] * frame[f"{name}_gross"]).round().sum()), int(frame["fits"].sum())) for frame, name in own
+    ]
     wrong, fits = max(counted, key=lambda pair: pair[0] / pair[1] if pair[1] else -1.0)
     return Record(
         label, label, float(core.median()) if len(core) else math.nan, float(core.max()) if len(core) else math.nan,
@@ -85,7 +87,7 @@ def unsteady(atlas: Mapping[str, Record]) -> frozenset[str]:
 
 
 def atlas_order(atlas: Mapping[str, Record]) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
-    """Those that are advised over the atlas, and those that are fragile there; methods on a part of it are in neither."""
+    """Those that are advised over the atlas, and those that are fragile there; in neither: methods on a part of it."""
     most = max((one.fits for one in atlas.values()), default=0)
     whole = {label: one for label, one in atlas.items() if one.fits == most}
     least = min((one.risk for one in whole.values()), default=0.0)
@@ -96,7 +98,9 @@ def atlas_order(atlas: Mapping[str, Record]) -> tuple[tuple[Record, ...], tuple[
 
 def measured(folder: Path) -> list[Measured]:
     """Every method of the measured track, the one with most answers that stand first."""
-    data = read_csv(folder / "table11.csv", {"set", "system", "method", "sibling", "status", "trust", "held_out", "wall_s"})
+    data = read_csv(
+        folder / "table11.csv", {"set", "system", "method", "sibling", "status", "trust", "held_out", "wall_s"}
+    )
     if data is None:
         return []
     fits = data.drop_duplicates(["set", "system", "method", "sibling"])

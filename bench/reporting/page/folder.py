@@ -22,7 +22,7 @@ def check_folder(out: Path) -> None:
 
 
 def write_folder(out: Path, files: Iterable[tuple[str, bytes]]) -> None:
-    """Write files by their paths below ``out``, in place of what is there; raises InputError where that cannot be done."""
+    """Write files by their paths below ``out``, in place of what is there; raises InputError where it cannot."""
     temporary = out.with_name(f".{out.name}.{uuid.uuid4().hex}.tmp")
     old = out.with_name(f".{out.name}.{uuid.uuid4().hex}.old.tmp")
     try:

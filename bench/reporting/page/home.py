@@ -86,7 +86,13 @@ def needs(name: str) -> str:
         method = load_method(name)
     except InputError:
         return "not registered here"
-    prior = "no prior" if method.card.scale == "groups" else "prior optional" if method.serves.free_without_prior else "a prior"
+    prior = (
+        "no prior"
+        if method.card.scale == "groups"
+        else "prior optional"
+        if method.serves.free_without_prior
+        else "a prior"
+    )
     return prior + (f"; {joined(list(method.requires))}" if method.requires else "")
 
 
@@ -107,7 +113,7 @@ def atlas_row(atlas: Mapping[str, Record], points: int) -> list[Row]:
 
 
 def measured_row(found: Sequence[Measured]) -> list[Row]:
-    """The line of the measured track: real records have no truth, so an answer counts that its checks do not withdraw."""
+    """The line of the measured track: there is no truth, so an answer counts that its checks do not withdraw."""
     if not found or not found[0].believed:
         return []
     first, *rest = found
@@ -145,7 +151,7 @@ def rows(advice: Sequence[Advice], atlas: Mapping[str, Record], points: int, fol
 
 
 def forest(one: Advice) -> dict[str, Any]:
-    """The picture: by method and noise level, the error over the bound without gross errors, and how often those are."""
+    """The picture: by method and noise level, the error over the bound, gross ones apart, and how often those are."""
     records = [*one.advised, *one.behind, *one.fragile]
     fragile = {record.label for record in one.fragile}
     levels = group(one.panels, lambda panel: panel.facts.snr_db)
@@ -159,7 +165,9 @@ def forest(one: Advice) -> dict[str, Any]:
         wrong = "gross in the atlas" if elsewhere else f"gross {share(record.risk)}"
         said = seconds(record.seconds) + (f", {wrong}" if record.label in fragile else "")
         name = title(record.label)
-        lines.append({"m": name, "l": short(min(values)), "h": short(max(values)), "t": said, "g": record.label in fragile})
+        lines.append(
+            {"m": name, "l": short(min(values)), "h": short(max(values)), "t": said, "g": record.label in fragile}
+        )
         points += [{"m": name, "d": float(decibels(snr)), "e": short(v)} for snr, v in own.items() if math.isfinite(v)]
     return {"points": points, "lines": lines}
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
-WIDTH = 1000
+WIDTH = 900
 """Pixels across of a copy at most."""
-COLOURS = 32
+COLOURS = 24
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,9 @@ def picture(path: Path, out: Path) -> Picture:
     if image.width > WIDTH:
         image = image.resize((WIDTH, round(image.height * WIDTH / image.width)), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()
-    image.quantize(COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
+    image.quantize(COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
+        buffer, "PNG", optimize=True
+    )
     said = path.with_suffix(".txt")
     first, rest = first_sentence(said.read_text(encoding="utf-8").strip() if said.is_file() else "")
     whole = tuple(

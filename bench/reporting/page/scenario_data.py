@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.reporting.frame import ERROR, Result
 from bench.reporting.page.board import short
-from bench.reporting.page.first_replicate import FirstReplicate, first_replicate, stated_interval
+from bench.reporting.page.first_replicate import first_replicate, stated_interval
 from bench.reporting.page.reading import Panel
 from bench.reporting.page.words import quantity
 from bench.store.store import Store
@@ -36,7 +36,9 @@ def scenario_data(store: Store, panel: Panel) -> dict[str, Any]:
         "spread": {metric: spreads(store, panel, metric) for metric in panel.ranked if metric != "rmse"},
         "bounds": {metric: short(bound_of(panel, metric)) for metric in panel.ranked},
         "errors": {
-            metric: {c.label: packed(c.errors(metric) / unit(panel, metric)) for c in panel.methods if metric in c.summary}
+            metric: {
+                c.label: packed(c.errors(metric) / unit(panel, metric)) for c in panel.methods if metric in c.summary
+            }
             for metric in panel.ranked
         },
         "names": {metric: quantity(metric) for metric in panel.ranked},

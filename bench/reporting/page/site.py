@@ -171,7 +171,7 @@ def index(site: Site) -> dict[str, Any]:
 
 
 def first_choice(site: Site) -> dict[str, str]:
-    """What the leaderboard shows at first: the first scenario of the first screen's first situation at a middle noise."""
+    """What the leaderboard shows at first: a scenario of the first screen's first situation, at a middle noise."""
     own = list(site.advice[0].panels) if site.advice else list(site.panels[:1])
     panel = sorted(own, key=lambda p: abs(p.facts.snr_db - MIDDLE_DB))[0]
     chosen = {"system": panel.facts.system, "snr": decibels(panel.facts.snr_db), "start": panel.facts.initial_state}
@@ -206,7 +206,14 @@ def _pages(site: Site) -> Iterator[tuple[str, str]]:
 def _page(site: Site, path: str, template: str, **values: Any) -> tuple[str, str]:
     """A page of a template; every text is escaped, and only the site's own scripts may run."""
     shared = {"site": site, "root": "../" * path.count("/"), "path": path, "title_of": title, "describe": describe}
-    shared |= {"decibels": decibels, "number": number, "percent": percent, "seconds": seconds, "share": home.share, "order": order}
+    shared |= {
+        "decibels": decibels,
+        "number": number,
+        "percent": percent,
+        "seconds": seconds,
+        "share": home.share,
+        "order": order,
+    }
     return path, rendered(f"page/templates/{template}.html.j2", **shared, **values)
 
 
@@ -223,7 +230,8 @@ def home_values(site: Site) -> dict[str, Any]:
     panels = first.panels if first else site.panels
     return {
         "rows": rows, "first": first, "best": first.advised[0] if first and not first.hopeless else None,
-        "error": home.error_text, "untold": untold(panels[0]), "ranked": [quantity(m) for m in panels[0].ranked if m != "rmse"],
+        "untold": untold(panels[0]),
+        "ranked": [quantity(metric) for metric in panels[0].ranked if metric != "rmse"],
         "basis": home.basis_of(panels), "counts": counts(site),
     }  # fmt: skip
 
@@ -246,7 +254,7 @@ def system_values(site: Site, name: str) -> dict[str, Any]:
             shares.setdefault(quantity(f"{told}_error_pct"), percent(part))
     return {
         "name": name, "facts": facts, "slug": site.system_slugs[name], "words": describe.system_words(facts),
-        "sketch": sketch(facts), "scenarios": own, "parameters": [(p.name, p.kind) for p in model.parameters] if model else [],
+        "sketch": sketch(facts), "scenarios": own,
         "about": (type(model).__doc__ or "").strip().split("\n")[0] if model else "", "shares": shares,
     }  # fmt: skip
 
@@ -256,7 +264,14 @@ def method_values(site: Site, label: str) -> dict[str, Any]:
     found = {p_i: cell for p_i, panel in enumerate(site.panels) for cell in panel.results if cell.label == label}
     name = next((cell.method for cell in found.values()), label)
     card = next((card for card in site.cards if card.name == name), None)
-    return {"label": label, "name": name, "card": card, "cells": found, "standings": standings(site, label), "of": pooled}
+    return {
+        "label": label,
+        "name": name,
+        "card": card,
+        "cells": found,
+        "standings": standings(site, label),
+        "of": pooled,
+    }
 
 
 def pooled(cell: Any, panel: Panel) -> float:
@@ -295,7 +310,9 @@ def standing(site: Site, place: int, cell: Any) -> str:
     panel = site.panels[place]
     if cell.is_reference:
         return "reference"
-    named = [board.standing_of(cell, site.rankings.get((place, metric))) for metric in panel.ranked if metric in cell.summary]
+    named = [
+        board.standing_of(cell, site.rankings.get((place, metric))) for metric in panel.ranked if metric in cell.summary
+    ]
     if not named or named[0] in ("unsupported", "failed"):
         return named[0] if named else "–"
     return f"{sum(own in ('best', 'level', 'only method') for own in named)} of {len(named)}"
@@ -305,18 +322,25 @@ def situation_values(site: Site, one: Advice) -> dict[str, Any]:
     """A situation: every method's record, and the scenarios behind it."""
     parts = (
         ("Advised, fastest first", one.advised), ("Further from the bound", one.behind),
-        ("Not advised: gross errors here or in the atlas", one.fragile), ("Ran on a part of the scenarios only", one.partial),
+        ("Not advised: gross errors here or in the atlas", one.fragile),
+        ("Ran on a part of the scenarios only", one.partial),
     )  # fmt: skip
     places = [i for i, panel in enumerate(site.panels) if panel in one.panels]
-    return {"advice": one, "groups": parts, "places": places, "error": home.error_text, "risk": home.risk_text, "needs": home.needs}
+    return {
+        "advice": one,
+        "groups": parts,
+        "places": places,
+        "error": home.error_text,
+        "risk": home.risk_text,
+        "needs": home.needs,
+    }
 
 
 def provenance_values(site: Site) -> dict[str, Any]:
     """Where the cells come from, and what failed."""
     results: Sequence[Any] = site.reading.results
     return {
-        "origin": origin.origin(results), "failures": origin.failures(results), "unsupported": origin.unsupported(results),
+        "origin": origin.origin(results), "failures": origin.failures(results),
+        "unsupported": origin.unsupported(results),
         "hidden": site.reading.hidden,
     }  # fmt: skip
-
-

@@ -21,13 +21,13 @@ from bench.scoring.comparison import LEVEL, gross, more_often
 ALIKE = 1.05
 """Errors within this factor of the least are alike for a user: the fastest of them is named first."""
 MOST_EXTRA = 0.02
-"""A method is fragile where it has gross errors more often than the steadiest one, surely and by more than this share."""
+"""A method is fragile where it has gross errors more often than the steadiest, surely and by more than this share."""
 HOPELESS = 0.5
 """No method is advised where the best of them has gross errors on more than this share of the data sets."""
 FEWEST_SETS = 20
 """Scenarios with fewer data sets a method are studies of reach, and tell no risk."""
 FEWEST_METHODS = 0.5
-"""Scenarios with less than this share of the situation's methods are studies of a few methods, and compare no others."""
+"""Scenarios with less than this share of the situation's methods are studies of a few, and compare no others."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def _wrong_model(panel: Panel) -> bool:
 
 
 def advise(panels: Sequence[Panel], unsteady: frozenset[str] = frozenset()) -> list[Advice]:
-    """The situations of which anything is stored; ``unsteady`` methods run away elsewhere in free decays of one mass."""
+    """The situations of which anything is stored; ``unsteady`` methods run away in other free decays of one mass."""
     found = []
     for situation in SITUATIONS:
         own = [p for p in panels if situation.has(p) and p.experiments and max_n(p) >= FEWEST_SETS]
@@ -250,7 +250,9 @@ def _with_p_gross(records: Mapping[str, Record], runs: Mapping[str, Sequence[np.
     found = dict(records)
     for label, own in runs.items():
         if label in records:
-            pairs = [(a[: min(a.size, b.size)], b[: min(a.size, b.size)]) for a, b in zip(own, runs[rarest], strict=True)]
+            pairs = [
+                (a[: min(a.size, b.size)], b[: min(a.size, b.size)]) for a, b in zip(own, runs[rarest], strict=True)
+            ]
             mine, steadiest = (np.concatenate(side) for side in zip(*pairs, strict=True))
             extra = float(mine.mean() - steadiest.mean()) if mine.size else 0.0
             found[label] = replace(found[label], p_gross=more_often(mine, steadiest), extra=extra)

@@ -32,7 +32,9 @@ def sketch(facts: Result) -> str:
     if facts.forced:
         dof = int((facts.data.get("force") or {}).get("dof", 0))
         parts.append(_force(20 + (min(dof, len(shown) - 1) + 1) * (GAP + BODY)))
-    said = f"{n} mass{'es' if n > 1 else ''} between springs and dampers" if n > 1 else "A mass on a spring and a damper"
+    said = (
+        f"{n} mass{'es' if n > 1 else ''} between springs and dampers" if n > 1 else "A mass on a spring and a damper"
+    )
     said += ", a law of the spring or damper that is not linear" if nonlinear else ""
     said += ", driven by a force" if facts.forced else ""
     if nonlinear:
@@ -95,13 +97,15 @@ def _force(x: float) -> str:
 def _pendulum() -> list[str]:
     return [
         _path("M80 14 h80 M120 14 L158 84"), '<circle cx="163" cy="94" r="12" class="body"/>',
-        f'<path d="M120 14 V86" fill="none" stroke="currentColor" stroke-dasharray="3 4"/>', _text(152, 46, "l"),
+        '<path d="M120 14 V86" fill="none" stroke="currentColor" stroke-dasharray="3 4"/>', _text(152, 46, "l"),
         _text(190, 100, "m"),
     ]  # fmt: skip
 
 
 def _text(x: float, y: float, text: str, size: Literal[12, 15, 18] = 12) -> str:
-    return f'<text x="{x:g}" y="{y:g}" font-size="{size}" text-anchor="middle" fill="currentColor">{_plain(text)}</text>'
+    return (
+        f'<text x="{x:g}" y="{y:g}" font-size="{size}" text-anchor="middle" fill="currentColor">{_plain(text)}</text>'
+    )
 
 
 def _plain(text: str) -> str:

@@ -28,7 +28,9 @@ bench.draw = async (id, name, make) => {
     ...make() }, options);
   const summary = document.querySelector(`#${id} summary`);
   if (summary) summary.setAttribute("aria-label", "Take this figure as SVG or PNG");
-  for (const svg of document.querySelectorAll(`#${id} .chart-wrapper > svg, #${id} > svg`)) svg.setAttribute("aria-hidden", "true");
+  const figure = document.getElementById(id).closest("figure");
+  const svg = document.querySelector(`#${id} svg.marks`);
+  if (svg && figure) svg.setAttribute("aria-label", figure.querySelector("figcaption").textContent.trim());
   return view;
 };
 

@@ -21,7 +21,8 @@ bench.updatePair = () => {
   const free = { ...bench.state(), method: "", quantity: "", budget: "", level: false }; // of the scenarios chosen above
   const lines = bench.all.filter((line) => bench.fits(line, free));
   bench.places = [...new Set(lines.map((line) => line[at.scenario]))];
-  const open = lines.filter((line) => line[at.standing] !== site.standings.indexOf("reference") && line[at.ok] > 0);
+  const apart = ["reference", "not ranked"].map((name) => site.standings.indexOf(name));
+  const open = lines.filter((line) => !apart.includes(line[at.standing]) && line[at.ok] > 0);
   const methods = [...new Set(open.map((line) => line[at.method]))].map((i) => site.methods[i]);
   const quantities = [...new Set(open.map((line) => line[at.quantity]))].map((i) => [site.metrics[i], site.quantities[i]]);
   const before = { ...bench.pair(), ...Object.fromEntries(Object.entries(bench.asked || {}).filter(([, value]) => value)) };

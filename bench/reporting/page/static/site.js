@@ -77,8 +77,11 @@ window.bench = {
   },
 };
 
-DataTable.defaults.language = { search: "Search ", info: "_START_ to _END_ of _TOTAL_ lines", infoFiltered: "(of _MAX_)",
-  infoEmpty: "no line", zeroRecords: "No line has this.", lengthMenu: "_MENU_ lines a page" };
+Object.assign(DataTable.defaults.language, {
+  paginate: { first: "First", previous: "Previous", next: "Next", last: "Last" },
+  aria: { ...DataTable.defaults.language.aria, paginate: { first: "First page", previous: "Previous page", next: "Next page", last: "Last page", number: "Page " } },
+  search: "Search ", info: "_START_ to _END_ of _TOTAL_ lines", infoFiltered: "(of _MAX_)",
+  infoEmpty: "no line", zeroRecords: "No line has this.", lengthMenu: "_MENU_ lines a page" });
 
 // A column of cells that begin with a number, such as "0.384 ×0.97" or "3/4 (2/4)", sorts by it.
 const LEADING = /^[*×><≤≥\s]*([-−+]?\d[\d,]*\.?\d*(?:e[-+]?\d+)?)/i;
