@@ -62,13 +62,13 @@ window.bench = {
   // The buttons of a table whose files are called `name`; what is exported is what is shown, in its order.
   buttons(name, more = []) {
     const shown = (table) => {
-      const found = table.buttons.exportData({ columns: ":visible", modifier: { search: "applied", order: "applied" } });
+      const found = table.buttons.exportData({ columns: ":visible", orthogonal: "export", modifier: { search: "applied", order: "applied" } });
       return { header: found.header, body: found.body };
     };
     const file = name.toLowerCase().replace(/[^a-z0-9]+/g, "-").replace(/^-|-$/g, "") || "table";
     const button = (text, act) => ({ text, action: (event, table) => act(shown(table)) });
     return [
-      { extend: "csv", text: "CSV", filename: file, title: null, exportOptions: { columns: ":visible" } },
+      { extend: "csv", text: "CSV", filename: file, title: null, exportOptions: { columns: ":visible", orthogonal: "export" } },
       button("JSON", (data) => this.save(`${file}.json`, "application/json", this.records(data))),
       button("Copy as Markdown", (data) => this.copy(this.markdown(data))),
       button("Copy as LaTeX", (data) => this.copy(this.latex(data))),
