@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.reporting.page.drawing import INK, LINE, MUTED, RC, SERIES, pyplot, row_axis, svg
+from bench.reporting.inline_svg import INK, LINE, MUTED, RC, SERIES, pyplot, row_axis, svg
 from bench.reporting.rounding import readable
 
 SIZE = (5.6, 3.5)

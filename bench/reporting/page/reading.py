@@ -86,7 +86,8 @@ class Panel:
         """What is special about its data, in a few words."""
         facts = self.facts
         drawn = "truth drawn anew" if facts.truth_drawn else ""
-        parts = [self.disturbance, drawn, f"seed {facts.seed}" if facts.seed else ""]
+        prior = "no prior" if facts.prior is None else "wrong prior" if facts.prior.get("wrong") else ""
+        parts = [self.disturbance, drawn, prior, f"seed {facts.seed}" if facts.seed else ""]
         return ", ".join(part for part in parts if part) or "undisturbed"
 
     @property

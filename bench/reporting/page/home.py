@@ -1,0 +1,180 @@
+"""The first screen's table and picture, as text and numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bench.entrants.registry import load_method
+from bench.errors import InputError
+from bench.reporting.frame import group
+from bench.reporting.labels import title
+from bench.reporting.page.board import short
+from bench.reporting.page.elsewhere import Followed, Measured, atlas_order, followed, measured
+from bench.reporting.page.reading import Panel, decibels
+from bench.reporting.page.situations import MOST_EXTRA, Advice, Record, core_excess
+from bench.reporting.page.words import joined, number, percent, seconds
+
+MOST_OTHERS = 1
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of the first screen; ``method`` is a label, empty where no page is about it; ``others`` are as good."""
+
+    situation: str
+    href: str
+    basis: str
+    name: str
+    method: str
+    error: str
+    risk: str
+    time: str
+    needs: str
+    others: tuple[tuple[str, str], ...] = field(default=())
+
+
+def advice_row(one: Advice) -> Row:
+    """The line of a situation."""
+    situation = one.situation
+    href, basis = f"situations/{situation.name}.html", basis_of(one.panels)
+    if one.hopeless:
+        best = min(((r.risk, r.label) for r in (*one.advised, *one.behind)), default=(math.nan, ""))
+        risk = f"{percent(best[0])} at best" if best[1] else "–"
+        return Row(situation.words, href, basis, "None: the model has to be mended first", "", "–", risk, "–", "–")
+    first = one.advised[0]
+    others: dict[str, str] = {}
+    for record in one.advised[1:]:
+        if record.method not in {first.method, *others.values()}:
+            others.setdefault(record.label, record.method)
+    named = tuple((title(label), label) for label in list(others)[:MOST_OTHERS])
+    return Row(
+        situation.words, href, basis, title(first.label), first.label, error_text(first), risk_text(first),
+        seconds(first.seconds), needs(first.method), named,
+    )  # fmt: skip
+
+
+def basis_of(panels: Sequence[Panel]) -> str:
+    """How many scenarios, and which noise."""
+    levels = sorted({panel.facts.snr_db for panel in panels})
+    ends = f"{decibels(levels[0])} to {decibels(levels[-1])}" if len(levels) > 1 else decibels(levels[0])
+    return f"{len(panels)} scenario{'s' if len(panels) > 1 else ''}, {ends} dB"
+
+
+def error_text(one: Record) -> str:
+    """Typical and largest error over the bound."""
+    return f"{number(one.excess)}, worst {number(one.worst)}"
+
+
+def risk_text(one: Record) -> str:
+    """Gross errors counted, and what the rate is below."""
+    return f"{one.gross:,} of {one.fits:,} (below {share(one.risk_at_most)})"
+
+
+def share(value: float) -> str:
+    """A share in percent to two digits."""
+    return f"{100 * value:.2g} %" if value < 0.995 else "100 %"
+
+
+def needs(name: str) -> str:
+    """What a method has to be given, from its card."""
+    try:
+        method = load_method(name)
+    except InputError:
+        return "not registered here"
+    prior = (
+        "no prior"
+        if method.card.scale == "groups"
+        else "prior optional"
+        if method.serves.free_without_prior
+        else "a prior"
+    )
+    return prior + (f"; {joined(list(method.requires))}" if method.requires else "")
+
+
+def atlas_row(atlas: Mapping[str, Record], points: int) -> list[Row]:
+    """The line of the atlas, where there is one."""
+    advised, _ = atlas_order(atlas)
+    if not advised:
+        return []
+    first, *rest = advised
+    return [
+        Row(
+            "Any free decay of one mass: anywhere in the atlas", "results/atlas.html",
+            f"{points} tests spread over samples, cycles, damping, noise", title(first.label), first.label,
+            f"{number(first.excess)}, half of the tests below", risk_text(first), seconds(first.seconds),
+            needs(first.method), tuple((title(one.label), one.label) for one in rest[:MOST_OTHERS]),
+        )
+    ]  # fmt: skip
+
+
+def measured_row(found: Sequence[Measured]) -> list[Row]:
+    """The line of the measured track: there is no truth, so an answer counts that its checks do not withdraw."""
+    if not found or not found[0].believed:
+        return []
+    first, *rest = found
+    return [
+        Row(
+            "A real record of a rig", "results/table11.html", f"{first.fits} records of the measured track",
+            title(first.label), first.label, f"no truth; predicts {number(first.held_out)} %",
+            f"{first.fits - first.believed} of {first.fits} without an answer that stands", seconds(first.seconds),
+            needs(first.label), tuple((title(one.label), one.label) for one in rest[:MOST_OTHERS]),
+        )
+    ]  # fmt: skip
+
+
+def followed_row(found: Sequence[Followed]) -> list[Row]:
+    """The line of the online track."""
+    if not found:
+        return []
+    first, *rest = found
+    return [
+        Row(
+            "Parameters that change while the data arrive", "results/table10.html", f"{first.records} records",
+            first.title, "", f"{number(first.excess)}, worst {number(first.worst)}",
+            f"{first.records - first.ok} of {first.records} records lost",
+            f"{seconds(first.micros / 1e6)} a sample", "a first guess",
+            tuple((one.title, "") for one in rest[:MOST_OTHERS]),
+        )
+    ]  # fmt: skip
+
+
+def rows(advice: Sequence[Advice], atlas: Mapping[str, Record], points: int, folder: Any) -> list[Row]:
+    """The whole table."""
+    found = [advice_row(one) for one in advice]
+    found += [*measured_row(measured(folder)), *followed_row(followed(folder))]
+    return [*found[:2], *atlas_row(atlas, points), *found[2:]]
+
+
+def forest(one: Advice) -> dict[str, Any]:
+    """The picture: by method and noise level, the error over the bound, gross ones apart, and how often those are."""
+    records = [*one.advised, *one.behind, *one.fragile]
+    fragile = {record.label for record in one.fragile}
+    levels = group(one.panels, lambda panel: panel.facts.snr_db)
+    points, lines = [], []
+    for record in records:
+        own = {snr: _at(panels, record.label) for snr, panels in levels.items()}
+        values = [value for value in own.values() if math.isfinite(value)]
+        if not values:
+            continue
+        elsewhere = record.label in one.elsewhere and record.extra <= MOST_EXTRA
+        wrong = "gross in the atlas" if elsewhere else f"gross {share(record.risk)}"
+        said = seconds(record.seconds) + (f", {wrong}" if record.label in fragile else "")
+        name = title(record.label)
+        lines.append(
+            {"m": name, "l": short(min(values)), "h": short(max(values)), "t": said, "g": record.label in fragile}
+        )
+        points += [{"m": name, "d": float(decibels(snr)), "e": short(v)} for snr, v in own.items() if math.isfinite(v)]
+    return {"points": points, "lines": lines}
+
+
+def _at(panels: Sequence[Panel], label: str) -> float:
+    """The median over scenarios and told quantities at one noise level."""
+    cells = [(panel, cell) for panel in panels for cell in panel.methods if cell.label == label]
+    values = [core_excess(cell, metric) for panel, cell in cells for metric in panel.ranked if metric in cell.summary]
+    finite = [value for value in values if math.isfinite(value)]
+    return float(np.median(finite)) if finite else math.nan

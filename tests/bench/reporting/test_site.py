@@ -1,0 +1,810 @@
+"""The report is a site that stays whole, quiet and readable whatever the store holds, and works from a disk alone."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import json
+import math
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import REPOSITORY
+from scipy.stats import binom, binomtest
+
+from bench.commands.report import main
+from bench.contract.estimate import Status
+from bench.information.fisher import Bound
+from bench.reporting.frame import Result
+from bench.reporting.page import board, documents, origin, pictures, scenario_data
+from bench.reporting.page.addresses import scenario_slugs, slug, slugs
+from bench.reporting.page.elsewhere import atlas_records, unsteady
+from bench.reporting.page.first_replicate import first_replicate, stated_interval
+from bench.reporting.page.reading import Panel, Table
+from bench.reporting.page.situations import Record, Situation, advice, core_excess, ordered
+from bench.reporting.page.standing import rank
+from bench.scoring.row import Row
+from bench.scoring.summary import summarise
+from bench.store.store import Store
+from bench.store.stored import StoredCell
+from bench.store.version import version_of
+
+pytest.importorskip("jinja2")
+pytest.importorskip("markdown_it")
+pytest.importorskip("PIL")
+
+AXE = Path(__file__).parent / "axe" / "axe.min.js"
+
+BOUND = Bound(
+    ("m", "c", "k"),
+    {"m": 0.02, "c": 0.04, "k": 0.02, "k_over_m": 0.005, "c_over_m": 0.035},
+    {"m": False, "c": False, "k": False, "k_over_m": True, "c_over_m": True},
+    {"m": 0.999, "c": 0.25, "k": 0.95, "k_over_m": 0.001, "c_over_m": 0.001},
+    0.0107,
+    0.006,
+    (),
+)
+SIZES = {"k_over_m_error_pct": 0.5, "c_over_m_error_pct": 3.5, "rmse": 0.01, "m_error_pct": 2.0}
+HOSTILE = "<script>alert(1)</script>\"'&{{7*7}}"
+OTHER_SCRIPTS = "метод 方法 طريقة"
+Cells = Callable[..., Store]
+
+
+def stored(
+    label: str, worse: float = 1.0, *, failed: int = 0, n: int = 40, system: str = "sdof", snr: float = 20.0,
+    told: str = "unknown", message: str = "", method: str | None = None,
+) -> StoredCell:  # fmt: skip
+    """A cell whose errors are half-normal of the bound's size times ``worse``; the same draws for every method."""
+    draws = np.abs(np.random.default_rng(1).standard_normal((n, len(SIZES))))
+    own = np.random.default_rng(len(label)).uniform(0.999, 1.001, n)
+    rows = tuple(
+        Row(i, Status.DIVERGED, message)
+        if i < failed
+        else Row(
+            i,
+            Status.OK,
+            scores={m: worse * size * draws[i, j] * own[i] for j, (m, size) in enumerate(SIZES.items())},
+            cpu_s=0.01 * worse,
+        )
+        for i in range(n)
+    )
+    data = {
+        "system": "sdof", "options": {}, "parameters": {"m": 1.0, "c": 0.4, "k": 8.0}, "initial": [[1.0], [0.0]],
+        "snr_db": snr, "duration": 10.0, "samples": 25, "force": None,
+    }  # fmt: skip
+    prior = {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5, "wrong": False}
+    what = {
+        "method": method or label, "label": label, "settings": {}, "seed": 0, "data": data, "system": system,
+        "snr_db": snr, "initial_state": told, "told": {"initial_state": told, "prior": prior}, "sigma": [0.0375],
+    }  # fmt: skip
+    identity = hashlib.sha256(repr((label, system, snr, told)).encode()).hexdigest()[:20]
+    summary = {name: dict(vars(line)) for name, line in summarise(rows, BOUND).items()}
+    origin = {"commit": "c" * 40, "packages": {"numpy": "2"}, "started": "2026-01-01T00:00:00+00:00"}
+    return StoredCell(identity, what, rows, summary, BOUND.prior_share, BOUND.identifiable, 1.0, origin)
+
+
+def results(*found: StoredCell) -> list[Result]:
+    """Stored cells as the page reads them."""
+    return list(map(Result.of_stored, found))
+
+
+def panel_of(*found: StoredCell) -> Panel:
+    """A panel that no experiment describes."""
+    return Panel(tuple(results(*found)), ())
+
+
+@pytest.fixture(autouse=True)
+def without_experiments(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No configuration is composed: these stores hold what no experiment describes."""
+    from bench.reporting.page import reading
+
+    monkeypatch.setattr(reading, "table_experiments", list)
+
+
+@pytest.fixture
+def cells(tmp_path: Path) -> Cells:
+    """Makes a store of the given cells."""
+
+    def make(*found: StoredCell) -> Store:
+        store = Store(tmp_path / "results" / "rows")
+        store.prepare()
+        for cell in found:
+            store.save(cell)
+        return store
+
+    return make
+
+
+class Page(HTMLParser):
+    """What a browser would find: elements with their attributes, and the text outside of style and script."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self._in = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        self._in = tag
+
+    def handle_data(self, data: str) -> None:
+        if self._in not in ("style", "script"):
+            self.text += data
+
+    def handle_endtag(self, tag: str) -> None:
+        self._in = ""
+
+
+def made(store: Store) -> Path:
+    """The site of a store, by the command: its folder."""
+    out = store.folder.parent / "site"
+    assert main([f"store={store.folder}", f"out={out}"]) == 0
+    return out
+
+
+def text_of(path: Path) -> str:
+    """The text of a page with single blanks."""
+    return " ".join(Page(path.read_text(encoding="utf-8")).text.split())
+
+
+def data_of(path: Path) -> Any:
+    """What a data file hands to the page."""
+    return json.loads(re.sub(r"^bench\.\w+\(|\);\n$", "", path.read_text(encoding="utf-8")))
+
+
+@pytest.mark.parametrize("what", ["absent", "empty", "damaged", "argument", "file", "other folder"])
+def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(
+    what: str, cells: Cells, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = cells(*([] if what == "empty" else [stored("ls")]))
+    out = tmp_path / "out"
+    arguments = [f"store={store.folder}", f"out={out}"]
+    if what == "absent":
+        arguments[0] = f"store={tmp_path / 'nowhere'}"
+    if what == "damaged":
+        next(store.folder.glob("*.json")).write_text("{", encoding="utf-8")
+    if what == "argument":
+        arguments.append("stor=x")
+    if what == "file":
+        out.write_text("mine", encoding="utf-8")
+    if what == "other folder":
+        out.mkdir()
+        (out / "mine.txt").write_text("mine", encoding="utf-8")
+    before = sorted(path for path in tmp_path.rglob("*") if "rows" not in path.parts)
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("bench.report: ")
+    assert len(error.splitlines()) == 1
+    assert sorted(path for path in tmp_path.rglob("*") if "rows" not in path.parts) == before
+
+
+def test_the_site_is_the_same_each_time_and_holds_nothing_of_an_older_one(cells: Cells) -> None:
+    store = cells(stored("ls"), stored("mcmc", 1.3), stored("mcmc", 1.1, told="known"))
+    site = made(store)
+    first = {path: path.read_bytes() for path in site.rglob("*") if path.is_file()}
+    (site / "data" / "left_over.js").write_text("", encoding="utf-8")
+    made(store)
+    assert {path: path.read_bytes() for path in site.rglob("*") if path.is_file()} == first
+
+
+def test_names_are_text_and_nothing_else(cells: Cells) -> None:
+    site = made(
+        cells(stored(HOSTILE, system=HOSTILE, failed=3, message=HOSTILE), stored(OTHER_SCRIPTS), stored("a$b$_c"))
+    )
+    for path in site.rglob("*.html"):
+        found = Page(path.read_text(encoding="utf-8"))
+        assert not [a for _, own in found.elements for a in own if a.startswith("on")], path
+        scripts = [own for tag, own in found.elements if tag == "script"]
+        assert all(own.get("src") for own in scripts), path
+    assert HOSTILE in Page((site / "provenance.html").read_text(encoding="utf-8")).text
+    index = data_of(site / "data" / "index.js")
+    assert {HOSTILE, OTHER_SCRIPTS, "a$b$_c"} <= {label for label, _, _ in index["methods"]}
+    assert all(re.fullmatch(r"[a-z0-9_.-]+", address) for _, _, address in index["methods"])
+
+
+def test_every_link_leads_to_a_page_and_nothing_comes_from_elsewhere(cells: Cells) -> None:
+    site = made(cells(stored("ls"), stored("mcmc", 2.0), stored("ls", system="other", snr=10.0)))
+    for path in site.rglob("*.html"):
+        for tag, own in Page(path.read_text(encoding="utf-8")).elements:
+            for attribute in ("src", "href"):
+                target = own.get(attribute)
+                if target and not target.startswith(("#", "data:")):
+                    assert not re.match(r"[a-z]+:|//", target), (path, target)
+                    assert (path.parent / target.partition("#")[0]).is_file(), (path, tag, target)
+    assert "default-src 'none'" in (site / "index.html").read_text(encoding="utf-8")
+
+
+def test_a_scenario_keeps_its_address_when_others_come() -> None:
+    one, other = panel_of(stored("ls")), panel_of(stored("ls", snr=10.0))
+    assert scenario_slugs([one]) == ["sdof-20db-start-unknown"]
+    assert scenario_slugs([other, one])[1] == "sdof-20db-start-unknown"
+    longer = stored("ls")
+    longer.cell["data"]["duration"] = 20.0
+    first, second = scenario_slugs([one, panel_of(longer)])
+    assert first == "sdof-20db-start-unknown"
+    assert re.fullmatch(r"sdof-20db-start-unknown-[0-9a-f]{8}", second)
+
+
+def test_different_names_have_different_addresses() -> None:
+    names = ["a b", "a-b", "A b", HOSTILE, OTHER_SCRIPTS, "x" * 200]
+    found = slugs(names)
+    assert len(set(found.values())) == len(names)
+    assert slug("pinn_adam") == "pinn_adam"
+
+
+# ---- what is advised
+
+ANY = Situation("any", "Any", lambda panel: True)
+
+
+def record(label: str, excess: float, seconds: float, gross: int = 0, p: float = 1.0, extra: float = 0.0) -> Record:
+    return Record(label, label, excess, excess, gross, 1000, seconds, p, extra)
+
+
+def test_the_fastest_of_those_within_five_percent_is_advised_first() -> None:
+    records = {r.label: r for r in (record("slow", 1.0, 9.0), record("fast", 1.04, 0.1), record("worse", 1.1, 0.01))}
+    found = ordered(records, frozenset(records), frozenset())
+    assert [one.label for one in found.advised] == ["fast", "slow"]
+    assert [one.label for one in found.behind] == ["worse"]
+
+
+def test_a_fragile_method_is_never_advised() -> None:
+    """Gross errors surely more frequent than the steadiest one's, or elsewhere: however fast and accurate it is."""
+    records = {
+        r.label: r
+        for r in (
+            record("good", 1.0, 1.0), record("wild", 0.9, 0.1, 100, 1e-9, 0.1), record("elsewhere", 0.9, 0.1),
+            record("chance", 1.0, 2.0, 30, 0.04, 0.03),
+        )
+    }  # fmt: skip
+    found = ordered(records, frozenset(records), frozenset({"elsewhere"}))
+    assert [one.label for one in found.advised] == ["good", "chance"]  # 0.04 is no proof among four
+    assert {one.label for one in found.fragile} == {"wild", "elsewhere"}
+
+
+def with_gross(label: str, every: int, worse: float = 1.0) -> StoredCell:
+    """A cell of which each so-many-th error of k/m is 20 times the bound's."""
+    cell = stored(label, worse)
+    rows = tuple(
+        replace(row, scores={**row.scores, "k_over_m_error_pct": 10.0}) if i % every == 0 else row
+        for i, row in enumerate(cell.rows)
+    )
+    return replace(cell, rows=rows, summary={name: dict(vars(line)) for name, line in summarise(rows, BOUND).items()})
+
+
+def test_gross_errors_are_counted_apart_from_the_error_over_the_bound() -> None:
+    """Ten of forty errors are beyond five times the bound: the others alone make the excess."""
+    cell = with_gross("mcmc", 4)
+    good = [row.scores["k_over_m_error_pct"] for i, row in enumerate(cell.rows) if i % 4]
+    (result,) = results(cell)
+    assert core_excess(result, "k_over_m_error_pct") == pytest.approx(
+        math.sqrt(np.mean(np.square(good))) / 0.5, rel=1e-6
+    )
+    found = advice(ANY, [Panel(tuple(results(stored("ls"), cell)), ())])
+    assert [one.label for one in found.advised] == ["ls"]
+    (wild,) = found.fragile
+    assert (wild.label, wild.gross, wild.fits) == ("mcmc", 10, 40)
+    assert binom.cdf(10, 40, wild.risk_at_most) == pytest.approx(0.05, abs=1e-6)
+
+
+def test_a_method_that_did_not_run_on_all_scenarios_is_not_advised() -> None:
+    panels = [Panel(tuple(results(stored("ls"), stored("mcmc"))), ()), panel_of(stored("ls", snr=10.0))]
+    found = advice(ANY, panels)
+    assert [one.label for one in found.advised] == ["ls"]
+    assert [one.label for one in found.partial] == ["mcmc"]
+
+
+def test_where_all_are_wrong_none_is_advised() -> None:
+    assert advice(ANY, [panel_of(with_gross("ls", 1), with_gross("mcmc", 1))]).hopeless
+    assert not advice(ANY, [panel_of(stored("ls"))]).hopeless
+
+
+def test_the_atlas_counts_tests_that_tell_something_and_are_unambiguous(tmp_path: Path) -> None:
+    head = "method,aliased,fits,seconds,bound_k_over_m,bound_c_over_m,k_over_m_core,c_over_m_core,"
+    head += "k_over_m_gross,c_over_m_gross"
+    lines = [head]
+    lines += ["a,False,50,0.1,0.01,0.1,1.2,1.0,0.1,0.0", "b,False,50,0.1,0.01,0.1,1.0,1.0,0.0,0.0"]
+    lines += ["a,True,50,0.1,0.01,0.1,9,9,1,1", "b,True,50,0.1,0.01,0.1,9,9,1,1"]
+    lines += ["a,False,50,0.1,0.9,0.9,9,9,1,1", "b,False,50,0.1,0.9,0.9,9,9,1,1"]
+    (tmp_path / "atlas.csv.gz").write_bytes(gzip.compress("\n".join(lines).encode()))
+    found, points = atlas_records(tmp_path)
+    assert points == 1
+    assert (found["a"].gross, found["a"].fits, found["a"].excess) == (5, 50, pytest.approx(1.1))
+    assert unsteady(found) == {"a"}
+
+
+# ---- the leaderboard's numbers
+
+
+def test_equal_methods_are_level_and_a_worse_one_is_behind() -> None:
+    """By construction: two methods differ by 0.1 % at most, one has twice their errors on the same data."""
+    panel = panel_of(stored("ls"), stored("mcmc"), stored("sindy", 2.0))
+    ranking = rank(panel, "k_over_m_error_pct")
+    said = {cell.label: board.standing_of(cell, ranking) for cell in panel.results}
+    assert sorted([said["ls"], said["mcmc"]]) == ["best", "level"]
+    assert said["sindy"] == "behind"
+
+
+def test_fewer_data_leave_a_method_undecided() -> None:
+    panel = panel_of(stored("ls", n=40), stored("mcmc", n=10))
+    ranking = rank(panel, "k_over_m_error_pct")
+    assert ranking is not None
+    assert ranking.weak == {"mcmc"}
+    (mcmc,) = [cell for cell in panel.results if cell.label == "mcmc"]
+    assert board.standing_of(mcmc, ranking) == "undecided (fewer data)"
+
+
+def test_the_board_shows_the_errors_whose_ratio_to_the_bound_it_shows() -> None:
+    cell = stored("mcmc", 1.5, failed=4)
+    panel = panel_of(cell)
+    metric = "k_over_m_error_pct"
+    block = next(b for b in board.blocks(0, panel, {}, {"mcmc": 0}, {m: i for i, m in enumerate(SIZES)}) if b[1] == 0)
+    assert block[2] == pytest.approx(0.5)
+    line = dict(zip(board.COLUMNS, block[4][0], strict=True))
+    errors = [row.scores[metric] for row in cell.rows[4:]]
+    assert line["rms"] == pytest.approx(math.sqrt(sum(e**2 for e in errors) / 36), rel=1e-3)
+    assert line["rms"] / block[2] == pytest.approx(line["excess"], rel=2e-3)
+    assert (line["ok"], line["n"]) == (36, 40)
+    assert line["gross"] == pytest.approx((4 + sum(e > 2.5 for e in errors)) / 40)
+
+
+def test_data_that_a_method_cannot_take_are_no_failure() -> None:
+    cell = stored("era", failed=40)
+    unable = replace(cell, rows=tuple(Row(i, Status.UNSUPPORTED, "it takes one record") for i in range(40)))
+    assert origin.failures(results(unable)) == []
+    found = origin.unsupported(results(unable, stored("ls", failed=3)))
+    assert found == [(40, "Eigensystem realisation", "it takes one record")]
+    assert board.standing_of(results(unable)[0], None) == "unsupported"
+
+
+def unpack(text: str) -> np.ndarray:
+    """The reverse of the packing, from its description: two letters of base 64, decades -4 to 5, the last a failure."""
+    letters = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
+    places = np.array([64 * letters.index(a) + letters.index(b) for a, b in zip(text[::2], text[1::2], strict=True)])
+    return np.where(places == 4095, math.inf, 10.0 ** (9 * places / 4094 - 4))
+
+
+def test_errors_survive_their_packing_to_half_a_percent() -> None:
+    errors = np.array([*np.geomspace(1e-4, 1e5, 999), math.inf, 0.0])
+    back = unpack(scenario_data.packed(errors))
+    assert back[:999] == pytest.approx(errors[:999], rel=0.005)
+    assert back[999] == math.inf
+    assert back[1000] == pytest.approx(1e-4)
+
+
+# ---- documents and figures
+
+
+def test_a_results_file_becomes_a_page_and_its_markup_stays_text(tmp_path: Path) -> None:
+    text = "# A title\n\nSee [other](other.md) <script>alert(1)</script>\n\n| a | b |\n|---|---|\n| 1 | <b>x |\n"
+    text += "\n![p](figures/p.svg)\n"
+    (tmp_path / "one.md").write_text(text, encoding="utf-8")
+    (tmp_path / "one.csv").write_text("a,b\n", encoding="utf-8")
+    (found,) = documents.documents(tmp_path)
+    assert (found.title, found.tables, found.files) == ("A title", 1, ("one.csv", "one.md"))
+    tags = Page(found.body).elements
+    assert "script" not in [tag for tag, _ in tags]
+    assert "b" not in [tag for tag, _ in tags]
+    assert ("a", {"href": "other.html"}) in tags
+    assert [own["src"] for tag, own in tags if tag == "img"] == ["../figures/p.png"]
+    assert [own.get("data-name") for tag, own in tags if tag == "table"] == ["A title"]
+
+
+def test_a_caption_begins_with_one_sentence() -> None:
+    assert pictures.first_sentence("One (20 dB, 0.5 s): two. Three is more.") == (
+        "One (20 dB, 0.5 s): two.",
+        "Three is more.",
+    )
+    assert pictures.first_sentence("Does it? It does.") == ("Does it?", "It does.")
+    assert pictures.first_sentence("no end") == ("no end", "")
+
+
+def test_figures_are_copied_small_and_linked_whole(cells: Cells) -> None:
+    from PIL import Image
+
+    store = cells(stored("ls"))
+    folder = store.folder.parent / "figures"
+    folder.mkdir()
+    Image.new("RGB", (2000, 1000), "white").save(folder / "a.png")
+    (folder / "a.svg").write_text("<svg/>", encoding="utf-8")
+    (folder / "a.txt").write_text("First & foremost. The rest.\n", encoding="utf-8")
+    site = made(store)
+    with Image.open(site / "figures" / "a.png") as copy:
+        assert copy.size == (pictures.WIDTH, pictures.WIDTH // 2)
+    shown = Page((site / "figures.html").read_text(encoding="utf-8"))
+    assert [own["href"] for tag, own in shown.elements if tag == "a" and "download" in own] == [
+        "../figures/a.svg", "../figures/a.png",
+    ]  # fmt: skip
+    assert "First & foremost." in shown.text
+
+
+def test_what_the_data_do_not_tell_is_said(cells: Cells) -> None:
+    site = made(cells(stored("ls"), stored("mcmc")))
+    said = text_of(site / "scenarios" / "sdof-20db-start-unknown.html")
+    said = said[said.index("What no method can find") :]
+    assert "Mass m, damping c and stiffness k" in said
+    assert "The motion tells only k/m and c/m" in said
+    assert re.search(r"mass m ?100 % ?stiffness k ?95 % ?damping c ?25 %", said)
+
+
+@pytest.mark.parametrize("n", [1, 30])
+def test_each_method_has_a_page(n: int, cells: Cells) -> None:
+    site = made(cells(*[stored(f"method-{i:02d}", 1.0 + i) for i in range(n)]))
+    for i in range(n):
+        assert "sdof, 20 dB, start unknown" in text_of(site / "methods" / f"method-{i:02d}.html")
+
+
+def test_a_store_of_failures_says_so(cells: Cells) -> None:
+    site = made(cells(stored("ls", failed=40, message="no luck"), stored("mcmc", failed=40, message="none either")))
+    assert "no luck" in text_of(site / "provenance.html")
+    assert "failed" in text_of(site / "scenarios" / "sdof-20db-start-unknown.html")
+
+
+def response(m: float, c: float, k: float, times: np.ndarray) -> np.ndarray:
+    """Free decay from x = 1, v = 0 in closed form."""
+    omega, decay = math.sqrt(k / m), c / (2 * m)
+    damped = math.sqrt(omega**2 - decay**2)
+    return np.exp(-decay * times) * (np.cos(damped * times) + decay / damped * np.sin(damped * times))
+
+
+@pytest.mark.parametrize("agrees", [True, False])
+def test_a_fit_is_made_again_only_if_its_stored_error_agrees(agrees: bool, cells: Cells) -> None:
+    times, dense = np.linspace(0, 10, 25), np.linspace(0, 10, 1000)
+    truth, fit = response(1.0, 0.4, 8.0, dense), response(1.01, 0.42, 8.3, dense)
+    error = float(np.sqrt(np.mean((fit - truth) ** 2)))
+    cell = stored("ls", told="known")
+    scores = {"m_ratio": 1.01, "c_ratio": 1.05, "k_ratio": 8.3 / 8, "rmse_simulated": error * (1 if agrees else 1.1)}
+    rows = (Row(0, Status.OK, scores=scores), *cell.rows[1:])
+    covariance = np.diag([0.02, 0.05, 0.03]) ** 2
+    arrays = {
+        "sample_times": times, "sample_values": response(1.0, 0.4, 8.0, times), "sample_dof": np.zeros(25, int),
+        "dense_times": dense, "true_displacement": truth[None], "mean": np.log([1.01, 0.42, 8.3]),
+        "covariance": covariance,
+    }  # fmt: skip
+    store = cells()
+    saved = store.save(StoredCell(**{**vars(cell), "rows": rows}), arrays)
+    result = Result.of_stored(saved)
+    one = first_replicate(store, result)
+    assert one is not None
+    if not agrees:
+        assert one.fit is None
+        return
+    assert one.fit == pytest.approx(fit, abs=1e-4)
+    interval = stated_interval(store, result, "k_over_m")
+    # log(k/m) is a difference: variances add
+    half = 2 * math.sqrt(0.02**2 + 0.03**2)
+    centre = 8.3 / 1.01 / 8
+    assert interval == pytest.approx((centre * math.exp(-half), centre * math.exp(half)), rel=1e-5)
+    drawn = scenario_data.record(store, panel_of(saved))
+    assert drawn is not None
+    assert drawn["fits"]["LS, finite differences"][0] == pytest.approx(1.0, abs=2e-3)
+
+
+def test_the_command_is_no_part_of_what_computes_a_cell() -> None:
+    modules = version_of((("methods.sampling.mcmc", "MCMC"),)).modules
+    assert "bench.contract.progress" in modules
+    assert not [name for name in modules if name.startswith(("bench.report", "bench.reporting.page"))]
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of #rrggbb (WCAG 2.2)."""
+    parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    r, g, b = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+
+@pytest.mark.parametrize("scheme", [0, 1], ids=["light", "dark"])
+def test_text_stands_out(scheme: int) -> None:
+    style = (REPOSITORY / "bench" / "reporting" / "page" / "report.css").read_text(encoding="utf-8")
+    colours = dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", re.findall(r":root \{(.*?)\}", style, re.S)[scheme]))
+    for ground in ("surface", "raised", "level", "warn"):
+        for ink in ("ink", "muted", "accent"):
+            high, low = sorted((luminance(colours[ink]), luminance(colours[ground])), reverse=True)
+            assert (high + 0.05) / (low + 0.05) >= 4.5, (ink, ground)
+    for series in ("s1", "s2", "s3", "s4"):
+        high, low = sorted((luminance(colours[series]), luminance(colours["surface"])), reverse=True)
+        assert (high + 0.05) / (low + 0.05) >= 3.0, series
+
+
+# ---- in a browser
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Headless Chromium that can resolve no name; skipped where there is none."""
+    webdriver = pytest.importorskip("selenium.webdriver")
+    from selenium.webdriver.chrome.service import Service
+
+    program, driver = shutil.which("chromium") or shutil.which("google-chrome"), shutil.which("chromedriver")
+    if not program or not driver:
+        pytest.skip("no Chromium here")
+    options = webdriver.ChromeOptions()
+    options.binary_location = program
+    for argument in (
+        "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
+        "--host-resolver-rules=MAP * ~NOTFOUND",
+    ):  # fmt: skip
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    found = webdriver.Chrome(options=options, service=Service(driver))
+    yield found
+    found.quit()
+
+
+@pytest.fixture
+def shown(browser: Any, cells: Cells, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Path]:
+    """The site of two systems, two starts and three methods, and the browser, 1440 pixels wide."""
+    from bench.reporting.page import reading
+
+    found = [
+        stored(label, worse, system=system, told=told, failed=3 if label == "sindy" else 0)
+        for system in ("sdof", "系统")
+        for told in ("known", "unknown")
+        for label, worse in (("ls", 1.0), ("mcmc", 1.5), ("sindy", 12.0))
+    ]
+    store = cells(*found)
+    keys = frozenset(one.question for one in results(*found))
+    monkeypatch.setattr(reading, "table_experiments", lambda: ["table3"])
+    monkeypatch.setattr(reading, "_table", lambda name: Table(name, 3, keys))
+    site = made(store)
+    still = {"name": "prefers-reduced-motion", "value": "reduce"}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [still]})
+    resize(browser, 1440)
+    for log in ("browser", "performance"):
+        browser.get_log(log)
+    return browser, site
+
+
+def resize(browser: Any, width: int) -> None:
+    """Give the page so many pixels."""
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+
+
+def visit(browser: Any, site: Path, address: str) -> None:
+    """Open a page, and wait until its charts and tables are there."""
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    browser.get("about:blank")  # so that another part of the same page is loaded anew
+    browser.get(f"{(site / address.partition('#')[0]).as_uri()}{address[len(address.partition('#')[0]) :]}")
+    ready = """
+    const there = (id) => document.querySelector(`#${id}`);
+    return (!there("board") || bench.ready === true) && (!there("forest") || !!there("forest svg"));
+    """
+    WebDriverWait(browser, 20).until(lambda b: b.execute_script(ready))
+
+
+def column(browser: Any, name: str) -> list[str]:
+    """The texts of a column of the leaderboard."""
+    script = """
+    const cells = Array.from(document.querySelectorAll("#board tbody td"));
+    return cells.filter((cell) => cell.dataset.label === arguments[0]).map((cell) => cell.textContent.trim());
+    """
+    return list(browser.execute_script(script, name))
+
+
+def choose(browser: Any, name: str, value: str) -> None:
+    """Take a choice, and wait for what follows."""
+    from selenium.webdriver.support.ui import Select, WebDriverWait
+
+    before = browser.execute_script("return location.hash")
+    Select(browser.find_element("css selector", f"select[name='{name}']")).select_by_value(value)
+    WebDriverWait(browser, 10).until(lambda b: b.execute_script("return location.hash") != before)
+
+
+def test_the_browser_asks_for_nothing_else_and_complains_of_nothing(shown: tuple[Any, Path]) -> None:
+    browser, site = shown
+    for page in ("index.html", "leaderboard.html", "scenarios/sdof-20db-start-unknown.html", "methods/ls.html"):
+        visit(browser, site, page)
+        assert [entry["message"] for entry in browser.get_log("browser")] == [], page
+    events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    asked = [e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"]
+    assert asked
+    assert all(url.startswith(("file:", "data:", "about:", "blob:")) for url in asked), asked
+
+
+def test_the_first_screen_advises_and_draws(shown: tuple[Any, Path]) -> None:
+    """By construction ls is on the bound, mcmc behind, and sindy has gross errors."""
+    browser, site = shown
+    visit(browser, site, "index.html")
+    rows = browser.find_elements("css selector", "#advice tbody tr")
+    first = next(row.text for row in rows if "start unknown" in row.text)
+    assert "LS, finite differences" in first
+    assert "SINDy" not in first
+    drawn = browser.find_element("css selector", "#forest svg").get_attribute("textContent")
+    assert all(name in drawn for name in ("LS, finite differences", "Bayesian MCMC", "SINDy"))
+
+
+def test_the_leaderboard_opens_best_first_and_sorts_by_value(shown: tuple[Any, Path]) -> None:
+    browser, site = shown
+    visit(browser, site, "leaderboard.html#system=sdof&quantity=k/m (%25)")
+    assert column(browser, "Standing")[0] == "best"
+    visit(browser, site, "leaderboard.html#system=sdof&sort=6.desc")
+    values = [math.inf if v == "–" else float(v) for v in column(browser, "Median")]
+    assert len(values) == 24  # two starts, three methods, four quantities
+    assert values == sorted(values, reverse=True)
+
+
+def test_choices_are_kept_in_the_address_and_read_from_it(shown: tuple[Any, Path]) -> None:
+    browser, site = shown
+    visit(browser, site, "leaderboard.html")
+    choose(browser, "start", "known")
+    choose(browser, "method", "sindy")
+    address = browser.current_url
+    assert set(column(browser, "Method")) == {"SINDy"}
+    before = [column(browser, name) for name in ("Method", "Error of", "Median", "Scenario")]
+    browser.get("about:blank")
+    visit(browser, site, f"leaderboard.html{address[address.index('#') :]}")
+    assert [column(browser, name) for name in ("Method", "Error of", "Median", "Scenario")] == before
+    assert browser.find_element("id", "count").text.startswith("1 of ")
+
+
+def test_impossible_choices_are_grey_and_a_limit_of_time_holds(shown: tuple[Any, Path]) -> None:
+    """Fits take 10, 15 and 120 ms by construction; none takes 1 ms; one noise level is stored."""
+    browser, site = shown
+    visit(browser, site, "leaderboard.html#system=sdof&method=mcmc")
+    grey = """
+    const options = Array.from(document.querySelector(`select[name=${arguments[0]}]`).options);
+    return options.filter((option) => option.disabled).map((option) => option.value);
+    """
+    assert browser.execute_script(grey, "budget") == ["0.001", "0.01"]
+    choose(browser, "method", "")
+    choose(browser, "budget", "0.1")
+    assert set(column(browser, "Method")) == {"LS, finite differences", "Bayesian MCMC"}
+    assert "sindy" in browser.execute_script(grey, "method")
+
+
+def test_two_methods_are_compared_on_the_same_data_sets(shown: tuple[Any, Path]) -> None:
+    """The numbers of scipy and of order statistics, from the stored errors."""
+    browser, site = shown
+    visit(browser, site, "leaderboard.html#system=sdof&start=unknown&a=mcmc&b=sindy&of=k_over_m_error_pct")
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    found = WebDriverWait(browser, 10).until(lambda b: b.execute_script("return bench.compared"))
+    own = [stored("mcmc", 1.5), stored("sindy", 12.0, failed=3)]
+    a, b = (one.errors("k_over_m_error_pct") for one in results(*own))
+    ratios = np.sort(b / a)
+    test = binomtest(int(np.sum(b < a)), 40)
+    k = int(binom.ppf(0.025, 40, 0.5))
+    assert (found["n"], found["nearer"], found["further"]) == (40, int(np.sum(a < b)), int(np.sum(b < a)))
+    assert found["p"] == pytest.approx(test.pvalue, rel=1e-9)
+    assert found["ratio"] == pytest.approx(float(np.median(ratios)), rel=0.01)
+    assert found["low"] == pytest.approx(ratios[k - 1], rel=0.01)
+    assert found["lost"] == [0, 3]
+    said = browser.find_element("id", "verdict").text
+    assert "On 40 data sets the error of SINDy is" in said
+    points = browser.find_elements(
+        "css selector", "#scatter svg path[aria-roledescription='point'], #scatter svg .mark-symbol path"
+    )
+    assert len(points) == 37
+
+
+@pytest.mark.parametrize(("fewer", "n"), [(0, 5), (3, 11), (40, 100)])
+def test_the_sign_test_is_scipys(fewer: int, n: int, shown: tuple[Any, Path]) -> None:
+    browser, site = shown
+    visit(browser, site, "leaderboard.html")
+    script = """
+    const pairs = Array.from({length: arguments[1]}, (_, i) => ({a: 1, b: i < arguments[0] ? 0.5 : 2}));
+    return bench.statistics(pairs).p;
+    """
+    assert browser.execute_script(script, fewer, n) == pytest.approx(binomtest(fewer, n).pvalue, rel=1e-9)
+
+
+def test_what_is_shown_can_be_taken(shown: tuple[Any, Path]) -> None:
+    browser, site = shown
+    visit(browser, site, "leaderboard.html#system=sdof&start=unknown&method=ls&quantity=k/m (%25)")
+    browser.execute_script(
+        "bench.save = (name, type, text) => { window.saved = [name, text]; };"
+        "bench.copy = (text) => { window.copied = text; };"
+    )
+    for button in browser.find_elements("css selector", ".dt-buttons button"):
+        if button.text in ("JSON", "Copy as Markdown"):
+            button.click()
+    name, text = browser.execute_script("return window.saved")
+    (line,) = json.loads(text)
+    assert name == "leaderboard.json"
+    assert (line["Method"], line["Error of"], line["Fits ok"]) == ("LS, finite differences", "k/m (%)", "40/40")
+    shown_now = column(browser, "Median")[0]
+    assert line["Median"] == shown_now
+    copied = browser.execute_script("return window.copied")
+    assert copied.splitlines()[1].count("---") == copied.splitlines()[0].count("|") - 1
+    latex = browser.execute_script("return bench.latex({header: ['a_b', '50 %'], body: [['x&y', '×2']]})")
+    assert "a\\_b & 50 \\% \\\\" in latex
+    assert "x\\&y & $\\times$2" in latex
+
+
+def test_a_figure_can_be_taken_as_svg_and_png(shown: tuple[Any, Path]) -> None:
+    browser, site = shown
+    visit(browser, site, "index.html")
+    links = [
+        link.get_attribute("textContent") for link in browser.find_elements("css selector", "#forest .vega-actions a")
+    ]
+    assert links == ["Take as SVG", "Take as PNG"]
+
+
+def test_the_keyboard_reaches_content_and_sorts(shown: tuple[Any, Path]) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    browser, site = shown
+    visit(browser, site, "scenarios/sdof-20db-start-unknown.html")
+    ActionChains(browser).send_keys(Keys.TAB).perform()
+    assert "skip" in browser.switch_to.active_element.get_attribute("class")
+    head = browser.find_element("css selector", "table[data-grid] thead th:nth-child(2) [role='button']")
+    head.send_keys(Keys.ENTER)
+    cells = browser.find_elements("css selector", "table[data-grid] tbody td:nth-child(2)")
+    values = [float(cell.text) for cell in cells]
+    assert values == sorted(values)
+
+
+@pytest.mark.parametrize("width", [360, 800, 1440])
+@pytest.mark.parametrize("page", ["index.html", "leaderboard.html", "scenarios/sdof-20db-start-unknown.html"])
+def test_no_page_is_wider_than_the_screen(width: int, page: str, shown: tuple[Any, Path]) -> None:
+    browser, site = shown
+    resize(browser, width)
+    visit(browser, site, page)
+    inside, wide = browser.execute_script("const e = document.documentElement; return [e.clientWidth, e.scrollWidth]")
+    assert wide <= inside
+    assert inside > 0.9 * width
+
+
+def test_a_phone_shows_rows_as_cards(shown: tuple[Any, Path]) -> None:
+    browser, site = shown
+    resize(browser, 360)
+    visit(browser, site, "leaderboard.html")
+    cell = browser.find_element("css selector", "#board tbody td")
+    assert cell.value_of_css_property("display") == "grid"
+    label = "return getComputedStyle(document.querySelector('#board tbody td'), '::before').content"
+    assert browser.execute_script(label) == '"Method"'
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(
+    "page", ["index.html", "leaderboard.html", "scenarios/sdof-20db-start-unknown.html", "provenance.html"]
+)
+def test_axe_finds_nothing_serious(scheme: str, page: str, shown: tuple[Any, Path]) -> None:
+    browser, site = shown
+    browser.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    )
+    visit(browser, site, page)
+    browser.execute_script(AXE.read_text(encoding="utf-8"))
+    browser.set_script_timeout(60)
+    run = """
+    const end = arguments[0];
+    const told = (one) => [one.impact, one.id, one.nodes[0].html];
+    axe.run(document, {preload: false}).then((found) => end(found.violations.map(told)));
+    """
+    found = browser.execute_async_script(run)
+    assert [one for one in found if one[0] in ("serious", "critical")] == []
+    ground = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+    light = sum(map(int, re.findall(r"\d+", ground)[:3])) / 765
+    assert (light < 0.5) == (scheme == "dark")
+
+
+def test_print_leaves_the_controls_out(shown: tuple[Any, Path]) -> None:
+    browser, site = shown
+    visit(browser, site, "scenarios/sdof-20db-start-unknown.html")
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    try:
+        assert not browser.find_element("css selector", "nav").is_displayed()
+        assert browser.find_element("css selector", "table[data-grid]").is_displayed()
+    finally:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
+def test_without_scripts_a_scenario_has_its_table(shown: tuple[Any, Path]) -> None:
+    browser, site = shown
+    path = site / "scenarios" / "sdof-20db-start-unknown.html"
+    path.write_text(re.sub(r"<script.*?</script>", "", path.read_text(encoding="utf-8")), encoding="utf-8")
+    browser.get(path.as_uri())
+    assert len(browser.find_elements("css selector", "table[data-grid] tbody tr")) == 3
