@@ -79,7 +79,7 @@ FIELDS = (
     *(Field(command, "out", TO_WRITE, "store=store") for command in ("tables", "figures", "reproduction")),
     Field("report", "out", FILES_OUT, "store=store"),
     Field("claims", "write", FLAGS),
-    Field("claims", "document", tuple(name for name in FILES if name != "empty"), "store=store"),
+    Field("claims", "root", TO_READ, "store=store"),
     Field("recheck", "experiment", NAMES, "store=store"),
     Field("recheck", "method", NAMES, "store=store"),
     Field("status", "store", TO_READ),
@@ -362,7 +362,7 @@ reproduce | 00 store=store archive=none | cell | 00 | no such cell
 publish | store=empty archive=out | store | empty | no cell
 recheck | store=store zz=1 | argument | zz=1 | experiment=
 claims | zz=1 | argument | zz=1 | write=
-claims | store=store document=good.csv results=missing | results | missing | folder
+claims | store=store results=missing | results | missing | folder
 benchmark | zz=1 | zz | 1 | not a field
 benchmark | store=x | store | x |
 benchmark | experiment=table3 | experiment | table3 |

@@ -1,4 +1,4 @@
-"""The wheel, built and run from an empty folder, works like the checkout."""
+"""The wheel, built and run from an empty folder, works like the checkout; wheel and sdist are fit to be published."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -70,6 +71,26 @@ def test_an_installed_wheel_runs_from_an_empty_folder(site: Path, python: Callab
     result = json.loads(done.stdout)
     assert (result["method"], result["n_ok"], result["status"]) == ("oracle", 2, "ok")
     assert result["metrics"]["rmse"]["bound"] == pytest.approx(0.0107, abs=5e-5)
+
+
+@pytest.mark.slow
+def test_wheel_and_sdist_are_fit_to_be_published(tmp_path: Path) -> None:
+    """Of a clone, as an index would take them: ``twine check --strict`` renders the README and reads the metadata."""
+    pytest.importorskip("twine")
+    source = tmp_path / "source"
+    ignored = shutil.ignore_patterns("__pycache__", ".git", ".venv", "build", "outputs", "results", "*_cache")
+    shutil.copytree(REPOSITORY, source, ignore=ignored)
+    build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(tmp_path / "dist"), str(source)]
+    done = subprocess.run(build, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    built = sorted((tmp_path / "dist").iterdir())
+    assert [path.name.rpartition(".")[2] for path in built] == ["whl", "gz"]
+    check = [sys.executable, "-m", "twine", "check", "--strict", *map(str, built)]
+    done = subprocess.run(check, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    with tarfile.open(built[1]) as file:
+        names = {name.partition("/")[2] for name in file.getnames()}
+    assert {"docs/index.md", "paper/paper.bib", "tests/conftest.py", "CITATION.cff", "LICENSE"} <= names
 
 
 SCRIPT = """

@@ -1,8 +1,9 @@
-"""``python -m bench.claims``: every claim of README.md beside the results it rests on.
+"""``python -m bench.claims``: every claim of the documents beside the results it rests on.
 
-Prints of each claim whether it passes, its numbers, and what must be so for it to be true. ``write=true`` fills the
-numbers in, and the panel of Table 3 with them. Exit status 1 where a claim does not hold, the text or the panel says
-something else, or a number is typed by hand.
+The documents are README.md, the paper, the pages of docs/ and results/README.md below ``root``. Prints of each claim
+whether it passes, its numbers, and what must be so for it to be true. ``write=true`` fills the numbers in, and the
+panels of tables with them. Exit status 1 where a claim does not hold, a text or a panel says something else, or a
+number is typed by hand.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from bench.commands.fields import file_of, flag, folder_of, read_fields, text_of
+from bench.commands.fields import flag, folder_of, read_fields
 from bench.commands.guard import command
 from bench.commands.stores import store_of
 from bench.reporting.whole_file import write
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from bench.reporting.claims.document import Checked
 
 USAGE = (
-    f"usage: python -m bench.claims [write=true] [document=README.md] [results=results] [store={DEFAULT_STORE}] "
+    f"usage: python -m bench.claims [write=true] [root=.] [results=results] [store={DEFAULT_STORE}] "
     "[archive=<folder>|none]"
 )
 
@@ -32,31 +33,32 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str]) -> int:
-    from bench.reporting.claims.document import check, filled, typed, typed_in_claims, with_panels
+    from bench.reporting.claims.document import check, documents, typed_in_claims
     from bench.reporting.claims.evidence import Evidence
 
-    known = {"write": "false", "document": "README.md", "results": "results", "store": DEFAULT_STORE, "archive": ""}
+    known = {"write": "false", "root": ".", "results": "results", "store": DEFAULT_STORE, "archive": ""}
     fields = read_fields(arguments, known)
     writing, store = flag("write", fields["write"]), store_of(fields)
-    path = file_of("document", fields["document"], "run the command in a clone")
-    text, results = text_of("document", path), folder_of("results", fields["results"])
-    evidence = Evidence(results, store)
-    checked = list(check(text, evidence))
-    if writing and (new := with_panels(filled(text, checked), results)) != text:
-        write(path, new, field="document")
-        print(f"{path}: written", file=sys.stderr)
-        text, checked = new, list(check(new, evidence))
-    loose = [*typed(text), *(one for found in typed_in_claims().values() for one in found)]
+    root, results = folder_of("root", fields["root"]), folder_of("results", fields["results"])
+    pages, evidence = documents(root), Evidence(results, store)
+    checked = list(check(pages, evidence))
+    anew = [page.written(checked, results) for page in pages]
+    if writing and anew != pages:
+        for page in (page for page in anew if page not in pages):
+            write(root / page.path, page.text, field="root")
+            print(f"{page.path}: written", file=sys.stderr)
+        pages, checked = anew, list(check(anew, evidence))
     for one in checked:
         print(_lines(one))
+    loose = [f"{page.path}: {place}" for page in pages for place in page.typed()]
+    loose += [f"claim {name}: {place}" for name, places in typed_in_claims().items() for place in places]
     for place in loose:
         print(f"typed by hand: {place}")
     passed = sum(one.passes for one in checked)
     print(f"{passed} of {len(checked)} claims pass; {len(loose)} numbers are typed by hand")
-    stale = with_panels(text, results) != text
-    if stale:
-        print("the panel of a table differs: write=true fills it in")
-    return 0 if passed == len(checked) and not loose and not stale and filled(text, checked) == text else 1
+    for page in (page for page, new in zip(pages, anew, strict=True) if page != new):
+        print(f"{page.path}: its passages or the panel of a table differ: write=true fills them in")
+    return 0 if passed == len(checked) and not loose and pages == anew else 1
 
 
 def _lines(one: Checked) -> str:
@@ -64,7 +66,7 @@ def _lines(one: Checked) -> str:
     if one.said is None:
         return f"{one.claim.name}: UNKNOWN: {one.problem}"
     wrong = [f"FALSE: {condition}" for condition in one.said.broken]
-    wrong += [] if one.agrees else ["THE TEXT DIFFERS: write=true fills it in"]
+    wrong += [] if one.agrees else ["THE TEXT DIFFERS OR IS IN NO DOCUMENT: write=true fills it in"]
     numbers = ", ".join(f"{name} {value}" for name, value in one.said.numbers.items())
     conditions = "; ".join(one.said.conditions)
     return f"{one.claim.name}: {'; '.join(wrong) or 'holds'}\n    {numbers}\n    while {conditions}"

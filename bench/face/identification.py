@@ -159,20 +159,21 @@ def identify(
     Raises:
         InputError: for a record or setting that makes no sense, with the sentence of the command line.
 
-    >>> import numpy as np
-    >>> import bench
-    >>> times = np.linspace(0.0, 10.0, 200)
-    >>> noise = 0.01 * np.random.default_rng(0).standard_normal(200)
-    >>> displacement = np.exp(-0.2 * times) * np.cos(2.8 * times) + noise
-    >>> answer = bench.identify(times, displacement, method="output_error")
-    >>> answer.trust
-    'trust'
-    >>> low, high = answer.intervals["natural_frequency"]
-    >>> bool(low < (2.8**2 + 0.2**2) ** 0.5 / 6.2832 < high)
-    True
-    >>> bench.identify("nowhere.csv", method="ls")
-    Traceback (most recent call last):
-    bench.errors.InputError: data=nowhere.csv: cannot be read: No such file or directory
+    Examples:
+        >>> import numpy as np
+        >>> import bench
+        >>> times = np.linspace(0.0, 10.0, 200)
+        >>> noise = 0.01 * np.random.default_rng(0).standard_normal(200)
+        >>> displacement = np.exp(-0.2 * times) * np.cos(2.8 * times) + noise
+        >>> answer = bench.identify(times, displacement, method="output_error")
+        >>> answer.trust
+        'trust'
+        >>> low, high = answer.intervals["natural_frequency"]
+        >>> bool(low < (2.8**2 + 0.2**2) ** 0.5 / 6.2832 < high)
+        True
+        >>> bench.identify("nowhere.csv", method="ls")
+        Traceback (most recent call last):
+        bench.errors.InputError: data=nowhere.csv: cannot be read: No such file or directory
     """
     recordings, paths = _records(data, displacement, force)
     fields = {

@@ -162,19 +162,21 @@ def run(
     Raises:
         InputError: for what the command line refuses, with the same sentence, before anything runs.
 
-    >>> import tempfile
-    >>> import bench
-    >>> folder = tempfile.TemporaryDirectory()
-    >>> results = bench.run(method=["ls", "matrix_pencil"], snr=[40, 20], replicates=2, workers=1, store=folder.name)
-    >>> [(result.cell.label, result.cell.scenario.snr_db, result.stored.n_ok) for result in results]
-    [('ls', 40.0, 2), ('ls', 20.0, 2), ('matrix_pencil', 40.0, 2), ('matrix_pencil', 20.0, 2)]
-    >>> medians = results.frame().query("metric == 'k_over_m_error_pct'").set_index(["method", "snr"])["median"]
-    >>> bool(medians["matrix_pencil", 40.0] < medians["matrix_pencil", 20.0])
-    True
-    >>> bench.run(method="ls", snr="loud")
-    Traceback (most recent call last):
-    bench.errors.InputError: snr=loud: input should be a valid number, unable to parse string as a number
-    >>> folder.cleanup()
+    Examples:
+        >>> import tempfile
+        >>> import bench
+        >>> folder = tempfile.TemporaryDirectory()
+        >>> methods, store = ["ls", "matrix_pencil"], folder.name
+        >>> results = bench.run(method=methods, snr=[40, 20], replicates=2, workers=1, store=store)
+        >>> [(result.cell.label, result.cell.scenario.snr_db, result.stored.n_ok) for result in results]
+        [('ls', 40.0, 2), ('ls', 20.0, 2), ('matrix_pencil', 40.0, 2), ('matrix_pencil', 20.0, 2)]
+        >>> medians = results.frame().query("metric == 'k_over_m_error_pct'").set_index(["method", "snr"])["median"]
+        >>> bool(medians["matrix_pencil", 40.0] < medians["matrix_pencil", 20.0])
+        True
+        >>> bench.run(method="ls", snr="loud")
+        Traceback (most recent call last):
+        bench.errors.InputError: snr=loud: input should be a valid number, unable to parse string as a number
+        >>> folder.cleanup()
     """
     swept = {
         "experiment": experiment, "method": method, "system": system, "snr": snr, "initial_state": initial_state,
@@ -197,13 +199,14 @@ def experiment(name: str, **fields: Values) -> list[Cell]:
     Raises:
         InputError: for an unknown experiment or field, as on the command line.
 
-    >>> import bench
-    >>> cells = bench.experiment("table3", method=["ls", "shooting"])
-    >>> [(cell.method, cell.scenario.initial_state, cell.replicates) for cell in cells]
-    [('ls', 'known', 100), ('shooting', 'known', 100), ('ls', 'unknown', 100), ('shooting', 'unknown', 100)]
-    >>> bench.experiment("table99")
-    Traceback (most recent call last):
-    bench.errors.InputError: experiment=table99: did you mean table5? known: calibration, development, efficiency, ...
+    Examples:
+        >>> import bench
+        >>> cells = bench.experiment("table3", method=["ls", "shooting"])
+        >>> [(cell.method, cell.scenario.initial_state, cell.replicates) for cell in cells]
+        [('ls', 'known', 100), ('shooting', 'known', 100), ('ls', 'unknown', 100), ('shooting', 'unknown', 100)]
+        >>> bench.experiment("table99")
+        Traceback (most recent call last):
+        bench.errors.InputError: experiment=table99: did you mean table5? known: calibration, development, ...
     """
     return Experiment(name).cells(overrides_of(fields))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import PurePosixPath
+
 NOISE = r"\d+(?: dB)?(?:, \d+)?(?: to \d+| and \d+)? dB\b"
 ALLOWED = (
     # names
@@ -59,3 +61,61 @@ ALLOWED = (
     r"none twice",
 )
 """A number within one of these is no result."""
+ALLOWED_IN = {
+    "docs/how_to/clusters.md": (
+        # what the studies are asked to do
+        r"200 cells, jobs of 5",
+        r"for a worker at 20 %",
+        r"a whole node at 50 %",
+        r"two stores of 20 cells in jobs of 2",
+        r"cells of 20 fits take on one, ten and a hundred nodes",
+        r"At 20 cells a job, a million cells are 50,000 configurations",
+        # defaults and versions of others
+        r"exit status \d",
+        r"\((?:1 if absent|60|0|256)\)",
+        r"\(1001 unless",
+        r"Slurm 22\.05",
+        r"NFS 4",
+        r"90 s by default",
+        r"\(not measured here\) one NFS server takes some 10³ a second and a good parallel file system some 10⁴",
+    ),
+    "docs/how_to/kit.md": (
+        r"exit status is \d where all pass, \d where one fails, and \d for bad input",
+        r"exit status is \d,",
+    ),
+    # definitions
+    "docs/explanation/intervals.md": (r"holds the truth in 95 of 100",),
+    "docs/explanation/paper.md": (r"against the replicates of the same method here, twice:",),
+    "docs/reference/commands.md": (r"exit status is 0 .*? 130 for Ctrl-C",),
+    "docs/reference/file_formats.md": (r"UTF-8", r"median, 99 %, largest"),
+    # defaults, which tests/docs/test_reference.py holds against the configuration
+    "docs/reference/configuration.md": (r"\| \d+(?:, none)? \|", r"from 0\b"),
+    "results/README.md": (r"\[table1[01]\.md",),
+    # what the reader of a tutorial is given, asks for, and is shown by blocks that tests/docs/test_tutorials.py runs
+    "docs/tutorials/first_cell.md": (r"It should be near 95",),
+    "docs/tutorials/own_record.md": (
+        r"vibrates at 2 Hz with a damping ratio of 2 %",
+        r"95 % (?:low|high)",
+        r"The truth, 2 Hz and 0\.02,",
+    ),
+    "docs/tutorials/plan_test.md": (
+        r"want c/m to 5 %",
+        r"reaches the 5 %",
+        r"roughly: (?:2 Hz|0\.02)",
+        r"standard deviation of 0\.5 mm",
+        r"pull the mass: 1 cm",
+        r"simulates the test 200 times",
+        r"should be near 95: .*? within 1\.96 times the wanted one",
+    ),
+    "docs/tutorials/track_stream.md": (
+        r"A mass of 1 kg",
+        r"loses a quarter of its stiffness",
+        r"k is near 8 N/m, at the end near 6\b",
+    ),
+}
+"""Likewise in one document, beside the others."""
+
+
+def allowed_in(path: PurePosixPath) -> tuple[str, ...]:
+    """The patterns for a document, by its path below the folder that holds ``results``."""
+    return (*ALLOWED, *ALLOWED_IN.get(str(path), ()))

@@ -47,9 +47,13 @@ class Claim:
             raise InputError("claim", self.name, f"text and expression differ in {differ}")
         return found
 
-    def filled(self, said: Said) -> str:
-        """The passage with its numbers, in lines of at most 120 letters; a point of a list begins with ``- ``."""
-        points = re.split(r"\n(?=- )", self.text.format_map(said.numbers))
+    def filled(self, said: Said, up: str = "") -> str:
+        """The passage with its numbers, in lines of at most 120 letters; a point of a list begins with ``- ``.
+
+        ``up`` leads from the document's folder to the one that holds ``results``: links in the text start there.
+        """
+        text = self.text.format_map(said.numbers).replace("](results/", f"]({up}results/")
+        points = re.split(r"\n(?=- )", text)
         return "\n".join(
             fill(
                 " ".join(point.split()),

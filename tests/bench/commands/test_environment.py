@@ -172,7 +172,7 @@ DENIED = {
     "main method=ls data=secret.csv": "data=secret.csv: cannot be read: Permission denied",
     "main method=ls system=secret.yaml": "system=secret.yaml: it cannot be read: Permission denied",
     "status store=hidden/rows": "store=hidden/rows: there is no such folder",
-    "claims store=rows document=secret.csv results=rows": "document=secret.csv: cannot be read: Permission denied",
+    "claims store=rows results=rows": "root=README.md: cannot be read: Permission denied",
     "track from=secret.csv": "from=secret.csv: cannot be read: Permission denied",
 }
 
@@ -186,7 +186,7 @@ def test_what_may_not_be_read_or_written_is_one_line(line: str, store: Path, for
         (here / "rows" / path.name).write_bytes(path.read_bytes())
     for name, mode in {"locked": 0o555, "hidden": 0o000}.items():
         (here / name).mkdir(mode=mode)
-    for name in ("secret.csv", "secret.yaml"):
+    for name in ("secret.csv", "secret.yaml", "README.md"):
         (here / name).write_text("0,1\n")
         (here / name).chmod(0o000)
     module, *arguments = line.split()

@@ -1,4 +1,4 @@
-"""The README's own example of a new method, taken from the README to the letter, in a folder of its own."""
+"""The tutorial's example of a new method, taken from its page to the letter, in a folder of its own."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ import re
 from pathlib import Path
 
 import pytest
-from conftest import Python, StoreFactory
+from conftest import REPOSITORY, Python, StoreFactory
 
 from bench.commands.check import main
 
-README = Path(__file__).parents[3] / "README.md"
-IMPORTS = "from dataclasses import dataclass\n\nimport numpy as np\n\nimport bench\n\n\n"
+PAGE = REPOSITORY / "docs" / "tutorials" / "add_method.md"
 DAMPING_RATIO = 0.4 / (2 * 8**0.5)
 """``c / (2 sqrt(k m))`` of the reference system: m = 1 kg, c = 0.4 N s/m, k = 8 N/m."""
 
@@ -21,12 +20,12 @@ DAMPING_RATIO = 0.4 / (2 * 8**0.5)
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """What ``pip install`` would leave of a package of one module: the module, its name and its entry point."""
-    found = re.search(r"```python\n(@dataclass.*?class ZeroCrossings.*?)```", README.read_text(encoding="utf-8"), re.S)
+    found = re.search(r"```python title=\"zero_crossings.py\"\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
     assert found
     folder = tmp_path / "site"
     info = folder / "zero_crossings-0.1.dist-info"
     info.mkdir(parents=True)
-    (folder / "zero_crossings.py").write_text(IMPORTS + found.group(1), encoding="utf-8")
+    (folder / "zero_crossings.py").write_text(found.group(1), encoding="utf-8")
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: zero-crossings\nVersion: 0.1\n")
     (info / "entry_points.txt").write_text("[bench.methods]\nzero_crossings = zero_crossings:ZeroCrossings\n")
     return folder

@@ -1,10 +1,10 @@
-"""What the README says about results is what the results say, and a claim that is false is found out."""
+"""What the documents say about results is what the results say, and a claim that is false is found out."""
 
 from __future__ import annotations
 
 import csv
 import re
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import pandas as pd
 import pytest
@@ -14,12 +14,14 @@ from bench.commands.claims import main
 from bench.errors import InputError
 from bench.reporting.claims import free_decay, systems
 from bench.reporting.claims.claim import Claim, exceptions, fold, listed, number, said, span
-from bench.reporting.claims.document import SECTIONS, check, filled, passages, typed, typed_in_claims
+from bench.reporting.claims.document import SECTIONS, Document, check, documents, typed, typed_in_claims
 from bench.reporting.claims.evidence import Evidence
+from bench.reporting.claims.panels import CHOSEN, chosen
 from bench.store.opening import open_store
 
-README = REPOSITORY / "README.md"
 RESULTS = REPOSITORY / "results"
+FREE_DECAY = "docs/explanation/free_decay.md"
+COST = "docs/explanation/how_to_read.md"
 
 
 def evidence(folder: Path = RESULTS) -> Evidence:
@@ -27,9 +29,21 @@ def evidence(folder: Path = RESULTS) -> Evidence:
     return Evidence(folder, open_store(str(folder / "rows"), str(RESULTS / "archive")))
 
 
-def command(document: Path, *more: str) -> int:
-    """The command on a document, with what is published."""
-    places = [f"document={document}", f"results={RESULTS}", f"store={document.parent / 'no'}"]
+def copied(root: Path) -> Path:
+    """The documents in a folder of their own."""
+    for page in documents(REPOSITORY):
+        (root / page.path).parent.mkdir(parents=True, exist_ok=True)
+        (root / page.path).write_text(page.text, encoding="utf-8")
+    return root
+
+
+def page(text: str, path: str = "README.md") -> Document:
+    return Document(PurePosixPath(path), text)
+
+
+def command(root: Path, *more: str) -> int:
+    """The command on the documents of a folder, with what is published."""
+    places = [f"root={root}", f"results={RESULTS}", f"store={root / 'no'}"]
     return main([*places, f"archive={RESULTS / 'archive'}", *more])
 
 
@@ -46,38 +60,64 @@ def changed(folder: Path, table: str, lines: str, column: str, value: float) -> 
     return evidence(folder)
 
 
-def test_the_readme_passes_a_number_changed_by_hand_does_not_and_write_puts_it_right(
+def test_the_documents_pass_a_number_changed_by_hand_does_not_and_write_puts_it_right(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    document, text = tmp_path / "README.md", README.read_text(encoding="utf-8")
-    document.write_text(text, encoding="utf-8")
-    assert command(document) == 0, capsys.readouterr().out
+    document = copied(tmp_path) / FREE_DECAY
+    text = document.read_text(encoding="utf-8")
+    assert command(tmp_path) == 0, capsys.readouterr().out
     wrong = re.sub(r"(their excess is )[\d.]+", r"\g<1>0.99", text)
     assert wrong != text
     document.write_text(wrong, encoding="utf-8")
     capsys.readouterr()
-    assert command(document) == 1
+    assert command(tmp_path) == 1
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "DIFFERS" in line]
     assert line.startswith("on_the_bound: ")
     assert document.read_text(encoding="utf-8") == wrong, "without write=true the document is left alone"
-    assert command(document, "write=true") == 0
+    assert command(tmp_path, "write=true") == 0
     assert document.read_text(encoding="utf-8") == text
 
 
 def test_what_no_claim_wrote_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A number beside the passages, and a line within one that belongs to no claim."""
-    document, text = tmp_path / "README.md", README.read_text(encoding="utf-8")
+    document = copied(tmp_path) / COST
+    text = document.read_text(encoding="utf-8")
     document.write_text(text + "\nThe PINN is 1.8 times above the bound.\n", encoding="utf-8")
-    assert command(document) == 1
-    assert "typed by hand: " in capsys.readouterr().out
+    assert command(tmp_path) == 1
+    assert f"typed by hand: {COST}: " in capsys.readouterr().out
     document.write_text(text.replace("<!-- claims: cost -->\n", "<!-- claims: cost -->\n- More.\n"), encoding="utf-8")
-    assert command(document) == 1
+    assert command(tmp_path) == 1
 
 
-def test_every_passage_is_in_the_readme_and_no_two_claims_share_a_name() -> None:
-    assert set(passages(README.read_text(encoding="utf-8"))) == set(SECTIONS)
+def test_a_passage_that_two_documents_show_must_be_right_in_both() -> None:
+    there = evidence()
+    (right,) = (one for one in documents(REPOSITORY) if str(one.path) == COST)
+    wrong = page(re.sub(r"\d+ minutes", "7 minutes", right.text))
+    assert wrong.text != right.text
+    for pages, agrees in (([right], True), ([right, wrong], False), ([wrong], False), ([], False)):
+        assert next(one.agrees for one in check(pages, there) if one.claim.name == "cost") is agrees
+
+
+def test_links_of_a_claim_lead_to_results_from_any_folder() -> None:
+    empty = "<!-- claims: archive -->\n<!-- /claims -->\n"
+    checked = list(check([], evidence()))
+    for path, link in (
+        ("README.md", "](results/"),
+        ("docs/a.md", "](../results/"),
+        ("docs/a/b.md", "](../../results/"),
+    ):
+        assert link in page(empty, path).filled(checked).text
+
+
+def test_every_passage_is_in_a_document_and_no_two_claims_share_a_name() -> None:
+    assert {name for one in documents(REPOSITORY) for name in one.passages()} == set(SECTIONS)
     names = [claim.name for claims in SECTIONS.values() for claim in claims]
     assert len(names) == len(set(names))
+
+
+def test_a_folder_without_documents_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="README"):
+        documents(tmp_path)
 
 
 def test_every_claim_says_what_would_make_it_false() -> None:
@@ -87,13 +127,13 @@ def test_every_claim_says_what_would_make_it_false() -> None:
 
 def test_a_passage_of_an_unknown_name_is_an_error() -> None:
     with pytest.raises(InputError, match="overview"):
-        passages("<!-- claims: nothing of ours -->\nx\n<!-- /claims -->")
+        page("<!-- claims: nothing of ours -->\nx\n<!-- /claims -->").passages()
 
 
 def test_an_empty_passage_ends_before_the_next() -> None:
-    text = "<!-- claims: cost -->\n<!-- /claims -->\nkept\n<!-- claims: open split -->\nx\n<!-- /claims -->\n"
-    assert passages(text) == {"cost": "", "open split": "x"}
-    assert "\nkept\n" in filled(text, check(text, evidence()))
+    one = page("<!-- claims: cost -->\n<!-- /claims -->\nkept\n<!-- claims: open split -->\nx\n<!-- /claims -->\n")
+    assert one.passages() == {"cost": "", "open split": "x"}
+    assert "\nkept\n" in one.filled(list(check([one], evidence()))).text
 
 
 # ---- numbers from the files by another way
@@ -170,13 +210,12 @@ def test_what_was_never_measured_cannot_be_claimed() -> None:
 
 
 def test_a_claim_without_its_results_is_unknown_and_its_passage_is_left_as_it_is(tmp_path: Path) -> None:
-    text = README.read_text(encoding="utf-8")
-    checked = list(check(text, evidence(tmp_path)))
+    (one,) = (one for one in documents(REPOSITORY) if str(one.path) == FREE_DECAY)
+    checked = list(check([one], evidence(tmp_path)))
     unknown = [one for one in checked if one.said is None]
     assert any("table5" in one.problem for one in unknown)
     assert not any(one.passes for one in unknown)
-    before, after = passages(text), passages(filled(text, checked))
-    assert after["free decay"] == before["free decay"]
+    assert one.filled(checked).passages() == one.passages()
 
 
 def test_text_and_expression_must_name_the_same_numbers() -> None:
@@ -204,8 +243,7 @@ def test_a_typed_number_is_found_where_nothing_allows_it(text: str, numbers: lis
     assert all(value in place for value, place in zip(numbers, found, strict=True))
 
 
-def test_no_number_stands_typed_in_the_readme_or_beside_the_numbers_of_a_claim() -> None:
-    assert typed(README.read_text(encoding="utf-8")) == []
+def test_no_number_stands_typed_beside_the_numbers_of_a_claim() -> None:
     assert typed_in_claims() == {}
 
 
@@ -255,11 +293,23 @@ def test_spans_lists_and_exceptions() -> None:
 def test_the_panel_of_a_table_that_is_not_the_generated_one_is_told_and_put_right(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    document, text = tmp_path / "README.md", README.read_text(encoding="utf-8")
-    wrong = text.replace("| Multiple shooting ", "| Simple shooting   ")
-    assert wrong != text
-    document.write_text(wrong, encoding="utf-8")
-    assert command(document) == 1
-    assert "the panel of a table differs" in capsys.readouterr().out
-    assert command(document, "write=true") == 0
-    assert document.read_text(encoding="utf-8") == text
+    copied(tmp_path)
+    for path in ("README.md", FREE_DECAY):
+        document = tmp_path / path
+        text = document.read_text(encoding="utf-8")
+        wrong = text.replace("| Multiple shooting ", "| Simple shooting   ")
+        assert wrong != text
+        document.write_text(wrong, encoding="utf-8")
+        assert command(tmp_path) == 1
+        assert f"{path}: its passages or the panel of a table differ" in capsys.readouterr().out
+        assert command(tmp_path, "write=true") == 0
+        assert document.read_text(encoding="utf-8") == text
+
+
+def test_chosen_rows_are_those_of_the_table_and_a_row_that_is_gone_is_refused() -> None:
+    head = "| method | k/m error % | c/m error % | RMSE (m) | ok |\n|---|---|---|---|---|\n"
+    rows = [f"| {name} | 1 | 2 | {i} | 9 |" for i, name in enumerate(CHOSEN)]
+    lines = chosen(head + "\n".join([*reversed(rows), "| other | 1 | 2 | 3 | 4 |"])).split("\n")
+    assert lines[2:] == [f"| {name} | 1 | 2 | {i} |" for i, name in enumerate(CHOSEN)]
+    with pytest.raises(InputError, match=CHOSEN[0]):
+        chosen(head + "\n".join(rows[1:]))

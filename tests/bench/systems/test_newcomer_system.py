@@ -1,4 +1,4 @@
-"""The README's own example of a new system, taken from the README to the letter, in a folder of its own."""
+"""The tutorial's example of a new system, taken from its page to the letter, in a folder of its own."""
 
 from __future__ import annotations
 
@@ -24,17 +24,15 @@ from bench.scenario.scenario import Scenario
 from bench.store.version import cell_version
 from bench.systems import load_system, make_system
 
-README = Path(__file__).parents[3] / "README.md"
+PAGE = Path(__file__).parents[3] / "docs" / "tutorials" / "add_system.md"
 FILES = ("gap_spring.py", "pyproject.toml", "gap.yaml")
 METHODS = ("shooting", "collocation", "ekf")
 """Some of those that take any smooth system."""
 
 
 def block(name: str) -> str:
-    """The README's block of that name."""
-    found = re.search(
-        rf"<!-- newcomer: {re.escape(name)} -->\n```\w+\n(.*?)```", README.read_text(encoding="utf-8"), re.S
-    )
+    """The page's block of that title."""
+    found = re.search(rf"```\w+ title=\"{re.escape(name)}\"\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
     assert found, name
     return found.group(1)
 
@@ -128,7 +126,7 @@ def test_its_groups_are_what_the_data_tell(folder: Path) -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_methods_run_on_it(method: str, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """The README's command; the fit is within five times the Cramér-Rao bound of the displacement."""
+    """The page's command; the fit is within five times the Cramér-Rao bound of the displacement."""
     for package in {"shooting": ["casadi"], "collocation": ["torch"]}.get(method, []):
         pytest.importorskip(package)
     assert main([f"method={method}", *RUN]) == 0

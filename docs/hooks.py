@@ -1,0 +1,89 @@
+"""What the site has beyond the pages of docs/: the results, the documents of the root, the help of every command."""
+
+from __future__ import annotations
+
+import io
+import posixpath
+import re
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files, InclusionLevel
+
+ROOT = Path(__file__).parents[1]
+PLACE = "<!-- the help of every command, written by docs/hooks.py when the site is built -->"
+README = "readme.md"
+"""Where README.md stands in the site, whose first page is docs/index.md."""
+OF_THE_ROOT = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", "SECURITY.md")
+SHIM = "https://unpkg.com/iframe-worker/shim"
+LINK = re.compile(r"(?P<open>\]\()(?P<target>[^)#\s]+)(?P<rest>(?:#[^)\s]*)?\))")
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the results, but for packed cells, and the documents of the root, as if they stood in docs/."""
+    for path in _beside():
+        name = path.relative_to(ROOT).as_posix()
+        nav = InclusionLevel.INCLUDED if name == "results/README.md" else InclusionLevel.NOT_IN_NAV
+        place = README if name == "README.md" else name
+        files.append(File.generated(config, place, abs_src_path=str(path), inclusion=nav))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Let links lead to where files stand in the site, and fill in the help of the commands."""
+    source = page.file.src_uri
+    if PLACE in markdown:
+        markdown = markdown.replace(PLACE, "\n\n".join(_helps()))
+    return LINK.sub(lambda found: f"{found['open']}{_moved(source, found['target'])}{found['rest']}", markdown)
+
+
+def on_post_page(output: str, page: Any, **_: Any) -> str:
+    """Load what lets the search work from a folder (iframe-worker, MIT) from the site, not from elsewhere."""
+    up = "../" * page.url.count("/")
+    return output.replace(SHIM, f"{up}assets/iframe-worker.js")
+
+
+def on_post_template(output_content: str, template_name: str, **_: Any) -> str:
+    """Likewise of the page for what is not found."""
+    return output_content.replace(SHIM, "assets/iframe-worker.js")
+
+
+def _beside() -> Iterator[Path]:
+    yield from (ROOT / name for name in OF_THE_ROOT if (ROOT / name).is_file())
+    archive = ROOT / "results" / "archive"
+    yield from (
+        path for path in sorted((ROOT / "results").rglob("*")) if path.is_file() and archive not in path.parents
+    )
+
+
+def _moved(source: str, target: str) -> str:
+    """The target of a link in the site: docs/ is its root, and results/ and the documents of the root stand in it."""
+    if "://" in target or target.startswith(("mailto:", "/")):
+        return target
+    outside = source in (README, *OF_THE_ROOT) or source.startswith("results/")
+    folder = posixpath.dirname(source if outside else f"docs/{source}")
+    found = posixpath.normpath(posixpath.join(folder, target))
+    if (ROOT / found).is_dir():
+        found = "results/README.md" if found.startswith("results") else found
+    inside = README if found == "README.md" else found.removeprefix("docs/")
+    return posixpath.relpath(inside, posixpath.dirname(source) or ".")
+
+
+def commands() -> list[str]:
+    """The names of the modules that ``python -m bench.<name>`` runs, ``main`` first."""
+    folder = ROOT / "bench" / "commands"
+    named = [path.stem for path in sorted(folder.glob("*.py")) if '__name__ == "__main__"' in path.read_text("utf-8")]
+    return ["main", *(name for name in named if name != "main")]
+
+
+def _helps() -> Iterator[str]:
+    for name in commands():
+        said = io.StringIO()
+        with redirect_stdout(said):
+            import_module(f"bench.commands.{name}").main(["--help"])
+        shown = "bench" if name == "main" else f"bench.{name}"
+        yield f"## `python -m {shown}`\n\n```text\n{said.getvalue().strip()}\n```"

@@ -1,0 +1,107 @@
+"""What the documents show is what there is: tables, files, imports, commands."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shlex
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from conftest import REPOSITORY
+from pages import DOCUMENTS, blocks, commands, name
+
+from bench.commands.main import main as bench_main
+from bench.reporting.claims.panels import section
+
+README = REPOSITORY / "README.md"
+OPEN = {"method", "system", "prior", "disturbance", "settings", "hydra", "fixed", "nominal"}
+"""Groups whose fields a command's help does not list; ``<field>.<name>=`` of these is checked by the command alone."""
+OWN = {"experiment=measured": "measured_track", "experiment=online": "online", "experiment=atlas": "atlas"}
+"""Experiments with a module, and so fields, of their own."""
+
+
+def test_the_readme_is_short_and_shows_a_picture_commands_and_a_table() -> None:
+    text = README.read_text(encoding="utf-8")
+    assert len(text.split()) <= 1200
+    assert len(re.findall(r"^!\[", text, re.MULTILINE)) == 1
+    legend, _, table = text.partition("<!-- chosen rows of table 3 -->")
+    assert "**excess**" in legend
+    assert "**Bold**" in legend
+    assert table.lstrip().startswith("| method |")
+
+
+def test_the_whole_table_3_is_shown_to_the_letter() -> None:
+    generated = (REPOSITORY / "results" / "table3.md").read_text(encoding="utf-8")
+    page = (REPOSITORY / "docs" / "explanation" / "free_decay.md").read_text(encoding="utf-8")
+    assert section(generated, "known") in page
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name)
+def test_every_file_that_is_pointed_to_is_there(document: Path) -> None:
+    """Links, and paths of this repository in code marks."""
+    text = document.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\((?!http)([^)#]+)(?:#[^)]*)?\)", text):
+        assert (document.parent / target).exists(), target
+    for target in re.findall(r"`((?:bench|methods|tests|conf|docs|results)/[\w./]+?)/?`", text):
+        assert (REPOSITORY / target).exists(), target
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name)
+def test_every_heading_that_is_pointed_to_is_there(document: Path) -> None:
+    """Anchors as the site and the usual forges make them: small letters, blanks as hyphens, no other signs."""
+    for target, anchor in re.findall(r"\]\((?!http)([^)#]*)#([^)]+)\)", document.read_text(encoding="utf-8")):
+        text = ((document.parent / target) if target else document).read_text(encoding="utf-8")
+        headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+        assert anchor in {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}, anchor
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name)
+def test_what_a_document_imports_is_there(document: Path) -> None:
+    """Every Python block is valid, and every ``from bench... import name`` finds its name."""
+    for block in (block for block in blocks(document) if block.language == "python"):
+        for node in ast.walk(ast.parse(block.code)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "bench":
+                for alias in node.names:
+                    assert hasattr(import_module(str(node.module)), alias.name), alias.name
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name)
+def test_every_command_of_a_document_is_there(document: Path) -> None:
+    """The modules that ``python -m`` is told to run, in blocks and in prose."""
+    for module in re.findall(r"python -m\s((?:bench|tests)[\w.]*\w)", document.read_text(encoding="utf-8")):
+        assert find_spec(module) is not None, module
+
+
+def arguments(text: str) -> list[str]:
+    """The words of a command line, which may itself stand in quotes: ``sbatch --wrap 'python -m bench method=ls'``."""
+    return shlex.split(text.removesuffix("'") if text.count("'") % 2 else text)
+
+
+def written() -> list[tuple[str, str, tuple[str, ...]]]:
+    """Of every command in a block: its document, its module and its arguments."""
+    found = set()
+    for document in DOCUMENTS:
+        for block in blocks(document):
+            for line in commands(block) if block.language in ("bash", "sh") else ():
+                if match := re.search(r"python -m (bench[\w.]*) ?(.*)", re.sub(r"\s[<>]\s.*", "", line)):
+                    found.add((name(document), match[1], tuple(arguments(match[2]))))
+    return sorted(found)
+
+
+@pytest.mark.parametrize(("document", "module", "given"), written(), ids=lambda value: str(value)[:60])
+def test_the_fields_of_a_command_are_known_to_it(
+    document: str, module: str, given: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Parsed only: a field that is written stands in the command's help, or in that of ``python -m bench``."""
+    command = import_module(f"bench.commands.{module.removeprefix('bench').lstrip('.') or 'main'}").main
+    command(["--help"])
+    bench_main(["--help"])
+    sources = ["conf/config.yaml", *(f"bench/commands/{OWN[word]}.py" for word in given if word in OWN)]
+    said = capsys.readouterr().out + "".join((REPOSITORY / path).read_text(encoding="utf-8") for path in sources)
+    for argument in given:
+        field = re.match(r"\+?([\w./]+)=", argument)
+        if field and re.split(r"[./]", field[1])[0] not in OPEN:
+            assert re.search(rf"\b{re.escape(field[1].partition('.')[0])}\b", said), (document, argument)

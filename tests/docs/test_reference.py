@@ -1,0 +1,130 @@
+"""The reference names everything there is: public names, commands, fields with their defaults, columns of files."""
+
+from __future__ import annotations
+
+import csv
+import inspect
+import re
+from collections.abc import Iterator
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from conftest import REPOSITORY
+
+import bench
+from bench.scenario.force import ForceSpec
+from bench.scenario.scenario import PriorSpec, Scenario, config_path
+
+REFERENCE = REPOSITORY / "docs" / "reference"
+RESULTS = REPOSITORY / "results"
+HYDRA = {"defaults", "sweep", "also", "draw", "replicates_by_method", "table", "experiment"}
+"""What an experiment sets, and what is a group or Hydra's."""
+
+
+def page(name: str) -> str:
+    return (REFERENCE / name).read_text(encoding="utf-8")
+
+
+def lines(text: str) -> Iterator[list[str]]:
+    """The lines of all tables of a text, cell by cell."""
+    for line in re.findall(r"^\| (.*) \|$", text, re.MULTILINE):
+        yield [cell.strip() for cell in re.split(r" ?\| ?", line)]
+
+
+def test_every_public_name_is_on_the_page_once_and_explained() -> None:
+    shown = re.findall(r"^::: bench\.(\w+)$", page("python.md"), re.MULTILINE)
+    assert sorted(shown) == sorted(bench.__all__)
+    for name in bench.__all__:
+        value = getattr(bench, name)
+        if inspect.isclass(value) or inspect.isfunction(value):
+            assert inspect.getdoc(value), name
+
+
+def test_the_commands_whose_help_is_shown_are_all() -> None:
+    """Those that ``python -m bench.<name>`` runs by name, as docs/hooks.py finds them."""
+    pytest.importorskip("mkdocs")
+    from importlib.util import module_from_spec, spec_from_file_location
+
+    spec = spec_from_file_location("hooks", REPOSITORY / "docs" / "hooks.py")
+    assert spec is not None
+    assert spec.loader is not None
+    hooks = module_from_spec(spec)
+    spec.loader.exec_module(hooks)
+    assert hooks.PLACE in page("commands.md")
+    ours = {
+        path.stem for path in (REPOSITORY / "bench" / "commands").glob("*.py") if "usage" in path.read_text("utf-8")
+    }
+    assert set(hooks.commands()) >= {"main", "tables", "certify", "design", "track", "claims"}
+    assert set(hooks.commands()) <= ours | {"main"}
+
+
+def defaults() -> dict[str, str]:
+    """Of each field on the page of the configuration, its default as it is written there."""
+    found = {}
+    for cells in lines(page("configuration.md")):
+        names = re.findall(r"`([\w.]+)`", cells[0])
+        for name in names:
+            found.setdefault(name, cells[1].strip("`"))
+    return found
+
+
+def test_every_field_of_a_cell_is_there_with_its_default() -> None:
+    config = yaml.safe_load((REPOSITORY / "conf" / "config.yaml").read_text(encoding="utf-8"))
+    shown = defaults()
+    for name, value in config.items():
+        if name in HYDRA:
+            continue
+        assert name in shown, name
+        if isinstance(value, bool | int | str):
+            assert shown[name] == (str(value).lower() if isinstance(value, bool) else str(value)), name
+    groups = {key: value for entry in config["defaults"] if isinstance(entry, dict) for key, value in entry.items()}
+    assert {"method", "system", "prior", "disturbance", "experiment"} == set(groups)
+    assert {name: shown[name] for name in ("method", "system", "disturbance")} == {
+        name: groups[name] for name in ("method", "system", "disturbance")
+    }
+
+
+@pytest.mark.parametrize(("kind", "heading"), [(Scenario, "Fields of a scenario"), (ForceSpec, "Of a force")])
+def test_every_field_of_a_scenario_and_of_a_force_is_there_with_its_default(kind: type[Any], heading: str) -> None:
+    text = page("configuration.md").partition(heading)[2].partition("\n## ")[0]
+    text = text.partition("Of a force")[0] if kind is Scenario else text
+    shown = {name: cells[1] for cells in lines(text) for name in re.findall(r"`(\w+)`", cells[0])}
+    for field in fields(kind):
+        name = config_path(field).removeprefix("system.") if kind is Scenario else field.name
+        if name in ("snr", "initial_state", "prior", "disturbance"):
+            continue  # fields of a cell
+        if kind is Scenario and name == "kind" and field.name != "system":
+            continue
+        assert name in shown, name
+        if isinstance(field.default, int | float | str) and field.default is not MISSING and "," not in shown[name]:
+            assert shown[name].strip("`") in (
+                f"{field.default:g}" if not isinstance(field.default, str) else field.default,
+                "",
+            ), name
+
+
+def test_every_field_of_a_prior_is_there() -> None:
+    shown = defaults()
+    assert {field.name for field in fields(PriorSpec)} <= set(shown)
+
+
+def dictionary() -> dict[str, set[str]]:
+    """Of each CSV of results, the columns that the page of the formats explains for it, shared ones included."""
+    sections = re.split(r"^## ", page("file_formats.md"), flags=re.MULTILINE)
+    columns = {
+        part.partition("\n")[0]: {c for cells in lines(part) for c in re.findall(r"`([^`]+)`", cells[0])}
+        for part in sections
+    }
+    shared = columns["Columns that tables share"]
+    return {name: shared | own for title, own in columns.items() for name in re.findall(r"`([\w.]+)`", title)}
+
+
+@pytest.mark.parametrize("path", sorted(RESULTS.glob("*.csv")), ids=lambda path: path.name)
+def test_every_column_of_a_published_file_is_explained(path: Path) -> None:
+    with path.open(encoding="utf-8") as file:
+        header = next(csv.reader(file))
+    known = dictionary()[path.name]
+    assert [column for column in header if column.removesuffix(": median") not in known] == []
