@@ -113,13 +113,3 @@ def file_of(field: str, text: str, wanted: str) -> Path:
         kind = "it is no file" if os.path.exists(path) else "there is no such file"
         raise InputError(field, text, f"{kind}; {wanted}")
     return path
-
-
-def text_of(field: str, path: Path) -> str:
-    """The text of a file in UTF-8; raises InputError."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(field, path, f"cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(field, path, "it is no text in UTF-8") from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import inspect
+import json
 import re
 from collections.abc import Iterator
 from dataclasses import MISSING, fields
@@ -12,9 +13,10 @@ from typing import Any
 
 import pytest
 import yaml
-from conftest import REPOSITORY
+from conftest import REPOSITORY, StoreFactory
 
 import bench
+from bench.commands.main import main
 from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import PriorSpec, Scenario, config_path
 
@@ -128,3 +130,12 @@ def test_every_column_of_a_published_file_is_explained(path: Path) -> None:
         header = next(csv.reader(file))
     known = dictionary()[path.name]
     assert [column for column in header if column.removesuffix(": median") not in known] == []
+
+
+def test_every_key_of_a_stored_cell_is_explained(new_store: StoreFactory) -> None:
+    store = new_store()
+    assert main(["method=oracle", "replicates=1", "workers=1", f"store={store.folder}", "format=json"]) == 0
+    (path,) = store.folder.glob("*.json")
+    section = page("file_formats.md").partition("## A stored cell")[2].partition("\n## ")[0]
+    known = {name for cells in lines(section) for name in re.findall(r"`(\w+)`", cells[0])}
+    assert set(json.loads(path.read_text(encoding="utf-8"))) <= known
