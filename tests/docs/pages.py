@@ -9,10 +9,8 @@ from pathlib import Path
 
 from conftest import REPOSITORY
 
-DOCUMENTS = sorted(
-    {REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", REPOSITORY / "results" / "README.md"}
-    | set((REPOSITORY / "docs").rglob("*.md"))
-)
+OF_THE_ROOT = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "results/README.md")
+DOCUMENTS = sorted({REPOSITORY / path for path in OF_THE_ROOT} | set((REPOSITORY / "docs").rglob("*.md")))
 BLOCK = re.compile(
     r"^```(?P<language>\w+)(?: title=\"(?P<title>[^\"]+)\")?\n(?P<code>.*?)^```", re.DOTALL | re.MULTILINE
 )

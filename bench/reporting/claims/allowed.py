@@ -89,7 +89,7 @@ ALLOWED_IN = {
     "docs/explanation/paper.md": (r"against the replicates of the same method here, twice:",),
     "docs/reference/commands.md": (r"exit status is 0 .*? and 129 for",),
     "docs/reference/file_formats.md": (r"UTF-8", r"median, 99 %, largest"),
-    # defaults, which tests/docs/test_reference.py holds against the configuration
+    # defaults, which tests/docs/test_reference_pages.py holds against the configuration
     "docs/reference/configuration.md": (r"\| \d+(?:, none)? \|", r"from 0\b"),
     "results/README.md": (r"\[table1[01]\.md",),
     # what the reader of a tutorial is given, asks for, and is shown by blocks that tests/docs/test_tutorials.py runs

@@ -43,7 +43,8 @@ def page(text: str, path: str = "README.md") -> Document:
 
 def command(root: Path, *more: str) -> int:
     """The command on the documents of a folder, with what is published."""
-    places = [f"root={root}", f"results={RESULTS}", f"store={root / 'no'}"]
+    (root / "rows").mkdir(exist_ok=True)
+    places = [f"root={root}", f"results={RESULTS}", f"store={root / 'rows'}"]
     return main([*places, f"archive={RESULTS / 'archive'}", *more])
 
 
