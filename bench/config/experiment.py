@@ -85,15 +85,15 @@ class Experiment:
                 yield job.scenario, job.config.seed
 
 
-def sweep(overrides: Overrides, multirun: bool = True) -> list[Job]:
+def sweep(overrides: Overrides, multirun: bool = True, measured: bool = False) -> list[Job]:
     """The jobs of some overrides, over those of the experiments among them.
 
-    Raises InputError for what makes no sense, and for several values without ``multirun``.
+    ``measured``: they are of a record, though none is named, as where it is given as arrays. Raises InputError for what makes no sense, and for several values without ``multirun``.
     """
     if not multirun:
         _check_single(overrides)
     own = {field: values for field, values in overrides.items() if field != "experiment"}
-    if all(value is None for value in own.get("data", [])):
+    if not measured and all(value is None for value in own.get("data", [])):
         check_of_records(own)
     found: list[Job] = []
     for name in overrides.get("experiment", [None]):

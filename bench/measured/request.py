@@ -55,7 +55,7 @@ def request_of(overrides: Overrides) -> Request:
         raise InputError("system", system, "its terms have no further fields; leave system.<field> out")
     if given.get("method") == [ALL]:
         given["method"] = [name for name in method_names() if name not in REFERENCES]
-    jobs = sweep(given)
+    jobs = sweep(given, measured=True)
     config = jobs[0].config
     options = ReadOptions(
         _pairs("columns", config.columns),

@@ -111,7 +111,7 @@ def test_a_second_run_computes_nothing(tmp_path: Path, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize(
     ("argument", "words"),
-    [("sizes=0", "at least 1"), ("methods=pin", "known"), ("timeout_s=nan", "positive"), ("snr=20", "sizes=")],
+    [("sizes=0", "from 1"), ("methods=pin", "known"), ("timeout_s=nan", "positive"), ("snr=20", "sizes=")],
 )
 def test_a_wrong_argument_is_one_line(argument: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([argument]) == 2

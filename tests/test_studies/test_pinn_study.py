@@ -24,7 +24,7 @@ from tests.studies.pinn.products import product_sizes, roofline  # noqa: E402
     [
         ("part=speed", "speed"),
         ("replicates=none", "whole number"),
-        ("seeds=0", "at least 1"),
+        ("seeds=0", "from 1"),
         ("peers=/nowhere", "naive_fit.py"),
         ("snr=20", "snr=20"),
     ],

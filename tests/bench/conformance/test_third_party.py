@@ -167,7 +167,7 @@ def test_the_command_catches_a_dishonest_one(capsys: pytest.CaptureFixture[str])
         (["nowhere.py"], "package=nowhere.py: there is no such file"),
         (["no_such_package"], "package=no_such_package: a file, a folder"),
         (["."], "it has no pyproject.toml"),
-        ([str(FOLDER / "good.py"), "timeout_s=never"], "timeout_s=never: a number of seconds"),
+        ([str(FOLDER / "good.py"), "timeout_s=never"], "timeout_s=never: a positive number"),
         ([str(FOLDER / "good.py"), "method.width=3"], "method.width=3: settings of good: none"),
         ([str(FOLDER / "good.py"), "format=xml"], "format=xml: table or json"),
         ([str(FOLDER / "good.py"), "method.=3"], "argument=method.=3: write method.<name>"),

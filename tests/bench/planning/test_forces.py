@@ -143,10 +143,11 @@ def test_the_command_compares_forces_and_writes_the_best_as_a_record(tmp_path, c
     ("fields", "said"),
     [(["force=best"], "none or optimal"), (["energy=0"], "a positive number"), (["samples=8"], "at least 21"),
      (["duration=0.1"], "duration"), (["amplitude=1cm"], "amplitude"), (["times=optimal"], "times"),
-     (["samples=501"], "500"), (["force=none"], "energy"), (["out=/nowhere/force.csv"], "cannot be written")],
+     (["samples=501"], "500"), (["force=none"], "energy"), (["out=/dev/null/force.csv"], "cannot be written")],
 )  # fmt: skip
 def test_a_mistype_is_one_line(fields: list[str], said: str, capsys) -> None:
-    assert main([*GIVEN, *fields]) == 2
+    keys = {field.partition("=")[0] for field in fields}
+    assert main([*(one for one in GIVEN if one.partition("=")[0] not in keys), *fields]) == 2
     error = capsys.readouterr().err.strip().splitlines()
     assert len(error) == 1
     assert said in error[0]

@@ -109,9 +109,9 @@ def test_the_command_proposes_and_simulates(capsys: pytest.CaptureFixture[str]) 
 @pytest.mark.parametrize(
     ("field", "said"),
     [("want=c:5%", "want=c:5%"), ("want=c_over_m:5", "a percentage"), ("frequency=-1", "a positive number"),
-     ("damping=0.02:x%", "damping=x"), ("noise=0.5", "with its unit"), ("noise=0.5s", "with its unit"),
+     ("damping=0.02:x%", "damping=0.02:x%"), ("noise=0.5", "with its unit"), ("noise=0.5s", "with its unit"),
      ("amplitude=ten mm", "amplitude"), ("rate=0", "rate=0"), ("method=shoting", "shooting"), ("verify=-1", "verify"),
-     ("samples=4", "samples")],
+     ("samples=4", "duration=")],
 )  # fmt: skip
 def test_a_mistype_is_one_line(field: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
     extra = ["verify=2"] if field.startswith("method") else []

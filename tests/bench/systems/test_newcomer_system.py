@@ -149,7 +149,7 @@ def test_methods_that_cannot_take_it_say_why(method: str, folder: Path, capfd: p
         (None, "no such file"),
         ("", "conf/system"),
         ("defaults: [nowhere]\nlabel: a", "nowhere"),
-        ("label: [", "cannot be read"),
+        ("label: [", "it is no plain YAML"),
         ("defaults: [sdof]\nsamplez: 3", "samplez"),
         ("defaults: [sdof]\nparameters: {m: -1.0}", "greater than 0"),
     ],
