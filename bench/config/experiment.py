@@ -88,7 +88,8 @@ class Experiment:
 def sweep(overrides: Overrides, multirun: bool = True, measured: bool = False) -> list[Job]:
     """The jobs of some overrides, over those of the experiments among them.
 
-    ``measured``: they are of a record, though none is named, as where it is given as arrays. Raises InputError for what makes no sense, and for several values without ``multirun``.
+    ``measured``: they are of a record, though none is named, as where it is given as arrays. Raises InputError for what
+    makes no sense, and for several values without ``multirun``.
     """
     if not multirun:
         _check_single(overrides)
