@@ -77,7 +77,7 @@ FIELDS = (
     *(Field(command, "store", TO_READ) for command in STORES),
     *(Field(command, "archive", TO_READ[1:], "store=store") for command in STORES),
     *(Field(command, "out", TO_WRITE, "store=store") for command in ("tables", "figures", "reproduction")),
-    Field("report", "out", FILES_OUT, "store=store"),
+    Field("report", "out", TO_WRITE, "store=store"),
     Field("claims", "write", FLAGS),
     Field("claims", "root", TO_READ, "store=store"),
     Field("recheck", "experiment", NAMES, "store=store"),

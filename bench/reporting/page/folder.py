@@ -10,15 +10,19 @@ from contextlib import suppress
 from pathlib import Path
 
 from bench.errors import InputError
+from bench.reporting import whole_file
 
 MARKS = ("index.html", "assets", "data")
 """What a site has: no other folder that holds anything is replaced."""
 
 
 def check_folder(out: Path) -> None:
-    """Raise InputError for what must not be replaced."""
-    if out.is_file() or (out.is_dir() and any(out.iterdir()) and not all((out / name).exists() for name in MARKS)):
+    """Raise InputError, before any work, for what must not be replaced, or where no folder can be written."""
+    if os.path.isfile(out) or (
+        os.path.isdir(out) and any(out.iterdir()) and not all((out / name).exists() for name in MARKS)
+    ):
         raise InputError("out", out, "a folder that is new, empty, or a site that this command wrote")
+    whole_file.check_folder(out)
 
 
 def write_folder(out: Path, files: Iterable[tuple[str, bytes]]) -> None:
