@@ -86,20 +86,24 @@ def record(store: Store, panel: Panel) -> dict[str, Any] | None:
     kept = next((one for _, one in found if one is not None), None)
     if kept is None:
         return None
-    places, reach = thinned(kept.dense.size), float(np.max(np.abs(kept.truth)))
-    fits = {c.title: _rounded(one.fit[places], reach) for c, one in found if one is not None and one.fit is not None}
+    places, step = thinned(kept.dense.size), step_of(float(np.max(np.abs(kept.truth))))
+    fits = {c.title: _steps(one.fit[places], step) for c, one in found if one is not None and one.fit is not None}
     return {
-        "times": _short(kept.times[:MOST_SAMPLES]), "values": _rounded(kept.values[:MOST_SAMPLES], reach),
-        "dense": _short(kept.dense[places]), "truth": _rounded(kept.truth[places], reach), "fits": fits,
+        "times": _short(kept.times[:MOST_SAMPLES]), "step": step, "values": _steps(kept.values[:MOST_SAMPLES], step),
+        "dense": _short(kept.dense[places]), "truth": _steps(kept.truth[places], step), "fits": fits,
         "where": f"mass {kept.dof + 1} of {kept.dofs}" if kept.dofs > 1 else "",
         "left": max(kept.times.size - MOST_SAMPLES, 0),
     }  # fmt: skip
 
 
-def _rounded(values: np.ndarray, reach: float) -> list[float | None]:
-    """Displacements to a thousandth of their reach."""
-    decimals = 3 - math.floor(math.log10(reach)) if math.isfinite(reach) and reach > 0 else 6
-    return [None if not math.isfinite(value) else round(float(value), decimals) for value in values]
+def step_of(reach: float) -> float:
+    """The power of ten that displacements (m) are counted in: a thousandth of their reach, or less."""
+    return float(f"1e{math.floor(math.log10(reach)) - 3}") if math.isfinite(reach) and reach > 0 else 1e-6
+
+
+def _steps(values: np.ndarray, step: float) -> list[int | None]:
+    """Displacements (m) as whole numbers of steps, which take less room than decimals."""
+    return [round(float(value / step)) if math.isfinite(value) else None for value in values]
 
 
 def thinned(n: int) -> np.ndarray:

@@ -13,6 +13,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -40,6 +41,7 @@ pytest.importorskip("jinja2")
 pytest.importorskip("markdown_it")
 pytest.importorskip("PIL")
 
+SITE = REPOSITORY / "results" / "site"
 AXE = Path(__file__).parent / "axe" / "axe.min.js"
 
 BOUND = Bound(
@@ -486,7 +488,7 @@ def test_a_fit_is_made_again_only_if_its_stored_error_agrees(agrees: bool, cells
     assert interval == pytest.approx((centre * math.exp(-half), centre * math.exp(half)), rel=1e-5)
     drawn = scenario_data.record(store, panel_of(saved))
     assert drawn is not None
-    assert drawn["fits"]["LS, finite differences"][0] == pytest.approx(1.0, abs=2e-3)
+    assert drawn["step"] * drawn["fits"]["LS, finite differences"][0] == pytest.approx(1.0, abs=2e-3)
 
 
 def test_the_command_is_no_part_of_what_computes_a_cell() -> None:
@@ -808,3 +810,13 @@ def test_without_scripts_a_scenario_has_its_table(shown: tuple[Any, Path]) -> No
     path.write_text(re.sub(r"<script.*?</script>", "", path.read_text(encoding="utf-8")), encoding="utf-8")
     browser.get(path.as_uri())
     assert len(browser.find_elements("css selector", "table[data-grid] tbody tr")) == 3
+
+
+def test_the_site_is_small_and_names_nothing_beyond_itself() -> None:
+    files = [path for path in SITE.rglob("*") if path.is_file()]
+    assert sum(path.stat().st_size for path in files) <= 10_000_000
+    assert max(path.stat().st_size for path in files) <= 1_500_000
+    for page in SITE.rglob("*.html"):
+        loaded = re.findall(r'(?:<script[^>]* src|<link[^>]* href|<img[^>]* src)="([^"]+)"', page.read_text("utf-8"))
+        missing = [one for one in loaded if not one.startswith("data:") and not (page.parent / unquote(one)).is_file()]
+        assert not missing, (page, missing)

@@ -20,9 +20,10 @@ function drawRecord(record) {
     document.getElementById("record-figure").innerHTML = "<p>No arrays are kept of this scenario, so there is no record to draw.</p>";
     return;
   }
-  const curve = (values, what) => values.map((value, i) => ({ t: record.dense[i], u: value, what }));
+  const metres = (steps) => (steps === null ? null : Number((steps * record.step).toPrecision(6)));
+  const curve = (values, what) => values.map((value, i) => ({ t: record.dense[i], u: metres(value), what }));
   const fits = Object.entries(record.fits).flatMap(([name, values]) => curve(values, name));
-  const samples = record.times.map((t, i) => ({ t, u: record.values[i], what: "sample" }));
+  const samples = record.times.map((t, i) => ({ t, u: metres(record.values[i]), what: "sample" }));
   const x = { field: "t", type: "quantitative", title: "time (s)" };
   const place = record.where ? `, ${record.where}` : "";
   const y = { field: "u", type: "quantitative", title: `displacement (m)${place}` };
