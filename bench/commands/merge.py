@@ -181,7 +181,10 @@ def verify(
     def on_rows(cell: Cell, rows: Sequence[Row]) -> None:
         differences[cell.identity] = difference(checks[cell.identity], [_timeless_row(row) for row in rows])
 
-    planned = [(Planned(check.cell, State.STALE, "", True), check.replicates) for check in checks.values()]
+    planned = [
+        (Planned(check.cell, State.STALE, "", True, theirs.stamp(identity)), check.replicates)
+        for identity, check in checks.items()
+    ]
     limits = Limits(workers, **_widest([stored for stored, _ in pairs]), preload=preloaded())
     with fits_bar(sum(map(len, chosen.values()))) as on_progress:
         run_replicates(planned, theirs, limits, on_rows, on_progress)

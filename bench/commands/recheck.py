@@ -284,7 +284,7 @@ def run(found: Sequence[Check], store: Store, limits: Limits) -> dict[str, bool]
         elif _notes(check.stored):
             store.restate(withdrawn(check))
 
-    planned = [(Planned(check.cell, State.STALE, "", True), check.replicates) for check in found]
+    planned = [(Planned(check.cell, State.STALE, "", True, check.stamp), check.replicates) for check in found]
     with fits_bar(sum(len(check.replicates) for check in found)) as on_progress:
         run_replicates(planned, store, limits, on_rows, on_progress)
     return confirmed

@@ -85,7 +85,7 @@ class Progress:
         wall = view.cells(store, ("wall_s",))["wall_s"]
         self.store, self.seconds = store, fit_seconds(store)
         self.cells = {one.cell.identity: one.cell for one in planned}
-        self.left = {one.cell.identity: store.stamp(one.cell.identity) for one in planned if one.run}
+        self.left = {one.cell.identity: one.stamp for one in planned if one.run}
         self.failed = {one.cell.identity for one in planned if one.state is State.FAILED and not one.run}
         kept = self.cells.keys() - self.left.keys()
         self.arrivals = {identity: store.stamp(identity) / 1e9 for identity in kept if store.own(identity)}

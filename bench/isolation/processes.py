@@ -207,6 +207,7 @@ class Child:
             theirs.close()
         self.pid: int = self.process.pid
         self._watched: list[Any] = [self.connection, self.process.sentinel]
+        self._hanging_up = threading.Lock()
 
     def send(self, message: bytes) -> None:
         """Send; a child that has died is seen at the next :meth:`receive`."""
@@ -292,7 +293,7 @@ class Child:
 
     def retire(self) -> None:
         """Let it end by itself: it sees that nobody waits for it any more."""
-        self.connection.close()
+        self._hang_up()
         self.log_path.unlink(missing_ok=True)
         self._children.forget(self)
 
@@ -303,10 +304,15 @@ class Child:
             os.killpg(self.pid, signal.SIGKILL)
         self.process.kill()
         self.process.join(10)
-        with contextlib.suppress(OSError):
-            self.connection.close()
+        self._hang_up()
         self._children.forget(self)
         self._children.end_orphans()
+
+    def _hang_up(self) -> None:
+        """Close the connection, once: a worker and the end of the run may both want to, and by then its number may be
+        another file's."""
+        with self._hanging_up, contextlib.suppress(OSError):
+            self.connection.close()
 
 
 def serve_child(

@@ -16,11 +16,13 @@ FEW = 50
 
 
 class Answer(NamedTuple):
-    """Why a file is no cell, or nothing; the digest of what computed it; a JSON object of counts of statuses."""
+    """Why a file is no cell, or nothing; the digest of what computed it; a JSON object of counts of statuses; when the
+    file that was read was written (ns; 0 in the archive)."""
 
     problem: str
     version: str
     statuses: str
+    mtime_ns: int
 
 
 def answers(store: Store, identities: Collection[str]) -> dict[str, Answer]:
@@ -37,14 +39,15 @@ def answers(store: Store, identities: Collection[str]) -> dict[str, Answer]:
 
 
 def _answer(store: Store, identity: str) -> Answer | None:
+    stamp = store.stamp(identity)  # before the look: what is written after it is newer
     try:
         cell = store.load(identity)
     except InputError as error:
-        return Answer(str(error), "", "")
-    return None if cell is None else answer_of(cell)
+        return Answer(str(error), "", "", stamp)
+    return None if cell is None else answer_of(cell, stamp)
 
 
-def answer_of(cell: StoredCell) -> Answer:
+def answer_of(cell: StoredCell, stamp: int) -> Answer:
     """What a plan asks of a stored cell."""
     statuses = Counter(status.value for status in cell.columns.statuses)
-    return Answer("", cell.version.get("digest", ""), json.dumps(statuses))
+    return Answer("", cell.version.get("digest", ""), json.dumps(statuses), stamp)

@@ -7,7 +7,7 @@ has it, under a seal, and checked as any other input. A cell that the reader wou
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,29 +21,24 @@ from bench.store.store import Store
 from bench.sweep.plan import Planned, State
 from bench.sweep.workers import Limits
 
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True)
 class Job:
-    """What a job is given. ``before`` says when a cell that is computed anew was stored: it is done once that has
-    changed, and one that was missing once it is there."""
+    """What a job is given. A cell is done once its file is another than the plan has seen."""
 
     planned: tuple[Planned, ...]
-    before: Mapping[str, int]
     store: Store
     limits: Limits
 
     def part(self, planned: Sequence[Planned]) -> Job:
         """A job of some of the cells."""
-        own = {one.cell.identity for one in planned} & self.before.keys()
-        return replace(self, planned=tuple(planned), before={name: self.before[name] for name in own})
+        return replace(self, planned=tuple(planned))
 
     def left(self) -> list[Planned]:
         """Those that are still to be computed."""
-        return [
-            one for one in self.planned if self.store.stamp(one.cell.identity) == self.before.get(one.cell.identity, 0)
-        ]
+        return [one for one in self.planned if self.store.stamp(one.cell.identity) == one.stamp]
 
 
 @dataclass(frozen=True)
@@ -54,6 +49,7 @@ class WrittenCell:
     identity: str
     state: State
     why: str
+    stamp: int
     stated: dict[str, Any]
     force_file: str | None
 
@@ -62,12 +58,12 @@ class WrittenCell:
         """A planned cell, to be written."""
         cell, force = planned.cell, planned.cell.scenario.force
         file = str(Path(force.file).resolve()) if force and force.file else None
-        return cls(cell.identity, planned.state, planned.why, cell.stated(), file)
+        return cls(cell.identity, planned.state, planned.why, planned.stamp, cell.stated(), file)
 
     def planned(self) -> Planned:
         """A planned cell that was read; raises InputError."""
         file = Path(self.force_file) if self.force_file else None
-        return Planned(Cell.restored(self.stated, self.identity, file), self.state, self.why, True)
+        return Planned(Cell.restored(self.stated, self.identity, file), self.state, self.why, True, self.stamp)
 
 
 @dataclass(frozen=True)
@@ -76,7 +72,6 @@ class Written:
 
     __pydantic_config__ = STRICT
     cells: list[WrittenCell]
-    before: dict[str, int]
     archive: str | None
     timeout_s: Positive
     memory_mb: Positive
@@ -87,7 +82,7 @@ def write_job(path: Path, job: Job) -> None:
     archive, limits = job.store.archive, job.limits
     folder = str(archive.folder) if archive else None
     cells = [WrittenCell.of(one) for one in job.planned]
-    content = Written(cells, dict(job.before), folder, limits.timeout_s, limits.memory_mb)
+    content = Written(cells, folder, limits.timeout_s, limits.memory_mb)
     write_new(path, sealed(FORMAT, json.dumps(asdict(content))))
 
 
@@ -101,4 +96,4 @@ def read_job(path: Path, folder: Path) -> Job:
         raise InputError("job", path, f"not a whole job ({reason}); start the sweep again") from None
     planned = tuple(one.planned() for one in found.cells)
     store = Store(folder, Archive(Path(found.archive)) if found.archive else None)
-    return Job(planned, found.before, store, Limits(timeout_s=found.timeout_s, memory_mb=found.memory_mb))
+    return Job(planned, store, Limits(timeout_s=found.timeout_s, memory_mb=found.memory_mb))

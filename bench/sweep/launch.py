@@ -28,7 +28,7 @@ from bench.store.archive.archive import Archive
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.job import Job, read_job, write_job
-from bench.sweep.plan import Planned, State, plan
+from bench.sweep.plan import Planned, plan
 from bench.sweep.runner import Progress, needed, run_cells
 from bench.sweep.workers import Limits
 
@@ -72,8 +72,7 @@ def launch(planned: Sequence[Planned], store: Store, limits: Limits, how: Launch
         return
     store = Store(store.folder.resolve(), store.archive and Archive(store.archive.folder.resolve()))
     folder = store.folder / "launches" / uuid.uuid4().hex[:12]
-    again = [one.cell.identity for one in wanted if one.state is not State.MISSING]
-    sweep = Job(wanted, {identity: store.stamp(identity) for identity in again}, store, limits)
+    sweep = Job(wanted, store, limits)
     private = make_private_folder()
     try:
         with _launcher(folder, private, how) as launcher, _watched(sweep, how.progress):
@@ -270,11 +269,9 @@ def _watched(sweep: Job, shown: bool) -> Any:
 def _left(sweep: Job, planned: Sequence[Planned]) -> list[Planned]:
     """As :meth:`Job.left`, of many cells: one listing of the store, and a look only at cells that were there before."""
     there = {entry.name for entry in os.scandir(sweep.store.folder)}
-    before = sweep.before
-    found = []
-    for one in planned:
+
+    def left(one: Planned) -> bool:
         identity = one.cell.identity
-        was = before.get(identity, 0)
-        if f"{identity}.json" not in there or (was and sweep.store.stamp(identity) == was):
-            found.append(one)
-    return found
+        return f"{identity}.json" not in there or bool(one.stamp and sweep.store.stamp(identity) == one.stamp)
+
+    return [one for one in planned if left(one)]

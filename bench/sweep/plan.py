@@ -31,12 +31,17 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class Planned:
-    """A cell, where it stands and why; ``run`` says whether it is to be computed."""
+    """A cell, where it stands and why; ``run`` says whether it is to be computed.
+
+    ``stamp``: when its file was written as it stood then (ns; 0 where there was none). A run that finds another has
+    nothing left to do: somebody else has stored the cell since.
+    """
 
     cell: Cell
     state: State
     why: str
     run: bool
+    stamp: int = 0
 
 
 def read_retry(text: str) -> frozenset[Status]:
@@ -72,16 +77,17 @@ def _planned(cell: Cell, stored: Answer | None, reasons: Reasons, retry: Collect
     anew = set(retry) >= FAILURES
     damage = reasons.store.damage(cell.identity) if anew else stored.problem
     if damage and anew:
-        return Planned(cell, State.DAMAGED, damage, True)
+        return Planned(cell, State.DAMAGED, damage, True, stored.mtime_ns)
     if damage:  # said again, unless it was one of reading that has passed
+        stamp = reasons.store.stamp(cell.identity)
         found = reasons.store.load(cell.identity)
-        stored = answer_of(found) if found else Answer("", "", "{}")
+        stored = answer_of(found, stamp) if found else Answer("", "", "{}", stamp)
     state, why = reasons.standing(cell.identity, cell.method, cell.version, stored.version, stored.statuses)
     if state is State.FAILED:
         counts = {Status(name) for name in json.loads(stored.statuses)}
         installable = Status.MISSING_DEPENDENCY in counts and missing_package(cell.method) is None
-        return Planned(cell, state, why, installable or bool(counts & set(retry)))
-    return Planned(cell, state, why, state is State.STALE)
+        return Planned(cell, state, why, installable or bool(counts & set(retry)), stored.mtime_ns)
+    return Planned(cell, state, why, state is State.STALE, stored.mtime_ns)
 
 
 class Reasons:

@@ -58,7 +58,7 @@ class QueuedCell:
         fit: A pickled :class:`bench.sweep.method_process.Fit`.
         requires: Packages that the method needs.
         n_wanted: Rows at which the cell is complete.
-        stamp: When its file was written before it was queued (ns); 0 where there was none.
+        stamp: When its file was written as the plan saw it (ns); 0 where there was none.
         size: How many replicates the method solves together; 1: as many as take ``TASK_S``.
         workers: How many workers may share them.
         pending: Replicates to be fitted.
@@ -138,8 +138,7 @@ def queue_cell(
     cell = planned.cell
     wanted = sorted(range(cell.replicates) if replicates is None else replicates)
     fit, requires, size = _fit(cell)
-    stamp = store.stamp(cell.identity)
-    queued = QueuedCell(cell, pickle.dumps(fit), requires, len(wanted), stamp, size, workers)
+    queued = QueuedCell(cell, pickle.dumps(fit), requires, len(wanted), planned.stamp, size, workers)
     if unbounded:
         queued.rows = [Row(i, Status.INVALID, unbounded) for i in wanted]
         queued.bounded = False
@@ -244,7 +243,7 @@ class CellQueue:
             if not self.claims.take(queued.cell.identity):
                 self._waiting.append(queued)
                 continue
-            if self._stored_meanwhile(queued):
+            if self.stored_meanwhile(queued):
                 self.claims.release(queued.cell.identity)
                 self.events.put((queued.cell, queued.n_wanted - len(queued.rows)))
                 continue
@@ -256,7 +255,8 @@ class CellQueue:
             return queued
         return None
 
-    def _stored_meanwhile(self, queued: QueuedCell) -> bool:
+    def stored_meanwhile(self, queued: QueuedCell) -> bool:
+        """Whether a cell of this version has come into the store since the plan."""
         cell = queued.cell
         if self.store.stamp(cell.identity) == queued.stamp:
             return False

@@ -225,5 +225,7 @@ class Writer(RunThread):
                 )
             except Died as died:
                 self.go_on()
+                if self.cells.stored_meanwhile(queued):  # it died with the answer, not before the work
+                    return ""
                 problem = died.message
         return problem

@@ -17,6 +17,7 @@ from bench.reporting.page.board import short
 from bench.reporting.page.elsewhere import Followed, Measured, atlas_order, followed, measured
 from bench.reporting.page.reading import Panel, decibels
 from bench.reporting.page.situations import MOST_EXTRA, Advice, Record, core_excess
+from bench.reporting.page.told import accuracy, tells
 from bench.reporting.page.words import joined, number, percent, seconds
 
 MOST_OTHERS = 1
@@ -24,7 +25,10 @@ MOST_OTHERS = 1
 
 @dataclass(frozen=True)
 class Row:
-    """A line of the first screen; ``method`` is a label, empty where no page is about it; ``others`` are as good."""
+    """A line of the first screen; ``method`` is a label, empty where no page is about it; ``others`` are as good.
+
+    ``tells``: what can be found there at all; ``accuracy``: what the error is in percent at the usual noise.
+    """
 
     situation: str
     href: str
@@ -36,16 +40,19 @@ class Row:
     time: str
     needs: str
     others: tuple[tuple[str, str], ...] = field(default=())
+    tells: str = ""
+    accuracy: str = ""
 
 
 def advice_row(one: Advice) -> Row:
     """The line of a situation."""
     situation = one.situation
-    href, basis = f"situations/{situation.name}.html", basis_of(one.panels)
+    href, basis, told = f"situations/{situation.name}.html", basis_of(one.panels), tells(one.panels)
     if one.hopeless:
         best = min(((r.risk, r.label) for r in (*one.advised, *one.behind)), default=(math.nan, ""))
         risk = f"{percent(best[0])} at best" if best[1] else "–"
-        return Row(situation.words, href, basis, "None: the model has to be mended first", "", "–", risk, "–", "–")
+        none = "None: the model has to be mended first"
+        return Row(situation.words, href, basis, none, "", "–", risk, "–", "–", tells=told)
     first = one.advised[0]
     others: dict[str, str] = {}
     for record in one.advised[1:]:
@@ -54,7 +61,7 @@ def advice_row(one: Advice) -> Row:
     named = tuple((title(label), label) for label in list(others)[:MOST_OTHERS])
     return Row(
         situation.words, href, basis, title(first.label), first.label, error_text(first), risk_text(first),
-        seconds(first.seconds), needs(first.method), named,
+        seconds(first.seconds), needs(first.method), named, told, accuracy(one.panels, first.label),
     )  # fmt: skip
 
 
@@ -62,17 +69,23 @@ def basis_of(panels: Sequence[Panel]) -> str:
     """How many scenarios, and which noise."""
     levels = sorted({panel.facts.snr_db for panel in panels})
     ends = f"{decibels(levels[0])} to {decibels(levels[-1])}" if len(levels) > 1 else decibels(levels[0])
-    return f"{len(panels)} scenario{'s' if len(panels) > 1 else ''}, {ends} dB"
+    return f"{len(panels)} scenario{'s' if len(panels) > 1 else ''}, SNR {ends} dB"
 
 
 def error_text(one: Record) -> str:
     """Typical and largest error over the bound."""
-    return f"{number(one.excess)}, worst {number(one.worst)}"
+    return f"{ratio(one.excess)}, worst {ratio(one.worst)}"
+
+
+def ratio(value: float) -> str:
+    """An error over the bound: its scatter leaves no more than two decimals."""
+    return f"{value:.2f}" if abs(value) < 10 else number(value)
 
 
 def risk_text(one: Record) -> str:
-    """Gross errors counted, and what the rate is below."""
-    return f"{one.gross:,} of {one.fits:,} (below {share(one.risk_at_most)})"
+    """Gross errors counted, and what their rate is at most."""
+    rate = f" = {share(one.risk)}" if one.gross else ""
+    return f"{one.gross:,} of {one.fits:,}{rate} (at most {share(one.risk_at_most)})"
 
 
 def share(value: float) -> str:
@@ -86,14 +99,9 @@ def needs(name: str) -> str:
         method = load_method(name)
     except InputError:
         return "not registered here"
-    prior = (
-        "no prior"
-        if method.card.scale == "groups"
-        else "prior optional"
-        if method.serves.free_without_prior
-        else "a prior"
-    )
-    return prior + (f"; {joined(list(method.requires))}" if method.requires else "")
+    free = method.card.scale == "groups" or method.serves.free_without_prior
+    packages = f"; package {joined(list(method.requires))}" if method.requires else ""
+    return ("no prior" if free else "a prior") + packages
 
 
 def atlas_row(atlas: Mapping[str, Record], points: int) -> list[Row]:
@@ -104,9 +112,9 @@ def atlas_row(atlas: Mapping[str, Record], points: int) -> list[Row]:
     first, *rest = advised
     return [
         Row(
-            "Any free decay of one mass: anywhere in the atlas", "results/atlas.html",
-            f"{points} tests spread over samples, cycles, damping, noise", title(first.label), first.label,
-            f"{number(first.excess)}, half of the tests below", risk_text(first), seconds(first.seconds),
+            "The same in an atlas of other tests", "results/atlas.html",
+            f"{points:,} tests; samples, cycles, damping and SNR vary", title(first.label), first.label,
+            ratio(first.excess), risk_text(first), seconds(first.seconds),
             needs(first.method), tuple((title(one.label), one.label) for one in rest[:MOST_OTHERS]),
         )
     ]  # fmt: skip
@@ -120,9 +128,11 @@ def measured_row(found: Sequence[Measured]) -> list[Row]:
     return [
         Row(
             "A real record of a rig", "results/table11.html", f"{first.fits} records of the measured track",
-            title(first.label), first.label, f"no truth; predicts {number(first.held_out)} %",
-            f"{first.fits - first.believed} of {first.fits} without an answer that stands", seconds(first.seconds),
+            title(first.label), first.label, "no truth is known",
+            f"{first.fits - first.believed} of {first.fits} answers withdrawn by their own checks",
+            seconds(first.seconds),
             needs(first.label), tuple((title(one.label), one.label) for one in rest[:MOST_OTHERS]),
+            accuracy=f"predicts what was held out to {number(first.held_out, 2)} %",
         )
     ]  # fmt: skip
 
@@ -135,7 +145,7 @@ def followed_row(found: Sequence[Followed]) -> list[Row]:
     return [
         Row(
             "Parameters that change while the data arrive", "results/table10.html", f"{first.records} records",
-            first.title, "", f"{number(first.excess)}, worst {number(first.worst)}",
+            first.title, "", f"{ratio(first.excess)}, worst {ratio(first.worst)}",
             f"{first.records - first.ok} of {first.records} records lost",
             f"{seconds(first.micros / 1e6)} a sample", "a first guess",
             tuple((one.title, "") for one in rest[:MOST_OTHERS]),

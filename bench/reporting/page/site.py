@@ -18,7 +18,7 @@ from typing import Any
 from bench.reporting.frame import group
 from bench.reporting.grid import rendered
 from bench.reporting.labels import in_order, title
-from bench.reporting.page import board, cards, describe, elsewhere, home, origin
+from bench.reporting.page import board, cards, describe, elsewhere, home, origin, told
 from bench.reporting.page.addresses import scenario_slugs, slugs
 from bench.reporting.page.documents import Document, documents
 from bench.reporting.page.pictures import Picture, pictures
@@ -28,12 +28,14 @@ from bench.reporting.page.situations import Advice, advise
 from bench.reporting.page.sketch import sketch
 from bench.reporting.page.standing import fit_seconds
 from bench.reporting.page.untold import untold
-from bench.reporting.page.words import heading, number, percent, quantity, seconds
+from bench.reporting.page.words import heading, number, percent, quantity, seconds, unbroken
 from bench.store.store import Store
 
 STATIC = ("site.css", "site.js", "charts.js", "home.js", "board.js", "compare.js", "scenario.js")
 BUDGETS = (0.001, 0.01, 0.1, 1.0, 10.0)
 """Seconds a fit that the leaderboard offers as a limit."""
+MEASURED = "table11"
+"""The document of methods on real records."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,6 +186,7 @@ MIDDLE_DB = 20.0
 def _pages(site: Site) -> Iterator[tuple[str, str]]:
     """The pages by path."""
     yield _page(site, "index.html", "home", **home_values(site))
+    yield _page(site, "own.html", "own", measured=next((d for d in site.documents if d.name == MEASURED), None))
     yield _page(site, "leaderboard.html", "leaderboard")
     yield _page(site, "systems.html", "systems", systems=[system_values(site, name) for name in site.systems])
     yield _page(site, "methods.html", "methods", cards=site.cards)
@@ -212,6 +215,7 @@ def _page(site: Site, path: str, template: str, **values: Any) -> tuple[str, str
         "percent": percent,
         "seconds": seconds,
         "share": home.share,
+        "unbroken": unbroken,
         "order": order,
     }
     return path, rendered(f"page/templates/{template}.html.j2", **shared, **values)
@@ -230,6 +234,7 @@ def home_values(site: Site) -> dict[str, Any]:
     panels = first.panels if first else site.panels
     return {
         "rows": rows, "first": first, "best": first.advised[0] if first and not first.hopeless else None,
+        "accuracy": told.accuracy(panels, first.advised[0].label) if first and first.advised else "",
         "untold": untold(panels[0]),
         "ranked": [quantity(metric) for metric in panels[0].ranked if metric != "rmse"],
         "basis": home.basis_of(panels), "counts": counts(site),
@@ -250,8 +255,8 @@ def system_values(site: Site, name: str) -> dict[str, Any]:
     model = facts.known_model
     shares: dict[str, str] = {}
     for i in own:
-        for told, part in site.panels[i].prior_share.items():
-            shares.setdefault(quantity(f"{told}_error_pct"), percent(part))
+        for parameter, part in site.panels[i].prior_share.items():
+            shares.setdefault(quantity(f"{parameter}_error_pct"), percent(part))
     return {
         "name": name, "facts": facts, "slug": site.system_slugs[name], "words": describe.system_words(facts),
         "sketch": sketch(facts), "scenarios": own,

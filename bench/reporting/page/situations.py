@@ -119,11 +119,11 @@ def _nonlinear(panel: Panel) -> bool:
 
 SITUATIONS = (
     Situation(
-        "free-decay-start-unknown", "One mass, free decay, start unknown",
+        "free-decay-start-unknown", "One mass, free decay, initial state unknown",
         lambda p: _free(p) and _linear(p, 1) and p.facts.initial_state == "unknown" and not _regime(p),
     ),
     Situation(
-        "free-decay-start-known", "One mass, free decay, start known",
+        "free-decay-start-known", "One mass, free decay, initial state known",
         lambda p: _free(p) and _linear(p, 1) and p.facts.initial_state == "known" and not _regime(p),
     ),
     Situation(
@@ -222,11 +222,16 @@ def _gross(panel: Panel, cell: Result) -> np.ndarray:
 
 def core_excess(cell: Result, metric: str) -> float:
     """Root mean square over the bound of the errors that are not gross; NaN where there is none, or no bound."""
+    return core_error(cell, metric) / cell.bound(metric)
+
+
+def core_error(cell: Result, metric: str) -> float:
+    """Root mean square of the errors that are not gross; NaN where there is none, or no bound."""
     bound, errors = cell.bound(metric), cell.errors(metric)
     good = errors[~gross(errors, bound)]
     if not (math.isfinite(bound) and bound > 0 and good.size):
         return math.nan
-    return float(np.sqrt(np.mean(good**2)) / bound)
+    return float(np.sqrt(np.mean(good**2)))
 
 
 def _record(label: str, own: Sequence[tuple[Panel, Result]]) -> Record:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 from bench.reporting.frame import ERROR
@@ -19,20 +20,25 @@ def heading(metric: str) -> str:
     return f"{quantity(metric)} ({'m' if metric == 'rmse' else '%'})"
 
 
-def number(value: float) -> str:
-    """Three significant digits; a dash for what is not there, ``failed`` for an infinite error."""
+def number(value: float, digits: int = 3) -> str:
+    """So many significant digits; a dash for what is not there, ``failed`` for an infinite error."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
         return "failed"
     if value == 0 or 1e-3 <= abs(value) < 1000:
-        return f"{value:.3g}"
-    return f"{value:.2e}"
+        return f"{value:.{digits}g}"
+    return f"{value:.{digits - 1}e}"
 
 
 def percent(share: float) -> str:
     """A share in percent."""
     return "–" if math.isnan(share) else f"{100 * share:.0f} %"
+
+
+def unbroken(text: str) -> str:
+    """The same, no line of which begins with a percent sign or a unit."""
+    return re.sub(r"(?<=\d) (?=%|dB)", "\u00a0", text)
 
 
 def joined(names: Sequence[str], last: str = "and") -> str:

@@ -89,7 +89,7 @@ function makeTable(index) {
       shown("95 %", (row) => (row[at.low] === null ? Infinity : row[at.low]), (row) => (row[at.low] === null ? "–" : `${number(row[at.low])} to ${number(row[at.high])}`), { type: "num" }),
       measured("Gross", "gross", percent), measured("Prior", "prior", percent),
       shown("Fits ok", (row) => -row[at.ok] / row[at.n], (row) => `${row[at.ok]}/${row[at.n]}`, { type: "num" }),
-      measured("Time a fit", "seconds", time),
+      measured("Time per fit", "seconds", time),
       named("Scenario", (row) => scenario(row)[6], (row) => `scenarios/${scenario(row)[0]}.html`),
       shown("Table", (row) => scenario(row)[5], (row) => DataTable.util.escapeHtml(scenario(row)[5] || "–")),
     ],

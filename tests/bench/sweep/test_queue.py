@@ -18,6 +18,7 @@ from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.locks import Claims
 from bench.store.store import Store
+from bench.store.stored import StoredCell
 from bench.sweep import queue as queues
 from bench.sweep.plan import Planned, State, plan
 from bench.sweep.queue import CellQueue, Waiting, queue_cell
@@ -154,3 +155,41 @@ def test_a_run_that_waits_for_another_says_once_for_whom(
         other.release_all()
         assert waiting.result(timeout=60) is not None
     cells.claims.release_all()
+
+
+@pytest.mark.parametrize("state", [State.MISSING, State.STALE])
+def test_what_another_run_has_stored_since_the_plan_is_not_computed_again(
+    reference: Scenario, plugins: Plugins, new_store: StoreFactory, state: State
+) -> None:
+    """However long a run takes from its plan to its first fit: bounds come in between."""
+    plugins("Together")
+    store, cell = new_store(), a_cell(reference)
+    before = 0
+    if state is State.STALE:
+        rows_of(store, cell)
+        before = store.stamp(cell.identity)
+    planned = [Planned(cell, state, "", True, before)]
+    rows_of(store, cell) if state is State.MISSING else store.restate(loaded(store, cell))
+    stamp = store.stamp(cell.identity)
+    assert stamp != before
+    run_cells(planned, store, Limits(1, 30.0, 1000.0))
+    assert store.stamp(cell.identity) == stamp
+
+
+@pytest.mark.parametrize("n", [1, 60], ids=["read one by one", "from the view of all"])
+def test_a_plan_says_when_it_saw_a_cell_stored(
+    reference: Scenario, plugins: Plugins, new_store: StoreFactory, n: int
+) -> None:
+    plugins("Together")
+    store, cell = new_store(), a_cell(reference)
+    rows_of(store, cell)
+    others = [one.cell for one in planned_cells(reference, n)]
+    first, *rest = plan([cell, *others], store)
+    assert first.stamp == store.stamp(cell.identity) > 0
+    assert {one.stamp for one in rest} == {0}
+
+
+def loaded(store: Store, cell: Cell) -> StoredCell:
+    stored = store.load(cell.identity)
+    assert stored is not None
+    return stored

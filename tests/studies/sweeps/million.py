@@ -113,7 +113,7 @@ def measure(folder: Path) -> Costs:
     names = [cell.identity for cell in many]
     make_s = (time.perf_counter() - started) / STORED
     job = folder / "0.job"
-    write_job(job, Job(tuple(plan(many[:20], store)), {}, store, Limits(1)))
+    write_job(job, Job(tuple(plan(many[:20], store)), store, Limits(1)))
     big = Store(folder / "big")
     _fill(big, store.path(found[0].identity).read_bytes(), found[0].identity, many)
     collect_s = _seconds(lambda: view.cells(big)) / STORED

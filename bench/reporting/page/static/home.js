@@ -8,7 +8,7 @@ bench.home = (data) => {
   const y = { field: "m", type: "nominal", sort: order, title: null, axis: { labelLimit: narrow ? 120 : 220 } };
   const top = Math.min(Math.max(...data.points.map((point) => point.e)) * 1.1, 6);
   const scale = { type: "log", domain: [Math.min(0.8, ...data.points.map((point) => point.e)), top], nice: false };
-  const x = { field: "e", type: "quantitative", scale, title: "error over the bound", axis: { values: [0.5, 1, 1.5, 2, 3, 5], grid: true } };
+  const x = { field: "e", type: "quantitative", scale, title: "error over the bound (log scale)", axis: { values: [0.5, 1, 1.5, 2, 3, 5], grid: true } };
   const tips = [["m", "method"], ["d", "SNR (dB)"], ["e", "error over the bound"]].map(([field, title]) => ({ field, title }));
   bench.draw("forest", "forest", () => ({
     height: { step: 19 }, data: { values: data.lines },
