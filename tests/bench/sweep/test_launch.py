@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +114,7 @@ def test_a_job_that_is_tried_again_takes_what_its_first_try_did_not_store(
     cells: list[Cell], make_store: Callable[[], Store], tmp_path: Path
 ) -> None:
     store = make_store()
-    write_job(tmp_path / "0.job", Job(tuple(plan(cells, store)), {}, store, Limits()))
+    write_job(tmp_path / "0.job", Job(tuple(plan(cells, store)), store, Limits()))
     store.path(cells[1].identity).write_text("{}")
     left = [one.cell.identity for one in read_job(tmp_path / "0.job", store.folder).left()]
     assert left == [cell.identity for cell in (cells[0], *cells[2:])]
@@ -123,7 +124,8 @@ def test_a_stale_cell_is_left_until_it_is_stored_anew(cells: list[Cell], make_st
     store, identity = make_store(), cells[0].identity
     wanted = tuple(plan(cells[:1], store))
     store.path(identity).write_text("{}")
-    job = Job(wanted, {identity: store.path(identity).stat().st_mtime_ns}, store, Limits())
+    wanted = (replace(wanted[0], stamp=store.path(identity).stat().st_mtime_ns),)
+    job = Job(wanted, store, Limits())
     assert job.left() == list(wanted)
     os.utime(store.path(identity), ns=(0, 1))
     assert job.left() == []
@@ -147,7 +149,7 @@ class Flaky:
 
 def _rounds(store: Store, cells: list[Cell], tmp_path: Path, stored: int) -> Flaky:
     launcher = Flaky(store, stored)
-    sweep = Job(tuple(plan(cells, store)), {}, store, Limits())
+    sweep = Job(tuple(plan(cells, store)), store, Limits())
     launch._rounds(launcher, sweep, tmp_path, Launch(("hydra/launcher=flaky",), 1))
     return launcher
 
@@ -175,7 +177,7 @@ def test_a_full_store_is_not_tried_again(cells: list[Cell], make_store: Callable
 
     store = make_store()
     with pytest.raises(InputError, match="cannot be written"):
-        launch._rounds(Full(), Job(tuple(plan(cells, store)), {}, store, Limits()), tmp_path, Launch(("x",)))
+        launch._rounds(Full(), Job(tuple(plan(cells, store)), store, Limits()), tmp_path, Launch(("x",)))
 
 
 def test_a_job_ends_with_its_sweep(
