@@ -132,7 +132,7 @@ def measured_row(found: Sequence[Measured]) -> list[Row]:
             f"{first.fits - first.believed} of {first.fits} answers withdrawn by their own checks",
             seconds(first.seconds),
             needs(first.label), tuple((title(one.label), one.label) for one in rest[:MOST_OTHERS]),
-            accuracy=f"predicts what was held out to {number(first.held_out, 2)} %",
+            accuracy=f"predicts {number(first.held_out, 2)} % of what was held out",
         )
     ]  # fmt: skip
 

@@ -24,7 +24,7 @@ from bench.commands.report import main
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
 from bench.reporting.frame import Result
-from bench.reporting.page import board, documents, origin, pictures, scenario_data
+from bench.reporting.page import board, documents, origin, pictures, scenario_data, told
 from bench.reporting.page.addresses import scenario_slugs, slug, slugs
 from bench.reporting.page.elsewhere import atlas_records, unsteady
 from bench.reporting.page.first_replicate import first_replicate, stated_interval
@@ -619,11 +619,37 @@ def test_the_first_screen_advises_and_draws(shown: tuple[Any, Path]) -> None:
     browser, site = shown
     visit(browser, site, "index.html")
     rows = browser.find_elements("css selector", "#advice tbody tr")
-    first = next(row.text for row in rows if "start unknown" in row.text)
+    first = next(row.text for row in rows if "initial state unknown" in row.text)
     assert "LS, finite differences" in first
     assert "SINDy" not in first
+    assert "tells k/m and c/m, not m, c or k" in first
+    lead = [line.text for line in browser.find_elements("css selector", ".three li")]
+    assert any("no method can find" in text and "mass" in text.lower() for text in lead)
     drawn = browser.find_element("css selector", "#forest svg").get_attribute("textContent")
     assert all(name in drawn for name in ("LS, finite differences", "Bayesian MCMC", "SINDy"))
+    browser.find_element("css selector", "#own a").click()
+    assert "data=record.csv" in browser.find_element("id", "main").text
+
+
+def test_the_commands_for_a_record_of_ones_own_are_those_of_the_tutorial_that_is_run() -> None:
+    page = (REPOSITORY / "bench" / "reporting" / "page" / "templates" / "own.html.j2").read_text("utf-8")
+    tutorial = (REPOSITORY / "docs" / "tutorials" / "own_record.md").read_text("utf-8")
+    commands = re.findall(r"python -m bench[^<]* data=[^<]*", page)
+    assert commands
+    for command in commands:
+        words = command.split()
+        assert any(set(words) <= set(line.split()) for line in tutorial.splitlines()), command
+
+
+def test_errors_in_percent_are_those_of_the_rows() -> None:
+    """Answers 1 % off k/m, and one grossly wrong: the root mean square of what is not gross is 1 %."""
+    cell = stored("ls")
+    rows = [replace(row, scores={**row.scores, "k_over_m_error_pct": 1.0}) for row in cell.rows]
+    rows[0] = replace(rows[0], scores={**rows[0].scores, "k_over_m_error_pct": 1000.0})
+    summary = {name: dict(vars(line)) for name, line in summarise(rows, BOUND).items()}
+    panel = panel_of(replace(cell, rows=tuple(rows), summary=summary))
+    assert told.accuracy([panel], "ls").startswith("k/m 1 %, ")
+    assert told.tells([panel]) == "tells k/m and c/m, not m, c or k"
 
 
 def test_the_leaderboard_opens_best_first_and_sorts_by_value(shown: tuple[Any, Path]) -> None:
