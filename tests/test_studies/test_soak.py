@@ -13,7 +13,6 @@ CELLS, MINUTES = 120, 0.75
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
 @pytest.mark.skipif(why_not() != "", reason=f"needs what a shim is made of: {why_not()}")
 def test_a_sweep_under_faults_ends_as_an_undisturbed_one() -> None:
     seed = secrets.randbelow(10**6)
