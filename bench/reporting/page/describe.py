@@ -10,6 +10,8 @@ from bench.reporting.page.reading import Panel, decibels
 from bench.reporting.page.words import number
 
 KINDS = ("mass", "damping", "stiffness", "other")
+FEW = 4
+"""Parameters that are named where scenarios differ in them."""
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
@@ -32,10 +34,10 @@ def system_words(facts: Result) -> str:
 
 
 def scenario_words(panel: Panel) -> str:
-    """A title: system, noise, start, and what is special about the data."""
+    """A title: system, noise, initial state, and what is special about the data."""
     facts = panel.facts
     special = "" if panel.kind == "undisturbed" else f"; {panel.kind}"
-    return f"{system_words(facts)}, {decibels(facts.snr_db)} dB, start {facts.initial_state}{special}"
+    return f"{system_words(facts)}, {decibels(facts.snr_db)} dB, initial state {facts.initial_state}{special}"
 
 
 def distinct_words(panels: Sequence[Panel]) -> list[str]:
@@ -48,6 +50,7 @@ def distinct_words(panels: Sequence[Panel]) -> list[str]:
         other = first.setdefault(words, facts)
         length = f"{facts.samples} samples in {facts.duration:g} s"
         special = [length] if (other.samples, other.duration) != (facts.samples, facts.duration) else []
+        special += [values(facts)] if other.parameters != facts.parameters and len(facts.parameters) <= FEW else []
         special += [f"prior: {_prior(facts)}"] if other.prior != facts.prior and facts.prior else []
         found.append(f"{words}; {', '.join(special)}" if special else words)
     return found
@@ -70,9 +73,14 @@ def told(panel: Panel) -> tuple[tuple[str, str], ...]:
         lines.append(("Second record", f"of the same rig with {added} kg added, told"))
     if panel.disturbance:
         lines.append(("Disturbance", f"{panel.disturbance}; not told"))
-    true = ", ".join(f"{name} = {number(float(value))}" for name, value in facts.parameters.items())
+    true = values(facts)
     lines.append(("True values", f"{true} (SI units); told to nobody" if true else "not recorded"))
     return tuple(lines)
+
+
+def values(facts: Result) -> str:
+    """The true parameters, in SI units."""
+    return ", ".join(f"{name} = {number(float(value))}" for name, value in facts.parameters.items())
 
 
 def _prior(facts: Result) -> str:

@@ -12,6 +12,7 @@ from urllib.parse import quote
 WIDTH = 900
 """Pixels across of a copy at most."""
 COLOURS = 24
+INITIALS = frozenset({"snr", "pinn"})
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def picture(path: Path, out: Path) -> Picture:
         (ending.removeprefix(".").upper(), quote(Path(os.path.relpath(own, out)).as_posix()))
         for ending in (".svg", ".png") if (own := path.with_suffix(ending)).is_file()
     )  # fmt: skip
-    heading = path.stem.replace("_", " ")
+    heading = " ".join(word.upper() if word in INITIALS else word for word in path.stem.split("_"))
     heading = heading[:1].upper() + heading[1:]
     return Picture(path.stem, heading, first, rest, buffer.getvalue(), image.width, image.height, whole)
 

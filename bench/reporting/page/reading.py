@@ -127,7 +127,7 @@ class Panel:
         """One line for people."""
         special = "" if self.kind == "undisturbed" else f", {self.kind}"
         facts = self.facts
-        return f"{facts.system}, {decibels(facts.snr_db)} dB, start {facts.initial_state}{special}"
+        return f"{facts.system}, {decibels(facts.snr_db)} dB, initial state {facts.initial_state}{special}"
 
 
 @dataclass(frozen=True)

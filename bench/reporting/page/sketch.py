@@ -12,6 +12,8 @@ MOST_MASSES = 4
 BODY, GAP, HEIGHT = 56, 64, 120
 MIDDLE = 60
 SPRING, DAMPER = 46, 76
+HALF_A_LETTER = 3.3
+"""Of the smallest text, across."""
 
 
 def sketch(facts: Result) -> str:
@@ -38,7 +40,8 @@ def sketch(facts: Result) -> str:
     said += ", a law of the spring or damper that is not linear" if nonlinear else ""
     said += ", driven by a force" if facts.forced else ""
     if nonlinear:
-        parts.append(_text(20 + GAP / 2, 20, facts.kind.replace("_", " ")))
+        kind = facts.kind.replace("_", " ")
+        parts.append(_text(max(20 + GAP / 2, HALF_A_LETTER * len(kind)), 20, kind))
     if facts.added_mass:
         parts.append(_added(20 + GAP))
         said += ", weighed once more with a known mass on it"

@@ -442,7 +442,9 @@ def test_what_the_data_do_not_tell_is_said(cells: Cells) -> None:
 def test_each_method_has_a_page(n: int, cells: Cells) -> None:
     site = made(cells(*[stored(f"method-{i:02d}", 1.0 + i) for i in range(n)]))
     for i in range(n):
-        assert "sdof, 20 dB, start unknown" in text_of(site / "methods" / f"method-{i:02d}.html")
+        assert "One mass, free decay, 20 dB, initial state unknown" in text_of(
+            site / "methods" / f"method-{i:02d}.html"
+        )
 
 
 def test_a_store_of_failures_says_so(cells: Cells) -> None:
