@@ -74,7 +74,7 @@ def basis_of(panels: Sequence[Panel]) -> str:
 
 def error_text(one: Record) -> str:
     """Typical and largest error over the bound."""
-    return f"{ratio(one.excess)}, worst {ratio(one.worst)}"
+    return f"{ratio(one.excess)}, worst scenario {ratio(one.worst)}"
 
 
 def ratio(value: float) -> str:
@@ -91,6 +91,13 @@ def risk_text(one: Record) -> str:
 def share(value: float) -> str:
     """A share in percent to two digits."""
     return f"{100 * value:.2g} %" if value < 0.995 else "100 %"
+
+
+def one_in(share_at_most: float) -> str:
+    """A small share as one in so many, rounded down to two digits."""
+    many = 1 / share_at_most
+    step = 10 ** max(0, math.floor(math.log10(many)) - 1)
+    return f"{int(many // step * step):,}"
 
 
 def needs(name: str) -> str:
@@ -112,7 +119,7 @@ def atlas_row(atlas: Mapping[str, Record], points: int) -> list[Row]:
     first, *rest = advised
     return [
         Row(
-            "The same in an atlas of other tests", "results/atlas.html",
+            "One mass, free decay: an atlas of other tests", "results/atlas.html",
             f"{points:,} tests; samples, cycles, damping and SNR vary", title(first.label), first.label,
             ratio(first.excess), risk_text(first), seconds(first.seconds),
             needs(first.method), tuple((title(one.label), one.label) for one in rest[:MOST_OTHERS]),

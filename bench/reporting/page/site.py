@@ -215,6 +215,7 @@ def _page(site: Site, path: str, template: str, **values: Any) -> tuple[str, str
         "percent": percent,
         "seconds": seconds,
         "share": home.share,
+        "one_in": home.one_in,
         "unbroken": unbroken,
         "order": order,
     }
@@ -235,7 +236,7 @@ def home_values(site: Site) -> dict[str, Any]:
     return {
         "rows": rows, "first": first, "best": first.advised[0] if first and not first.hopeless else None,
         "accuracy": told.accuracy(panels, first.advised[0].label) if first and first.advised else "",
-        "untold": untold(panels[0]),
+        "noise": told.noise(panels), "untold": untold(panels[0]),
         "ranked": [quantity(metric) for metric in panels[0].ranked if metric != "rmse"],
         "basis": home.basis_of(panels), "counts": counts(site),
     }  # fmt: skip

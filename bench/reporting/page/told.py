@@ -48,9 +48,20 @@ def alone(panel: Panel) -> list[str]:
     return [name for name in map(quantity, ranked(panel)) if "/" not in name]
 
 
+def usual(panels: Sequence[Panel]) -> float:
+    """The SNR (dB) at which errors are said in percent."""
+    return min((p.facts.snr_db for p in panels), key=lambda snr: (abs(snr - USUAL_DB), snr), default=math.nan)
+
+
+def noise(panels: Sequence[Panel]) -> str:
+    """Its standard deviation there, in percent of the signal's root mean square."""
+    level = usual(panels)
+    return f"{number(100 * 10 ** (-level / 20), 2)} %" if math.isfinite(level) else ""
+
+
 def accuracy(panels: Sequence[Panel], label: str) -> str:
     """A method's root mean square error in percent at the usual noise, gross errors left out."""
-    level = min((p.facts.snr_db for p in panels), key=lambda snr: (abs(snr - USUAL_DB), snr), default=math.nan)
+    level = usual(panels)
     found: dict[str, list[float]] = {}
     for panel in (p for p in panels if p.facts.snr_db == level):
         metrics = ranked(panel)
