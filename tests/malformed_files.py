@@ -193,13 +193,55 @@ FILES: dict[str, Callable[[], bytes]] = {
     "flag.yaml": words(SDOF.replace("m: 1.0", "m: true")),
     "infinite.yaml": words(SDOF.replace("m: 1.0", "m: .inf")),
     "kind.yaml": words(SDOF.replace("kind: sdof", "kind: [sdof]")),
+    "raising.py": words("raise RuntimeError('no')\n"),
+    "leaving.py": words("import sys\nsys.exit(0)\n"),
+    "ending.py": words("import os\nos._exit(0)\n"),
+    "interrupting.py": words("raise KeyboardInterrupt\n"),
+    "printing.py": words("for _ in range(100):\n    print('x' * 2**20)\nraise RuntimeError('no')\n"),
+    "looping.py": words("while True:\n    pass\n"),
+    "eating.py": words("rows = []\nwhile True:\n    rows.append(bytearray(2**26))\n"),
+    "recursing.py": words("import recursing\ndef f():\n    f()\nf()\n"),
+    "dying.py": words("import os\nos.kill(os.getpid(), 9)\n"),
+    "syntax.py": words("class Own(:\n"),
+    "nested.py": words("x = " + "(" * 5000 + ")" * 5000 + "\n"),
+    "minus.py": words("x = " + "-" * 1_000_000 + "1\n"),
+    "latin.py": lambda: "x = 'größe'\n".encode("latin-1"),
+    "nul.py": lambda: b"x = 1\n\0\n",
+    "binary.py": lambda: np.random.default_rng(3).bytes(4096),
+    "nothing.py": words(""),
+    "lacking.py": words("import not_installed_anywhere\n"),
+    "abstract.py": words("import bench\nclass Own(bench.Identifier):\n    pass\n"),
+    "two words.py": words(""),
     "state.json": words("[1, 2]"),
     "deep.json": words("[" * 100_000),
     "otherstate.json": words('{"format": 1, "of": 3, "interval": "x", "samples": [], "tracker": 5}'),
 }
+def project(content: str | bytes) -> dict[str, bytes]:
+    """A package's folder, with a module beside its ``pyproject.toml``."""
+    return {"pyproject.toml": content.encode() if isinstance(content, str) else content, "raising.py": b"1 / 0\n"}
+
+
+TREES: dict[str, dict[str, bytes]] = {
+    "notoml": project("[project\n"),
+    "random_toml": project(np.random.default_rng(4).bytes(4096)),
+    "number_toml": project("project = 3\n"),
+    "points_toml": project("[project]\nentry-points = 3\n"),
+    "group_toml": project("[project.entry-points]\n'bench.methods' = 3\n"),
+    "value_toml": project("[project.entry-points.'bench.methods']\nown = 3\n"),
+    "word_toml": project("[project.entry-points.'bench.methods']\nown = 'nothing'\n"),
+    "gone_toml": project("[project.entry-points.'bench.methods']\nown = 'not_there:Own'\n"),
+    "other_toml": project("[project.entry-points.'bench.methods']\nown = 'os:system'\n"),
+    "lacks_toml": project("[project.entry-points.'bench.methods']\nown = 'os:Own'\n"),
+    "raises_toml": project("[project.entry-points.'bench.methods']\nown = 'raising:Own'\n"),
+    "taken_toml": project("[project.entry-points.'bench.methods']\nls = 'raising:Own'\n"),
+    "system_toml": project("[project.entry-points.'bench.systems']\nown = 'raising:Own'\n"),
+    "lines_toml": project("[project.entry-points.'bench.methods']\n\"own = os:system\\nx\" = 'raising:Own'\n"),
+    "deep_toml": project("x = " + "[" * 20_000),
+    "nul_toml": project(b"[project]\nname = '\0'\n"),
+}
 FOLDERS = ("folder", "store", "empty", "folder.yaml")
-PIPES = ("pipe", "pipe.yaml")
-DEVICES = {"zero.yaml": "/dev/zero"}
+PIPES = ("pipe", "pipe.yaml", "pipe.py")
+DEVICES = {"zero.yaml": "/dev/zero", "zero.py": "/dev/zero"}
 SPARSE = {"gigabyte": 2**30, "huge.yaml": 2**30}
 """Files of zeros that take no room."""
 
@@ -212,7 +254,7 @@ class Shelf:
 
     def lay_out(self, place: Path, named: str, store: Path) -> None:
         """Put what a command line names into a folder; ``store`` is one with a cell."""
-        for name in {*FILES, *FOLDERS, *PIPES, *DEVICES, *SPARSE}:
+        for name in {*FILES, *FOLDERS, *TREES, *PIPES, *DEVICES, *SPARSE}:
             if name in named and not (name == "empty" and "store=empty" not in named and "archive=empty" not in named):
                 self._put(place / name, store)
         if "empty" in named and not (place / "empty").exists():
@@ -224,6 +266,10 @@ class Shelf:
             path.symlink_to(store)
         elif name in FOLDERS:
             path.mkdir()
+        elif name in TREES:
+            path.mkdir()
+            for own, content in TREES[name].items():
+                (path / own).write_bytes(content)
         elif name in PIPES:
             os.mkfifo(path)
         elif name in DEVICES:

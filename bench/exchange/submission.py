@@ -42,7 +42,7 @@ def pack(path: Path, store: Store, cells: Sequence[StoredCell], facts: Mapping[s
             own = Store(Path(folder) / ROWS)
             own.prepare()
             for stored in cells:
-                own.save(stored, store.arrays(stored), store.tracebacks(stored.identity))
+                own.save(stored, store.arrays(stored), store.tracebacks(stored))
             files = {p.relative_to(folder).as_posix(): p for p in sorted(own.folder.rglob("*")) if p.is_file()}
             sums = {name: hashlib.sha256(p.read_bytes()).hexdigest() for name, p in files.items()}
             manifest = {"format": FORMAT, **facts, "cells": [_line(stored) for stored in cells], "files": sums}
