@@ -216,6 +216,8 @@ FILES: dict[str, Callable[[], bytes]] = {
     "deep.json": words("[" * 100_000),
     "otherstate.json": words('{"format": 1, "of": 3, "interval": "x", "samples": [], "tracker": 5}'),
 }
+
+
 def project(content: str | bytes) -> dict[str, bytes]:
     """A package's folder, with a module beside its ``pyproject.toml``."""
     return {"pyproject.toml": content.encode() if isinstance(content, str) else content, "raising.py": b"1 / 0\n"}

@@ -43,12 +43,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str]) -> int:
-    from bench.exchange.submission import ENDING, pack
+    from bench.exchange.submission import ENDING, check_stated, pack
 
     fields = read_fields(arguments, DEFAULTS)
     method = fields["method"]
     if method in REFERENCES or method not in registered():
         raise InputError("method", method, f"one of {', '.join(registered())}")
+    check_stated("by", fields["by"], fields["by"])
     store = store_of({"store": fields["store"], "archive": NONE})
     path = path_of(fields["out"] or f"{method}{ENDING}")
     check_file(path)

@@ -1,7 +1,7 @@
 """What is stored of a cell, and its form as a file of JSON and one of arrays.
 
-The file of JSON is sealed (:mod:`bench.store.seal`), and names the files of arrays and of tracebacks beside it, each with
-the digest of its bytes.
+The file of JSON is sealed (:mod:`bench.store.seal`), and names the files of arrays and of tracebacks beside it, each
+with the digest of its bytes.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ PLAIN = ("replicate", "message", "wall_s", "cpu_s", "peak_memory_mb", "evaluatio
 class StoredCell:
     """What a cell's file holds: its full description, its rows, the summary of every metric, and whence they come.
 
-    ``wall_s`` is the time of all fits together, ``version`` what computed it, ``arrays`` and ``errors`` the files beside
-    it. Of a cell that was stored before tracebacks had a checksum, ``errors`` is empty, whether it has any or not.
+    ``wall_s`` is the time of all fits together, ``version`` what computed it, ``arrays`` and ``errors`` (tracebacks)
+    the files beside it. A cell that was stored before tracebacks had a checksum names none, though it may have some.
     """
 
     identity: str

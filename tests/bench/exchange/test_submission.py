@@ -316,7 +316,7 @@ def test_two_stores_merge_and_nothing_is_lost(turned: bool, tmp_path: Path) -> N
     assert set(target.identities()) == every.keys()
     for stored in target:
         assert same(stored, every[stored.identity])
-        assert target.tracebacks(stored.identity) == f"traceback of {stored.cell['label']}"
+        assert target.tracebacks(stored) == f"traceback of {stored.cell['label']}"
         assert target.arrays(stored)["displacement"].shape == (1, 200)
 
 
@@ -346,7 +346,7 @@ def test_of_two_answers_the_present_codes_is_kept_and_then_the_one_with_more_fit
     ("arguments", "words"),
     [
         ([], "name one file or folder"),
-        (["nowhere.submission"], "no such file or folder"),
+        (["nowhere.submission"], "there is no such file; name one"),
         (["."], "no cell is stored there"),
         (["nowhere", "verify=0.01"], "verify=0.01: a number from 0.1, at most 1"),
         (["nowhere", "verify=all"], "verify=all: a number from 0.1, at most 1"),
