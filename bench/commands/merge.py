@@ -16,7 +16,7 @@ import os
 import secrets
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -121,7 +121,7 @@ def _merge_submission(path: Path, into: Store, share: float, seed: int, workers:
 
     with tempfile.TemporaryDirectory() as folder:
         manifest, theirs = unpack(path, Path(folder))
-        pairs = [(stored, _understood(stored, manifest, path)) for stored in theirs]
+        pairs = [(stored, _understood(stored, manifest, path)) for stored in _whole(theirs, path)]
         if not pairs:
             raise InputError("submission", path, "it holds no cell")
         into.prepare()
@@ -147,6 +147,15 @@ def _merge_submission(path: Path, into: Store, share: float, seed: int, workers:
             cells.append(marked(own, {**facts, "replicates": list(found.compared.get(stored.identity, ()))}))
         _say(merge(cells, theirs, into), into)
     return 0
+
+
+def _whole(theirs: Store, path: Path) -> Iterator[StoredCell]:
+    """The cells of a submission; raises InputError for one that is damaged, or whose files are."""
+    for identity in theirs.identities():
+        stored = None if theirs.damage(identity) else theirs.load(identity)
+        if stored is None:
+            raise InputError("submission", path, f"cell {identity[:8]} is damaged; have it sent again")
+        yield stored
 
 
 def _understood(stored: StoredCell, manifest: Mapping[str, Any], path: Path) -> Cell:

@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from bench.errors import LONGEST_VALUE, InputError, shortened
+from bench.errors import LONGEST_VALUE, InputError
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 
@@ -34,6 +34,7 @@ FILE = re.compile(rf"{ROWS}/[0-9a-f]{{1,64}}\.(json|errors\.txt|[0-9a-f]{{8,64}}
 """The name of a file of a cell: none other is unpacked, in this folder or any other."""
 STATED = ("method", "class", "benchmark", "by", "made")
 """What a manifest says in words."""
+LINE = f"a text of at most {LONGEST_VALUE} letters in one line"
 DAMAGED = "not a whole submission; have it sent again"
 
 
@@ -92,7 +93,8 @@ def unpack(path: Path, folder: Path) -> tuple[dict[str, Any], Store]:
                 remedy = f"a submission of format {manifest['format']}, this version reads {FORMAT}"
                 raise InputError("submission", path, remedy)
             for name in STATED:
-                check_stated("submission", path, manifest.get(name, ""))
+                if not is_line(manifest.get(name, "")):
+                    raise InputError("submission", path, f"the {name} in its manifest must be {LINE}")
             if sorted(archive.namelist()) != sorted([MANIFEST, *manifest["files"]]):
                 raise InputError("submission", path, DAMAGED)
             (folder / ROWS).mkdir(parents=True)
@@ -107,11 +109,9 @@ def unpack(path: Path, folder: Path) -> tuple[dict[str, Any], Store]:
     return manifest, Store(folder / ROWS)
 
 
-def check_stated(field: str, shown: object, text: object) -> None:
-    """Raise InputError for words that are none: too long for a line, or not to be printed."""
-    if not isinstance(text, str) or len(text) > LONGEST_VALUE or not text.isprintable():
-        said = shortened(text, 40)
-        raise InputError(field, shown, f"{said!r} is not a text of at most {LONGEST_VALUE} letters in one line")
+def is_line(text: object) -> bool:
+    """Whether it is a text that a line of a page or a terminal may hold."""
+    return isinstance(text, str) and len(text) <= LONGEST_VALUE and text.isprintable()
 
 
 def _check_size(archive: zipfile.ZipFile, path: Path) -> None:

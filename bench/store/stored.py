@@ -32,6 +32,8 @@ WITHOUT_SEAL = 2
 DIGITS = 6
 BESIDE_DIGITS = 16
 """Of the digest in the name of a file beside the cell's."""
+MOST_ARRAYS = 2**29
+"""Bytes of all arrays of a cell."""
 ARRAYS, ERRORS = "npz", "errors.txt"
 """How the names of files beside the cell's end."""
 PLAIN = ("replicate", "message", "wall_s", "cpu_s", "peak_memory_mb", "evaluations", "data")
@@ -184,8 +186,13 @@ def read_arrays(name: str, content: bytes) -> dict[str, np.ndarray]:
     """The arrays of a file of that name; raises Unsealed where its bytes are not those that the name states."""
     check_beside(name, content)
     try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            if sum(item.file_size for item in archive.infolist()) > MOST_ARRAYS:
+                raise Unsealed(f"its arrays unpack to more than {MOST_ARRAYS >> 20} MB")
         with np.load(io.BytesIO(content), allow_pickle=False) as found:
             return {key: found[key] for key in found.files}
+    except Unsealed:
+        raise
     except Exception:  # sealed by another hand: zipfile, zlib and numpy raise a dozen kinds
         raise Unsealed("no file of arrays") from None
 
