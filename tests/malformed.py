@@ -24,7 +24,8 @@ TO_READ = ("", "missing", "file/below", LONG, "pipe")
 TO_WRITE = ("", "file/below", LONG, "/proc/nowhere", "pipe")
 FILES = ("", "missing", "folder", "/dev/zero", "pipe", "empty", "random", LONG)
 """No file that can be read as what is wanted; each stands in the folder in which the command runs."""
-FILES_OUT = ("", "folder", "file/below", "/proc/nowhere/x", "pipe", "zero.yaml", LONG)
+TO_STREAM = ("", "folder", "file/below", "/proc/nowhere/x", LONG)
+FILES_OUT = (*TO_STREAM, "pipe", "zero.yaml")
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ FIELDS = (
     Field("track", "port", (*WHOLE, "70000"), "page=true"),
     Field("track", "alarm", NUMBERS),
     Field("track", "from", ("", "missing", "folder", "/dev/zero", LONG)),
-    Field("track", "out", FILES_OUT, "from=good.csv"),
+    Field("track", "out", TO_STREAM, "from=good.csv"),
     Field("track", "state", FILES_OUT[1:], "from=good.csv out=none"),
     Field("track", "state", FILES[1:], "resume=true"),
     Field("measured", "data_root", TO_READ, "dry_run=true"),
@@ -153,7 +154,7 @@ FIELDS = (
     *(Field("check", name, (*NUMBERS, "0", "-1", "1e308"), "ls") for name in ("timeout_s",)),
     Field("check", "format", NAMES[:3], "ls"),
     Field("check", "method.bootstrap", ("abc", "nan", "1e999", "2.5", LONG), "ls"),
-    Field("check", "system.n", ("two", "2.5", "true", "0", "-1", "1e12", "1000000000", "nan"), "chain"),
+    Field("check", "system.n", ("two", "2.5", "0", "-1", "1e12", "1000000000", "nan"), "chain"),
     Field("export", "replicate", (*WHOLE, "1e3", "1000000", "999999999999"), "petab"),
     *(Field("export", name, NAMES, "petab") for name in ("system", "prior", "disturbance", "initial_state")),
     *(
@@ -513,7 +514,7 @@ merge | empty | submission | empty |
 merge | plain.zip | submission | plain.zip |
 merge | good.csv verify=2 | verify | 2 | at most 1
 merge | good.csv workers=0 | workers | 0 | whole number
-merge | pipe | submission | pipe | no such file
+merge | pipe | submission | pipe | it is no file
 new | method | argument | method | write method
 new | zz name | | zz |
 new | method ../x | | ../x |
@@ -585,6 +586,7 @@ check | taken_toml | method | ls | of that name
 check | system_toml | system | own | ZeroDivisionError
 check | sdof method.x=1 | method.x | 1 | no method
 check | ls system.zz=1 | system.zz | 1 | no system
+check | chain system.n=true | system.n | True | whole number
 check | ls method.zz=1 | method.zz | 1 | settings of ls
 check | ls method.bootstrap=1 method.bootstrap=2 | method.bootstrap | 2 | twice
 check | ls timeout_s=1 timeout_s=2 | timeout_s | 2 | twice
