@@ -212,7 +212,7 @@ def _main(arguments: Sequence[str]) -> int:
         lost = compute_bounds([check.cell for check in found], store, limits)
         bounded = [check for check in found if check.cell.identity not in lost]
         confirmed = run(bounded, store, limits)
-        without = [f"{_named(c)}: {lost[c.cell.identity]}; it stays stale" for c in found if c not in bounded]
+        without = [f"{_named(c)}: {lost[c.cell.identity]}; it stays stale" for c in found if c.cell.identity in lost]
         print("\n".join([*without, *closing(bounded, confirmed)]))
     return 0
 

@@ -104,7 +104,7 @@ def _below(content: Any, *names: str) -> Mapping[str, Any]:
 
 def _point(path: Path, name: str, value: Any) -> str:
     """What an entry point names; raises InputError for what names no class."""
-    if not isinstance(value, str) or not re.fullmatch(r"\w+(\.\w+)*:\w+", value):
+    if not isinstance(value, str) or not re.fullmatch(r"\w+(\.\w+)*:\w+(\.\w+)*", value):
         raise InputError("package", path, f"its entry point {name} is {value!r}; write '<module>:<class>'")
     if not re.fullmatch(r"[\w.-]+", name):
         raise InputError("package", path, f"its entry point {name!r}: a name of letters, digits, _, - and .")
