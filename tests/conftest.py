@@ -21,7 +21,6 @@ os.environ["VIBRATION_BENCH_ARCHIVE"] = "none"  # a test says itself what is pub
 
 import pytest  # noqa: E402
 
-from bench.commands import benchmark  # noqa: E402
 from bench.entrants import registry  # noqa: E402
 from bench.entrants.registry import load_method  # noqa: E402
 from bench.information.fisher import Bound  # noqa: E402
@@ -110,7 +109,6 @@ def any_bound(monkeypatch: pytest.MonkeyPatch) -> None:
         write(wanted, store.bounds)
         return {}
 
-    monkeypatch.setattr(benchmark, "load_bounds", write)
     monkeypatch.setattr(runner, "make_bounds", make)
 
 

@@ -11,19 +11,21 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-LONG = "z" * 300
+LONG = "z" * 65_536
+"""Longer than any name, and nearly as long as an argument may be."""
 NUMBERS = ("", "abc", "nan", "-inf", "1e999", "0x1F", "1,5", "true", "9" * 400 + "x")
 """None of them is a finite number."""
 WHOLE = ("", "abc", "2.5", "-1", "²", "9" * 5000)
 """None of them is a whole number; ``1e3`` is one where numbers are read as YAML has them."""
 FLAGS = ("", "yes", "1", "maybe")
 NAMES = ("", "nonsense", "../sdof", LONG, "\x1b[31mred", "\udcff")
-TO_READ = ("", "missing", "file/below", LONG)
+TO_READ = ("", "missing", "file/below", LONG, "pipe")
 """Folders that are not there; ``file`` is one, and no folder."""
-TO_WRITE = ("", "file/below", LONG, "/proc/nowhere")
+TO_WRITE = ("", "file/below", LONG, "/proc/nowhere", "pipe")
 FILES = ("", "missing", "folder", "/dev/zero", "pipe", "empty", "random", LONG)
 """No file that can be read as what is wanted; each stands in the folder in which the command runs."""
-FILES_OUT = ("", "folder", "file/below", "/proc/nowhere/x", LONG)
+TO_STREAM = ("", "folder", "file/below", "/proc/nowhere/x", LONG)
+FILES_OUT = (*TO_STREAM, "pipe", "zero.yaml")
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,7 @@ STORES = ("tables", "figures", "report", "claims", "reproduction", "recheck")
 CELL = "method=prior replicates=2"
 DECAY = "want=c_over_m:5% frequency=2 damping=0.02 noise=0.5mm"
 NOMINAL = "nominal.m=1 nominal.c=1 nominal.k=1"
+FORCE = f"{DECAY} force=optimal samples=100 duration=5 energy=1 mass=1"
 TEST = "samples=50 cycles=5 damping=0.02 snr=20"
 FIELDS = (
     Field("bench", "method", NAMES),
@@ -99,6 +102,13 @@ FIELDS = (
     Field("design", "want", ("", "c_over_m", "c_over_m:5", "c_over_m:0%", "mass:5%", "c_over_m:nan%"), DECAY),
     Field("design", "verify", WHOLE, DECAY),
     Field("design", "given", FILES[:7]),
+    *(Field("design", name, (*NUMBERS, "0", "-1", "1e308", "1e-12"), FORCE) for name in ("energy", "mass", "duration")),
+    Field("design", "samples", (*WHOLE, "7", "501", "1e3", "1000000000000"), FORCE),
+    Field("design", "force", NAMES[:4], DECAY),
+    Field("design", "times", (*NAMES[:2], "optimal"), FORCE),
+    Field("design", "method", NAMES, FORCE),
+    Field("design", "verify", WHOLE, FORCE),
+    Field("design", "out", FILES_OUT, FORCE),
     *(Field("expect", name, NUMBERS, TEST) for name in ("cycles", "damping", "snr", "phase")),
     Field("expect", "samples", WHOLE, TEST),
     Field("expect", "atlas", FILES, TEST),
@@ -119,7 +129,7 @@ FIELDS = (
     Field("track", "port", (*WHOLE, "70000"), "page=true"),
     Field("track", "alarm", NUMBERS),
     Field("track", "from", ("", "missing", "folder", "/dev/zero", LONG)),
-    Field("track", "out", FILES_OUT, "from=good.csv"),
+    Field("track", "out", TO_STREAM, "from=good.csv"),
     Field("track", "state", FILES_OUT[1:], "from=good.csv out=none"),
     Field("track", "state", FILES[1:], "resume=true"),
     Field("measured", "data_root", TO_READ, "dry_run=true"),
@@ -137,6 +147,38 @@ FIELDS = (
     *(Field("atlas", name, WHOLE, "dry_run=true") for name in ("points", "workers")),
     Field("atlas", "shard", ("", "1", "0/4", "5/4", "1/x"), "dry_run=true"),
     *(Field("atlas", name, TO_WRITE, "fit=false points=8 part=points method=ls") for name in ("store", "out")),
+    *(Field("atlas", name, NAMES, "test=forced dry_run=true") for name in ("part", "method")),
+    *(Field("atlas", name, WHOLE, "test=forced dry_run=true") for name in ("points", "workers")),
+    *(Field("atlas", name, NAMES, "dry_run=true") for name in ("test", "engine")),
+    *(Field("atlas", name, FLAGS, "points=8 part=points method=ls") for name in ("fit", "dry_run")),
+    *(Field("check", name, (*NUMBERS, "0", "-1", "1e308"), "ls") for name in ("timeout_s",)),
+    Field("check", "format", NAMES[:3], "ls"),
+    Field("check", "method.bootstrap", ("abc", "nan", "1e999", "2.5", LONG), "ls"),
+    Field("check", "system.n", ("two", "2.5", "0", "-1", "1e12", "1000000000", "nan"), "chain"),
+    Field("export", "replicate", (*WHOLE, "1e3", "1000000", "999999999999"), "petab"),
+    *(Field("export", name, NAMES, "petab") for name in ("system", "prior", "disturbance", "initial_state")),
+    *(
+        Field("export", name, (*NUMBERS, "1e308"), "petab")
+        for name in ("snr", "system.duration", "system.parameters.m")
+    ),
+    Field("export", "seed", WHOLE, "petab"),
+    Field("export", "out", TO_WRITE, "petab"),
+    Field("export", "method", NAMES, "notebook"),
+    Field("export", "snr", NUMBERS, "notebook method=ls"),
+    Field("export", "replicates", WHOLE, "notebook method=ls"),
+    Field("export", "out", FILES_OUT, "notebook method=ls"),
+    Field("export", "store", TO_READ, "arviz 00"),
+    Field("export", "archive", TO_READ[1:], "arviz 00 store=store"),
+    Field("merge", "verify", (*NUMBERS, "0.09", "1.01", "1e308", "-1"), "store"),
+    *(Field("merge", name, WHOLE, "store") for name in ("seed", "workers")),
+    Field("merge", "store", TO_WRITE, "store"),
+    Field("new", "out", (*TO_WRITE, "filled_toml", "/dev/zero"), "method my_method"),
+    Field("publish", "seal", FLAGS, "store=store archive=out"),
+    Field("submit", "method", NAMES, "store=store"),
+    Field("submit", "store", TO_READ, "method=ls"),
+    Field("submit", "experiment", NAMES, "method=ls store=store"),
+    Field("submit", "by", ("", LONG, "\x1b[31mred", "\udcff", "two\nlines"), "method=ls store=store"),
+    Field("submit", "out", FILES_OUT, "method=ls store=store"),
 )
 
 
@@ -472,11 +514,186 @@ merge | empty | submission | empty |
 merge | plain.zip | submission | plain.zip |
 merge | good.csv verify=2 | verify | 2 | at most 1
 merge | good.csv workers=0 | workers | 0 | whole number
-merge | pipe | submission | pipe | no such file
+merge | pipe | submission | pipe | it is no file
 new | method | argument | method | write method
 new | zz name | | zz |
 new | method ../x | | ../x |
 new | method my_method out=file/below | out | file/below | cannot be written
+new | method class | name | class | small letters
+new | method a/b | name | a/b | small letters
+new | method .. | name | .. | small letters
+new | method _ | name | _ | small letters
+new | method größe | name | größe | small letters
+new | method Own | name | Own | small letters
+new | method 2nd | name | 2nd | small letters
+new | method ls | name | ls | of that name
+new | method oracle | name | oracle | of that name
+new | system sdof | name | sdof | of that name
+new | method numpy | name | numpy | Python has a module
+new | method os | name | os | Python has a module
+new | method bench | name | bench | Python has a module
+new | method $LONG | name | zzzz | at most 60 letters
+new | tool my_method | kind | tool | method, system
+new | method my_method other | argument | method my_method other | write method
+new | method my_method out=a out=b | out | b | twice
+new | method my_method zz=1 | argument | zz=1 | out=
+check | raising.py | package | raising.py | RuntimeError: no
+check | leaving.py | package | leaving.py | neither end its process
+check | ending.py | package | ending.py | neither end its process
+check | interrupting.py | package | interrupting.py | neither end its process
+check | dying.py | package | dying.py | SIGKILL
+check | printing.py | package | printing.py | File too large
+check | looping.py timeout_s=1 | package | looping.py | limit of 1 s
+check | sleeping.py timeout_s=1 | package | sleeping.py | limit of 1 s
+check | recursing.py | package | recursing.py | RecursionError
+check | syntax.py | package | syntax.py | SyntaxError
+check | nested.py | package | nested.py | SyntaxError
+check | minus.py | package | minus.py | cannot be imported
+check | latin.py | package | latin.py | utf-8
+check | nul.py | package | nul.py | null bytes
+check | binary.py | package | binary.py | cannot be imported
+check | nothing.py | package | nothing.py | subclasses
+check | lacking.py | package | lacking.py | not_installed_anywhere
+check | abstract.py | package | abstract.py | subclasses
+check | 'two words.py' | package | two words.py | can be imported
+check | missing.py | package | missing.py | no such file
+check | pipe.py | package | pipe.py | it is no file
+check | zero.py | package | zero.py | it is no file
+check | folder | package | folder | pyproject.toml
+check | .. | package | .. | pyproject.toml
+check | $LONG | package | zzzz | a file, a folder
+check | $LONG.py | package | zzzz | no such file
+check | numpy.zz | package | numpy.zz | cannot be imported
+check | bench.commands.main | package | bench.commands.main | subclasses
+check | os | package | os | subclasses
+check | prior | package | prior | registered
+check | ls ekf | package | ls ekf | name one
+check | notoml | package | notoml/pyproject.toml | cannot be read
+check | random_toml | package | random_toml/pyproject.toml | cannot be read
+check | nul_toml | package | nul_toml/pyproject.toml | cannot be read
+check | deep_toml | package | deep_toml/pyproject.toml | cannot be read
+check | number_toml | package | number_toml/pyproject.toml | register a class
+check | points_toml | package | points_toml/pyproject.toml | register a class
+check | group_toml | package | group_toml/pyproject.toml | register a class
+check | value_toml | package | value_toml/pyproject.toml | <class>
+check | word_toml | package | word_toml/pyproject.toml | <class>
+check | lines_toml | package | lines_toml/pyproject.toml | letters
+check | gone_toml | method | own | not_there
+check | other_toml | method | own | subclasses
+check | lacks_toml | method | own | attribute
+check | raises_toml | method | own | ZeroDivisionError
+check | taken_toml | method | ls | of that name
+check | system_toml | system | own | ZeroDivisionError
+check | sdof method.x=1 | method.x | 1 | no method
+check | ls system.zz=1 | system.zz | 1 | no system
+check | chain system.n=true | system.n | True | whole number
+check | ls method.zz=1 | method.zz | 1 | settings of ls
+check | ls method.bootstrap=1 method.bootstrap=2 | method.bootstrap | 2 | twice
+check | ls timeout_s=1 timeout_s=2 | timeout_s | 2 | twice
+export | petab replicate=0 replicate=1 | replicate | 1 | twice
+export | petab snr=20 snr=10 | snr | 10 | twice
+export | petab snr=10,20 | snr | 10,20 | several
+export | petab method=ls | method | ls | left out
+export | petab data=good.csv | data | good.csv | left out
+export | petab columns=t:0 | columns | t:0 | left out
+export | petab store=store | store | store | left out
+export | petab experiment=table3 | experiment | table3 | left out
+export | petab replicates=3 | replicates | 3 | left out
+export | petab system=sdof_forced | system.force | known | free vibration
+export | petab zz=1 | zz | 1 | not a field
+export | petab -m | argument | -m | dashes
+export | petab system.samples=1e12 | system.samples | 1000000000000.0 | at most
+export | petab system.duration=1e20 | system.duration | 1e+20 | at most
+export | petab out=file | out | file | name another folder
+export | arviz | cell | | identity
+export | arviz .. | cell | .. | identity
+export | arviz $LONG | cell | zzzz | identity
+export | arviz 00 11 | cell | 00 11 | one
+export | arviz 00 store=store archive=none | cell | 00 | no such cell
+export | arviz 00 store=store store=store | store | store | twice
+export | arviz 00 store=store zz=1 | cell | 00 zz=1 | identity
+export | arviz 00 out= | out | | give a value
+export | notebook method=ls,ekf | method | ls,ekf | several
+export | notebook method=ls data=good.csv | data | good.csv | left out
+export | notebook method=ls rate=5 | rate | 5 | measured
+export | notebook method=ls zz=1 | zz | 1 | not a field
+export | notebook method=ls out=x out=y | out | y | twice
+export | notebook method=ls hydra/launcher=ray | hydra/launcher | ray | not a field
+export | $LONG | export | zzzz | one of
+merge | $LONG | submission | zzzz | no such file
+merge | zero.yaml | submission | zero.yaml | it is no file
+merge | store store=store | store | store | with itself
+merge | store folder | submission | store folder | name one
+merge | folder | submission | folder | no cell
+merge | store zz=1 | argument | zz=1 | verify=
+merge | store store=a store=b | store | b | twice
+merge | gigabyte | submission | gigabyte | not a whole submission
+merge | bomb.zip | submission | bomb.zip | would unpack to more
+merge | cut.zip | submission | cut.zip | not a whole submission
+merge | list.submission | submission | list.submission | not a whole submission
+merge | deep.submission | submission | deep.submission | not a whole submission
+merge | latin.submission | submission | latin.submission | not a whole submission
+merge | later.submission | submission | later.submission | of format 99
+merge | nothing.submission | submission | nothing.submission | holds no cell
+merge | files.submission | submission | files.submission | not a whole submission
+merge | digest.submission | submission | digest.submission | damaged
+merge | lacking.submission | submission | lacking.submission | not a whole submission
+merge | more.submission | submission | more.submission | not a whole submission
+merge | above.submission | submission | above.submission | belongs in none
+merge | absolute.submission | submission | absolute.submission | belongs in none
+merge | backslash.submission | submission | backslash.submission | belongs in none
+merge | nameless.submission | submission | nameless.submission | belongs in none
+merge | folder.submission | submission | folder.submission | belongs in none
+merge | below.submission | submission | below.submission | belongs in none
+merge | bound.submission | submission | bound.submission | belongs in none
+merge | longname.submission | submission | longname.submission | belongs in none
+merge | double.submission | submission | double.submission | not a whole submission
+merge | link.submission | submission | link.submission | damaged
+merge | encrypted.submission | submission | encrypted.submission | not a whole submission
+merge | implode.submission | submission | implode.submission | not a whole submission
+merge | stored.submission | submission | stored.submission | not a whole submission
+merge | tight.submission | submission | tight.submission | more than 64 MB
+merge | manifest.submission | submission | manifest.submission | more than 64 MB
+merge | huge.submission | submission | huge.submission | more than 64 MB
+merge | arrays.submission | submission | arrays.submission | damaged
+merge | long.submission | submission | long.submission | by in its manifest
+merge | number.submission | submission | number.submission | by in its manifest
+merge | bell.submission | submission | bell.submission | by in its manifest
+merge | methodless.submission | submission | methodless.submission | method in its manifest
+merge | vacant.submission | submission | vacant.submission | damaged
+merge | json.submission | submission | json.submission | damaged
+merge | identity.submission | submission | identity.submission | damaged
+merge | elsewhere.submission | submission | elsewhere.submission | damaged
+merge | mcmc.submission | submission | mcmc.submission | of ls, the submission of mcmc
+merge | odd.submission | submission | odd.submission | means nothing here
+report | store=store out=file | out | file | new, empty
+report | store=store out=store | out | store | new, empty
+report | store=store out=. | out | . | new, empty
+report | store=store out=a out=b | out | b | twice
+report | zz=1 | argument | zz=1 | store=
+submit | | method | | one of
+submit | method=ls method=ls | method | ls | twice
+submit | method=oracle store=store | method | oracle | one of
+submit | method=ls archive=none | argument | archive=none | experiment=
+submit | zz=1 | argument | zz=1 | method=
+atlas | engine=ray,processes dry_run=true | engine | ray,processes | processes or ray
+atlas | test=free_decay,forced dry_run=true | test | free_decay,forced | one of
+atlas | test=forced test=forced | test | forced | twice
+atlas | test=forced part=phase dry_run=true | part | phase | some of
+atlas | test=forced method=shooting dry_run=true | method | shooting | some of
+atlas | method=ls, dry_run=true | method | ls, | comma
+atlas | shard=1/0 dry_run=true | shard | 1/0 | 3/10
+atlas | shard=1/2/3 dry_run=true | shard | 1/2/3 | 3/10
+atlas | points=999999999999 dry_run=true | points | 999999999999 | from 1
+atlas | fit=false points=8 part=points method=ls store=folder | store | folder | finished blocks
+design | $DECAY force=optimal | samples | | of the test
+design | $FORCE amplitude=1mm | amplitude | 1mm | left out
+design | $FORCE rate=5 | rate | 5 | left out
+design | $FORCE force=none | force | none | twice
+design | $DECAY energy=1 | energy | 1 | force=optimal
+design | $DECAY mass=1 | mass | 1 | force=optimal
+design | given=good.csv force=optimal | force | optimal | not a field
+design | given=good.csv given=good.csv | given | good.csv | twice
 submit | method=zz | method | zz | one of
 submit | method=ls store=missing | store | missing | no such folder
 submit | method=ls store=store | method | ls | no cell
@@ -576,10 +793,15 @@ def _rows(table: str) -> Iterator[list[str]]:
             yield [cell.strip() for cell in line.split("|")]
 
 
+def _filled(line: str) -> str:
+    """A written line with the words that stand for others."""
+    return line.replace("$FORCE", FORCE).replace("$DECAY", DECAY).replace("$NOMINAL", NOMINAL).replace("$LONG", LONG)
+
+
 def _written() -> Iterator[Malformed]:
     for row in _rows(WRITTEN):
         command, line, field, value, remedy = row
-        words = re.findall(r"(?:'[^']*'|[^\s'])+", line.replace("$DECAY", DECAY).replace("$NOMINAL", NOMINAL))
+        words = re.findall(r"(?:'[^']*'|[^\s'])+", _filled(line))
         yield Malformed(command, tuple(word.replace("'", "") for word in words), field, value or None, remedy)
 
 

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import gzip
 import io
+import json
 import os
 import pickle
+import stat
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
+
+from bench.store.seal import sealed
 
 DECAY = [(0.1 * i, np.exp(-0.1 * i) * np.cos(2.0 * i)) for i in range(60)]
 SDOF = """label: own
@@ -67,6 +73,57 @@ def zip_bomb(name: str) -> bytes:
         place = data.index(mark) + offset
         data[place : place + 4] = (2**32 - 2).to_bytes(4, "little")
     return bytes(data)
+
+
+IDENTITY = "0123456789abcdef0123"
+
+
+def submission(*members: tuple[str, bytes], **stated: object) -> bytes:
+    """A submission of files by name, each with its checksum in the manifest."""
+    manifest = {"format": 1, "method": "ls", "files": {name: sha256(one).hexdigest() for name, one in members}}
+    return archive(("manifest.json", json.dumps({**manifest, **stated}).encode()), *members)
+
+
+def archive(*members: tuple[str, bytes], method: int = zipfile.ZIP_DEFLATED, link: bool = False) -> bytes:
+    """A zip file of any names, some of them twice; ``link``: each says that it is a symbolic one."""
+    file = io.BytesIO()
+    with warnings.catch_warnings(), zipfile.ZipFile(file, "w", method) as found:
+        warnings.simplefilter("ignore")
+        for name, content in members:
+            info = zipfile.ZipInfo(name)
+            info.compress_type = method
+            info.external_attr = (stat.S_IFLNK | 0o777) << 16 if link and name != "manifest.json" else 0
+            found.writestr(info, content)
+    return file.getvalue()
+
+
+def with_flags(content: bytes, bits: int = 0, method: int = 8) -> bytes:
+    """A zip file whose members state these flags and this method of compression."""
+    data = bytearray(content)
+    for mark, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        place = -1
+        while (place := data.find(mark, place + 1)) >= 0:
+            data[place + offset : place + offset + 4] = bits.to_bytes(2, "little") + method.to_bytes(2, "little")
+    return bytes(data)
+
+
+def cell(**changes: object) -> tuple[str, bytes]:
+    """A sealed file of a cell that states almost nothing, and what is to be changed of it."""
+    rows = {name: [0] for name in ("replicate", "evaluations", "wall_s", "cpu_s", "peak_memory_mb")}
+    content: dict[str, object] = {
+        "identity": IDENTITY, "cell": {"method": "ls", "label": "ls", "system": "sdof", "snr_db": 20.0},
+        "rows": {**rows, "status": ["ok"], "message": [""], "data": [""], "scores": {"rmse": [0.1]}},
+        "summary": {}, "prior_share": {}, "identifiable": {}, "wall_s": 0.0, "provenance": {}, "version": {},
+        "arrays": "",
+    }  # fmt: skip
+    return f"rows/{IDENTITY}.json", sealed(3, json.dumps({**content, **changes}))
+
+
+def arrays_bomb() -> tuple[tuple[str, bytes], tuple[str, bytes]]:
+    """A cell with arrays that unpack to 4 GB."""
+    content = zip_bomb("times.npy")
+    name = f"{IDENTITY}.{sha256(content).hexdigest()[:16]}.npz"
+    return cell(arrays=name), (f"rows/{name}", content)
 
 
 def parquet(columns: dict[str, list[object]]) -> bytes:
@@ -193,13 +250,98 @@ FILES: dict[str, Callable[[], bytes]] = {
     "flag.yaml": words(SDOF.replace("m: 1.0", "m: true")),
     "infinite.yaml": words(SDOF.replace("m: 1.0", "m: .inf")),
     "kind.yaml": words(SDOF.replace("kind: sdof", "kind: [sdof]")),
+    "list.submission": lambda: archive(("manifest.json", b"[1]")),
+    "deep.submission": lambda: archive(("manifest.json", b"[" * 100_000)),
+    "latin.submission": lambda: archive(("manifest.json", b"\xf6")),
+    "later.submission": lambda: submission(format=99),
+    "nothing.submission": lambda: submission(),
+    "files.submission": lambda: submission(files=3),
+    "digest.submission": lambda: submission(cell(), files={cell()[0]: 3}),
+    "lacking.submission": lambda: submission(files={cell()[0]: "0" * 64}),
+    "more.submission": lambda: archive(("manifest.json", b'{"format": 1, "files": {}}'), cell()),
+    "above.submission": lambda: submission(("rows/../../above.json", b"{}")),
+    "absolute.submission": lambda: submission(("/tmp/absolute.json", b"{}")),
+    "backslash.submission": lambda: submission(("rows\\..\\above.json", b"{}")),
+    "nameless.submission": lambda: submission(("", b"{}")),
+    "folder.submission": lambda: submission(("rows/", b"")),
+    "below.submission": lambda: submission((f"rows/bounds/{IDENTITY}.json", b"{}")),
+    "bound.submission": lambda: submission((f"rows/{IDENTITY}.bound", b"{}")),
+    "longname.submission": lambda: submission((f"rows/{'0' * 60_000}.json", b"{}")),
+    "double.submission": lambda: submission(cell(), cell()),
+    "link.submission": lambda: archive(
+        ("manifest.json", json.dumps({"format": 1, "files": {cell()[0]: sha256(b"/etc/passwd").hexdigest()}}).encode()),
+        (cell()[0], b"/etc/passwd"),
+        link=True,
+    ),
+    "encrypted.submission": lambda: with_flags(submission(cell()), bits=1),
+    "implode.submission": lambda: with_flags(submission(cell()), method=6),
+    "stored.submission": lambda: with_flags(submission(cell()), method=0),
+    "tight.submission": lambda: submission((f"rows/{IDENTITY}.json", bytes(100 * 2**20))),
+    "manifest.submission": lambda: archive(("manifest.json", bytes(100 * 2**20))),
+    "huge.submission": lambda: zip_bomb("manifest.json"),
+    "arrays.submission": lambda: submission(*arrays_bomb()),
+    "long.submission": lambda: submission(cell(), by="z" * 65_536),
+    "number.submission": lambda: submission(cell(), by=3),
+    "bell.submission": lambda: submission(cell(), by="a\x07group"),
+    "vacant.submission": lambda: submission((cell()[0], b"")),
+    "json.submission": lambda: submission((cell()[0], b"{}")),
+    "identity.submission": lambda: submission(cell(identity="0" * 20)),
+    "mcmc.submission": lambda: submission(cell(), method="mcmc"),
+    "methodless.submission": lambda: submission(cell(), method=None),
+    "odd.submission": lambda: submission(cell()),
+    "elsewhere.submission": lambda: submission(cell(arrays="../precious.npz")),
+    "raising.py": words("raise RuntimeError('no')\n"),
+    "leaving.py": words("import sys\nsys.exit(0)\n"),
+    "ending.py": words("import os\nos._exit(0)\n"),
+    "interrupting.py": words("raise KeyboardInterrupt\n"),
+    "printing.py": words("for _ in range(100):\n    print('x' * 2**20)\nraise RuntimeError('no')\n"),
+    "sleeping.py": words("import time\ntime.sleep(600)\n"),
+    "looping.py": words("while True:\n    pass\n"),
+    "recursing.py": words("import recursing\ndef f():\n    f()\nf()\n"),
+    "dying.py": words("import os\nos.kill(os.getpid(), 9)\n"),
+    "syntax.py": words("class Own(:\n"),
+    "nested.py": words("x = " + "(" * 5000 + ")" * 5000 + "\n"),
+    "minus.py": words("x = " + "-" * 1_000_000 + "1\n"),
+    "latin.py": lambda: "x = 'größe'\n".encode("latin-1"),
+    "nul.py": lambda: b"x = 1\n\0\n",
+    "binary.py": lambda: np.random.default_rng(3).bytes(4096),
+    "nothing.py": words(""),
+    "lacking.py": words("import not_installed_anywhere\n"),
+    "abstract.py": words("import bench\nclass Own(bench.Identifier):\n    pass\n"),
+    "two words.py": words(""),
     "state.json": words("[1, 2]"),
     "deep.json": words("[" * 100_000),
     "otherstate.json": words('{"format": 1, "of": 3, "interval": "x", "samples": [], "tracker": 5}'),
 }
+
+
+def project(content: str | bytes) -> dict[str, bytes]:
+    """A package's folder, with a module beside its ``pyproject.toml``."""
+    return {"pyproject.toml": content.encode() if isinstance(content, str) else content, "raising.py": b"1 / 0\n"}
+
+
+TREES: dict[str, dict[str, bytes]] = {
+    "filled_toml": project(""),
+    "notoml": project("[project\n"),
+    "random_toml": project(np.random.default_rng(4).bytes(4096)),
+    "number_toml": project("project = 3\n"),
+    "points_toml": project("[project]\nentry-points = 3\n"),
+    "group_toml": project("[project.entry-points]\n'bench.methods' = 3\n"),
+    "value_toml": project("[project.entry-points.'bench.methods']\nown = 3\n"),
+    "word_toml": project("[project.entry-points.'bench.methods']\nown = 'nothing'\n"),
+    "gone_toml": project("[project.entry-points.'bench.methods']\nown = 'not_there:Own'\n"),
+    "other_toml": project("[project.entry-points.'bench.methods']\nown = 'os:system'\n"),
+    "lacks_toml": project("[project.entry-points.'bench.methods']\nown = 'os:Own'\n"),
+    "raises_toml": project("[project.entry-points.'bench.methods']\nown = 'raising:Own'\n"),
+    "taken_toml": project("[project.entry-points.'bench.methods']\nls = 'raising:Own'\n"),
+    "system_toml": project("[project.entry-points.'bench.systems']\nown = 'raising:Own'\n"),
+    "lines_toml": project("[project.entry-points.'bench.methods']\n\"own = os:system\\nx\" = 'raising:Own'\n"),
+    "deep_toml": project("x = " + "[" * 20_000),
+    "nul_toml": project(b"[project]\nname = '\0'\n"),
+}
 FOLDERS = ("folder", "store", "empty", "folder.yaml")
-PIPES = ("pipe", "pipe.yaml")
-DEVICES = {"zero.yaml": "/dev/zero"}
+PIPES = ("pipe", "pipe.yaml", "pipe.py")
+DEVICES = {"zero.yaml": "/dev/zero", "zero.py": "/dev/zero"}
 SPARSE = {"gigabyte": 2**30, "huge.yaml": 2**30}
 """Files of zeros that take no room."""
 
@@ -212,7 +354,7 @@ class Shelf:
 
     def lay_out(self, place: Path, named: str, store: Path) -> None:
         """Put what a command line names into a folder; ``store`` is one with a cell."""
-        for name in {*FILES, *FOLDERS, *PIPES, *DEVICES, *SPARSE}:
+        for name in {*FILES, *FOLDERS, *TREES, *PIPES, *DEVICES, *SPARSE}:
             if name in named and not (name == "empty" and "store=empty" not in named and "archive=empty" not in named):
                 self._put(place / name, store)
         if "empty" in named and not (place / "empty").exists():
@@ -224,6 +366,10 @@ class Shelf:
             path.symlink_to(store)
         elif name in FOLDERS:
             path.mkdir()
+        elif name in TREES:
+            path.mkdir()
+            for own, content in TREES[name].items():
+                (path / own).write_bytes(content)
         elif name in PIPES:
             os.mkfifo(path)
         elif name in DEVICES:

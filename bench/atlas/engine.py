@@ -10,6 +10,7 @@ import os
 import signal
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from importlib.util import find_spec
 from multiprocessing import get_context
 from typing import Any
 
@@ -19,8 +20,14 @@ PROCESSES, RAY = "processes", "ray"
 ENGINES = (PROCESSES, RAY)
 
 
+def check_engine(engine: str) -> None:
+    """Raise InputError where an engine is not installed."""
+    if engine == RAY and find_spec(RAY) is None:
+        raise InputError("engine", engine, "installed: pip install 'vibration-bench[ray]'")
+
+
 def executor(engine: str, workers: int) -> Executor:
-    """An executor of so many workers; raises InputError where the engine is not installed."""
+    """An executor of so many workers."""
     if engine == RAY:
         return _Ray()
     return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
@@ -49,10 +56,8 @@ class _Ray(Executor):
 
 def _started_ray() -> Any:
     """Ray, connected to the cluster that RAY_ADDRESS names, else started on this machine alone."""
-    try:
-        import ray
-    except ModuleNotFoundError as error:
-        raise InputError("package", error.name, "installed: pip install 'vibration-bench[ray]'") from None
+    import ray
+
     if not ray.is_initialized():
         ray.init(address=os.environ.get("RAY_ADDRESS"), log_to_driver=False, include_dashboard=False)
     return ray

@@ -11,10 +11,12 @@ method is handed the problem alone. A fit ends after :data:`LIMIT_S`; what raise
 from __future__ import annotations
 
 import hashlib
+import io
 import itertools
 import json
 import os
 import time
+import uuid
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
@@ -37,6 +39,7 @@ from bench.isolation.failure import one_line
 from bench.isolation.limit import limited
 from bench.isolation.processes import single_threaded
 from bench.scenario.scenario import METHOD
+from bench.store.seal import read_regular, write_new
 from bench.store.source import digest_of
 
 LIMIT_S = 60.0
@@ -86,31 +89,38 @@ def _source(method: str, kind: type[Point]) -> str:
 
 
 class Blocks:
-    """The finished blocks of a folder."""
+    """The finished blocks of a folder: each a file of NumPy's with the SHA-256 of its bytes behind them.
+
+    Blocks of before they had one are read as they are.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def holds(self, task: Task) -> bool:
-        """Whether a block is finished."""
-        return (self.folder / f"{task.key}.npy").is_file()
+        """Whether a block is finished, and whole."""
+        return self.get(task) is not None
 
     def get(self, task: Task) -> list[Statistics] | None:
-        """The statistics of a finished block, point by point; None where there is none, or it cannot be read."""
+        """The statistics of a finished block, point by point; None where there is none, or none that is whole."""
         try:
-            rows = np.load(self.folder / f"{task.key}.npy", allow_pickle=False)
-        except (OSError, ValueError, EOFError):
+            content = io.BytesIO(read_regular(self.folder / f"{task.key}.npy"))
+            rows = np.load(content, allow_pickle=False)
+        except Exception:  # NumPy reads a header as Python, and raises whatever that does
             return None
-        whole = rows.shape == (len(task.points), len(columns(task.quantities)))
-        return [Statistics.of_row(row) for row in rows] if whole else None
+        size, digest = content.tell(), content.read()
+        whole = rows.shape == (len(task.points), len(columns(task.quantities))) and rows.dtype == np.float32
+        sound = digest in (b"", hashlib.sha256(content.getvalue()[:size]).digest())
+        return [Statistics.of_row(row) for row in rows] if whole and sound else None
 
     def add(self, task: Task, found: Sequence[Statistics]) -> None:
         """Keep a block; raises InputError where the folder cannot be written."""
-        part = self.folder / f"{task.key}.{os.getpid()}.part"
+        part = self.folder / f"{task.key}.{uuid.uuid4().hex}.part"
+        content = io.BytesIO()
+        np.save(content, np.stack([statistics.row() for statistics in found]), allow_pickle=False)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            with part.open("wb") as file:
-                np.save(file, np.stack([statistics.row() for statistics in found]), allow_pickle=False)
+            write_new(part, content.getvalue() + hashlib.sha256(content.getvalue()).digest())
             os.replace(part, self.folder / f"{task.key}.npy")
         except OSError as error:
             raise InputError("store", self.folder, f"cannot be written: {error.strerror}") from None

@@ -56,7 +56,7 @@ def atlas_usage() -> str:
 
 def made_atlas(arguments: Sequence[str]) -> int:
     """Compute what is missing and write the atlas; raises InputError."""
-    from bench.atlas.engine import ENGINES
+    from bench.atlas.engine import ENGINES, check_engine
     from bench.atlas.run import Blocks
 
     fields = read_fields(arguments, FIELDS)
@@ -70,6 +70,7 @@ def made_atlas(arguments: Sequence[str]) -> int:
     number, shards = _shard(fields["shard"])
     tasks = {part: atlas_tasks(part, methods, most, test) for part in parts}
     if not dry_run:
+        check_engine(engine)
         check_folder(store, "store")
         if shards == 1:
             check_folder(out)
@@ -77,6 +78,8 @@ def made_atlas(arguments: Sequence[str]) -> int:
     blocks = Blocks(store)
     every = [task for own in tasks.values() for task in own][number - 1 :: shards]
     left = [task for task in every if not blocks.holds(task)]
+    if len(left) == len(every) and not fitting and not dry_run:
+        raise InputError("store", store, "a folder with finished blocks; without fit=false they are made")
     fits, left_fits = sum(task.fits for task in every), sum(task.fits for task in left)
     print(f"bench: {fits:,} fits in {len(every):,} blocks, {left_fits:,} in {len(left):,} to do", file=sys.stderr)
     if dry_run:

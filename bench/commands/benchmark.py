@@ -18,10 +18,11 @@ from bench.commands.guard import command
 from bench.config.experiment import Experiment
 from bench.config.overrides import Overrides, read_overrides
 from bench.errors import InputError
-from bench.store.bounds import Replicates, bound_identity, load_bounds
+from bench.store.bounds import Replicates, bound_identity
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.launch import complete
+from bench.sweep.runner import compute_bounds
 from bench.sweep.workers import Limits
 
 EXPERIMENTS = ("table3", "table4", "table5")
@@ -56,7 +57,7 @@ def _main(arguments: Sequence[str]) -> int:
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder))
-        load_bounds(cells, store.bounds)
+        compute_bounds(cells, store, Limits(workers))
         for label in dict.fromkeys(cell.label for cell in cells):
             own = [cell for cell in cells if cell.label == label]
             fits = sum(cell.replicates for cell in own)

@@ -8,6 +8,7 @@ system: what it declares against what its equation does. The package need not be
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -23,12 +24,14 @@ USAGE = """usage: python -m bench.check <package> [field=value ...]
                  the name of a registered method or system
 fields (defaults in brackets):
   method.<setting>, system.<option>    as for python -m bench
-  timeout_s      [300] limit of one check
+  timeout_s      [300] limit of one check, and of the import
   format         [table] table, json: a line of JSON a check
 
 exit status: 0, 1 where a check failed, 2 for bad input\n\n"""
 DEFAULTS = {"timeout_s": "300", "format": "table"}
 LOG_LINES, MOST_S = 12, 1e9
+NUMBER = re.compile(r"[-+]?[0-9.]+e[-+]?[0-9]+", re.IGNORECASE)
+"""Such as 1e-3, which YAML takes for a word."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -90,9 +93,12 @@ def _settings(arguments: Sequence[str]) -> dict[str, dict[str, Any]]:
         kind, _, name = path.partition(".")
         if not equals or not value or not name:
             raise InputError("argument", argument, f"write {kind}.<name>=<value>")
+        own = found.setdefault(kind, {})
+        if name in own:
+            raise InputError(path, value, "given twice; give it once")
         try:
-            found.setdefault(kind, {})[name] = yaml.safe_load(value)
-        except (yaml.YAMLError, RecursionError):
+            own[name] = float(value) if NUMBER.fullmatch(value) else yaml.safe_load(value)
+        except (yaml.YAMLError, RecursionError, ValueError):
             raise InputError(path, value, "a number, a word or a list") from None
     return found
 

@@ -14,15 +14,19 @@ from pathlib import Path
 from bench.commands.fields import path_of, read_fields, whole
 from bench.commands.guard import command
 from bench.commands.stores import FIELDS, store_of
+from bench.config.schema import MOST_REPLICATES, SCENARIO
 from bench.errors import InputError
-from bench.reporting.whole_file import check_file, write
+from bench.reporting.whole_file import check_file, check_folder, write
 from bench.store.opening import DEFAULT_STORE
 
 USAGE = f"""usage: python -m bench.export petab [system=sdof snr=20 ...] [replicate=0] [out=petab]
        python -m bench.export arviz <cell> [store={DEFAULT_STORE}] [archive=<folder>|none] [out=<cell>.nc]
        python -m bench.export notebook method=<name> [snr=20 ...] [out=cell.ipynb]
 
-<cell>: an identity, or the start of one. Other fields: as for python -m bench\n\n"""
+<cell>: an identity, or the start of one. Other fields: as for python -m bench, those of
+a measured record apart\n\n"""
+OF_DATA = (*SCENARIO, "snr", "initial_state", "seed")
+"""Fields, or groups of them, that the data of a replicate hang on."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -47,14 +51,20 @@ def _parted(arguments: Sequence[str], own: dict[str, str]) -> tuple[dict[str, st
 
 
 def _petab(arguments: Sequence[str]) -> list[Path]:
-    from bench.config.experiment import expand
+    from bench.config.experiment import sweep
+    from bench.config.overrides import read_overrides
     from bench.exchange.petab import petab_files
 
     fields, described = _parted(arguments, {"replicate": "0", "out": "petab"})
-    replicate, out = whole("replicate", fields["replicate"], 0), path_of(fields["out"])
-    job = expand([*described, "method=oracle"], multirun=False)[0]
+    replicate, out = whole("replicate", fields["replicate"], 0, MOST_REPLICATES - 1), path_of(fields["out"])
+    overrides = read_overrides(described)
+    for name, values in overrides.items():
+        if name.partition(".")[0] not in OF_DATA:
+            raise InputError(name, values[0], f"left out: the data hang on {', '.join(OF_DATA)} alone")
+    (job,) = sweep({**overrides, "method": ["oracle"]}, multirun=False)
+    check_folder(out)
     files = petab_files(job.cell().scenario, job.config.seed, replicate)
-    return [_written(out / name, text.encode()) for name, text in files.items()]
+    return [_written(out / name, text.encode(), out) for name, text in files.items()]
 
 
 def _arviz(arguments: Sequence[str]) -> list[Path]:
@@ -84,12 +94,14 @@ def _notebook(arguments: Sequence[str]) -> list[Path]:
 
     fields, described = _parted(arguments, {"out": "cell.ipynb"})
     overrides = read_overrides(described)
+    if any(value is not None for value in overrides.get("data", [])):
+        raise InputError("data", overrides["data"][0], "left out: a cell is of simulated data")
     (job,) = sweep(overrides, multirun=False)
     return [_written(path_of(fields["out"]), notebook(job.cell(), overrides).encode())]
 
 
-def _written(path: Path, content: bytes) -> Path:
-    write(path, content)
+def _written(path: Path, content: bytes, folder: Path | None = None) -> Path:
+    write(path, content, folder)
     return path
 
 

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 import secrets
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,11 +24,12 @@ from typing import Any
 
 import numpy as np
 
-from bench.commands.fields import number, path_of, read_fields, whole
+from bench.commands.fields import file_of, number, path_of, read_fields, whole
 from bench.commands.guard import command
-from bench.commands.recheck import SAME, Check, difference, miss_probability, summarised
+from bench.commands.recheck import SAME, Check, difference, miss_probability, summarised, widest_limits
 from bench.config.schema import MOST_WORKERS
 from bench.contract.estimate import Status
+from bench.entrants.registry import registered
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
 from bench.scoring.path import of_clock
@@ -38,9 +40,9 @@ from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.store.submitted import marked
-from bench.sweep.launch import fits_bar, preloaded
+from bench.sweep.launch import fits_bar
 from bench.sweep.plan import Planned, State
-from bench.sweep.runner import run_replicates
+from bench.sweep.runner import compute_bounds, run_replicates
 from bench.sweep.workers import Limits
 
 USAGE = f"""usage: python -m bench.merge <file>.submission [field=value ...]
@@ -85,10 +87,9 @@ def _main(arguments: Sequence[str]) -> int:
     share, seed = _share(fields["verify"]), whole("seed", fields["seed"] or str(secrets.randbits(48)), 0, 2**63 - 1)
     workers = whole("workers", fields["workers"], most=MOST_WORKERS)
     source, into = path_of(names[0]), Store(path_of(fields["store"]))
-    if source.is_dir():
+    if os.path.isdir(source):
         return _merge_store(Store(source), into)
-    if not source.is_file():
-        raise InputError("submission", source, "there is no such file or folder")
+    source = file_of("submission", names[0], "name one that python -m bench.submit has written, or a store's folder")
     return _merge_submission(source, into, share, seed, workers)
 
 
@@ -120,11 +121,14 @@ def _merge_submission(path: Path, into: Store, share: float, seed: int, workers:
 
     with tempfile.TemporaryDirectory() as folder:
         manifest, theirs = unpack(path, Path(folder))
-        pairs = [(stored, _understood(stored, path)) for stored in theirs]
+        pairs = [(stored, _understood(stored, manifest, path)) for stored in _whole(theirs, path)]
         if not pairs:
             raise InputError("submission", path, "it holds no cell")
         into.prepare()
-        found = verify(pairs, theirs, share, seed, workers)
+        limits = widest_limits([stored for stored, _ in pairs], workers)
+        for identity, why in compute_bounds([cell for _, cell in pairs], into, limits).items():
+            raise InputError("submission", path, f"cell {identity[:8]}: {why}")
+        found = verify(pairs, theirs, share, seed, limits)
         print(_verdict(found))
         if found.different:
             print(f"nothing was added; python -m bench.merge {path} seed={seed} draws the same rows again")
@@ -145,9 +149,32 @@ def _merge_submission(path: Path, into: Store, share: float, seed: int, workers:
     return 0
 
 
-def _understood(stored: StoredCell, path: Path) -> Cell:
-    """The cell that a stored one answers; raises InputError where this installation could not compute it again."""
-    cell = stored_as_cell(stored)
+def _whole(theirs: Store, path: Path) -> Iterator[StoredCell]:
+    """The cells of a submission; raises InputError for one that is damaged, or whose files are."""
+    for identity in theirs.identities():
+        stored = None if theirs.damage(identity) else theirs.load(identity)
+        if stored is None:
+            raise InputError("submission", path, f"cell {identity[:8]} is damaged; have it sent again")
+        yield stored
+
+
+def _understood(stored: StoredCell, manifest: Mapping[str, Any], path: Path) -> Cell:
+    """The cell that a stored one answers.
+
+    Raises InputError where the submission is of another method, or this installation could not compute it again.
+    """
+    method = manifest.get("method")
+    if stored.cell.get("method") != method:
+        remedy = f"cell {stored.identity[:8]} is of {stored.cell.get('method')}, the submission of {method}"
+        raise InputError("submission", path, f"{remedy}; have it sent again")
+    try:
+        cell = stored_as_cell(stored)
+    except InputError as error:
+        raise InputError("submission", path, f"cell {stored.identity[:8]} means nothing here: {error}") from None
+    here = registered()[cell.method].value if cell.method in registered() else "a reference row"
+    if manifest.get("class", here) != here:
+        remedy = f"computed by {manifest['class']}, and {cell.method} is {here} here; install what computed it"
+        raise InputError("submission", path, remedy)
     then, now = stored.version.get("modules", {}), cell.version.modules
     changed = [name for name in sorted({*then, *now}) if then.get(name) != now.get(name)]
     if changed:
@@ -170,7 +197,7 @@ def draw(pairs: Sequence[tuple[StoredCell, Cell]], share: float, seed: int) -> d
 
 
 def verify(
-    pairs: Sequence[tuple[StoredCell, Cell]], theirs: Store, share: float, seed: int, workers: int
+    pairs: Sequence[tuple[StoredCell, Cell]], theirs: Store, share: float, seed: int, limits: Limits
 ) -> Verification:
     """Compute some of the rows again, and compare every score that does not hang on the machine's speed."""
     chosen = draw(pairs, share, seed)
@@ -185,7 +212,6 @@ def verify(
         (Planned(check.cell, State.STALE, "", True, theirs.stamp(identity)), check.replicates)
         for identity, check in checks.items()
     ]
-    limits = Limits(workers, **_widest([stored for stored, _ in pairs]), preload=preloaded())
     with fits_bar(sum(map(len, chosen.values()))) as on_progress:
         run_replicates(planned, theirs, limits, on_rows, on_progress)
     return Verification(
@@ -194,15 +220,6 @@ def verify(
         largest=max(differences.values(), default=0.0),
         different=tuple(_named(checks[name].stored) for name, gap in differences.items() if gap >= SAME),
     )
-
-
-def _widest(cells: Sequence[StoredCell]) -> dict[str, float]:
-    """The widest limits that any of the cells was computed with."""
-    given = [stored.provenance.get("limits", {}) for stored in cells]
-    return {
-        name: max([getattr(Limits(), name), *(float(one[name]) for one in given if name in one)])
-        for name in ("timeout_s", "memory_mb")
-    }
 
 
 def _timeless(stored: StoredCell) -> StoredCell:

@@ -102,7 +102,7 @@ def publish(store: Store, archive: Archive, own: Described) -> list[Path]:
             assert cell is not None
             if name in own.drawn:
                 cell = replace(cell, arrays="")
-            entries.append(Entry(cell, both.arrays(cell), both.tracebacks(identity)))
+            entries.append(Entry(cell, both.arrays(cell), both.tracebacks(cell)))
         if part is None or part.content != content_digest(entries):
             path = archive.folder / f"{name}{ENDING}"
             write_part(path, entries)

@@ -34,6 +34,7 @@ from bench.commands.reproduce import compare_rows
 from bench.commands.stores import FIELDS, store_of
 from bench.config.choices import check_choice
 from bench.config.experiment import Experiment
+from bench.config.schema import MOST_MEMORY_MB, MOST_TIMEOUT_S
 from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.information.fisher import Bound
@@ -50,7 +51,7 @@ from bench.store.stored import StoredCell
 from bench.store.version import rows_digest
 from bench.sweep.launch import fits_bar, preloaded
 from bench.sweep.plan import FAILURES, Planned, State
-from bench.sweep.runner import run_replicates
+from bench.sweep.runner import compute_bounds, run_replicates
 from bench.sweep.workers import Limits
 
 USAGE = f"""usage: python -m bench.recheck [experiment=<name>] [method=<name>,<name>] [store={DEFAULT_STORE}]
@@ -207,15 +208,20 @@ def _main(arguments: Sequence[str]) -> int:
     elif not found:
         print("no cell is stale")
     if found:
-        confirmed = run(found, store, _limits(found))
-        print("\n".join(closing(found, confirmed)))
+        limits = widest_limits([check.stored for check in found], usable_cores())
+        lost = compute_bounds([check.cell for check in found], store, limits)
+        bounded = [check for check in found if check.cell.identity not in lost]
+        confirmed = run(bounded, store, limits)
+        without = [f"{_named(c)}: {lost[c.cell.identity]}; it stays stale" for c in found if c.cell.identity in lost]
+        print("\n".join([*without, *closing(bounded, confirmed)]))
     return 0
 
 
 def summarise_anew(found: Sequence[tuple[StoredCell, int]], store: Store) -> int:
     """Store the cells whose rows are those of the present code with a summary and bound of it; returns how many.
 
-    Each is given with when its file was written. One that another run is at, or has stored since, is left to that.
+    Each is given with when its file was written. One that another run is at, or has stored since, is left to that; one
+    whose bound cannot be computed within the limits that it was computed with stays stale.
     """
     wanted = []
     for stored, stamp in found:
@@ -223,8 +229,12 @@ def summarise_anew(found: Sequence[tuple[StoredCell, int]], store: Store) -> int
             cell, digest = stored_as_cell(stored), str(stored.version.get("digest"))
             if cell.version.digest != digest and cell.version.of_rows == rows_digest(digest):
                 wanted.append((stored, stamp, cell))
-    if wanted:
-        store.prepare()
+    if not wanted:
+        return 0
+    store.prepare()
+    limits = widest_limits([stored for stored, _, _ in wanted], usable_cores())
+    lost = compute_bounds([cell for _, _, cell in wanted], store, limits)
+    wanted = [one for one in wanted if one[2].identity not in lost]
     bounds = load_bounds([cell for _, _, cell in wanted], store.bounds)
     claims, done = Claims(store.claims), 0
     try:
@@ -252,18 +262,18 @@ def _filter(fields: Mapping[str, str]) -> Callable[[StoredCell], bool]:
     )
 
 
-def _limits(found: Sequence[Check]) -> Limits:
-    """All cores, and the widest limits that any of the cells was computed with."""
-    given = [check.stored.provenance.get("limits", {}) for check in found]
+def widest_limits(cells: Sequence[StoredCell], workers: int) -> Limits:
+    """So many workers, and the widest limits that any of the cells was computed with; what no run takes counts not."""
+    given = [stored.provenance.get("limits", {}) for stored in cells]
     widest = {
-        name: max([getattr(Limits(), name), *(one[name] for one in given if name in one)])
-        for name in ("timeout_s", "memory_mb")
+        name: max([getattr(Limits(), name), *(own for one in given if (own := float(one.get(name, 0))) <= most)])
+        for name, most in (("timeout_s", MOST_TIMEOUT_S), ("memory_mb", MOST_MEMORY_MB))
     }
-    return Limits(usable_cores(), **widest, preload=preloaded())
+    return Limits(workers, **widest, preload=preloaded())
 
 
 def run(found: Sequence[Check], store: Store, limits: Limits) -> dict[str, bool]:
-    """Compute the replicates of all checks, and restate each cell as soon as its own are there.
+    """Compute the replicates of all checks, whose bounds are kept, and restate each cell as soon as its own are there.
 
     Returns:
         Whether a cell came out the same, by identity; one that another run has stored meanwhile is left out.
@@ -279,7 +289,7 @@ def run(found: Sequence[Check], store: Store, limits: Limits) -> dict[str, bool]
         confirmed[cell.identity] = largest < SAME
         if confirmed[cell.identity]:
             come = provenance(cell.version, limits.workers, limits.timeout_s, limits.memory_mb, time.time())
-            bound = load_bounds([cell], store.bounds)[0]  # there: the fits have seen to it
+            bound = load_bounds([cell], store.bounds)[0]
             store.restate(vouched(check, bound, come["commit"], largest))
         elif _notes(check.stored):
             store.restate(withdrawn(check))
@@ -290,14 +300,18 @@ def run(found: Sequence[Check], store: Store, limits: Limits) -> dict[str, bool]
     return confirmed
 
 
+def _named(check: Check) -> str:
+    what = check.stored.cell
+    return f"{check.cell.identity[:8]}  {what['label']} on {what['system']}, {what['snr_db']:g} dB"
+
+
 def closing(found: Sequence[Check], confirmed: Mapping[str, bool]) -> list[str]:
     """What differs, by name; what came out the same, by method, with what it can have missed."""
     lines, groups = [], defaultdict(list)
     for check in found:
         what, result = check.stored.cell, confirmed.get(check.cell.identity)
         if result is False:
-            where = f"{what['label']} on {what['system']}, {what['snr_db']:g} dB"
-            lines.append(f"{check.cell.identity[:8]}  {where}: comes out otherwise, and stays stale")
+            lines.append(f"{_named(check)}: comes out otherwise, and stays stale")
         elif result:
             groups[str(what["label"])].append(check)
     for label, own in sorted(groups.items()):

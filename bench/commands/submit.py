@@ -43,12 +43,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str]) -> int:
-    from bench.exchange.submission import ENDING, pack
+    from bench.exchange.submission import ENDING, LINE, is_line, pack
 
     fields = read_fields(arguments, DEFAULTS)
     method = fields["method"]
     if method in REFERENCES or method not in registered():
         raise InputError("method", method, f"one of {', '.join(registered())}")
+    if not is_line(fields["by"]):
+        raise InputError("by", fields["by"], LINE)
     store = store_of({"store": fields["store"], "archive": NONE})
     path = path_of(fields["out"] or f"{method}{ENDING}")
     check_file(path)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,7 +18,7 @@ from bench.commands.fields import file_of, flag, listed, number, one_of, path_of
 from bench.commands.guard import command
 from bench.errors import InputError
 from bench.isolation.processes import compiled_single_threaded
-from bench.reporting.whole_file import check_file
+from bench.reporting.whole_file import check_file, is_special
 
 if TYPE_CHECKING:
     from bench.contract.online import Layout, OnlineIdentifier, Tracker
@@ -99,9 +98,12 @@ def tracked(arguments: Sequence[str]) -> int:
 
 
 def _check_writable(field: str, text: str) -> None:
-    """Raise InputError before any sample is read where a file cannot be written; a pipe or a device is not tried."""
+    """Raise InputError before any sample is read where a file cannot be written.
+
+    Lines may go to a pipe or a device, which is not tried.
+    """
     path = path_of(text)
-    if text not in ("", "-", "none") and (os.path.isfile(path) or os.path.isdir(path) or not os.path.exists(path)):
+    if text not in ("", "-", "none") and not (field == "out" and is_special(path)):
         check_file(path, field)
 
 

@@ -25,6 +25,8 @@ from bench.store.cell import Cell
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(allow_inf_nan=False, gt=0)]
 MOST_WORKERS = 1024
+MOST_REPLICATES = 1_000_000
+MOST_TIMEOUT_S, LEAST_MEMORY_MB, MOST_MEMORY_MB = 1e9, 100.0, 1e9
 SCENARIO = ("system", "prior", "disturbance")
 """The groups that hold the numbers of a scenario."""
 FLAGS = ("dry_run", "detrend")
@@ -44,14 +46,14 @@ class Config(BaseModel):
     disturbance: dict[str, Any]
     snr: Any
     initial_state: Any
-    replicates: Annotated[int, Field(ge=1, le=1_000_000)]
+    replicates: Annotated[int, Field(ge=1, le=MOST_REPLICATES)]
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     store: Path
     archive: str | None
     format: Literal["table", "json"]
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] | None
-    timeout_s: Annotated[float, Field(allow_inf_nan=False, gt=0, le=1e9)]
-    memory_mb: Annotated[float, Field(allow_inf_nan=False, ge=100, le=1e9)]
+    timeout_s: Annotated[float, Field(allow_inf_nan=False, gt=0, le=MOST_TIMEOUT_S)]
+    memory_mb: Annotated[float, Field(allow_inf_nan=False, ge=LEAST_MEMORY_MB, le=MOST_MEMORY_MB)]
     retry: str
     dry_run: bool
     cells_per_job: Annotated[int, Field(ge=1, le=1_000_000)]

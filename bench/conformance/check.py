@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import inspect
-import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from bench.isolation.failure import one_line, without_places
+from bench.isolation.failure import one_line, traceback_text, without_places
 
 Subject = TypeVar("Subject")
 
@@ -66,5 +65,5 @@ def outcome(check: Check[Any], subject: Any) -> Outcome:
         remedy = refusal.remedy or check.remedy
         return Outcome(check.name, check.about, False, found=str(refusal), remedy=remedy)
     except Exception as error:
-        said = without_places(traceback.format_exc())
+        said = without_places(traceback_text())
         return Outcome(check.name, check.about, False, found=f"raised {one_line(error)}", remedy=RAISED, traceback=said)

@@ -14,6 +14,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from bench.config.limits import check_numbers, check_options
 from bench.conformance.candidate import Candidate
 from bench.conformance.check import Check, Outcome, outcome
 from bench.conformance.method_checks import METHOD_CHECKS
@@ -26,6 +27,7 @@ from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import load_method, make_method, missing_package
 from bench.errors import InputError
 from bench.isolation.failure import one_line
+from bench.isolation.limit import limit_files
 from bench.isolation.processes import READY_S, Child, Children, Died
 from bench.systems import System, load_system, make_system, registered_systems
 
@@ -40,7 +42,7 @@ def checked(target: Target, timeout_s: float) -> Iterator[tuple[Subject, Outcome
     """
     children = Children()
     try:
-        child, subjects = _opened(children, target)
+        child, subjects = _opened(children, target, timeout_s)
         for subject in subjects:
             for check in CHECKS[subject.kind]:
                 child.send(pickle.dumps((subject, check.name)))
@@ -48,7 +50,7 @@ def checked(target: Target, timeout_s: float) -> Iterator[tuple[Subject, Outcome
                     found = pickle.loads(child.receive(timeout_s, MEMORY_MB))
                 except Died as died:
                     found = _lost(check, died)
-                    child, _ = _opened(children, target)
+                    child, _ = _opened(children, target, timeout_s)
                 yield subject, found
                 if check.gate and not found.passed:
                     break
@@ -56,12 +58,14 @@ def checked(target: Target, timeout_s: float) -> Iterator[tuple[Subject, Outcome
         children.close()
 
 
-def _opened(children: Children, target: Target) -> tuple[Child, list[Subject]]:
+def _opened(children: Children, target: Target, timeout_s: float) -> tuple[Child, list[Subject]]:
     child = children.start(serve, target)
     try:
-        kind, found = pickle.loads(child.receive(READY_S, MEMORY_MB))
+        child.receive(READY_S)  # what it takes to start is no fault of the package
+        kind, found = pickle.loads(child.receive(timeout_s, MEMORY_MB))
     except Died as died:
-        raise InputError("package", target.text, f"cannot be imported: {died.message}") from None
+        remedy = "what is imported must neither end its process nor keep it"
+        raise InputError("package", target.text, f"cannot be imported: {died.message}; {remedy}") from None
     if kind == "refused":
         raise found
     return child, found
@@ -77,12 +81,15 @@ def _lost(check: Check[Any], died: Died) -> Outcome:
 
 def serve(connection: Connection, target: Target) -> None:
     """Import what is named, and run check after check of it until nobody asks any more."""
+    limit_files()
+    connection.send_bytes(b"ready")
     with tempfile.TemporaryDirectory() as site:
         try:
             sys.path[:0] = [*target.paths, site]
             subjects = list(target.subjects) or _looked_for(target)
             if not target.installed:
                 _register(subjects, Path(site))
+            _check_settings(subjects, target)
             made = {subject: _made(subject, target) for subject in subjects}
         except InputError as error:
             connection.send_bytes(pickle.dumps(("refused", error)))
@@ -142,6 +149,21 @@ def _register(subjects: Sequence[Subject], site: Path) -> None:
     for function in (registry.registered, load_method, registered_systems, load_system):
         with contextlib.suppress(AttributeError):  # a test may have replaced one
             function.cache_clear()  # type: ignore[attr-defined]
+
+
+def _check_settings(subjects: Sequence[Subject], target: Target) -> None:
+    """Raise InputError for a setting of a method where there is none, an option of a system likewise, or no number."""
+    for kind in target.settings.keys() - {subject.kind for subject in subjects}:
+        for name, value in target.settings[kind].items():
+            raise InputError(f"{kind}.{name}", value, f"left out: no {kind} is checked")
+    options = target.settings.get("system", {})
+    try:
+        check_numbers({"system": {"options": options}})
+        for subject in subjects:
+            if subject.kind == "system":
+                check_options({"kind": subject.name, "options": options})
+    except InputError as error:
+        raise InputError(error.field.replace("system.options.", "system."), error.value, error.remedy) from None
 
 
 def _made(subject: Subject, target: Target) -> Candidate | Specimen:

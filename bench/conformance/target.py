@@ -5,6 +5,7 @@ Somebody else's code is imported in a process of its own (:mod:`bench.conformanc
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 from collections.abc import Mapping
@@ -16,6 +17,8 @@ from typing import Any, Literal
 
 from bench.entrants import registry
 from bench.errors import InputError
+from bench.isolation.failure import one_line
+from bench.store.seal import read_regular
 from bench.systems import GROUP as SYSTEMS
 from bench.systems import registered_systems
 
@@ -53,11 +56,11 @@ class Target:
 def read_target(text: str, settings: Mapping[str, Mapping[str, Any]] | None = None) -> Target:
     """Find what a text names; raises InputError where it names nothing."""
     path, own = Path(text), dict(settings or {})
-    if path.suffix == ".py" or path.is_dir():
-        if not path.exists():
-            raise InputError("package", text, "there is no such file")
-        if path.is_dir():
-            return _project(path, own)
+    if os.path.isdir(path):
+        return _project(path, own)
+    if path.suffix == ".py":
+        if not os.path.isfile(path):
+            raise InputError("package", text, "it is no file" if os.path.exists(path) else "there is no such file")
         if not path.stem.isidentifier():
             raise InputError("package", text, "a file that can be imported: letters, digits and _ in its name")
         return Target(text, module=path.stem, paths=(str(path.parent.resolve()),), settings=own)
@@ -76,20 +79,36 @@ def read_target(text: str, settings: Mapping[str, Mapping[str, Any]] | None = No
 def _project(folder: Path, settings: Mapping[str, Mapping[str, Any]]) -> Target:
     path = folder / "pyproject.toml"
     try:
-        project = tomllib.loads(path.read_text(encoding="utf-8")).get("project", {})
+        content = tomllib.loads(read_regular(path).decode())
     except OSError:
         raise InputError("package", folder, "it has no pyproject.toml; name the file of the class instead") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError("package", path, f"cannot be read: {error}") from None
-    groups = project.get("entry-points", {})
-    found = [
-        Subject(kind, name, value) for group, kind in KINDS.items() for name, value in groups.get(group, {}).items()
-    ]
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError("package", path, f"cannot be read: {one_line(error)}") from None
+    found = []
+    for group, kind in KINDS.items():
+        points = _below(content, "project", "entry-points", group)
+        found += [Subject(kind, name, _point(path, name, value)) for name, value in points.items()]
     if not found:
         remedy = f'register a class in it, under [project.entry-points."{METHODS}"] or ."{SYSTEMS}"'
         raise InputError("package", path, remedy)
     places = (folder / "src", folder)
     return Target(str(folder), tuple(found), paths=tuple(str(p.resolve()) for p in places), settings=settings)
+
+
+def _below(content: Any, *names: str) -> Mapping[str, Any]:
+    """The table of some name within tables; an empty one where any of them is none."""
+    for name in names:
+        content = content.get(name) if isinstance(content, dict) else None
+    return content if isinstance(content, dict) else {}
+
+
+def _point(path: Path, name: str, value: Any) -> str:
+    """What an entry point names; raises InputError for what names no class."""
+    if not isinstance(value, str) or not re.fullmatch(r"\w+(\.\w+)*:\w+(\.\w+)*", value):
+        raise InputError("package", path, f"its entry point {name} is {value!r}; write '<module>:<class>'")
+    if not re.fullmatch(r"[\w.-]+", name):
+        raise InputError("package", path, f"its entry point {name!r}: a name of letters, digits, _, - and .")
+    return value
 
 
 def _subjects(points: Mapping[str, EntryPoint]) -> list[Subject]:
@@ -108,7 +127,8 @@ def _normal(name: str) -> str:
 
 
 def _importable(text: str) -> bool:
+    """Whether there is a package to import; what is below it is looked for where it is imported."""
     try:
-        return find_spec(text) is not None
+        return find_spec(text.partition(".")[0]) is not None
     except (ImportError, ValueError):
         return False

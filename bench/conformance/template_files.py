@@ -5,6 +5,7 @@ from __future__ import annotations
 import keyword
 import string
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 
 from bench.conformance.target import KINDS
@@ -13,6 +14,8 @@ from bench.errors import InputError
 from bench.systems import registered_systems
 
 ENDING = ".template"
+LONGEST = 60
+"""Letters of a name: files and folders get it with an ending."""
 
 
 def written(kind: str, name: str, folder: Path) -> list[Path]:
@@ -24,8 +27,12 @@ def written(kind: str, name: str, folder: Path) -> list[Path]:
         raise InputError("kind", kind, f"one of {', '.join(KINDS.values())}")
     if not (name.isascii() and name.isidentifier() and name.islower()) or keyword.iskeyword(name):
         raise InputError("name", name, "small letters, digits and _, a letter first, as Python names a module")
+    if len(name) > LONGEST:
+        raise InputError("name", name, f"at most {LONGEST} letters")
     if name in (method_names() if kind == "method" else registered_systems()):
         raise InputError("name", name, f"the benchmark has a {kind} of that name; choose another")
+    if _is_module(name):
+        raise InputError("name", name, "Python has a module of that name, which it would hide; choose another")
     words = name.strip("_").split("_")
     fields = {
         "name": name,
@@ -46,3 +53,12 @@ def written(kind: str, name: str, folder: Path) -> list[Path]:
     except OSError as error:
         raise InputError("out", folder, f"cannot be written ({error.strerror}); name another folder") from None
     return paths
+
+
+def _is_module(name: str) -> bool:
+    """Whether something is imported by a name; a folder without ``__init__.py`` is nothing."""
+    try:
+        found = find_spec(name)
+    except ValueError:  # one that is loaded, and was made by hand
+        return True
+    return found is not None and found.origin is not None

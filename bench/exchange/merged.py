@@ -35,7 +35,7 @@ def merge(cells: Iterable[StoredCell], source: Store, into: Store) -> Merged:
             if before is not None and rank(before) >= rank(stored):
                 kept += 1
                 continue
-            into.save(stored, source.arrays(stored), source.tracebacks(stored.identity))
+            into.save(stored, source.arrays(stored), source.tracebacks(stored))
             added, replaced = added + (before is None), replaced + (before is not None)
     except OSError as error:
         raise InputError("store", into.folder, f"cannot be written ({error.strerror}); make room") from None

@@ -10,15 +10,16 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import tempfile
 import uuid
 import zipfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
-from bench.errors import InputError
+from bench.errors import LONGEST_VALUE, InputError
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 
@@ -26,8 +27,14 @@ FORMAT = 1
 ENDING = ".submission"
 MANIFEST = "manifest.json"
 ROWS = "rows"
-LARGEST = 2**31
-"""Bytes that a submission may unpack to."""
+BLOCK = 2**20
+LARGEST, LARGEST_PACKED_TIGHT, TIGHT = 2**29, 2**26, 100
+"""Bytes that a submission may unpack to, and those where it is packed to less than one in so many."""
+FILE = re.compile(rf"{ROWS}/[0-9a-f]{{1,64}}\.(json|errors\.txt|[0-9a-f]{{8,64}}\.(npz|errors\.txt))")
+"""The name of a file of a cell: none other is unpacked, in this folder or any other."""
+STATED = ("method", "class", "benchmark", "by", "made")
+"""What a manifest says in words."""
+LINE = f"a text of at most {LONGEST_VALUE} letters in one line"
 DAMAGED = "not a whole submission; have it sent again"
 
 
@@ -42,7 +49,7 @@ def pack(path: Path, store: Store, cells: Sequence[StoredCell], facts: Mapping[s
             own = Store(Path(folder) / ROWS)
             own.prepare()
             for stored in cells:
-                own.save(stored, store.arrays(stored), store.tracebacks(stored.identity))
+                own.save(stored, store.arrays(stored), store.tracebacks(stored))
             files = {p.relative_to(folder).as_posix(): p for p in sorted(own.folder.rglob("*")) if p.is_file()}
             sums = {name: hashlib.sha256(p.read_bytes()).hexdigest() for name, p in files.items()}
             manifest = {"format": FORMAT, **facts, "cells": [_line(stored) for stored in cells], "files": sums}
@@ -80,32 +87,48 @@ def unpack(path: Path, folder: Path) -> tuple[dict[str, Any], Store]:
     """
     try:
         with zipfile.ZipFile(path) as archive:
+            _check_size(archive, path)
             manifest = json.loads(archive.read(MANIFEST))
             if manifest["format"] != FORMAT:
                 remedy = f"a submission of format {manifest['format']}, this version reads {FORMAT}"
                 raise InputError("submission", path, remedy)
-            if sum(item.file_size for item in archive.infolist()) > LARGEST:
-                raise InputError("submission", path, f"it would unpack to more than {LARGEST / 2**30:g} GB")
-            if {*archive.namelist()} != {MANIFEST, *manifest["files"]}:
+            for name in STATED:
+                if not is_line(manifest.get(name, "")):
+                    raise InputError("submission", path, f"the {name} in its manifest must be {LINE}")
+            if sorted(archive.namelist()) != sorted([MANIFEST, *manifest["files"]]):
                 raise InputError("submission", path, DAMAGED)
+            (folder / ROWS).mkdir(parents=True)
             for name, digest in manifest["files"].items():
                 _extract(archive, name, digest, folder, path)
-    except InputError:
+    except (InputError, MemoryError):
         raise
     except OSError as error:
         raise InputError("submission", path, f"cannot be read ({error.strerror or error})") from None
-    except (zipfile.BadZipFile, ValueError, KeyError, TypeError, AttributeError):
+    except Exception:  # zipfile, zlib and json raise a dozen kinds
         raise InputError("submission", path, DAMAGED) from None
     return manifest, Store(folder / ROWS)
 
 
+def is_line(text: object) -> bool:
+    """Whether it is a text that a line of a page or a terminal may hold."""
+    return isinstance(text, str) and len(text) <= LONGEST_VALUE and text.isprintable()
+
+
+def _check_size(archive: zipfile.ZipFile, path: Path) -> None:
+    """Raise InputError for what would unpack to more than any submission holds, or is packed as no numbers are."""
+    size = sum(item.file_size for item in archive.infolist())
+    most = LARGEST if size < TIGHT * path.stat().st_size else LARGEST_PACKED_TIGHT
+    if size > most:
+        raise InputError("submission", path, f"it would unpack to more than {most >> 20} MB")
+
+
 def _extract(archive: zipfile.ZipFile, name: str, digest: str, folder: Path, path: Path) -> None:
-    parts = PurePosixPath(name).parts
-    if parts[0] != ROWS or ".." in parts or "\\" in name:  # never outside the folder
+    if not FILE.fullmatch(name):
         raise InputError("submission", path, f"it holds a file {name!r}, which belongs in none")
-    content = archive.read(name)
-    if hashlib.sha256(content).hexdigest() != digest:
+    found = hashlib.sha256()
+    with archive.open(name) as packed, (folder / name).open("xb") as file:
+        while block := packed.read(BLOCK):
+            found.update(block)
+            file.write(block)
+    if found.hexdigest() != digest:
         raise InputError("submission", path, f"{name} is damaged; have it sent again")
-    target = folder.joinpath(*parts)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_bytes(content)

@@ -1,11 +1,22 @@
-"""A limit of time for what runs in this process."""
+"""Limits for what runs in this process: its time, and the files that it writes."""
 
 from __future__ import annotations
 
+import resource
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Literal
+
+LONGEST_FILE = 64 << 20
+"""Of whatever somebody else's code writes, its output included (bytes)."""
+
+
+def limit_files() -> None:
+    """Let a file that grows beyond the limit fail its write; Python ignores the signal that comes with it."""
+    _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if hard == resource.RLIM_INFINITY or hard > LONGEST_FILE:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (LONGEST_FILE, hard))
 
 
 @contextmanager

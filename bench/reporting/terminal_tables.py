@@ -143,7 +143,7 @@ class Closing:
             self.contests.setdefault(what, {})[key] = errors
         for (status, message), n in _failures(stored).items():
             kind = (cell.label, status, message)
-            before, path = self.kinds.get(kind, (0, store.errors(cell.identity)))
+            before, path = self.kinds.get(kind, (0, store.errors(stored)))
             self.kinds[kind] = before + n, path
 
     def table(self) -> str:

@@ -24,6 +24,8 @@ def write(path: Path, content: str | bytes, given: Path | None = None, field: st
     """
     data = content.encode() if isinstance(content, str) else content
     temporary = path.with_name(f".{path.name[:100]}.{uuid.uuid4().hex}.tmp")
+    if is_special(path):  # a device or a pipe would be gone, and a file be in its place
+        raise InputError(field, given or path, "it is a device or a pipe; name a file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("wb") as file:
@@ -38,6 +40,11 @@ def write(path: Path, content: str | bytes, given: Path | None = None, field: st
         raise InputError(field, given or path, f"cannot be written ({error.strerror}); name {other}") from None
 
 
+def is_special(path: Path) -> bool:
+    """Whether something is there that is neither file nor folder."""
+    return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
+
+
 def check_folder(folder: Path, field: str = "out") -> None:
     """Raise InputError before any work where nothing can be written into a folder after it; nothing is left there."""
     _check(folder / ".write-test", folder, field)
@@ -47,6 +54,8 @@ def check_file(path: Path, field: str = "out") -> None:
     """The same of a file that is to be written, which must be no folder."""
     if os.path.isdir(path):
         raise InputError(field, path, "it is a folder; name a file")
+    if is_special(path):
+        raise InputError(field, path, "it is a device or a pipe; name a file")
     _check(path.with_name(f".{path.name}.write-test"), path, field)
 
 

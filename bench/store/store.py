@@ -1,8 +1,8 @@
 """The store: one JSON file a cell, written whole or not at all, named by the hash of the question it answers.
 
 Beside it lie, written first, the arrays of one of its replicates (``.npz``) and the tracebacks of those that failed
-(``.errors.txt``). The cell's file carries a checksum of its own content and of that of its arrays; what does not agree
-with it is damaged, and never read. Nothing in a store is run: it is text, numbers and names.
+(``.errors.txt``). The cell's file carries a checksum of its own content and of that of the files beside it; what does
+not agree with it is damaged, and never read. Nothing in a store is run: it is text, numbers and names.
 """
 
 from __future__ import annotations
@@ -22,13 +22,16 @@ from bench.errors import InputError
 from bench.store.bound_file import bound_file
 from bench.store.seal import OtherFormat, Unsealed, read_regular, write_new
 from bench.store.stored import (
+    ARRAYS,
+    ERRORS,
     FORMAT,
     WITHOUT_SEAL,
     StoredCell,
     arrays_file,
-    arrays_name,
+    beside_name,
     cell_file,
     cell_from_file,
+    check_beside,
     read_arrays,
 )
 
@@ -121,22 +124,18 @@ class Store:
     ) -> StoredCell:
         """Write a cell whole, in the place of any before it: what it refers to first, itself last, in one step.
 
-        Returns the cell with the name of its arrays. Raises OSError where there is no room; what was there then stays.
+        Returns the cell with the names of its files. Raises OSError where there is no room; what was there then stays.
         """
-        content = arrays_file(arrays) if arrays else b""
-        name = arrays_name(cell.identity, content) if content else ""
-        stored = replace(cell, arrays=name)
-        if content:  # where such a file is there, too: it may be damaged
-            self._write(self.folder / name, content)
-        before = self._arrays_before(cell.identity)
-        errors = self.errors(cell.identity)
-        if tracebacks:
-            self._write(errors, tracebacks.encode("utf-8", "replace"))
+        contents = {ARRAYS: arrays_file(arrays) if arrays else b"", ERRORS: tracebacks.encode("utf-8", "replace")}
+        names = {ending: beside_name(cell.identity, content, ending) for ending, content in contents.items()}
+        for ending, name in names.items():
+            if name:  # where such a file is there, too: it may be damaged
+                self._write(self.folder / name, contents[ending])
+        before = self._beside_before(cell.identity)
+        stored = replace(cell, arrays=names[ARRAYS], errors=names[ERRORS])
         self._write(self.path(cell.identity), cell_file(stored))
-        if not tracebacks:
-            errors.unlink(missing_ok=True)
-        if before and before != name:
-            (self.folder / before).unlink(missing_ok=True)
+        for name in before - set(names.values()):
+            (self.folder / name).unlink(missing_ok=True)
         return stored
 
     def restate(self, cell: StoredCell) -> None:
@@ -148,26 +147,39 @@ class Store:
             self._write(self.path(cell.identity), cell_file(cell))
         else:
             self.prepare()
-            self.save(cell, self.arrays(cell), self.tracebacks(cell.identity))
+            self.save(cell, self.arrays(cell), self.tracebacks(cell))
 
-    def _arrays_before(self, identity: str) -> str:
+    def _beside_before(self, identity: str) -> set[str]:
+        """The names of the files that a cell has beside it, as far as they are known."""
         with contextlib.suppress(InputError):
-            return self._read(self.path(identity)).arrays if self.own(identity) else ""
-        return ""
+            if self.own(identity):
+                cell = self._read(self.path(identity))
+                return {name for name in (cell.arrays, self.errors(cell).name) if name}
+        return {_unnamed_errors(identity)}
 
-    def errors(self, identity: str) -> Path:
+    def errors(self, cell: StoredCell) -> Path:
         """Where the tracebacks of a cell's failed replicates are."""
-        return self.folder / f"{identity}.errors.txt"
+        return self.folder / (cell.errors or _unnamed_errors(cell.identity))
 
-    def tracebacks(self, identity: str) -> str:
-        """The tracebacks of a cell's failed replicates, or nothing."""
-        path = self.errors(identity)
-        if path.exists():
-            try:
-                return read_regular(path).decode(errors="replace")
-            except OSError as error:
-                raise InputError("store", path, f"cannot be read ({error.strerror}); move it away") from None
-        return self.archive.tracebacks(identity) if self.archive is not None and not self.own(identity) else ""
+    def tracebacks(self, cell: StoredCell) -> str:
+        """The tracebacks of a cell's failed replicates, or nothing.
+
+        Raises InputError where they are missing, or not the ones that the cell was stored with.
+        """
+        if self.archive is not None and not self.own(cell.identity):
+            return self.archive.tracebacks(cell.identity)
+        path = self.errors(cell)
+        if not cell.errors and not path.exists():
+            return ""
+        try:
+            content = read_regular(path)
+            if cell.errors:
+                check_beside(cell.errors, content)
+            return content.decode(errors="replace")
+        except OSError as error:
+            raise InputError("store", path, f"cannot be read ({error.strerror}); {AGAIN}") from None
+        except Unsealed as reason:
+            raise InputError("store", path, f"not the tracebacks of its cell ({reason}); {AGAIN}") from None
 
     def arrays(self, cell: StoredCell) -> dict[str, np.ndarray]:
         """The arrays kept of one replicate; none where the cell has none.
@@ -187,10 +199,12 @@ class Store:
             raise InputError("store", path, f"not the arrays of its cell ({reason}); {AGAIN}") from None
 
     def damage(self, identity: str) -> str:
-        """Why the folder's own file of a cell, or of its arrays, is not whole; nothing where they are, or none is."""
+        """Why the folder's own files of a cell are not whole; nothing where they are, or none is there."""
         try:
             if self.own(identity):
-                self.arrays(self._read(self.path(identity)))
+                cell = self._read(self.path(identity))
+                self.arrays(cell)
+                self.tracebacks(cell)
         except InputError as error:
             return str(error)
         return ""
@@ -249,6 +263,11 @@ def named_by(entry: os.DirEntry[str]) -> str:
     """The name of the cell whose file this is; nothing for other files, or a name that cannot be printed."""
     name = entry.name.removesuffix(".json")
     return name if name != entry.name and name.isprintable() else ""
+
+
+def _unnamed_errors(identity: str) -> str:
+    """The name of the tracebacks of a cell that does not name them: of before they had a checksum."""
+    return f"{identity}.{ERRORS}"
 
 
 def _of_format(found: int) -> str:

@@ -1,6 +1,7 @@
 """What is stored of a cell, and its form as a file of JSON and one of arrays.
 
-The file of JSON is sealed (:mod:`bench.store.seal`), and names the file of arrays with the digest of its bytes.
+The file of JSON is sealed (:mod:`bench.store.seal`), and names the files of arrays and of tracebacks beside it, each
+with the digest of its bytes.
 """
 
 from __future__ import annotations
@@ -29,7 +30,12 @@ FORMAT = 3
 WITHOUT_SEAL = 2
 """The format before: the same content without a seal, which :mod:`bench.store.older` takes in when it is asked to."""
 DIGITS = 6
-ARRAYS_DIGITS = 16
+BESIDE_DIGITS = 16
+"""Of the digest in the name of a file beside the cell's."""
+MOST_ARRAYS = 2**29
+"""Bytes of all arrays of a cell."""
+ARRAYS, ERRORS = "npz", "errors.txt"
+"""How the names of files beside the cell's end."""
 PLAIN = ("replicate", "message", "wall_s", "cpu_s", "peak_memory_mb", "evaluations", "data")
 
 
@@ -37,7 +43,8 @@ PLAIN = ("replicate", "message", "wall_s", "cpu_s", "peak_memory_mb", "evaluatio
 class StoredCell:
     """What a cell's file holds: its full description, its rows, the summary of every metric, and whence they come.
 
-    ``wall_s`` is the time of all fits together, ``version`` what computed it, ``arrays`` the file beside it.
+    ``wall_s`` is the time of all fits together, ``version`` what computed it, ``arrays`` and ``errors`` (tracebacks)
+    the files beside it. A cell that was stored before tracebacks had a checksum names none, though it may have some.
     """
 
     identity: str
@@ -50,6 +57,7 @@ class StoredCell:
     provenance: dict[str, Any] = field(default_factory=dict)
     version: dict[str, Any] = field(default_factory=dict)
     arrays: str = ""
+    errors: str = ""
 
     @cached_property
     def columns(self) -> Columns:
@@ -78,9 +86,10 @@ def to_json(value: Any, digits: int = DIGITS) -> Any:
     return value
 
 
-def _is_arrays_name(name: str, identity: str) -> bool:
+def _is_beside(name: object, identity: str, ending: str) -> bool:
     """Whether it names nothing, or a file beside the cell that is the cell's own: never one of another folder."""
-    return not name or re.fullmatch(re.escape(identity) + r"\.[0-9a-f]{8,64}\.npz", name) is not None
+    own = re.escape(identity) + r"\.[0-9a-f]{8,64}\." + re.escape(ending)
+    return name == "" or (isinstance(name, str) and re.fullmatch(own, name) is not None)
 
 
 def _number(value: Any) -> float:
@@ -140,6 +149,8 @@ def cell_file(cell: StoredCell) -> bytes:
         "identifiable": cell.identifiable,
         "provenance": cell.provenance,
     }
+    if cell.errors:
+        content["errors"] = cell.errors
     exact = to_json(cell.cell, 17)  # what was computed, as opposed to what came out, is kept to the last digit
     text = json.dumps(
         {**to_json(content), "cell": exact, "rows": _columns(cell)}, ensure_ascii=False, separators=(",", ":")
@@ -159,19 +170,29 @@ def arrays_file(arrays: Mapping[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-def arrays_name(identity: str, content: bytes) -> str:
-    """The name of a file of arrays: the cell's, and the beginning of the digest of its bytes."""
-    return f"{identity}.{hashlib.sha256(content).hexdigest()[:ARRAYS_DIGITS]}.npz"
+def beside_name(identity: str, content: bytes, ending: str) -> str:
+    """The name of a file beside a cell's: the cell's, and the beginning of the digest of its bytes; of nothing none."""
+    return f"{identity}.{hashlib.sha256(content).hexdigest()[:BESIDE_DIGITS]}.{ending}" if content else ""
+
+
+def check_beside(name: str, content: bytes) -> None:
+    """Raise Unsealed where the bytes of a file beside a cell's are not those that its name states."""
+    digits = name.removesuffix(f".{ARRAYS}").removesuffix(f".{ERRORS}").rpartition(".")[2]
+    if not hashlib.sha256(content).hexdigest().startswith(digits):
+        raise Unsealed("its checksum is not that of its content")
 
 
 def read_arrays(name: str, content: bytes) -> dict[str, np.ndarray]:
     """The arrays of a file of that name; raises Unsealed where its bytes are not those that the name states."""
-    digits = name.split(".")[-2]
-    if not hashlib.sha256(content).hexdigest().startswith(digits):
-        raise Unsealed("its checksum is not that of its content")
+    check_beside(name, content)
     try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            if sum(item.file_size for item in archive.infolist()) > MOST_ARRAYS:
+                raise Unsealed(f"its arrays unpack to more than {MOST_ARRAYS >> 20} MB")
         with np.load(io.BytesIO(content), allow_pickle=False) as found:
             return {key: found[key] for key in found.files}
+    except Unsealed:
+        raise
     except Exception:  # sealed by another hand: zipfile, zlib and numpy raise a dozen kinds
         raise Unsealed("no file of arrays") from None
 
@@ -183,7 +204,10 @@ def cell_from_file(content: bytes) -> StoredCell:
 
 def cell_from_json(content: Any) -> StoredCell:
     """The cell of a file's content; raises Unsealed where it is none."""
-    if not is_cell(content) or not _is_arrays_name(content["arrays"], content["identity"]):
+    names = {ARRAYS: "arrays", ERRORS: "errors"}
+    if not is_cell(content) or not all(
+        _is_beside(content.get(key, ""), content["identity"], ending) for ending, key in names.items()
+    ):
         raise Unsealed("no cell of this benchmark")
     return StoredCell(
         identity=content["identity"],
@@ -196,4 +220,5 @@ def cell_from_json(content: Any) -> StoredCell:
         provenance=content["provenance"],
         version=content["version"],
         arrays=content["arrays"],
+        errors=content.get("errors", ""),
     )

@@ -27,6 +27,7 @@ from bench.contract.problem import Problem
 from bench.contract.progress import listen
 from bench.entrants.reference import REFERENCES
 from bench.isolation.failure import one_line, traceback_text
+from bench.isolation.limit import LONGEST_FILE, limit_files
 from bench.isolation.processes import READY_S, Child, Children, Died
 from bench.scenario.truth import Truth
 from bench.sweep.wire import pack, plain
@@ -34,8 +35,6 @@ from bench.sweep.wire import pack, plain
 CPU_MARGIN_S = 60.0
 LONGEST_ANSWER = 64 << 20
 """Of one replicate, packed (bytes)."""
-LONGEST_FILE = 64 << 20
-"""Of whatever a fit writes, its output included (bytes)."""
 
 
 class Fit(Protocol):
@@ -93,7 +92,7 @@ def serve(connection: Connection) -> None:
         with contextlib.suppress(ImportError):
             importlib.import_module(package)
     _limit_memory(memory_mb)
-    _limit_files()
+    limit_files()
     connection.send_bytes(b"ready")
     while True:
         content = connection.recv_bytes()
@@ -208,13 +207,6 @@ def _limit_memory(memory_mb: float | None) -> None:
         return
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (int(memory_mb * 2**20) + _data_bytes(), hard))
-
-
-def _limit_files() -> None:
-    """Let a file that grows beyond the limit fail its write; Python ignores the signal that comes with it."""
-    _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    if hard == resource.RLIM_INFINITY or hard > LONGEST_FILE:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (LONGEST_FILE, hard))
 
 
 def _data_bytes() -> int:

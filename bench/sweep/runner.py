@@ -45,6 +45,15 @@ def run_cells(planned: Sequence[Planned], store: Store, limits: Limits, on_progr
         _run(cells, store, children, limits, on_progress)
 
 
+def compute_bounds(cells: Sequence[Cell], store: Store, limits: Limits) -> dict[str, str]:
+    """Have the store keep the bounds of some cells, as a sweep does before its fits.
+
+    Returns why a cell has none, by its identity. Raises InputError where the store cannot be written.
+    """
+    with _children(limits, {cell.method for cell in cells}) as children:
+        return make_bounds(cells, store, children, limits)
+
+
 def run_replicates(
     planned: Sequence[tuple[Planned, Collection[int]]],
     store: Store,

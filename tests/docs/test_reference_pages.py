@@ -17,8 +17,13 @@ from conftest import REPOSITORY, StoreFactory
 
 import bench
 from bench.commands.main import main
+from bench.conformance.process import MEMORY_MB
+from bench.contract.estimate import Status
+from bench.isolation.limit import LONGEST_FILE
+from bench.isolation.processes import READY_S
 from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import PriorSpec, Scenario, config_path
+from bench.sweep.method_process import CPU_MARGIN_S, LONGEST_ANSWER
 
 REFERENCE = REPOSITORY / "docs" / "reference"
 RESULTS = REPOSITORY / "results"
@@ -111,6 +116,17 @@ def test_every_field_of_a_scenario_and_of_a_force_is_there_with_its_default(kind
 def test_every_field_of_a_prior_is_there() -> None:
     shown = defaults()
     assert {field.name for field in fields(PriorSpec)} <= set(shown)
+
+
+def test_the_limits_of_a_fit_are_those_that_hold() -> None:
+    text = page("configuration.md").partition("### Limits of a fit")[2].partition("\n## ")[0]
+    shown = {cells[0].partition(",")[0].partition(":")[0]: cells[1:] for cells in lines(text)}
+    assert shown["what it prints"] == [f"{LONGEST_FILE >> 20} MB", f"`{Status.CRASHED}`"]
+    assert shown["its answer"] == [f"{LONGEST_ANSWER >> 20} MB", f"`{Status.INVALID}`"]
+    assert shown["processor time"] == [f"`timeout_s` and {CPU_MARGIN_S:g} s", f"`{Status.TIMEOUT}`"]
+    assert shown["time to start and to import its packages"][0] == f"{READY_S:g} s"
+    assert {one for *_, status in shown.values() for one in re.findall(r"`(\w+)`", status)} <= set(map(str, Status))
+    assert f"with {MEMORY_MB:g} MB" in text
 
 
 def dictionary() -> dict[str, set[str]]:

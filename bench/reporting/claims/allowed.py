@@ -88,9 +88,14 @@ ALLOWED_IN = {
     "docs/explanation/intervals.md": (r"holds the truth in 95 of 100",),
     "docs/explanation/paper.md": (r"against the replicates of the same method here, twice:",),
     "docs/reference/commands.md": (r"exit status is 0 .*? and 129 for",),
-    "docs/reference/file_formats.md": (r"UTF-8", r"median, 99 %, largest"),
-    # defaults, which tests/docs/test_reference_pages.py holds against the configuration
-    "docs/reference/configuration.md": (r"\| \d+(?:, none)? \|", r"from 0\b"),
+    "docs/reference/file_formats.md": (r"UTF-8", r"SHA-256", r"median, 99 %, largest"),
+    # defaults and limits, which tests/docs/test_reference_pages.py holds against the configuration and the code
+    "docs/reference/configuration.md": (
+        r"\| \d+(?:, none)? \|",
+        r"from 0\b",
+        r"\b(?:60|300) s\b",
+        r"\b(?:64|4096) MB\b",
+    ),
     "results/README.md": (r"\[table1[01]\.md",),
     # what the reader of a tutorial is given, asks for, and is shown by blocks that tests/docs/test_tutorials.py runs
     "docs/tutorials/first_cell.md": (r"It should be near 95",),

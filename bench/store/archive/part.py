@@ -9,7 +9,7 @@ import hashlib
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import compress
 from pathlib import Path
@@ -61,8 +61,8 @@ class Entry:
 
     @cached_property
     def file(self) -> bytes:
-        """The cell as its file in a store is."""
-        return cell_file(self.cell)
+        """The cell as its file in a store is, without a name of tracebacks: here they stand beside it."""
+        return cell_file(replace(self.cell, errors=""))
 
     @cached_property
     def digest(self) -> str:

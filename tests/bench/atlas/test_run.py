@@ -1,5 +1,9 @@
 """The runs of the atlas: finished blocks are kept, damaged ones are not read, what goes wrong is a failed fit."""
 
+import io
+import os
+import random
+import secrets
 import subprocess
 import sys
 import time
@@ -43,6 +47,43 @@ def test_a_damaged_block_is_not_read(tmp_path) -> None:
     blocks = Blocks(tmp_path)
     (tmp_path / f"{TASK.key}.npy").write_bytes(b"\x93NUMPY")
     assert blocks.get(TASK) is None
+
+
+def test_every_flipped_bit_of_a_block_is_noticed_and_the_block_computed_again(tmp_path) -> None:
+    blocks, path = Blocks(tmp_path), tmp_path / f"{TASK.key}.npy"
+    assert [error for _, error in run([TASK], blocks, 1)] == [""]
+    whole = path.read_bytes()
+    seed = secrets.randbits(32)
+    print(f"seed {seed}")
+    rng = random.Random(seed)
+    for at in rng.sample(range(8 * len(whole)), 400):
+        path.write_bytes(whole[: at // 8] + bytes([whole[at // 8] ^ 1 << at % 8]) + whole[at // 8 + 1 :])
+        assert blocks.get(TASK) is None, at
+        assert not blocks.holds(TASK)
+    assert [error for _, error in run([TASK], blocks, 1)] == [""]
+    before, after = (np.delete(np.load(io.BytesIO(content)), 2, 1) for content in (whole, path.read_bytes()))
+    assert np.array_equal(before, after, equal_nan=True)  # all but the seconds
+
+
+def test_a_block_of_before_checksums_is_read_as_it_is(tmp_path) -> None:
+    blocks = Blocks(tmp_path)
+    statistics = [at_point(TASK, Raising(), point) for point in TASK.points]
+    np.save(tmp_path / f"{TASK.key}.npy", np.stack([one.row() for one in statistics]))
+    found = blocks.get(TASK)
+    assert found is not None
+    assert [one.row().tobytes() for one in found] == [one.row().tobytes() for one in statistics]
+
+
+def test_a_block_that_is_cut_or_goes_on_is_not_read(tmp_path) -> None:
+    blocks, path = Blocks(tmp_path), tmp_path / f"{TASK.key}.npy"
+    blocks.add(TASK, [at_point(TASK, Raising(), point) for point in TASK.points])
+    whole = path.read_bytes()
+    for content in (b"", whole[:100], whole[:-1], whole + b"\0", whole + whole):
+        path.write_bytes(content)
+        assert blocks.get(TASK) is None
+    path.unlink()
+    os.mkfifo(path)
+    assert not blocks.holds(TASK)
 
 
 def test_a_method_that_raises_has_failed_fits() -> None:

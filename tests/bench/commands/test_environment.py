@@ -174,6 +174,10 @@ DENIED = {
     "status store=hidden/rows": "store=hidden/rows: there is no such folder",
     "claims store=rows results=rows": "root=README.md: cannot be read: Permission denied",
     "track from=secret.csv": "from=secret.csv: cannot be read: Permission denied",
+    "publish store=rows archive=locked": "archive=locked: cannot be written (Permission denied)",
+    "export petab out=locked/petab": "out=locked/petab: cannot be written (Permission denied)",
+    "merge secret.csv": "submission=secret.csv: cannot be read (Permission denied)",
+    "merge rows store=locked": "store=locked: cannot be written (Permission denied)",
 }
 
 

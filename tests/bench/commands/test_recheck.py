@@ -16,8 +16,11 @@ from stored import resealed
 
 from bench.commands import recheck
 from bench.config.experiment import expand
+from bench.scenario.scenario import Scenario
+from bench.store.cell import Cell
 from bench.store.locks import Claims
 from bench.store.store import Store
+from bench.store.stored import StoredCell
 from bench.sweep.launch import complete
 from bench.sweep.workers import Limits
 
@@ -263,7 +266,8 @@ def _only_summary(version: dict[str, Any]) -> dict[str, Any]:
 
 def _store_newer(path: Path) -> str:
     """As another run does; returns what the file holds then."""
-    path.write_text(path.read_text().replace('"wall_s":', '"wall_s": '))
+    content = json.loads(path.read_text())
+    path.write_bytes(resealed({**content, "wall_s": content["wall_s"] + 1.0}))
     return path.read_text()
 
 
@@ -293,3 +297,47 @@ def test_a_cell_that_another_run_is_at_is_left_to_it(store: Store) -> None:
     assert path.read_text() == before
     other.release_all()
     assert recheck.summarise_anew(list(recheck._stamped(store)), store) == 1
+
+
+def _absurd(store: Store) -> StoredCell:
+    """A cell, by its own name, of a scenario over 10^14 s: nobody can compute its bound, in the memory of any run."""
+    before = next(stored for stored in store if stored.cell["method"] == "ls")
+    data = before.cell["data"]
+    parameters = {**data["parameters"], "k3": 4.0}
+    stated = {**before.cell, "data": {**data, "system": "duffing", "parameters": parameters, "duration": 1e14}}
+    scenario = Scenario.from_dict(stated, label="duffing")
+    cell = Cell(scenario, "ls", stated["settings"], stated["replicates"], stated["seed"], "ls")
+    version = cell.version.as_json()
+    stored = replace(before, identity=cell.identity, cell={**stated, **cell.stated()}, version=version)
+    return store.save(stored)
+
+
+@pytest.mark.parametrize("stale", ["rows", "summary"])
+def test_a_cell_whose_bound_cannot_be_computed_within_the_limits_stays_stale_and_the_others_are_confirmed(
+    stale: str, store: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The bound is computed in a process that the run's limits end, not in the command's own."""
+    absurd = _absurd(store)
+    digest = OLD if stale == "rows" else f"{absurd.version['digest'].partition('-')[0]}-{OLD}"
+    store.restate(replace(absurd, version={**absurd.version, "digest": digest}))
+    other = _edit(store, "matrix_pencil", version=_older)
+    kept = store.path(absurd.identity).read_bytes()
+    assert recheck.main([f"store={store.folder}", "archive=none"]) == 0
+    said = capsys.readouterr().out.splitlines()
+    (line,) = [text for text in said if text.startswith(absurd.identity[:8])]
+    assert "ls on duffing, 20 dB: its bound cannot be computed: " in line
+    assert line.endswith("it stays stale")
+    assert "1 cells checked: 1 come out the same" in said[-1]
+    assert store.path(absurd.identity).read_bytes() == kept
+    assert _digest(other) != OLD
+    assert list(store.claims.iterdir()) == []
+
+
+def test_limits_are_the_widest_that_a_run_may_have(store: Store) -> None:
+    (first, second) = store
+    limits = {"timeout_s": 900.0, "memory_mb": 1e300}
+    found = recheck.widest_limits([replace(first, provenance={"limits": limits}), replace(second, provenance={})], 3)
+    assert (found.workers, found.timeout_s, found.memory_mb) == (3, 900.0, Limits().memory_mb)
+    for absurd in (math.inf, math.nan, -1.0, 1e10):
+        own = replace(first, provenance={"limits": {"timeout_s": absurd, "memory_mb": absurd}})
+        assert recheck.widest_limits([own], 1).timeout_s == Limits().timeout_s

@@ -137,7 +137,17 @@ def test_the_command_refuses_a_sloppy_one_with_the_remedy(capsys: pytest.Capture
     assert "natural units" in str(failed["units, mm"]["remedy"])
 
 
-@pytest.mark.parametrize(("fault", "words"), [("dies", "exited with status 3"), ("hangs", "the limit of 5 s")])
+ENDLESS = {
+    "dies": "exited with status 3",
+    "exits": "exited with status 1",
+    "hangs": "the limit of 5 s",
+    "floods": "File too large",
+    "eats": "MemoryError",
+    "raises_bytes": "raised RuntimeError: \\udcff",
+}
+
+
+@pytest.mark.parametrize(("fault", "words"), ENDLESS.items())
 def test_a_method_without_an_answer_fails_that_check_and_none_behind_it_is_tried(
     fault: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

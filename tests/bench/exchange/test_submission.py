@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+import random
+import secrets
 import shutil
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +23,7 @@ from bench.config.experiment import expand
 from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.exchange.submission import MANIFEST, pack, unpack
+from bench.scenario.scenario import Scenario
 from bench.scoring.path import MOMENTS, of_clock
 from bench.scoring.row import Row
 from bench.store.cell import Cell, stored_as_cell
@@ -60,10 +64,25 @@ def of_method(store: Store, method: str = "ls") -> list[StoredCell]:
     return [stored for stored in store if stored.cell["method"] == method]
 
 
-def submission(computed: Store, path: Path, change: Change = lambda stored: stored) -> Path:
+def submission(computed: Store, path: Path, change: Change = lambda stored: stored, **facts: str) -> Path:
     """A file of the cells of a method, each changed."""
-    pack(path, computed, [change(stored) for stored in of_method(computed)], {"method": "ls", "by": "somebody"})
+    stated = {"method": "ls", "by": "somebody", **facts}
+    pack(path, Unnamed(computed), [change(stored) for stored in of_method(computed)], stated)
     return path
+
+
+class Unnamed(Store):
+    """A store that gives the files of its cells whatever they are called now."""
+
+    def __init__(self, store: Store) -> None:
+        super().__init__(store.folder)
+        self.whole = {stored.arrays: store.arrays(stored) for stored in store}
+
+    def arrays(self, cell: StoredCell) -> dict[str, np.ndarray]:
+        return self.whole[cell.arrays]
+
+    def tracebacks(self, cell: StoredCell) -> str:
+        return ""
 
 
 def same(one: StoredCell, other: StoredCell) -> bool:
@@ -96,6 +115,32 @@ def other_code(stored: StoredCell) -> StoredCell:
 def other_packages(stored: StoredCell) -> StoredCell:
     version = {**stored.version, "digest": "0" * 16, "packages": {**stored.version["packages"], "numpy": "1.0"}}
     return replace(stored, version=version)
+
+
+def endless(stored: StoredCell) -> StoredCell:
+    """Computed, it says, within limits that are none."""
+    limits = {"timeout_s": math.inf, "memory_mb": 1e300, "workers": math.nan}
+    return replace(stored, provenance={**stored.provenance, "limits": limits})
+
+
+def a_reference(stored: StoredCell) -> StoredCell:
+    return replace(stored, cell={**stored.cell, "method": "oracle", "settings": {}})
+
+
+def another_question(stored: StoredCell) -> StoredCell:
+    """The rows of one seed as the answer to another."""
+    return replace(stored, cell={**stored.cell, "seed": 7})
+
+
+def absurd(stored: StoredCell) -> StoredCell:
+    """A scenario over 10^14 s, by its own name: nobody can compute its bound."""
+    data = {**stored.cell["data"], "duration": 1e14, "system": "duffing",
+            "parameters": {**stored.cell["data"]["parameters"], "k3": 4.0}}  # fmt: skip
+    changed = {**stored.cell, "data": data, "snr_db": data["snr_db"]}
+    scenario = Scenario.from_dict(changed, label=changed["system"])
+    cell = Cell(scenario, changed["method"], changed["settings"], changed["replicates"], changed["seed"], "ls")
+    version = {**stored.version, "modules": dict(cell.version.modules)}
+    return replace(stored, identity=cell.identity, cell={**changed, **cell.stated()}, version=version)
 
 
 def fewer_rows(stored: StoredCell) -> StoredCell:
@@ -171,6 +216,38 @@ def test_a_damaged_file_is_refused_and_nothing_is_written_outside(
         unpack(path, folder)
     assert not (tmp_path / "outside").exists()
     assert not (tmp_path / "a" / "outside").exists()
+
+
+def test_a_flipped_bit_anywhere_is_refused_or_changes_nothing(computed: Store, tmp_path: Path) -> None:
+    """Dates and rights of a file in a zip are of no account; all else has a checksum, or is one."""
+    path = submission(computed, tmp_path / "ls.submission")
+    whole, seed = path.read_bytes(), secrets.randbits(32)
+    print(f"seed {seed}")
+    rng = random.Random(seed)
+    manifest, theirs = unpack(path, tmp_path / "whole")
+    kept = {own.name: own.read_bytes() for own in theirs.folder.iterdir()}
+    refused = 0
+    for i in range(300):
+        at, bit = rng.randrange(len(whole)), rng.randrange(8)
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 1 << bit]) + whole[at + 1 :])
+        try:
+            found, theirs = unpack(path, tmp_path / str(i))
+        except InputError:
+            refused += 1
+            continue
+        assert found == manifest, (at, bit)
+        assert {own.name: own.read_bytes() for own in theirs.folder.iterdir()} == kept, (at, bit)
+    assert refused > 200
+    assert {own.name for own in tmp_path.iterdir()} <= {"ls.submission", "whole", *map(str, range(300))}
+
+
+def test_a_file_that_is_cut_anywhere_is_refused(computed: Store, tmp_path: Path) -> None:
+    path = submission(computed, tmp_path / "ls.submission")
+    whole = path.read_bytes()
+    for n in (0, 1, 21, 22, len(whole) // 2, len(whole) - 1, *range(0, len(whole), 997)):
+        path.write_bytes(whole[:n])
+        with pytest.raises(InputError, match="not a whole submission"):
+            unpack(path, tmp_path / str(n))
 
 
 def test_a_cut_file_and_a_text_are_no_submissions(computed: Store, tmp_path: Path) -> None:
@@ -269,7 +346,12 @@ def test_other_packages_are_no_hindrance_where_the_numbers_are_the_same(
 
 @pytest.mark.parametrize(
     ("change", "words"),
-    [(other_code, "computed by other code (bench."), (fewer_rows, "lacks some of its 12 rows")],
+    [
+        (other_code, "computed by other code (bench."),
+        (fewer_rows, "lacks some of its 12 rows"),
+        (a_reference, "is of oracle, the submission of ls"),
+        (another_question, "means nothing here: cell="),
+    ],
 )
 def test_what_could_not_be_computed_again_is_bad_input(
     change: Change, words: str, computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -278,6 +360,47 @@ def test_what_could_not_be_computed_again_is_bad_input(
     assert merge.main([str(path), f"store={into.folder}"]) == 2
     error = capsys.readouterr().err
     assert words in error
+    assert error.count("\n") == 1
+    assert into.identities() == []
+
+
+def test_a_submission_of_another_class_of_that_name_is_bad_input(
+    computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = submission(computed, tmp_path / "ls.submission", **{"class": "somebody.methods:LS"})
+    assert merge.main([str(path), f"store={into.folder}"]) == 2
+    error = capsys.readouterr().err
+    assert "computed by somebody.methods:LS, and ls is methods.regression.ls:LS here" in error
+    assert error.count("\n") == 1
+    assert into.identities() == []
+
+
+def test_limits_that_no_run_takes_do_not_widen_those_of_the_verification(
+    computed: Store, into: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Limits] = []
+    run = merge.run_replicates
+
+    def noted(planned: Any, store: Store, limits: Limits, *rest: Any) -> None:
+        asked.append(limits)
+        run(planned, store, limits, *rest)
+
+    monkeypatch.setattr(merge, "run_replicates", noted)
+    path = submission(computed, tmp_path / "ls.submission", endless)
+    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 0
+    assert [(one.timeout_s, one.memory_mb) for one in asked] == [(Limits().timeout_s, Limits().memory_mb)]
+
+
+def test_a_bound_that_cannot_be_computed_within_the_limits_is_bad_input(
+    computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a process of its own: this one has no memory for it either."""
+    one = of_method(computed)[0]
+    path = tmp_path / "ls.submission"
+    pack(path, Unnamed(computed), [absurd(one)], {"method": "ls"})
+    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 2
+    error = capsys.readouterr().err
+    assert "its bound cannot be computed" in error
     assert error.count("\n") == 1
     assert into.identities() == []
 
@@ -316,7 +439,7 @@ def test_two_stores_merge_and_nothing_is_lost(turned: bool, tmp_path: Path) -> N
     assert set(target.identities()) == every.keys()
     for stored in target:
         assert same(stored, every[stored.identity])
-        assert target.tracebacks(stored.identity) == f"traceback of {stored.cell['label']}"
+        assert target.tracebacks(stored) == f"traceback of {stored.cell['label']}"
         assert target.arrays(stored)["displacement"].shape == (1, 200)
 
 
@@ -346,7 +469,7 @@ def test_of_two_answers_the_present_codes_is_kept_and_then_the_one_with_more_fit
     ("arguments", "words"),
     [
         ([], "name one file or folder"),
-        (["nowhere.submission"], "no such file or folder"),
+        (["nowhere.submission"], "there is no such file; name one"),
         (["."], "no cell is stored there"),
         (["nowhere", "verify=0.01"], "verify=0.01: a number from 0.1, at most 1"),
         (["nowhere", "verify=all"], "verify=all: a number from 0.1, at most 1"),

@@ -134,7 +134,7 @@ def test_every_cell_comes_back_as_its_file_is(store: Store, archive: Archive) ->
         one, two = store.load(identity), archive.load(identity)
         assert one is not None
         assert two is not None
-        assert cell_file(two) == store.path(identity).read_bytes()
+        assert cell_file(two) == cell_file(replace(one, errors=""))  # tracebacks stand in the same file
         assert [str(dict(row.scores)) for row in two.rows] == [str(dict(row.scores)) for row in one.rows]
         assert pickle.loads(pickle.dumps(two)).rows[0].scores.keys() == one.rows[0].scores.keys()
         arrays = store.arrays(one)
@@ -143,7 +143,7 @@ def test_every_cell_comes_back_as_its_file_is(store: Store, archive: Archive) ->
         for name, values in arrays.items():
             assert (back[name].dtype, back[name].shape) == (values.dtype, values.shape)
             assert back[name].tobytes() == values.tobytes()
-        assert archive.tracebacks(identity) == store.tracebacks(identity)
+        assert archive.tracebacks(identity) == store.tracebacks(one)
     assert archive.bounds() == {"0123": '{"rmse": 0.1234567890123456}'}
     assert archive.load("nobody") is None
 
@@ -159,7 +159,7 @@ def test_of_drawn_scenarios_rows_are_published_and_curves_are_not(store: Store, 
         assert after is not None
         drawn = PLACES.get(identity) == "table1"
         assert found.arrays(identity).keys() == ({} if drawn else store.arrays(before)).keys()
-        assert cell_file(after) == cell_file(replace(before, arrays="") if drawn else before)
+        assert cell_file(after) == cell_file(replace(before, errors="", **({"arrays": ""} if drawn else {})))
 
 
 def test_bounds_that_no_experiment_uses_are_not_published(store: Store, tmp_path: Path) -> None:
@@ -318,7 +318,7 @@ def test_a_cell_of_the_archive_that_is_restated_is_whole_in_the_store(
     assert found is not None
     assert found.provenance == {"rechecked": []}
     assert alone.arrays(found).keys() == random_arrays(0).keys()
-    assert alone.tracebacks(cell.identity) == "Traceback\n  größer\n"
+    assert alone.tracebacks(found) == "Traceback\n  größer\n"
 
 
 def test_bounds_are_fetched_from_the_archive(archive: Archive, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 import secrets
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,18 +28,19 @@ LINEAR = Scenario("sdof", {"m": 1.0, "c": 0.4, "k": 8.0}, ((1.0,), (0.0,)), 20.0
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
-    """Two cells with arrays, of different methods."""
+    """Two cells with arrays and tracebacks, of different methods."""
     store = Store(tmp_path / "rows")
     store.prepare()
     for label in ("shooting", "pinn"):
         rows = scored(label, 20)
-        save(store, described(label), rows, recorded(rows, True, True))
+        stored = save(store, described(label), rows, recorded(rows, True, True))
+        store.save(stored, store.arrays(stored), f"replicate 3\nTraceback of {label}\n")
     return store
 
 
-def read(store: Store) -> list[tuple[StoredCell, dict[str, np.ndarray]]]:
+def read(store: Store) -> list[tuple[StoredCell, dict[str, np.ndarray], str]]:
     """All that a reader takes from a store."""
-    return [(cell, store.arrays(cell)) for cell in store]
+    return [(cell, store.arrays(cell), store.tracebacks(cell)) for cell in store]
 
 
 def complaint(store: Store) -> str:
@@ -63,10 +65,10 @@ def flip(content: bytes, rng: random.Random) -> bytes:
     return content[:at] + bytes([content[at] ^ 1 << rng.randrange(8)]) + content[at + 1 :]
 
 
-def test_every_flipped_bit_of_a_cell_or_its_arrays_is_noticed(store: Store) -> None:
+def test_every_flipped_bit_of_a_cell_or_of_the_files_beside_it_is_noticed(store: Store) -> None:
     rng, whole = dice(), read(store)
-    files = [path for path in sorted(store.folder.iterdir()) if path.suffix in (".json", ".npz")]
-    assert len(files) == 4
+    files = sorted(store.folder.iterdir())
+    assert sorted(path.suffix for path in files) == [".json", ".json", ".npz", ".npz", ".txt", ".txt"]
     missed = []
     for i in range(FLIPS):
         path = files[i % len(files)]
@@ -131,6 +133,49 @@ def test_arrays_of_another_cell_are_noticed(store: Store) -> None:
     for cell in store:
         with pytest.raises(InputError, match="not the arrays of its cell"):
             store.arrays(cell)
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_tracebacks_of_another_cell_and_none_are_noticed(store: Store, gone: bool) -> None:
+    one, two = store
+    path = store.errors(one)
+    path.unlink()
+    if not gone:
+        path.write_bytes(store.errors(two).read_bytes())
+    with pytest.raises(InputError, match="cannot be read" if gone else "not the tracebacks of its cell"):
+        store.tracebacks(one)
+    assert path.name in store.damage(one.identity)
+    assert store.damage(two.identity) == ""
+
+
+def test_tracebacks_of_before_they_had_a_checksum_are_read_and_go_with_their_cell(store: Store) -> None:
+    """Their file has the cell's name alone, and the cell does not name it."""
+    identity = store.identities()[0]
+    stored = store.load(identity)
+    assert stored is not None
+    store.save(stored, store.arrays(stored))
+    before = store.folder / f"{identity}.errors.txt"
+    before.write_text("Traceback of then\n")
+    stored = store.load(identity)
+    assert stored is not None
+    assert (stored.errors, store.errors(stored)) == ("", before)
+    assert store.tracebacks(stored) == "Traceback of then\n"
+    store.restate(stored)
+    assert before.exists()
+    again = store.save(stored, {}, store.tracebacks(stored))
+    assert store.tracebacks(again) == "Traceback of then\n"
+    assert not before.exists()
+    assert {path.name for path in store.folder.glob(f"{identity}*")} == {f"{identity}.json", again.errors}
+
+
+def test_tracebacks_are_never_those_of_another_folder(store: Store, tmp_path: Path) -> None:
+    identity = store.identities()[0]
+    (tmp_path / "precious.0123456789abcdef.errors.txt").write_text("precious")
+    path = store.path(identity)
+    for name in ("../precious.0123456789abcdef.errors.txt", "/etc/passwd", 3, None, f"{identity}.json"):
+        path.write_bytes(resealed({**json.loads(path.read_text()), "errors": name}))
+        with pytest.raises(InputError, match="no cell of this benchmark"):
+            store.load(identity)
 
 
 def test_a_summary_that_was_edited_is_noticed(store: Store) -> None:
@@ -200,10 +245,11 @@ def test_an_archive_of_before_checksums_is_refused_until_its_owner_has_it_sealed
     assert "2 of 2 files written" in capsys.readouterr().out
     found = Archive(folder)
     assert found.identities() == store.identities()
-    for cell, arrays in read(store):
+    for cell, arrays, tracebacks in read(store):
         back = found.load(cell.identity)
         assert back is not None
-        assert cell_file(back) == cell_file(cell)
+        assert cell_file(back) == cell_file(replace(cell, errors=""))  # which stand in the same file
+        assert found.tracebacks(cell.identity) == tracebacks
         assert {name: a.tobytes() for name, a in found.arrays(cell.identity).items()} == {
             name: a.tobytes() for name, a in arrays.items()
         }

@@ -138,13 +138,13 @@ THINGS: dict[str, Callable[[Path], None]] = {
 @pytest.mark.parametrize("ending", [".json", ".npz", ".errors.txt"])
 def test_what_is_no_file_is_one_line_at_once(store: Store, path: Path, what: str, ending: str) -> None:
     (cell,) = store
-    named = {".json": path, ".npz": store.folder / cell.arrays, ".errors.txt": store.errors(cell.identity)}[ending]
+    named = {".json": path, ".npz": store.folder / cell.arrays, ".errors.txt": store.errors(cell)}[ending]
     named.unlink(missing_ok=True)
     THINGS[what](named)
     read: Callable[[], Any] = {
         ".json": lambda: list(store) and pytest.fail("it was read"),
         ".npz": lambda: store.arrays(cell),
-        ".errors.txt": lambda: store.tracebacks(cell.identity),
+        ".errors.txt": lambda: store.tracebacks(cell),
     }[ending]
     if what == "a link to itself" and ending != ".npz":
         with limited(LONG_S):  # as if it were not there
@@ -285,7 +285,7 @@ def test_a_cell_takes_the_place_of_a_link_and_not_of_what_it_points_to(store: St
     (cell,) = store
     mine = tmp_path / "mine"
     mine.write_text("mine")
-    for path in (store.path(cell.identity), store.folder / cell.arrays, store.errors(cell.identity)):
+    for path in (store.path(cell.identity), store.folder / cell.arrays, store.errors(cell)):
         path.unlink(missing_ok=True)
         path.symlink_to(mine)
     store.save(cell, recorded(scored("shooting", 5), True, True), "Traceback")

@@ -10,11 +10,11 @@ from conftest import Plugins, StoreFactory
 
 from bench import Status
 from bench.isolation import processes
+from bench.isolation.limit import LONGEST_FILE
 from bench.isolation.processes import Children
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.store import Store
-from bench.sweep.method_process import LONGEST_FILE
 from bench.sweep.plan import plan
 from bench.sweep.runner import run_cells
 from bench.sweep.workers import Limits

@@ -4,6 +4,7 @@ import copy
 import logging
 import os
 import pickle
+import sys
 import threading
 import time
 import warnings
@@ -36,8 +37,16 @@ class Sloppy(bench.Identifier):
         channel = problem.records[0].channels[0]
         if self.fault == "dies":
             os._exit(3)
+        if self.fault == "exits":
+            sys.exit(0)
         if self.fault == "hangs":
             time.sleep(600.0)
+        while self.fault == "floods":
+            print("x" * 2**20)
+        if self.fault == "eats":
+            np.ones(2**45)
+        if self.fault == "raises_bytes":
+            raise RuntimeError("\udcff" * 2**16)
         if self.fault == "changes_the_input":
             channel.values.setflags(write=True)
             channel.values[0] = 0.5 * channel.values[0]
