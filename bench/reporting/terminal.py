@@ -16,7 +16,7 @@ from tabulate import tabulate
 WIDTH, NARROWEST = 80, 40
 LEAST_COLUMN = 6
 GAP = 2
-COLOURS = {"red": 31, "green": 32, "yellow": 33}
+COLOURS = {"green": 32, "yellow": 33}
 """Numbers of ECMA-48's select graphic rendition."""
 
 
@@ -38,10 +38,13 @@ def wrapped(text: str, hanging: str = "  ", start: str = "") -> str:
 
 
 def coloured(text: str, colour: str) -> str:
-    """A text in a colour where standard output is a terminal that has it, and NO_COLOR (no-color.org) is not set."""
-    if not sys.stdout.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
-        return text
-    return f"\x1b[{COLOURS[colour]}m{text}\x1b[0m"
+    """A text in a colour where :func:`colour_shown`."""
+    return f"\x1b[{COLOURS[colour]}m{text}\x1b[0m" if colour_shown() else text
+
+
+def colour_shown() -> bool:
+    """Whether standard output is a terminal that has colour, and NO_COLOR (no-color.org) is not set."""
+    return sys.stdout.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def clipped(text: str) -> str:
