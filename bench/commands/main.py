@@ -196,4 +196,3 @@ def _whereabouts(store: Any, cells: Sequence[Any]) -> str:
     published = sum(not store.own(cell.identity) and store.holds(cell.identity) for cell in cells)
     also = f"; {published} of the cells: {store.archive.folder}" if published else ""
     return f"full results: {store.folder}{also} (format=json prints them)"
-

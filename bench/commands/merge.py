@@ -38,8 +38,9 @@ from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.store.submitted import marked
-from bench.sweep.launch import fits_bar, preloaded
+from bench.sweep.launch import preloaded
 from bench.sweep.plan import Planned, State
+from bench.sweep.progress_bar import progress_bar
 from bench.sweep.runner import run_replicates
 from bench.sweep.workers import Limits
 
@@ -183,8 +184,8 @@ def verify(
 
     planned = [(Planned(check.cell, State.STALE, "", True), check.replicates) for check in checks.values()]
     limits = Limits(workers, **_widest([stored for stored, _ in pairs]), preload=preloaded())
-    with fits_bar(sum(map(len, chosen.values()))) as on_progress:
-        run_replicates(planned, theirs, limits, on_rows, on_progress)
+    with progress_bar() as on_look:
+        run_replicates(planned, theirs, limits, on_rows, on_look)
     return Verification(
         compared=chosen,
         of=sum(len(stored.rows) for stored, _ in pairs),

@@ -48,8 +48,9 @@ from bench.store.provenance import provenance
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.store.version import rows_digest
-from bench.sweep.launch import fits_bar, preloaded
+from bench.sweep.launch import preloaded
 from bench.sweep.plan import FAILURES, Planned, State
+from bench.sweep.progress_bar import progress_bar
 from bench.sweep.runner import run_replicates
 from bench.sweep.workers import Limits
 
@@ -285,8 +286,8 @@ def run(found: Sequence[Check], store: Store, limits: Limits) -> dict[str, bool]
             store.restate(withdrawn(check))
 
     planned = [(Planned(check.cell, State.STALE, "", True), check.replicates) for check in found]
-    with fits_bar(sum(len(check.replicates) for check in found)) as on_progress:
-        run_replicates(planned, store, limits, on_rows, on_progress)
+    with progress_bar() as on_look:
+        run_replicates(planned, store, limits, on_rows, on_look)
     return confirmed
 
 

@@ -16,5 +16,6 @@ def fit_picture(response: Response) -> str:
     with plt.rc_context({**RC, "svg.fonttype": "path"}):  # its letters are the same wherever it is opened
         figure = plt.figure(figsize=(1.3 * SIZE[0], 1.3 * SIZE[1]), layout="constrained")
         draw_record(figure, (response.times, response.values), drawn, label, response.unit)
-        figure.suptitle(response.method if fit is None else f"{response.method}: {response.trust.value}", x=0.99, ha="right")
+        said = response.method if fit is None else f"{response.method}: {response.trust.value}"
+        figure.suptitle(said, x=0.99, ha="right")
         return svg_file(figure)

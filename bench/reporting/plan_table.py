@@ -9,6 +9,7 @@ from bench.reporting.terminal_tables import described
 from bench.store.durations import fit_seconds
 from bench.store.store import Store
 from bench.sweep.plan import Planned
+from bench.sweep.progress import duration
 
 
 def counted(planned: Sequence[Planned]) -> str:
@@ -41,11 +42,3 @@ def listing(planned: Sequence[Planned], store: Store, workers: int) -> str:
     if unknown:
         lines.append(wrapped(f"nothing known of {', '.join(sorted(unknown))}"))
     return "\n".join(lines)
-
-
-def duration(seconds: float) -> str:
-    """A time in the unit that suits it."""
-    for size, unit in ((86400.0, "d"), (3600.0, "h"), (60.0, "min")):
-        if seconds >= 1.5 * size:
-            return f"{seconds / size:.1f} {unit}"
-    return f"{seconds:.0f} s"

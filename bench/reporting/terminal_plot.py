@@ -32,7 +32,7 @@ LINE_COLOUR = "cyan"
 
 
 def wanted(plot: str, stream: TextIO) -> bool:
-    """Whether a plot goes to a stream: ``always``, ``never``, or with ``auto`` where it is a terminal that people read."""
+    """Whether a plot goes to a stream: ``always``, ``never``, or with ``auto`` where it is a terminal."""
     return plot == "always" or (plot == "auto" and stream.isatty() and os.environ.get("TERM") != "dumb")
 
 

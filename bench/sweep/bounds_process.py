@@ -7,6 +7,7 @@ is none of those that fit or score: bounds of nonlinear systems load jax.
 from __future__ import annotations
 
 import pickle
+import time
 from collections import defaultdict
 from collections.abc import Iterable
 from multiprocessing.connection import Connection
@@ -17,6 +18,7 @@ from bench.isolation.processes import READY_S, Child, Children, Died
 from bench.store.bounds import bound_path, keep_bound, kept_bound
 from bench.store.cell import Cell
 from bench.store.store import Store
+from bench.sweep.progress import BoundsProgress, OnLook
 from bench.sweep.workers import Limits
 
 
@@ -35,8 +37,17 @@ def serve(connection: Connection) -> None:
         connection.send_bytes(pickle.dumps(answer))
 
 
-def make_bounds(cells: Iterable[Cell], store: Store, children: Children, limits: Limits) -> dict[str, str]:
+def make_bounds(
+    cells: Iterable[Cell], store: Store, children: Children, limits: Limits, on_look: OnLook | None = None
+) -> dict[str, str]:
     """Have the store keep the bound of every cell, or as many as can be computed.
+
+    Args:
+        cells: The cells.
+        store: Where the bounds are kept.
+        children: The processes of the run.
+        limits: Of one bound.
+        on_look: Gets how far it is, where any bound is missing.
 
     Returns:
         Why a cell has no bound, by the identity of the cell.
@@ -53,9 +64,16 @@ def make_bounds(cells: Iterable[Cell], store: Store, children: Children, limits:
             lost[cell.identity] = one_line(error)
     store.fetch_bounds(sharing.keys())
     process = _BoundsProcess(store, children, limits)
-    for group in sharing.values():
+    missing = [group for group in sharing.values() if not kept_bound(bound_path(group[0], store.bounds))]
+    progress = BoundsProgress([group[0].scenario.label for group in missing])
+    if missing and on_look is not None:
+        on_look(progress.begin())
+    for group in missing:
+        started = time.monotonic()
         if why := process.why_none(group[0]):
             lost |= dict.fromkeys((cell.identity for cell in group), why)
+        if on_look is not None:
+            on_look(progress.made(time.monotonic() - started))
     process.retire()
     return {identity: f"its bound cannot be computed: {why}" for identity, why in lost.items()}
 
@@ -69,8 +87,6 @@ class _BoundsProcess:
 
     def why_none(self, cell: Cell) -> str:
         """Have a bound kept that is missing; returns why there is none, or nothing."""
-        if kept_bound(bound_path(cell, self.store.bounds)):
-            return ""
         try:
             if self.child is None:
                 self.child = self.children.start(serve)
