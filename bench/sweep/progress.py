@@ -11,6 +11,8 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+from statistics import fmean
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,8 +20,9 @@ from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.sweep.plan import FAILURES
 
+T = TypeVar("T")
 Kind = tuple[str, str]
-"""A method and a system, by their labels; of bounds, nothing and a system."""
+"""A method and a system, by their labels."""
 
 
 @dataclass(frozen=True)
@@ -189,14 +192,14 @@ class FitsProgress:
 
 
 class BoundsProgress:
-    """The bounds that a run makes, one after another; the first of all, which loads what the others need, tells least.
+    """The bounds that a run makes, one after another; ``systems`` are the labels of their systems, in order.
 
-    ``systems`` are the labels of their systems, in order.
+    The first bound of a system is no example for the others, since much is compiled for it.
     """
 
     def __init__(self, systems: Sequence[str]) -> None:
-        self._systems = list(systems)
-        self._costs, self._first, self._done = Costs(), math.nan, 0
+        self._systems, self._done = list(systems), 0
+        self._took: dict[str, list[float]] = defaultdict(list)
 
     def begin(self) -> Look:
         """Before the first bound."""
@@ -205,20 +208,25 @@ class BoundsProgress:
     def made(self, seconds: float) -> Look:
         """Note that the next bound is there, or known to be impossible."""
         system = self._systems[self._done]
-        if self._done:
-            self._costs.add(("", system), seconds)
-        else:
-            self._first = seconds
+        self._took[system].append(seconds)
         self._done += 1
         return self._look(system)
 
     def _look(self, what: str) -> Look:
         left = self._systems[self._done :]
-        each = [self._costs.each(("", system)) for system in left]
-        each = [self._first if math.isnan(own) else own for own in each]
-        known = [own for own in each if not math.isnan(own)]
+        known = [fmean(took[1:] or took) for system in left if (took := self._took.get(system))]
         seconds = sum(known) if known or not left else math.nan
         return Look("bound", self._done, len(self._systems), what, seconds, len(known) < len(left))
+
+
+def firsts_first(items: Sequence[T], kind: Callable[[T], Hashable]) -> list[T]:
+    """The items in their order, but for the first of every kind: these come first, and tell what the others cost."""
+    first: dict[Hashable, int] = {}
+    for i, item in enumerate(items):
+        first.setdefault(kind(item), i)
+    early = sorted(first.values())
+    chosen = set(early)
+    return [items[i] for i in early] + [item for i, item in enumerate(items) if i not in chosen]
 
 
 def duration(seconds: float) -> str:

@@ -18,7 +18,7 @@ from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.bounds_process import make_bounds
 from bench.sweep.plan import Planned
-from bench.sweep.progress import FitsProgress, Kind, OnLook, kind_of
+from bench.sweep.progress import FitsProgress, OnLook, firsts_first, kind_of
 from bench.sweep.queue import CellQueue, QueuedCell, Waiting, queue_cell
 from bench.sweep.workers import Limits, RunThread, Worker, Writer
 
@@ -86,7 +86,7 @@ def _run(
     """Work cells off; with ``on_rows``, that gets what is complete instead of a writer."""
     n_workers = _affordable(limits.workers)
     n_writers = 0 if on_rows else -(-n_workers // WORKERS_A_WRITER)
-    queued = kinds_first(queued)
+    queued = firsts_first(queued, lambda one: kind_of(one.cell))
     cells = CellQueue(queued, store, COMPLETE_A_WRITER * max(1, n_writers))
     cells.claims.prepare()
     workers = [Worker(cells, children, limits) for _ in range(max(1, min(n_workers, cells.n_replicates)))]
@@ -116,14 +116,6 @@ def _affordable(workers: int) -> int:
     if affordable < workers:
         _say(f"{affordable} workers instead of {workers}: more need more open files than the system gives (ulimit -n)")
     return affordable
-
-
-def kinds_first(queued: Sequence[QueuedCell]) -> list[QueuedCell]:
-    """The cells in their order, but for the first of every kind, which come first and tell what the others cost."""
-    first: dict[Kind, str] = {}
-    for one in queued:
-        first.setdefault(kind_of(one.cell), one.cell.identity)
-    return sorted(queued, key=lambda one: first[kind_of(one.cell)] != one.cell.identity)
 
 
 def _fits_progress(queued: Sequence[QueuedCell], workers: int) -> FitsProgress:
