@@ -89,7 +89,7 @@ class BarDisplay:
             self.look, self.seen = look, time.monotonic()
             if new_stage:
                 self._open(look)
-            if new_stage or look.done == look.total:
+            if look.done == look.total:
                 self._draw()
 
     def close(self) -> None:
@@ -105,8 +105,8 @@ class BarDisplay:
 
         if self.bar is not None:
             self.bar.close()
-        self.started = time.monotonic()
-        self.bar = tqdm(total=look.total, file=sys.stderr, dynamic_ncols=True, bar_format="{percentage:3.0f}%|{bar}|")
+        self.seen = self.started = time.monotonic()
+        self.bar = tqdm(total=look.total, file=sys.stderr, dynamic_ncols=True, bar_format=self._format(look))
 
     def _tick(self) -> None:
         while not self._over.wait(TICK_S):
@@ -116,8 +116,11 @@ class BarDisplay:
 
     def _draw(self) -> None:
         assert self.look is not None
-        now = time.monotonic()
-        text = described(self.look, now - self.seen, now - self.started).replace("{", "{{").replace("}", "}}")
-        self.bar.bar_format = f"{self.look.unit}s {{percentage:3.0f}}%|{{bar}}| {text}"
+        self.bar.bar_format = self._format(self.look)
         self.bar.n = self.look.done
         self.bar.refresh()
+
+    def _format(self, look: Look) -> str:
+        now = time.monotonic()
+        text = described(look, now - self.seen, now - self.started).replace("{", "{{").replace("}", "}}")
+        return f"{look.unit}s {{percentage:3.0f}}%|{{bar}}| {text}"
