@@ -68,6 +68,7 @@ def _check_pictures(job: Job) -> None:
 def _pictures(job: Job, record: Path, findings: Any) -> None:
     """The fit of the best method as a plot, where one is wanted, and as a file."""
     from bench.measured.response import best_of, response_of
+    from bench.reporting.terminal import wrapped
     from bench.reporting.terminal_plot import plotted, wanted
 
     config, table = job.config, job.config.format == "table"
@@ -75,9 +76,9 @@ def _pictures(job: Job, record: Path, findings: Any) -> None:
     picture = config.picture != NONE and (table or config.picture is not None)
     response = response_of(best_of(findings)) if plot or picture else None
     if response is not None and plot:
-        print(f"\n{plotted(response)}")
+        print(f"\n{plotted(response)}\n")
     if table:
-        print("\nthe values are not stored: format=json prints all, with residuals")
+        print(wrapped("the values are not stored: format=json prints all, with residuals"))
     if response is not None and picture:
         path = Path(config.picture) if config.picture else _beside_store(config, record, response.method)
         _save(path, response, asked=config.picture is not None, stream=sys.stdout if table else sys.stderr)

@@ -30,6 +30,7 @@ from bench.config.schema import MOST_WORKERS
 from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
+from bench.reporting.terminal import wrapped
 from bench.scoring.path import of_clock
 from bench.scoring.row import Row
 from bench.store.bounds import load_bounds
@@ -126,7 +127,7 @@ def _merge_submission(path: Path, into: Store, share: float, seed: int, workers:
             raise InputError("submission", path, "it holds no cell")
         into.prepare()
         found = verify(pairs, theirs, share, seed, workers)
-        print(_verdict(found))
+        print(wrapped(_verdict(found)))
         if found.different:
             print(f"nothing was added; python -m bench.merge {path} seed={seed} draws the same rows again")
             return 1

@@ -38,6 +38,7 @@ from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.information.fisher import Bound
 from bench.isolation.cores import usable_cores
+from bench.reporting.terminal import wrapped
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.bounds import load_bounds
@@ -209,7 +210,7 @@ def _main(arguments: Sequence[str]) -> int:
         print("no cell is stale")
     if found:
         confirmed = run(found, store, _limits(found))
-        print("\n".join(closing(found, confirmed)))
+        print("\n".join(map(wrapped, closing(found, confirmed))))
     return 0
 
 

@@ -11,6 +11,8 @@ from bench.store.store import Store
 from bench.sweep.plan import Planned
 from bench.sweep.progress import duration
 
+MOST_OF_WHY = 160
+
 
 def counted(planned: Sequence[Planned]) -> str:
     """How many of a plan's cells are there already, and why the others are to be computed."""
@@ -31,7 +33,7 @@ def listing(planned: Sequence[Planned], store: Store, workers: int) -> str:
         if one.run and each is None:
             unknown.add(cell.label)
         total += each * cell.replicates if one.run and each is not None else 0.0
-        state = [one.state.value, takes, one.why[:60]]
+        state = [one.state.value, takes, one.why[:MOST_OF_WHY]]
         rows.append([cell.identity[:8], cell.label, described(cell.scenario), str(cell.replicates), *state])
     headers = ["cell", "method", "scenario", "fits", "state", "s", "why"]
     wanted = [one for one in planned if one.run]

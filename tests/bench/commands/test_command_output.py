@@ -45,7 +45,7 @@ def widest(text: str) -> int:
     return max(places(line) for line in text.splitlines())
 
 
-@pytest.fixture(params=[60, 80])
+@pytest.fixture(params=[60, 80, 200])
 def terminal(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     monkeypatch.setenv("COLUMNS", str(request.param))
     return int(request.param)
@@ -53,8 +53,8 @@ def terminal(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.fixture(autouse=True)
 def eighty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A terminal that is wider than what is written for."""
-    monkeypatch.setenv("COLUMNS", "200")
+    """The usual terminal."""
+    monkeypatch.setenv("COLUMNS", "80")
 
 
 def cell_of(*fields: str) -> Cell:

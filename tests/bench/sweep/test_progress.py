@@ -59,9 +59,7 @@ def course(cells: Sequence[Cell], seconds: dict[str, float], workers: int = 2) -
 
 @pytest.mark.parametrize("order", ["ls first", "mcmc first", "mixed"])
 @pytest.mark.parametrize("share", [0.25, 0.5, 0.75])
-def test_the_time_left_is_within_a_factor_of_two_of_what_is_left(
-    reference: Scenario, order: str, share: float
-) -> None:
+def test_the_time_left_is_within_a_factor_of_two_of_what_is_left(reference: Scenario, order: str, share: float) -> None:
     """Of a sweep whose methods differ in cost by 100 times, at a share of the time, whatever the order of the cells."""
     seconds = {"ls": 0.02, "mcmc": 2.0}
     named = {name: [cell(reference, name, seed) for seed in range(8)] for name in seconds}
