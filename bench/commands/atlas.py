@@ -122,7 +122,7 @@ NODES = (1, 10, 100)
 def _progress(tasks: Sequence[Task], blocks: Blocks, workers: int) -> str:
     """How far each method is, and what the whole takes on one machine and on many."""
     from bench.atlas.cost import hours, progress
-    from bench.reporting.tables.common import markdown_table
+    from bench.reporting.terminal import table, wrapped
 
     lines = progress(tasks, blocks)
     rows = [
@@ -131,14 +131,15 @@ def _progress(tasks: Sequence[Task], blocks: Blocks, workers: int) -> str:
          f"{(one.fits - one.fits_done) * one.fit_s / 3600:.2f}" if one.done else "-"]
         for one in lines
     ]  # fmt: skip
-    table = markdown_table(rows, ["method", "blocks", "fits", "ms a fit", "hours of a core", "left"])
+    text = table(rows, ["method", "blocks", "fits", "ms a fit", "hours of a core", "left"])
     known = {one.label: one.fit_s for one in lines if one.done}
     measured = [task for task in tasks if task.label in known]
     if not measured:
-        return table
+        return text
     took = ", ".join(f"{hours(measured, known, n * workers):.2g}" for n in NODES)
     nodes = ", ".join(map(str, NODES))
-    return f"{table}\n\nWhole, for the methods with a time, on {nodes} nodes with {workers} workers each: {took} hours."
+    whole = f"Whole, for the methods with a time, on {nodes} nodes with {workers} workers each: {took} hours."
+    return f"{text}\n\n{wrapped(whole, '')}"
 
 
 def _run(tasks: Sequence[Task], blocks: Blocks, left: int, workers: int, engine: str) -> None:

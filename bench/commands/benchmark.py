@@ -12,12 +12,11 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from tabulate import tabulate
-
 from bench.commands.guard import command
 from bench.config.experiment import Experiment
 from bench.config.overrides import Overrides, read_overrides
 from bench.errors import InputError
+from bench.reporting.terminal import table
 from bench.store.bounds import Replicates, bound_identity
 from bench.store.cell import Cell
 from bench.store.store import Store
@@ -69,9 +68,11 @@ def _main(arguments: Sequence[str]) -> int:
             wanted = sum(full[_place(c)] for c in own)
             whole = seconds * wanted / fits
             mark = "" if wanted == fits else " (extrapolated)"
-            rows.append([label, len(own), fits, f"{cpu[len(cpu) // 2]:.3g}", f"{seconds:.1f}", f"{whole:.0f}{mark}"])
+            rows.append(
+                [label, str(len(own)), str(fits), f"{cpu[len(cpu) // 2]:.3g}", f"{seconds:.1f}", f"{whole:.0f}{mark}"]
+            )
     headers = ["method", "cells", "fits", "cpu s/fit", "wall s", f"wall s, tables 3-5, {workers} workers"]
-    print(tabulate(rows, headers=headers, disable_numparse=True))
+    print(table(rows, headers))
     return 0
 
 

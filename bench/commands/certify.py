@@ -80,12 +80,16 @@ def _request(fields: dict[str, str], rest: Sequence[str]) -> Any:
     from bench.config.records import certificate_methods
     from bench.measured.request import ALL, request_of
 
+    overrides = read_overrides(rest)
+    for name in ("plot", "picture"):
+        if name in overrides:
+            raise InputError(name, overrides[name][0], "it is of python -m bench; a certificate has its pictures")
     names = listed("method", fields["method"])
     if names == ["fast"]:
         names = [name for name in certificate_methods() if name in choices("method")]
     for name in names if names != [ALL] else []:
         check_choice("method", name)
-    return request_of({**read_overrides(rest), "system": [fields["system"]], "method": names})
+    return request_of({**overrides, "system": [fields["system"]], "method": names})
 
 
 def _check_packages() -> None:

@@ -14,15 +14,19 @@ from bench.planning.forced import FORCED_QUANTITIES, ForcedTest
 from bench.planning.forces import LEAST_LINES, Forces, Told, line_frequencies, told_by
 from bench.planning.multisine import ALL
 from bench.planning.search import LEAST_RATE
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.terminal import table, wrapped
 from bench.reporting.whole_file import check_file, write
 
 MOST_SAMPLES = 500
-MEANING = """Each force has the energy {energy:g} N² s and starts at rest, which is not told; it is measured with the
-motion. Percentages are standard deviations by the Cramér-Rao bound of the finite record, with its transient{median}.
-Over the best: ratio of the errors of {title}."""
-COUNTED = """Counted: the standard deviation of {title} in {number} simulated tests, answered by {method}, by the median
-size of their errors."""
+MEANING = (
+    "Each force has the energy {energy:g} N² s and starts at rest, which is not told; it is measured with the motion. "
+    "Percentages are standard deviations by the Cramér-Rao bound of the finite record, with its transient{median}. "
+    "Over the best: ratio of the errors of {title}."
+)
+COUNTED = (
+    "Counted: the standard deviation of {title} in {number} simulated tests, answered by {method}, by the median size "
+    "of their errors."
+)
 
 
 def driven(request: Request) -> int:
@@ -36,13 +40,16 @@ def driven(request: Request) -> int:
     headers = ["force", "peak, N", *(f"{TITLES.get(name, name)}, %" for name in FORCED_QUANTITIES), "over the best"]
     rows = [_row(title, told, size, told.median[request.quantity] / best.median[request.quantity])
             for title, told in found.items()]  # fmt: skip
-    said = MEANING.format(energy=float(request.fields["energy"]), median=median_words(request.likely),
-                          title=request.title)  # fmt: skip
+    meaning = MEANING.format(
+        energy=float(request.fields["energy"]), median=median_words(request.likely), title=request.title
+    )
+    said = wrapped(meaning, "")
     if request.simulations:
         headers.append("counted, %")
         rows = [[*row, value] for row, value in zip(rows, _counted(request, test, list(found.values())), strict=True)]
-        said += "\n" + COUNTED.format(title=request.title, number=request.simulations, method=request.method)
-    print(f"{markdown_table(rows, headers)}\n\n{said}")
+        counting = COUNTED.format(title=request.title, number=request.simulations, method=request.method)
+        said += "\n" + wrapped(counting, "")
+    print(f"{table(rows, headers)}\n\n{said}")
     if out is not None:
         _write(out, test.times, size * best.force)
     return 0

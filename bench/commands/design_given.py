@@ -11,7 +11,7 @@ from bench.config.choices import check_choice
 from bench.errors import InputError
 from bench.planning.free_decay import QUANTITIES
 from bench.planning.longer import Taken
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.terminal import table, wrapped
 
 FACTORS = (1.25, 1.5, 2.0, 3.0)
 """Times its duration, for which it is said what a record would tell."""
@@ -37,15 +37,17 @@ def gone_on(arguments: Sequence[str]) -> int:
     lines += [(f"{factor:g} times as long", factor * record.duration, record.expected(factor)) for factor in FACTORS]
     lines += [(f"{number} records alike", number * record.duration, record.repeated(number)) for number in AGAIN]
     rows = [[title, f"{seconds:.3g}", *(percent(told[name]) for name in QUANTITIES)] for title, seconds, told in lines]
-    print(markdown_table(rows, ["record", "seconds", *(f"{title}, %" for title in TITLES.values())]))
-    print(f"\n{GONE_ON}")
+    print(table(rows, ["record", "seconds", *(f"{title}, %" for title in TITLES.values())]))
+    print(f"\n{wrapped(GONE_ON, '')}")
     if want:
-        print(_until(record, *want))
+        print(wrapped(_until(record, *want), ""))
     return 0
 
 
-GONE_ON = """Percentages are standard errors; those of the record are what it supports, the others follow by ratios of
-Cramér-Rao bounds. A longer record goes on at the same rate."""
+GONE_ON = (
+    "Percentages are standard errors; those of the record are what it supports, the others follow by ratios of "
+    "Cramér-Rao bounds. A longer record goes on at the same rate."
+)
 
 
 def _until(record: Taken, quantity: str, error: float) -> str:

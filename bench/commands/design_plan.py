@@ -12,7 +12,7 @@ from bench.commands.fields import whole
 from bench.config.atlas import on_the_bound
 from bench.planning.free_decay import QUANTITIES, Decay
 from bench.planning.search import MOST_SAMPLES, SHARE, WITHIN, Proposal, cheapest, proposal
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.terminal import table, wrapped
 
 STARTS = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 """Starts that are proposed where none is said, over the noise."""
@@ -27,7 +27,7 @@ def planned(request: Request) -> int:
         return 1
     checked = simulated_shares(request, [one.decay for one in found]) if request.simulations else None
     print(_table(found, request.noise, checked))
-    print(f"\n{_meaning(request)}")
+    print(f"\n{wrapped(_meaning(request), '')}")
     return 0
 
 
@@ -59,7 +59,7 @@ def _table(found: Sequence[Proposal], noise: float, checked: Sequence[str] | Non
                "wrong frequency, %"]  # fmt: skip
     if checked is not None:
         rows, headers = [[*row, text] for row, text in zip(rows, checked, strict=True)], [*headers, "simulated, %"]
-    return markdown_table(rows, headers)
+    return table(rows, headers, ())
 
 
 def _meaning(request: Request) -> str:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from textwrap import fill
-
 import numpy as np
 
 from bench.commands.design_plan import simulated_shares
 from bench.commands.design_request import TITLES, Request, length, median_words, percent, positive
 from bench.commands.fields import path_of, whole
 from bench.planning.free_decay import QUANTITIES, Decay
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.terminal import table, wrapped
 from bench.reporting.whole_file import check_file, write
 
 
@@ -39,8 +37,9 @@ def sampled(request: Request) -> int:
         shares = simulated_shares(request, [decay] * len(found), [one.times for one in found.values()])
         rows = [[*row, share] for row, share in zip(rows, shares, strict=True)]
     best = found[f"best for {request.title}"].times
-    print(f"{markdown_table(rows, headers)}\n\n{fill(f'Best for {request.title} (s): {_bursts(best, decay)}.', 120)}")
-    print(f"Percentages are standard deviations by the Cramér-Rao bound{median_words(likely)}.")
+    print(f"{table(rows, headers)}\n")
+    print(wrapped(f"Best for {request.title} (s): {_bursts(best, decay)}.", ""))
+    print(wrapped(f"Percentages are standard deviations by the Cramér-Rao bound{median_words(likely)}.", ""))
     if out is not None:
         write(out, "\n".join(["t (s)", *(f"{time:.9g}" for time in best)]) + "\n")
     return 0

@@ -86,12 +86,12 @@ def _answer(frame: pd.DataFrame, atlas: pd.DataFrame, quantity: str) -> str:
     from bench.atlas.model import Model, unknown
     from bench.entrants.registry import load_method
     from bench.reporting.atlas import RARE
-    from bench.reporting.tables.common import markdown_table
+    from bench.reporting.terminal import table, wrapped
 
     why = unknown(frame, quantity)
     bound = float(frame[f"bound_{quantity}"].iloc[0])
     if why:
-        return f"The atlas does not know: {why}."
+        return wrapped(f"The atlas does not know: {why}.")
     rows = []
     for name, own in atlas.groupby("method", sort=False):
         try:
@@ -104,17 +104,20 @@ def _answer(frame: pd.DataFrame, atlas: pd.DataFrame, quantity: str) -> str:
         rows.append((order, [load_method(str(name)).card.title, spread, f"{100 * one.gross:.1f}"]))
     if not rows:
         raise InputError("atlas", "", "an atlas with more points of some method")
-    table = markdown_table(
+    text = table(
         [cells for _, cells in sorted(rows, key=lambda row: row[0])],
         ["method", "error over the bound (range)", "gross errors, %"],
     )
     wrong = float(frame.wrong_basin.iloc[0])
-    return f"{table}\n\n" + MEANING.format(quantity=TITLES[quantity], bound=100 * bound, wrong=100 * wrong)
+    meaning = MEANING.format(quantity=TITLES[quantity], bound=100 * bound, wrong=100 * wrong)
+    return f"{text}\n\n{wrapped(meaning, '')}"
 
 
-MEANING = """The bound on the standard deviation of {quantity} is {bound:.2g} %; in {wrong:.2g} % of such records the
-likelihood is largest at a wrong frequency. Errors are those of fits that are not gross, with the range in which eight
-of ten tests like this lie; gross are those beyond five times the bound."""
+MEANING = (
+    "The bound on the standard deviation of {quantity} is {bound:.2g} %; in {wrong:.2g} % of such records the "
+    "likelihood is largest at a wrong frequency. Errors are those of fits that are not gross, with the range in which "
+    "eight of ten tests like this lie; gross are those beyond five times the bound."
+)
 TITLES = {"k_over_m": "k/m", "c_over_m": "c/m"}
 
 

@@ -25,7 +25,9 @@ def command(
 
     def run() -> int:
         if {"-h", "--help"} & set(arguments):
-            print(page)
+            from bench.reporting.terminal import help_page
+
+            print(help_page(page))
             return 0
         return body(arguments)
 

@@ -45,6 +45,9 @@ fields (defaults in brackets):
   fixed.<p>      a parameter that is told: fixed.l=1
   nominal.<p>    what is stated of a measured system (with prior=)
   start          its displacement and velocity (with initial_state=known)
+  plot           [auto] the fit in the terminal: auto, where the output is one,
+                 always, never
+  picture        [outputs/fits/<record>_<method>.svg] the fit as a file, or none
   experiment     {experiments}, measured, online, atlas
   method.<setting>, system.<field>, disturbance.size
                  any setting of a method, any field of a system
@@ -122,7 +125,9 @@ def _main(arguments: list[str]) -> int:
     from bench.config.experiment import sweep  # half a second to import: a mistyped name is said before
 
     if any(value is not None for value in overrides.get("data", [])):
-        return _identify(overrides, show="--cfg" in flags)
+        from bench.commands.measured_record import identify_records
+
+        return identify_records(overrides, show="--cfg" in flags)
     jobs = sweep(overrides, multirun=bool(flags & {"-m", "--multirun"}))
     if "cells_per_job" in overrides and not launcher:
         raise InputError("cells_per_job", overrides["cells_per_job"][0], "with hydra/launcher=, whose jobs it is of")
@@ -191,27 +196,3 @@ def _whereabouts(store: Any, cells: Sequence[Any]) -> str:
     published = sum(not store.own(cell.identity) and store.holds(cell.identity) for cell in cells)
     also = f"; {published} of the cells: {store.archive.folder}" if published else ""
     return f"full results: {store.folder}{also} (format=json prints them)"
-
-
-def _identify(overrides: Any, show: bool) -> int:
-    """Measured records: 1 where no method's answer is to be trusted."""
-    from bench.face.identification import identification
-    from bench.measured.record import read_measured
-    from bench.measured.request import request_of
-    from bench.reporting.record_page import methods_page
-
-    request = request_of(overrides)
-    if show:
-        print(request.job.config.model_dump_json(indent=2, by_alias=True))
-        return 0
-    found = identification(request, read_measured(request))
-    if request.job.config.format == "json":
-        for own in found:
-            print(json.dumps(own.as_dict(), allow_nan=False))
-    elif len(found) > 1:
-        names = [name for name in found[0].estimates if any(name in own.estimates for own in found[1:])] or ["k_over_m"]
-        print(methods_page([own._plain() for own in found], names[:3]))
-    else:
-        print(found[0])
-        print("nothing of a measured record is stored: format=json prints all, with residuals")
-    return int(all(own.trust == "do not trust" for own in found))

@@ -32,6 +32,7 @@ from bench.contract.estimate import Status
 from bench.entrants.registry import registered
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
+from bench.reporting.terminal import wrapped
 from bench.scoring.path import of_clock
 from bench.scoring.row import Row
 from bench.store.bounds import load_bounds
@@ -40,8 +41,8 @@ from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.store.submitted import marked
-from bench.sweep.launch import fits_bar
 from bench.sweep.plan import Planned, State
+from bench.sweep.progress_bar import progress_bar
 from bench.sweep.runner import compute_bounds, run_replicates
 from bench.sweep.workers import Limits
 
@@ -129,7 +130,7 @@ def _merge_submission(path: Path, into: Store, share: float, seed: int, workers:
         for identity, why in compute_bounds([cell for _, cell in pairs], into, limits).items():
             raise InputError("submission", path, f"cell {identity[:8]}: {why}")
         found = verify(pairs, theirs, share, seed, limits)
-        print(_verdict(found))
+        print(wrapped(_verdict(found)))
         if found.different:
             print(f"nothing was added; python -m bench.merge {path} seed={seed} draws the same rows again")
             return 1
@@ -212,8 +213,8 @@ def verify(
         (Planned(check.cell, State.STALE, "", True, theirs.stamp(identity)), check.replicates)
         for identity, check in checks.items()
     ]
-    with fits_bar(sum(map(len, chosen.values()))) as on_progress:
-        run_replicates(planned, theirs, limits, on_rows, on_progress)
+    with progress_bar() as on_look:
+        run_replicates(planned, theirs, limits, on_rows, on_look)
     return Verification(
         compared=chosen,
         of=sum(len(stored.rows) for stored, _ in pairs),

@@ -39,6 +39,7 @@ from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.information.fisher import Bound
 from bench.isolation.cores import usable_cores
+from bench.reporting.terminal import wrapped
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.bounds import load_bounds
@@ -49,8 +50,9 @@ from bench.store.provenance import provenance
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.store.version import rows_digest
-from bench.sweep.launch import fits_bar, preloaded
+from bench.sweep.launch import preloaded
 from bench.sweep.plan import FAILURES, Planned, State
+from bench.sweep.progress_bar import progress_bar
 from bench.sweep.runner import compute_bounds, run_replicates
 from bench.sweep.workers import Limits
 
@@ -213,7 +215,7 @@ def _main(arguments: Sequence[str]) -> int:
         bounded = [check for check in found if check.cell.identity not in lost]
         confirmed = run(bounded, store, limits)
         without = [f"{_named(c)}: {lost[c.cell.identity]}; it stays stale" for c in found if c.cell.identity in lost]
-        print("\n".join([*without, *closing(bounded, confirmed)]))
+        print("\n".join(map(wrapped, [*without, *closing(bounded, confirmed)])))
     return 0
 
 
@@ -295,8 +297,8 @@ def run(found: Sequence[Check], store: Store, limits: Limits) -> dict[str, bool]
             store.restate(withdrawn(check))
 
     planned = [(Planned(check.cell, State.STALE, "", True, check.stamp), check.replicates) for check in found]
-    with fits_bar(sum(len(check.replicates) for check in found)) as on_progress:
-        run_replicates(planned, store, limits, on_rows, on_progress)
+    with progress_bar() as on_look:
+        run_replicates(planned, store, limits, on_rows, on_look)
     return confirmed
 
 

@@ -13,7 +13,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from bench.contract.estimate import Status
-from bench.reporting.plan_table import duration
 from bench.reporting.rounding import number
 from bench.reporting.terminal import clipped
 from bench.reporting.terminal_tables import described
@@ -23,6 +22,7 @@ from bench.store.durations import fit_seconds
 from bench.store.locks import under_way
 from bench.store.store import Store
 from bench.sweep.plan import State, plan
+from bench.sweep.progress import duration
 
 WINDOW_S = 300.0
 """The rate is that of the last five minutes."""

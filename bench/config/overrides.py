@@ -18,13 +18,14 @@ from bench.config.files import ENDING
 from bench.config.suggest import did_you_mean
 from bench.errors import InputError
 
-TEXTS = ("data", "columns", "units", "store", "archive", "retry")
+TEXTS = ("data", "columns", "units", "picture", "store", "archive", "retry")
 """Fields whose values are taken as they are written, and are not swept over: paths may hold any letter."""
-PATHS = ("store", "archive")
+PATHS = ("store", "archive", "picture")
 BRANCHED = (*GROUPS, "fixed", "nominal")
 """Fields that have others below them."""
 OF_RECORDS = (
     "columns", "units", "rate", "from", "to", "decimate", "detrend", "force_gain", "hold", "fixed", "nominal", "start",
+    "plot", "picture",
 )  # fmt: skip
 """Fields that say something of a measured record alone."""
 MOST_VALUES = 100_000

@@ -70,6 +70,8 @@ class Config(BaseModel):
     fixed: dict[str, Annotated[float, Field(allow_inf_nan=False, ge=0)]]
     nominal: dict[str, Positive]
     start: list[Finite] | None
+    plot: Literal["auto", "always", "never"]
+    picture: str | None
 
 
 @dataclass(frozen=True)

@@ -189,7 +189,7 @@ def identify(
     if len(request.jobs) > 1:
         raise InputError("method", method, "one method at a time")
     recordings = tuple(prepared(recording, request.options) for recording in recordings)
-    return identification(request, read_measured(request, recordings))[0]
+    return identified(found_by(request, read_measured(request, recordings))[0])
 
 
 def _written(pairs: Mapping[str, Any] | None) -> str | None:
@@ -210,13 +210,13 @@ def _records(
     return (of_arrays(data, displacement, force),), []  # type: ignore[arg-type]
 
 
-def identification(request: Request, measured: Measured) -> list[Identification]:
-    """Identify the records with every method of the request, in their order; raises InputError."""
+def found_by(request: Request, measured: Measured) -> list[Finding]:
+    """What every method of the request finds in the records, in their order; raises InputError."""
     if request.system == AUTO:
         from bench.measured.classes import best_class
 
         measured = best_class(measured)
-    return [identified(find(job, measured)) for job in request.jobs]
+    return [find(job, measured) for job in request.jobs]
 
 
 def identified(finding: Finding) -> Identification:

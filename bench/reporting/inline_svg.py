@@ -1,9 +1,10 @@
-"""Pictures by matplotlib as small inline SVGs that take their colours from the page: light and dark in one."""
+"""Pictures by matplotlib as small SVGs: inline ones take their colours from the page, light and dark in one."""
 
 from __future__ import annotations
 
 import io
 import re
+from importlib.resources import files
 from typing import Any
 
 INK, MUTED, LINE, SURFACE = "#010203", "#040506", "#070809", "#0a0b0c"
@@ -59,6 +60,23 @@ def svg(figure: Any, title: str, name: str) -> str:
     size = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text)
     box = f'viewBox="0 0 {size.group(1)} {size.group(2)}"' if size else ""
     return re.sub(r"<svg[^>]*>", f'<svg {box} role="img" aria-label="{_plain(title)}">', text, count=1)
+
+
+def svg_file(figure: Any) -> str:
+    """A figure as the content of a file, in the page's colours for a light ground."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", transparent=False, metadata={"Date": None})
+    pyplot().close(figure)
+    text, light = buffer.getvalue(), _light()
+    for stand_in, variable in COLOURS.items():
+        text = text.replace(stand_in, light[variable])
+    return text
+
+
+def _light() -> dict[str, str]:
+    """The page's colours by the names of their variables; those for a dark ground stand behind them."""
+    style = files("bench.reporting.page").joinpath("report.css").read_text(encoding="utf-8")
+    return dict(reversed(re.findall(r"(--\w+): (#\w+)", style)))
 
 
 def _plain(text: str) -> str:

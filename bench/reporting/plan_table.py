@@ -9,6 +9,9 @@ from bench.reporting.terminal_tables import described
 from bench.store.durations import fit_seconds
 from bench.store.store import Store
 from bench.sweep.plan import Planned
+from bench.sweep.progress import duration
+
+MOST_OF_WHY = 160
 
 
 def counted(planned: Sequence[Planned]) -> str:
@@ -30,7 +33,7 @@ def listing(planned: Sequence[Planned], store: Store, workers: int) -> str:
         if one.run and each is None:
             unknown.add(cell.label)
         total += each * cell.replicates if one.run and each is not None else 0.0
-        state = [one.state.value, takes, one.why[:60]]
+        state = [one.state.value, takes, one.why[:MOST_OF_WHY]]
         rows.append([cell.identity[:8], cell.label, described(cell.scenario), str(cell.replicates), *state])
     headers = ["cell", "method", "scenario", "fits", "state", "s", "why"]
     wanted = [one for one in planned if one.run]
@@ -41,11 +44,3 @@ def listing(planned: Sequence[Planned], store: Store, workers: int) -> str:
     if unknown:
         lines.append(wrapped(f"nothing known of {', '.join(sorted(unknown))}"))
     return "\n".join(lines)
-
-
-def duration(seconds: float) -> str:
-    """A time in the unit that suits it."""
-    for size, unit in ((86400.0, "d"), (3600.0, "h"), (60.0, "min")):
-        if seconds >= 1.5 * size:
-            return f"{seconds / size:.1f} {unit}"
-    return f"{seconds:.0f} s"

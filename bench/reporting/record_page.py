@@ -60,8 +60,7 @@ def methods_page(found: Sequence[Mapping[str, Any]], names: Sequence[str]) -> st
             cells.append(" to ".join(rounded(e["value"], e["low"], e["high"])[1:]) if e else "-")
         rows.append([own["method"], own["trust"], *cells, number(own["wall_s"])])
     headers = ["method", "verdict", *(f"{readable(name)}, 95 %" for name in names), "s"]
-    lines = [f"record: {found[0]['data']}", "", table(rows, headers, (0, 1)), ""]
-    for own in found:
-        if own["trust"] == "do not trust":
-            lines.append(wrapped(f"{own['method']}: {own['reasons'][0]}", "    ", "  "))
+    doubted = [own for own in found if own["trust"] == "do not trust"]
+    lines = [f"record: {found[0]['data']}", "", table(rows, headers, (0, 1)), *([""] if doubted else [])]
+    lines += [wrapped(f"{own['method']}: {own['reasons'][0]}", "    ", "  ") for own in doubted]
     return "\n".join(lines)

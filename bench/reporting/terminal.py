@@ -6,6 +6,7 @@ Widths are those on a screen, where a letter of some scripts takes two places an
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import sys
 from collections.abc import Collection, Sequence
@@ -14,15 +15,17 @@ import wcwidth
 from tabulate import tabulate
 
 WIDTH, NARROWEST = 80, 40
-LEAST_COLUMN = 6
+"""Places of sentences at most, for longer lines are hard to read; and of any line at least."""
+LEAST_COLUMN, WHOLE_WORD = 6, 16
+"""Places of a column of words at least, and of a word that is broken last."""
 GAP = 2
-COLOURS = {"red": 31, "green": 32, "yellow": 33}
+COLOURS = {"green": 32, "yellow": 33}
 """Numbers of ECMA-48's select graphic rendition."""
 
 
 def columns() -> int:
-    """Places in a line: those of the terminal, 40 to 80; 80 where there is none. ``COLUMNS`` overrides."""
-    return max(NARROWEST, min(WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns))
+    """Places in a line: those of the terminal, 40 at least; 80 where there is none. ``COLUMNS`` overrides."""
+    return max(NARROWEST, shutil.get_terminal_size((WIDTH, 24)).columns)
 
 
 def width(text: str) -> int:
@@ -32,16 +35,42 @@ def width(text: str) -> int:
 
 def wrapped(text: str, hanging: str = "  ", start: str = "") -> str:
     """A sentence on as many lines as it needs. Words stay whole unless one is longer than a line."""
+    places = min(WIDTH, columns())
     return "\n".join(
-        wcwidth.wrap(text, columns(), initial_indent=start, subsequent_indent=hanging, break_on_hyphens=False) or [""]
+        wcwidth.wrap(text, places, initial_indent=start, subsequent_indent=hanging, break_on_hyphens=False) or [""]
     )
 
 
+def help_page(text: str) -> str:
+    """A page of usage: its sentences as paragraphs; a field goes on below where its explanation begins."""
+    parts: list[str] = []
+    for line in text.splitlines():
+        if parts and _is_prose(line) and _is_prose(parts[-1]):
+            parts[-1] += f" {line}"
+        else:
+            parts.append(line)
+    return "\n".join(wrapped(part, "" if _is_prose(part) else " " * _explained(part)) for part in parts)
+
+
+def _is_prose(line: str) -> bool:
+    """Whether a line of a page is a part of a paragraph, not of a list of fields, and no title of one."""
+    return bool(line) and not line.startswith((" ", "usage:")) and "  " not in line and not line.endswith(":")
+
+
+def _explained(line: str) -> int:
+    """Where the explanation of a field begins."""
+    found = re.match(r" *\S+(?: \S+)* {2,}", line)
+    return min(found.end() if found else 2, columns() // 2)
+
+
 def coloured(text: str, colour: str) -> str:
-    """A text in a colour where standard output is a terminal that has it, and NO_COLOR (no-color.org) is not set."""
-    if not sys.stdout.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
-        return text
-    return f"\x1b[{COLOURS[colour]}m{text}\x1b[0m"
+    """A text in a colour where :func:`colour_shown`."""
+    return f"\x1b[{COLOURS[colour]}m{text}\x1b[0m" if colour_shown() else text
+
+
+def colour_shown() -> bool:
+    """Whether standard output is a terminal that has colour, and NO_COLOR (no-color.org) is not set."""
+    return sys.stdout.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def clipped(text: str) -> str:
@@ -54,10 +83,12 @@ def table(rows: Sequence[Sequence[str]], headers: Sequence[str], words: Collecti
     """A table no wider than the terminal: ``words`` are the columns of words, the others hold numbers.
 
     Words stand on the left, and on several lines where the table would be too wide, as headings do; numbers stand on
-    the right and are never broken, so a table of many numbers may still be wider than a narrow terminal.
+    the right and are never broken. Where so many numbers do not fit side by side, each row is a list of its own.
     """
     lines = [list(headers), *(list(row) for row in rows)]
     widths = _widths(lines, words)
+    if sum(widths) + GAP * (len(widths) - 1) > columns():
+        return "\n".join(_listed(row, headers) for row in rows)
     lines = [[_cell(text, widths[i]) for i, text in enumerate(line)] for line in lines]
     sides = ["left" if i in words else "right" for i in range(len(headers))]
     text = tabulate(lines, tablefmt="plain", disable_numparse=True, colalign=sides)
@@ -78,10 +109,26 @@ def _widths(lines: Sequence[Sequence[str]], words: Collection[int]) -> list[int]
     widths = [max(width(line[i]) for line in lines) for i in every]
     numbers = [max((width(line[i]) for line in lines[1:]), default=0) for i in every]
     longest = [max((width(word) for word in text.split()), default=0) for text in lines[0]]
-    least = [LEAST_COLUMN if i in words else max(numbers[i], longest[i]) for i in every]
+    least = [max(numbers[i], longest[i]) for i in every]
     over = sum(widths) + GAP * (len(widths) - 1) - columns()
-    for chosen in ([i for i in every if i not in words], [i for i in every if i in words]):
-        while over > 0 and any(widths[i] > least[i] for i in chosen):
-            widths[max((i for i in chosen if widths[i] > least[i]), key=lambda i: widths[i])] -= 1
+    whole = [max((width(word) for line in lines for word in line[i].split()), default=0) for i in every]
+    steps = (
+        {i: least[i] for i in every if i not in words},
+        {i: max(LEAST_COLUMN, min(WHOLE_WORD, whole[i])) for i in every if i in words},
+        {i: LEAST_COLUMN for i in every if i in words},
+    )
+    for ends in steps:
+        while over > 0 and any(widths[i] > end for i, end in ends.items()):
+            widths[max((i for i, end in ends.items() if widths[i] > end), key=lambda i: widths[i])] -= 1
             over -= 1
     return widths
+
+
+def _listed(row: Sequence[str], headers: Sequence[str]) -> str:
+    """A row below its first cell, each of the others on a line behind its heading."""
+    places = min(max(map(width, headers[1:])), columns() // 2)
+    lines = [wrapped(f"{headers[0]} {row[0]}".strip())]
+    for heading, text in zip(headers[1:], row[1:], strict=True):
+        filled = heading + " " * (places - width(heading))
+        lines += [wrapped(f"  {filled}  {text}", " " * (places + 4))] if text else []
+    return "\n".join(lines)

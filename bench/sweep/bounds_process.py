@@ -7,6 +7,7 @@ is none of those that fit or score: bounds of nonlinear systems load jax.
 from __future__ import annotations
 
 import pickle
+import time
 from collections import defaultdict
 from collections.abc import Iterable
 from multiprocessing.connection import Connection
@@ -17,6 +18,7 @@ from bench.isolation.processes import READY_S, Child, Children, Died
 from bench.store.bounds import bound_path, keep_bound, kept_bound
 from bench.store.cell import Cell
 from bench.store.store import Store
+from bench.sweep.progress import BoundsProgress, OnLook, firsts_first
 from bench.sweep.workers import Limits
 
 
@@ -35,8 +37,17 @@ def serve(connection: Connection) -> None:
         connection.send_bytes(pickle.dumps(answer))
 
 
-def make_bounds(cells: Iterable[Cell], store: Store, children: Children, limits: Limits) -> dict[str, str]:
+def make_bounds(
+    cells: Iterable[Cell], store: Store, children: Children, limits: Limits, on_look: OnLook | None = None
+) -> dict[str, str]:
     """Have the store keep the bound of every cell, or as many as can be computed.
+
+    Args:
+        cells: The cells.
+        store: Where the bounds are kept.
+        children: The processes of the run.
+        limits: Of one bound.
+        on_look: Gets how far it is, where any bound is missing.
 
     Returns:
         Why a cell has no bound, by the identity of the cell.
@@ -53,9 +64,16 @@ def make_bounds(cells: Iterable[Cell], store: Store, children: Children, limits:
             lost[cell.identity] = one_line(error)
     store.fetch_bounds(sharing.keys())
     process = _BoundsProcess(store, children, limits)
-    for group in sharing.values():
+    missing = [group for group in sharing.values() if not kept_bound(bound_path(group[0], store.bounds))]
+    missing = firsts_first(missing, lambda group: group[0].scenario.label)
+    progress = BoundsProgress([group[0].scenario.label for group in missing])
+    if missing and on_look is not None:
+        on_look(progress.begin())
+    for group in missing:
         if why := process.why_none(group[0]):
             lost |= dict.fromkeys((cell.identity for cell in group), why)
+        if on_look is not None:
+            on_look(progress.made(process.seconds))
     process.retire()
     return {identity: f"its bound cannot be computed: {why}" for identity, why in lost.items()}
 
@@ -66,23 +84,31 @@ class _BoundsProcess:
     def __init__(self, store: Store, children: Children, limits: Limits) -> None:
         self.store, self.children, self.limits = store, children, limits
         self.child: Child | None = None
+        self.seconds = 0.0
+        """What the last bound took, without the start of the process."""
 
     def why_none(self, cell: Cell) -> str:
         """Have a bound kept that is missing; returns why there is none, or nothing."""
-        if kept_bound(bound_path(cell, self.store.bounds)):
-            return ""
         try:
             if self.child is None:
                 self.child = self.children.start(serve)
                 self.child.receive(READY_S)
-            self.child.send(pickle.dumps((cell, self.store.bounds)))
-            answer = pickle.loads(self.child.receive(self.limits.timeout_s, self.limits.memory_mb))
+            answer = self._answer(self.child, cell)
         except Died as died:
             self.child = None
             return died.message
         if isinstance(answer, InputError):
             raise answer
-        return str(answer)
+        return answer
+
+    def _answer(self, child: Child, cell: Cell) -> str | InputError:
+        started = time.monotonic()
+        try:
+            child.send(pickle.dumps((cell, self.store.bounds)))
+            answer: str | InputError = pickle.loads(child.receive(self.limits.timeout_s, self.limits.memory_mb))
+            return answer
+        finally:
+            self.seconds = time.monotonic() - started
 
     def retire(self) -> None:
         if self.child is not None:

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 import uuid
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -29,7 +29,9 @@ from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.job import Job, read_job, write_job
 from bench.sweep.plan import Planned, plan
-from bench.sweep.runner import Progress, needed, run_cells
+from bench.sweep.progress import Look
+from bench.sweep.progress_bar import progress_bar
+from bench.sweep.runner import needed, run_cells
 from bench.sweep.workers import Limits
 
 WATCH_S = 1.0
@@ -105,8 +107,8 @@ def _run_here(wanted: Sequence[Planned], store: Store, limits: Limits, how: Laun
     for text in how.overrides:
         if not text.lstrip("+").startswith("hydra/launcher="):
             raise InputError("argument", text, "an option of a launcher: name that too, by hydra/launcher=")
-    with fits_bar(sum(one.cell.replicates for one in wanted), "bounds", how.progress) as on_progress:
-        run_cells(wanted, store, replace(limits, preload=preloaded()), on_progress)
+    with progress_bar(how.progress) as on_look:
+        run_cells(wanted, store, replace(limits, preload=preloaded()), on_look)
 
 
 def run_job(config: Any) -> dict[str, int]:
@@ -118,12 +120,12 @@ def run_job(config: Any) -> dict[str, int]:
     limits = replace(job.limits, workers=_cores(HydraConfig.get().launcher), preload=tuple(config.preload))
     left = job.left()
 
-    def on_progress(cell: Cell, n: int) -> None:
+    def on_look(look: Look) -> None:
         if not path.exists():  # and with it whoever waits for the job
             remedy = "was removed while the sweep ran; start it again, what was stored is kept"
             raise InputError("store", path.parent, remedy)
 
-    run_cells(left, job.store, limits, on_progress)
+    run_cells(left, job.store, limits, on_look)
     return {"cells": len(job.planned), "computed": len(left)}
 
 
@@ -220,21 +222,6 @@ def _launcher(folder: Path, private: Path, how: Launch) -> Any:
 
 def _quoted(path: Path) -> str:
     return "'" + str(path).replace("\\", "\\\\").replace("'", "\\'") + "'"
-
-
-@contextmanager
-def fits_bar(n_fits: int, first: str = "", shown: bool = True) -> Iterator[Progress]:
-    """A progress bar over fits on the error stream, which says ``first`` at first; the callback that moves it on."""
-    from tqdm.auto import tqdm
-
-    with tqdm(total=n_fits, unit="fit", file=sys.stderr, dynamic_ncols=True, mininterval=0.2, disable=not shown) as bar:
-        bar.set_description(first)
-
-        def on_progress(cell: Cell, n: int) -> None:
-            bar.set_description(f"{cell.label} {cell.scenario.snr_db:g} dB", refresh=False)
-            bar.update(n)  # draws it, from time to time
-
-        yield on_progress
 
 
 @contextmanager

@@ -26,6 +26,7 @@ from bench.store.locks import Claims
 from bench.store.store import Store
 from bench.sweep.method_process import Fit, MethodFit, ReferenceFit
 from bench.sweep.plan import FAILURES, Planned, State
+from bench.sweep.progress import Fitted
 from bench.sweep.scoring_process import Scored
 
 FIRST_TASK, LARGEST_TASK = 5, 50
@@ -245,11 +246,12 @@ class CellQueue:
                 continue
             if self.stored_meanwhile(queued):
                 self.claims.release(queued.cell.identity)
-                self.events.put((queued.cell, queued.n_wanted - len(queued.rows)))
+                self.events.put(Fitted(queued.cell, queued.open))
                 continue
             queued.started = time.time()
             self._open.append(queued)
             if not queued.open:  # nothing to fit: its package or its bound is missing
+                self.events.put(Fitted(queued.cell, 0, queued.rows))
                 self.complete.put(queued)
                 continue
             return queued
@@ -268,8 +270,11 @@ class CellQueue:
         with self._changed:
             queued.alone.extend(replicates)
 
-    def add(self, queued: QueuedCell, scored: Sequence[Scored]) -> None:
-        """Note rows; a cell that is complete goes to be stored."""
+    def add(self, queued: QueuedCell, scored: Sequence[Scored], seconds: float = math.nan, first: bool = False) -> None:
+        """Note rows, and what they took a worker, who may have begun the cell with them.
+
+        A cell that is complete goes to be stored.
+        """
         with self._changed:
             for one in scored:
                 queued.rows.append(one.row)
@@ -278,7 +283,7 @@ class CellQueue:
                     queued.facts.update(one.facts)
                 if one.traceback:
                     queued.tracebacks[one.row.replicate] = one.traceback
-            self.events.put((queued.cell, len(scored)))
+            self.events.put(Fitted(queued.cell, len(scored), [one.row for one in scored], seconds, first))
             if queued.complete:
                 self.complete.put(queued)
 

@@ -18,6 +18,7 @@ from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.bounds_process import make_bounds
 from bench.sweep.plan import Planned
+from bench.sweep.progress import FitsProgress, OnLook, firsts_first, kind_of
 from bench.sweep.queue import CellQueue, QueuedCell, Waiting, queue_cell
 from bench.sweep.workers import Limits, RunThread, Worker, Writer
 
@@ -25,13 +26,11 @@ WORKERS_A_WRITER = 4
 COMPLETE_A_WRITER = 8
 """Cells that wait for a writer, at most: so many that it need not wait for the next, and few enough to be claimed."""
 
-Progress = Callable[[Cell, int], None]
-"""Is called with a cell and a number when so many more of its replicates are done."""
 OnRows = Callable[[Cell, Sequence[Row]], None]
 """Is called with a cell and its rows, in order, when all that are wanted are there."""
 
 
-def run_cells(planned: Sequence[Planned], store: Store, limits: Limits, on_progress: Progress | None = None) -> None:
+def run_cells(planned: Sequence[Planned], store: Store, limits: Limits, on_look: OnLook | None = None) -> None:
     """Compute and store the cells of a plan that are to be run.
 
     Raises InputError where the store can no longer be written; all that was stored stays.
@@ -40,9 +39,9 @@ def run_cells(planned: Sequence[Planned], store: Store, limits: Limits, on_progr
     if not wanted:
         return
     with _children(limits, {one.cell.method for one in wanted}) as children:
-        lost = make_bounds([one.cell for one in wanted], store, children, limits)
+        lost = make_bounds([one.cell for one in wanted], store, children, limits, on_look)
         cells = [queue_cell(one, store, limits.workers, unbounded=lost.get(one.cell.identity, "")) for one in wanted]
-        _run(cells, store, children, limits, on_progress)
+        _run(cells, store, children, limits, on_look)
 
 
 def compute_bounds(cells: Sequence[Cell], store: Store, limits: Limits) -> dict[str, str]:
@@ -59,7 +58,7 @@ def run_replicates(
     store: Store,
     limits: Limits,
     on_rows: OnRows,
-    on_progress: Progress,
+    on_look: OnLook,
 ) -> None:
     """Compute some replicates of each cell, and hand them over instead of storing them.
 
@@ -68,11 +67,11 @@ def run_replicates(
         store: Where the cells are; a cell that another run is at is waited for, and left out where that has stored it.
         limits: Of the run.
         on_rows: Gets the rows of a cell as soon as they are complete, while the cell is claimed.
-        on_progress: Gets what is done.
+        on_look: Gets how far it is.
     """
     with _children(limits, {one.cell.method for one, _ in planned}) as children:
         cells = [queue_cell(one, store, limits.workers, replicates) for one, replicates in planned]
-        _run(cells, store, children, limits, on_progress, on_rows)
+        _run(cells, store, children, limits, on_look, on_rows)
 
 
 @contextlib.contextmanager
@@ -90,22 +89,26 @@ def _run(
     store: Store,
     children: Children,
     limits: Limits,
-    on_progress: Progress | None,
+    on_look: OnLook | None,
     on_rows: OnRows | None = None,
 ) -> None:
     """Work cells off; with ``on_rows``, that gets what is complete instead of a writer."""
     n_workers = _affordable(limits.workers)
     n_writers = 0 if on_rows else -(-n_workers // WORKERS_A_WRITER)
+    queued = firsts_first(queued, lambda one: kind_of(one.cell))
     cells = CellQueue(queued, store, COMPLETE_A_WRITER * max(1, n_writers))
     cells.claims.prepare()
     workers = [Worker(cells, children, limits) for _ in range(max(1, min(n_workers, cells.n_replicates)))]
+    progress = _fits_progress(queued, len(workers))
+    if on_look is not None:
+        on_look(progress.begin())
     threads: list[RunThread] = [*workers, *(Writer(cells, children, limits, workers) for _ in range(n_writers))]
     try:
         for thread in threads:
             thread.start()
         while any(thread.is_alive() for thread in threads) or not cells.events.empty():
             with contextlib.suppress(queue.Empty):
-                _deal_with(cells.events.get(timeout=0.1), on_progress)
+                _deal_with(cells.events.get(timeout=0.1), progress, on_look)
             if on_rows is not None:
                 _hand_over(cells, on_rows)
         if on_rows is not None:
@@ -124,13 +127,24 @@ def _affordable(workers: int) -> int:
     return affordable
 
 
-def _deal_with(event: Any, on_progress: Progress | None) -> None:
+def _fits_progress(queued: Sequence[QueuedCell], workers: int) -> FitsProgress:
+    return FitsProgress(
+        left={one.cell.identity: one.open for one in queued},
+        kinds={one.cell.identity: kind_of(one.cell) for one in queued},
+        together={kind_of(one.cell): min(one.size, one.n_wanted) for one in queued},
+        workers=workers,
+    )
+
+
+def _deal_with(event: Any, progress: FitsProgress, on_look: OnLook | None) -> None:
     if isinstance(event, BaseException):
         raise event
     if isinstance(event, Waiting):
         _say(str(event))
-    elif on_progress is not None:
-        on_progress(*event)
+        return
+    look = progress.fitted(event)
+    if on_look is not None:
+        on_look(look)
 
 
 def _say(line: str) -> None:

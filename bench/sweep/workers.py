@@ -114,14 +114,15 @@ class Worker(RunThread):
         queued: QueuedCell | None = None
         try:
             while (taken := self.cells.take(queued)) is not None:
-                if taken[0] is not queued:
+                first, started = taken[0] is not queued, time.monotonic()
+                if first:
                     self._retire_method()
                 queued, replicates = taken
                 scored = self._done(queued, replicates)
                 if scored is None:
                     self.cells.split(queued, replicates)
                 else:
-                    self.cells.add(queued, scored)
+                    self.cells.add(queued, scored, time.monotonic() - started, first)
         finally:
             self._retire_method()
 

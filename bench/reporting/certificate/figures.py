@@ -82,21 +82,32 @@ def _above(axis: Any, room: float = 0.28) -> None:
 
 
 def _record(figure: Any, series: Mapping[str, Any], shown: Mapping[str, Any]) -> None:
-    times, values = series["times"], series["values"]
-    if series["fit"] is None:
+    times, fit = series["times"], series["fit"]
+    drawn = None if fit is None else ((times, fit), series["residuals"])
+    draw_record(figure, (times, series["values"]), drawn, _label(series), series["unit"])
+
+
+Curve = tuple[np.ndarray, np.ndarray]
+"""Times (s) and values."""
+
+
+def draw_record(figure: Any, samples: Curve, fit: tuple[Curve, np.ndarray] | None, label: str, unit: str) -> None:
+    """Draw samples with their fit and, below, the residual of each sample; or the samples alone where there is none."""
+    if fit is None:
         axis = figure.subplots()
-        axis.plot(*thinned(times, values), color=INK, lw=0.8, label="record")
-        axis.set(xlabel="time (s)", ylabel=_label(series), title="Record")
+        axis.plot(*thinned(*samples), color=INK, lw=0.8, label="record")
+        axis.set(xlabel="time (s)", ylabel=label, title="Record")
         _above(axis)
         return
+    curve, residuals = fit
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    _samples(above, times, values)
-    above.plot(*thinned(times, series["fit"]), color=BLUE, lw=1.1, label="fit")
-    above.set(ylabel=_label(series), title="Record and fit")
+    _samples(above, *samples)
+    above.plot(*thinned(*curve), color=BLUE, lw=1.1, label="fit")
+    above.set(ylabel=label, title="Record and fit")
     _above(above)
     below.axhline(0, color=MUTED, lw=0.7)
-    below.plot(*thinned(times, series["residuals"]), color=ORANGE, lw=0.8)
-    below.set(xlabel="time (s)", ylabel=f"residual ({series['unit']})")
+    below.plot(*thinned(samples[0], residuals), color=ORANGE, lw=0.8)
+    below.set(xlabel="time (s)", ylabel=f"residual ({unit})")
     below.grid(lw=0.5)
     figure.align_ylabels()
 

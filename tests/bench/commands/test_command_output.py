@@ -24,7 +24,7 @@ from bench.contract.estimate import Status
 from bench.reporting.plan_table import listing
 from bench.reporting.record_page import record_page
 from bench.reporting.rounding import decimals, excess_text, rounded
-from bench.reporting.terminal import clipped, columns, table, wrapped
+from bench.reporting.terminal import clipped, columns, help_page, table, wrapped
 from bench.reporting.terminal_tables import Closing, cell_table
 from bench.scoring.row import Row
 from bench.store.cell import Cell
@@ -45,7 +45,7 @@ def widest(text: str) -> int:
     return max(places(line) for line in text.splitlines())
 
 
-@pytest.fixture(params=[60, 80])
+@pytest.fixture(params=[60, 80, 200])
 def terminal(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     monkeypatch.setenv("COLUMNS", str(request.param))
     return int(request.param)
@@ -53,8 +53,8 @@ def terminal(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.fixture(autouse=True)
 def eighty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A terminal that is wider than what is written for."""
-    monkeypatch.setenv("COLUMNS", "200")
+    """The usual terminal."""
+    monkeypatch.setenv("COLUMNS", "80")
 
 
 def cell_of(*fields: str) -> Cell:
@@ -361,3 +361,40 @@ def test_a_command_shows_its_page_to_who_asks_and_never_runs_then(capsys: pytest
     assert capsys.readouterr().out == "its page\n"
     assert command("bench.some", "its page", ["field=1"], body) == 3
     assert ran == [["field=1"]]
+
+
+@pytest.mark.parametrize("width", [40, 50, 60, 80, 200])
+def test_a_table_too_wide_becomes_a_list_with_all_of_its_numbers(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten columns of six places and the gaps between them take 78."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    headers = ["test", *(f"size {letter}" for letter in "abcdefghi")]
+    rows = [[f"test {row}", *(f"{row}{i}{i}.{i}{i}" for i in range(1, 10))] for row in "pq"]
+    text = table(rows, headers)
+    assert widest(text) <= width
+    assert {cell for row in rows for cell in row[1:]} <= set(text.split())
+    assert ("test test p\n" in text) == (width < 80)
+
+
+@pytest.mark.parametrize("width", [60, 70, 80])
+def test_words_are_broken_last_of_all(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    rows = [["matrix_pencil", "do not trust", *(["157.85 to 158.33"] * 2)]]
+    assert {"matrix_pencil", "verdict"} <= set(table(rows, ["method", "verdict", "k/m", "c/m"], (0, 1)).split())
+
+
+def test_a_wide_terminal_is_used_by_tables_and_not_by_sentences(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    assert table([["word " * 20 + "end", "1.0"]], ["what", "number"]).count("\n") == 2
+    assert widest(wrapped("word " * 60)) <= 80
+
+
+def test_a_page_of_usage_goes_on_where_its_explanations_begin(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    field = "  out   [results] the folder in which all of the files are"
+    page = f"usage: some command\n\nfields:\n{field}\nA sentence\nof two lines."
+    lines = help_page(page).splitlines()
+    assert lines[:3] == ["usage: some command", "", "fields:"]
+    assert lines[3].startswith("  out   [results] the folder")
+    assert lines[4].startswith("        ")
+    assert lines[-1] == "A sentence of two lines."
+    assert widest("\n".join(lines)) <= 40

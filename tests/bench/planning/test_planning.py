@@ -97,13 +97,16 @@ def test_simulated_tests_are_as_near_as_was_promised() -> None:
     assert reached(simulated(likely, worse, "c_over_m", make_method("output_error", {}), 200, lambda: None), 0.05) < 0.9
 
 
-def test_the_command_proposes_and_simulates(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_proposes_and_simulates(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
     assert main([*GIVEN, "amplitude=1cm", "verify=20"]) == 0
     said = capsys.readouterr().out
-    assert "| 10 " in said
+    assert "      10  " in said
     assert "simulated: of 20 tests" in said
     assert main([*GIVEN, "amplitude=1cm", "samples=100", "duration=5"]) == 0
-    assert "| 100 " in capsys.readouterr().out
+    assert " 100  " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

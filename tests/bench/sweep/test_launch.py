@@ -22,6 +22,7 @@ from bench.sweep import launch
 from bench.sweep.job import Job, read_job, write_job
 from bench.sweep.launch import Launch
 from bench.sweep.plan import plan
+from bench.sweep.progress import Look
 from bench.sweep.workers import Limits
 
 SWEEP = ("method=ls,log_decrement", "seed=0,1", "replicates=3")
@@ -189,9 +190,9 @@ def test_a_job_ends_with_its_sweep(
     """
     store, after = make_store(), []
 
-    def interrupted(planned: Any, store: Store, limits: Limits, on_progress: Any) -> None:
+    def interrupted(planned: Any, store: Store, limits: Limits, on_look: Any) -> None:
         shutil.rmtree(store.folder / "launches")
-        on_progress(planned[0].cell, 1)
+        on_look(Look("fit", 1, 2, "", 1.0, False))
         after.append(planned)
 
     monkeypatch.setattr(launch, "run_cells", interrupted)

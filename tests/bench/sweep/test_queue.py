@@ -90,7 +90,7 @@ def test_chosen_replicates_are_those_of_the_whole_cell_and_are_not_stored(
         found.extend(rows)
 
     wanted = [(Planned(cell, State.MISSING, "", True), chosen)]
-    run_replicates(wanted, store, Limits(1, 30.0, 1000.0), on_rows, lambda cell, n: None)
+    run_replicates(wanted, store, Limits(1, 30.0, 1000.0), on_rows, lambda look: None)
     assert store.identities() == []
     assert tuple(row.replicate for row in found) == chosen
     whole = {row.replicate: row for row in rows_of(store, cell)}

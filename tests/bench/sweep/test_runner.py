@@ -22,6 +22,7 @@ from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.sweep import runner
 from bench.sweep.plan import plan
+from bench.sweep.progress import Look
 from bench.sweep.runner import run_cells
 from bench.sweep.workers import Limits
 
@@ -167,7 +168,9 @@ def test_a_cell_is_stored_as_soon_as_it_is_done(reference: Scenario, store: Stor
     """A stop in the middle loses no finished cell, and leaves neither a half one nor a process."""
     cells = [a_cell(reference, "prior", 2), a_cell(reference, "wrong", 2, kind="sleep")]
 
-    def stop(cell: Cell, n: int) -> None:
+    def stop(look: Look) -> None:
+        if not look.done:
+            return
         deadline = time.monotonic() + 60
         while store.load(cells[0].identity) is None and time.monotonic() < deadline:
             time.sleep(0.05)

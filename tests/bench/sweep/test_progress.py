@@ -1,0 +1,214 @@
+"""How far a run is and what it may still take: against sweeps whose course is worked out beside it."""
+
+from __future__ import annotations
+
+import heapq
+import io
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import pytest
+from conftest import Plugins, StoreFactory
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.contract.estimate import Status
+from bench.entrants.registry import default_settings
+from bench.scenario.scenario import Scenario
+from bench.scoring.row import Row
+from bench.store.cell import Cell
+from bench.sweep import progress_bar as bars
+from bench.sweep.plan import plan
+from bench.sweep.progress import BoundsProgress, FitsProgress, Fitted, Look, firsts_first, kind_of
+from bench.sweep.progress_bar import described, left_text, progress_bar
+from bench.sweep.runner import run_cells
+from bench.sweep.workers import Limits
+
+START_S = 0.4
+"""What a cell costs before its first fit, in the made-up sweeps."""
+
+
+def cell(scenario: Scenario, method: str, seed: int = 0, replicates: int = 10) -> Cell:
+    return Cell(scenario, method, {}, replicates, seed, method)
+
+
+def progress_of(cells: Sequence[Cell], workers: int = 2, together: int = 1) -> FitsProgress:
+    return FitsProgress(
+        left={one.identity: one.replicates for one in cells},
+        kinds={one.identity: kind_of(one) for one in cells},
+        together={kind_of(one): together for one in cells},
+        workers=workers,
+    )
+
+
+def course(cells: Sequence[Cell], seconds: dict[str, float], workers: int = 2) -> Iterator[tuple[float, Fitted]]:
+    """When what is done, each worker taking the next cell when it has fitted the last, one fit after another."""
+    free = [(0.0, n) for n in range(workers)]
+    events = []
+    for one in cells:
+        now, worker = heapq.heappop(free)
+        for i in range(one.replicates):
+            takes = seconds[one.method] + (START_S if i == 0 else 0.0)
+            now += takes
+            row = Row(i, Status.OK, wall_s=seconds[one.method])
+            events.append((now, Fitted(one, 1, [row], takes, i == 0)))
+        heapq.heappush(free, (now, worker))
+    yield from sorted(events, key=lambda event: event[0])
+
+
+@pytest.mark.parametrize("order", ["ls first", "mcmc first", "mixed"])
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.75])
+def test_the_time_left_is_within_a_factor_of_two_of_what_is_left(reference: Scenario, order: str, share: float) -> None:
+    """Of a sweep whose methods differ in cost by 100 times, at a share of the time, whatever the order of the cells."""
+    seconds = {"ls": 0.02, "mcmc": 2.0}
+    named = {name: [cell(reference, name, seed) for seed in range(8)] for name in seconds}
+    cells = {
+        "ls first": [*named["ls"], *named["mcmc"]],
+        "mcmc first": [*named["mcmc"], *named["ls"]],
+        "mixed": [one for pair in zip(named["ls"], named["mcmc"], strict=True) for one in pair],
+    }[order]
+    cells = firsts_first(cells, kind_of)
+    progress, end = progress_of(cells), max(when for when, _ in course(cells, seconds))
+    for when, done in course(cells, seconds):
+        look = progress.fitted(done)
+        if when >= share * end:
+            break
+    assert not look.at_least
+    assert 0.5 * (end - when) <= look.seconds_left <= 2.0 * (end - when)
+    by_fits_alone = when * (look.total - look.done) / look.done
+    if order == "ls first" and share == 0.25:
+        assert by_fits_alone < 0.5 * (end - when)  # fits counted alike say less than half, so the test can fail
+
+
+def test_what_is_unknown_is_not_guessed(reference: Scenario) -> None:
+    cells = [cell(reference, "ls", replicates=4), cell(reference, "mcmc", replicates=4)]
+    progress = progress_of(cells, workers=1)
+    begin = progress.begin()
+    assert (math.isnan(begin.seconds_left), begin.at_least, begin.done, begin.total) == (True, True, 0, 8)
+    look = progress.fitted(Fitted(cells[0], 1, [Row(0, Status.OK, wall_s=3.0)], 5.0, True))
+    assert (look.seconds_left, look.at_least) == (9.0, True)  # three more fits; the start of the cell is paid
+    look = progress.fitted(Fitted(cells[1], 1, [Row(0, Status.OK, wall_s=10.0)], 11.0, True))
+    assert (look.seconds_left, look.at_least) == (39.0, False)
+
+
+def test_a_start_is_paid_once_a_cell(reference: Scenario) -> None:
+    cells = [cell(reference, "ls", seed, 2) for seed in range(3)]
+    progress = progress_of(cells, workers=1)
+    look = progress.fitted(Fitted(cells[0], 2, [Row(i, Status.OK, wall_s=1.0) for i in range(2)], 7.0, True))
+    assert look.seconds_left == 2 * 5.0 + 4 * 1.0
+    assert (look.cells_done, look.cells) == (1, 3)
+
+
+def test_fits_that_one_process_does_together_are_not_shared(reference: Scenario) -> None:
+    """Of 10 fits of 6 s that are one task, the second of two workers has none."""
+    cells = [cell(reference, "pinn", seed) for seed in range(2)]
+    progress = progress_of(cells, together=10)
+    rows = [Row(i, Status.OK, wall_s=6.0) for i in range(10)]
+    assert progress.fitted(Fitted(cells[0], 10, rows, 60.0, True)).seconds_left == 60.0
+
+
+def test_failures_and_cells_of_another_run_are_counted(reference: Scenario) -> None:
+    cells = [cell(reference, "ls", seed, 2) for seed in range(2)]
+    progress = progress_of(cells)
+    rows = [Row(0, Status.DIVERGED, wall_s=1.0), Row(1, Status.UNSUPPORTED, wall_s=1.0)]
+    assert progress.fitted(Fitted(cells[0], 2, rows, 2.0, True)).failed == 1
+    look = progress.fitted(Fitted(cells[1], 2))
+    assert (look.done, look.cells_done, look.failed, look.seconds_left) == (4, 2, 1, 0.0)
+
+
+def test_the_first_bound_of_a_system_is_no_example() -> None:
+    progress = BoundsProgress(["duffing", "sdof", "duffing", "duffing", "sdof"])
+    looks = [progress.begin(), *map(progress.made, (20.0, 1.0, 2.0, 4.0))]
+    shown = [(look.done, None if math.isnan(look.seconds_left) else look.seconds_left, look.at_least) for look in looks]
+    assert shown == [(0, None, True), (1, 40.0, True), (2, 41.0, False), (3, 3.0, False), (4, 1.0, False)]
+
+
+@given(st.lists(st.sampled_from("abc")))
+def test_the_first_of_every_kind_comes_first_and_all_else_keeps_its_order(letters: list[str]) -> None:
+    items = list(enumerate(letters))
+    found = firsts_first(items, lambda item: item[1])
+    n = len(set(letters))
+    assert sorted(found) == items
+    assert {letter for _, letter in found[:n]} == set(letters)
+    assert found[:n] == sorted(found[:n])
+    assert found[n:] == sorted(found[n:])
+
+
+FITS = Look("fit", 9, 40, "ls 20 dB", 100.0, False, 2, 8, 0)
+
+
+@pytest.mark.parametrize(
+    ("look", "since", "said"),
+    [
+        (FITS, 0.0, "about 1.7 min left"),
+        (FITS, 40.0, "about 60 s left"),
+        (FITS, 101.0, "longer than expected"),
+        (replace(FITS, at_least=True), 0.0, "at least 1.7 min left"),
+        (replace(FITS, seconds_left=math.nan, at_least=True), 0.0, "time left not known yet"),
+    ],
+)
+def test_the_time_left_in_words_runs_down(look: Look, since: float, said: str) -> None:
+    assert left_text(look, since) == said
+
+
+def test_what_matters_most_is_said_first() -> None:
+    """Since a narrow terminal shows the beginning alone."""
+    said = described(replace(FITS, failed=3), 0.0, 30.0)
+    assert said == "about 1.7 min left, 2/8 cells, 9/40 fits, 3 failed, 30 s so far, ls 20 dB"
+    assert described(Look("bound", 4, 4, "sdof", 0.0, False), 0.0, 12.0) == "4/4 bounds, in 12 s"
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def shown(stream: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> str:
+    """What is shown of a run that makes a bound and four fits."""
+    monkeypatch.setattr("sys.stderr", stream)
+    with progress_bar() as on_look:
+        for look in (
+            Look("bound", 0, 1, "", math.nan, True),
+            Look("bound", 1, 1, "{odd} system", 0.0, False),
+            replace(FITS, done=0, total=4),
+            replace(FITS, done=2, total=4),
+            replace(FITS, done=4, total=4, cells_done=8),
+        ):
+            on_look(look)
+    return stream.getvalue()
+
+
+def test_in_a_terminal_bounds_and_fits_have_bars_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "70")
+    drawn = shown(Terminal(), monkeypatch)
+    bounds, fits = drawn.rstrip("\n").split("\n")[-2:]
+    assert bounds.rpartition("\r")[2].startswith("bounds 100%|")
+    assert fits.rpartition("\r")[2].startswith("fits 100%|")
+    assert "8/8 cells, 4/4 fits" in fits
+
+
+def test_elsewhere_it_is_a_line_now_and_then_and_one_at_the_end_of_each_stage(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bars, "LINE_S", 1e9)
+    lines = shown(io.StringIO(), monkeypatch).splitlines()
+    assert lines == ["bench: bounds 100 %, 1/1 bounds, in 0 s", "bench: fits 100 %, 8/8 cells, 4/4 fits, in 0 s"]
+    monkeypatch.setattr(bars, "LINE_S", 0.0)
+    often = shown(io.StringIO(), monkeypatch)
+    assert "\r" not in often
+    assert "bench: fits 50 %, about 1.7 min left, 2/8 cells, 2/4 fits, 0 s so far, ls 20 dB" in often.splitlines()
+
+
+def test_a_run_tells_of_its_bounds_then_of_all_its_fits(
+    reference: Scenario, plugins: Plugins, new_store: StoreFactory
+) -> None:
+    plugins("Wrong")
+    store, looks = new_store(), list[Look]()
+    settings = {**default_settings("wrong"), "kind": "raise"}
+    louder = replace(reference, snr_db=19.0)  # a scenario of which no bound is kept yet
+    cells = [Cell(louder, "wrong", settings, 3, 0, "wrong"), Cell(louder, "prior", {}, 4, 0, "prior")]
+    run_cells(plan(cells, store), store, Limits(1, 60.0, 2000.0), looks.append)
+    units = [look.unit for look in looks]
+    assert units == sorted(units)  # bounds come before fits
+    bound, fit = (next(look for look in reversed(looks) if look.unit == unit) for unit in ("bound", "fit"))
+    assert (bound.done, bound.total) == (1, 1)
+    assert (fit.done, fit.total, fit.cells_done, fit.cells, fit.failed, fit.seconds_left) == (7, 7, 2, 2, 3, 0.0)
