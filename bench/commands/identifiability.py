@@ -25,7 +25,7 @@ from bench.information.fisher import Bound, Information, compute_bound, informat
 from bench.information.structural import Structure, check_dofs, structure_of
 from bench.reporting.rounding import number, readable, rounded
 from bench.reporting.terminal import table, wrapped
-from bench.reporting.whole_file import check_folder, write
+from bench.reporting.whole_file import check_folder
 from bench.scenario.scenario import Scenario
 from bench.scoring.verdict import DECIDED_BY_PRIOR
 from bench.systems import Quantity
@@ -220,9 +220,8 @@ def _profile(request: Request, structure: Structure, told: Information) -> None:
     print("\n" + table(rows, headers))
     figure = draw_profiles(found, dict(scenario.parameters), scenario.draw_prior(system, request.seed, 0))
     name = f"profile_{scenario.label}"
-    for path in save_figure(figure, request.out, name):
+    for path in save_figure(figure, request.out, name, CAPTION):
         print(path)
-    write(request.out / f"{name}.txt", CAPTION + "\n", request.out)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

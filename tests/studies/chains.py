@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 from tabulate import tabulate
 
-from bench.commands.fields import read_fields, whole
+from bench.commands.fields import flag, read_fields, whole
 from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.contract.estimate import Status
@@ -29,7 +29,6 @@ from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import default_settings, method_names
 from bench.errors import InputError
 from bench.reporting import frame, labels
-from bench.reporting.figures.style import looks, pyplot, save_figure
 from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.pooling import pooled_excess
 from bench.scenario.scenario import Scenario
@@ -40,6 +39,7 @@ from bench.store.stored import StoredCell
 from bench.sweep.launch import complete
 from bench.sweep.workers import Limits
 from bench.systems import Chain
+from tests.studies.chains_picture import caption, picture
 
 SIZES = (1, 2, 3, 5, 10, 20)
 SEED = 0
@@ -52,7 +52,8 @@ DENSE = 1000
 ASTRAY = 3.0
 """An excess of the displacement error from which on a method is said to have missed the solution."""
 USAGE = """usage: python -m tests.studies.chains [sizes=1,2,3,5,10,20] [methods=<a,b>] [timeout_s=120] [workers=1]
-                                          [store=outputs/rows] [out=results]"""
+                                          [store=outputs/rows] [out=results] [fit=true]
+fit=false: table, page and picture of what is stored; nothing is computed"""
 
 
 def true_parameters(n: int) -> dict[str, float]:
@@ -167,8 +168,10 @@ def line(result: Result) -> dict[str, Any]:
 
 
 def tidy(sizes: Sequence[int], methods: Sequence[str], store: Store) -> pd.DataFrame:
-    """One line a size and method, in the order of the table."""
-    return pd.DataFrame([line(found(n, method, store)) for n in sorted(sizes) for method in methods])
+    """One line a size and method, in the order of the table; a method of which nothing is stored is left out."""
+    results = [found(n, method, store) for n in sorted(sizes) for method in methods]
+    there = {result.method for result in results if result.stored is not None} or set(methods)
+    return pd.DataFrame([line(result) for result in results if result.method in there])
 
 
 def reach(own: pd.DataFrame) -> str:
@@ -230,7 +233,7 @@ def page(data: pd.DataFrame, timeout_s: float) -> str:
         f"| method | solved up to n = (all fits ok, rmse excess below {ASTRAY:g}) | and then, at n = |\n|---|---|---|"
     )
     parts += ["## Where each method gives up", "\n".join([head, *lines])]
-    parts += ["![Time and excess against the number of masses](figures/chains.svg)"]
+    parts += ["![Time and excess against the number of masses](figures/chains.svg)", caption(data, ASTRAY)]
     columns = ["method", "time (s)", "rmse", "parameters", "ratios", "ok"]
     for n, own in data.groupby("n", sort=True):
         cell_scenario = scenario(int(n))
@@ -249,29 +252,6 @@ def _asked(at: Mapping[str, Any]) -> bool:
     return at["status"] not in (Status.UNSUPPORTED.value, "not tried")
 
 
-def picture(data: pd.DataFrame, out: Path) -> list[Path]:
-    """Time and excess of the displacement against n, one line a method."""
-    plt = pyplot()
-    figure, axes = plt.subplots(1, 2, figsize=(10.0, 4.6), layout="constrained")
-    panels = (("cpu_s", "processor time of a fit (s)"), ("rmse_excess", "excess of the displacement: error / bound"))
-    for method, look in looks(set(data.method)).items():
-        own = data[(data.method == method) & (data.n_ok > 0)]
-        for axis, (what, _) in zip(axes, panels, strict=True):
-            if len(own) and not (method == "oracle" and what == "cpu_s"):
-                axis.plot(own.n, own[what], color=look.colour, marker=look.marker, ms=5, lw=1.2, label=look.title)
-    sizes = sorted(set(data.n))
-    for axis, (_, title) in zip(axes, panels, strict=True):
-        axis.set(xscale="log", yscale="log", xlabel="masses in the chain", title=title)
-        axis.title.set_fontsize(9)
-        axis.minorticks_off()
-        axis.set_xticks(sizes, [str(n) for n in sizes])
-        axis.grid(alpha=0.3)
-    axes[1].axhline(1.0, color="0.7", lw=0.8)
-    handles = {label: h for axis in axes for h, label in zip(*axis.get_legend_handles_labels(), strict=True)}
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=5, frameon=False)
-    return save_figure(figure, out, "chains")
-
-
 # ------------------------------------------------------------------------------------------------ command line
 
 
@@ -285,13 +265,14 @@ class Options:
     workers: int
     store: Path
     out: Path
+    fit: bool
 
 
 def read_options(arguments: Sequence[str]) -> Options:
     """The arguments, checked; raises InputError."""
     texts = {
         "sizes": ",".join(map(str, SIZES)), "methods": "", "timeout_s": "120", "workers": "1",
-        "store": DEFAULT_STORE, "out": "results",
+        "store": DEFAULT_STORE, "out": "results", "fit": "true",
     }  # fmt: skip
     texts = read_fields(arguments, texts)
     methods = tuple(name for name in texts["methods"].split(",") if name) or (*REFERENCES, *_others())
@@ -305,8 +286,8 @@ def read_options(arguments: Sequence[str]) -> Options:
         timeout_s = math.nan
     if not (math.isfinite(timeout_s) and timeout_s > 0):
         raise InputError("timeout_s", texts["timeout_s"], "a positive number of seconds")
-    workers = whole("workers", texts["workers"])
-    return Options(sizes, methods, timeout_s, workers, Path(texts["store"]), Path(texts["out"]))
+    workers, fit = whole("workers", texts["workers"]), flag("fit", texts["fit"])
+    return Options(sizes, methods, timeout_s, workers, Path(texts["store"]), Path(texts["out"]), fit)
 
 
 def _others() -> list[str]:
@@ -325,11 +306,14 @@ def _main(arguments: Sequence[str]) -> int:
     store = open_store(chosen.store)
     for folder in (chosen.store, chosen.out, chosen.out / "figures"):
         Store(folder).prepare()
-    compute(chosen.sizes, chosen.methods, store, Limits(chosen.workers, chosen.timeout_s))
+    if chosen.fit:
+        compute(chosen.sizes, chosen.methods, store, Limits(chosen.workers, chosen.timeout_s))
     data = tidy(chosen.sizes, chosen.methods, store)
+    if not chosen.fit and (data.status == "not tried").all():
+        raise InputError("store", chosen.store, "one with cells of these chains; without fit=false they are computed")
     (chosen.out / "chains.csv").write_text(data.to_csv(index=False, float_format="%.5g"), encoding="utf-8")
     (chosen.out / "chains.md").write_text(page(data, chosen.timeout_s), encoding="utf-8")
-    for path in (chosen.out / "chains.md", chosen.out / "chains.csv", *picture(data, chosen.out / "figures")):
+    for path in (chosen.out / "chains.md", chosen.out / "chains.csv", *picture(data, chosen.out / "figures", ASTRAY)):
         print(path)
     return 0
 

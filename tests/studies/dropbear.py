@@ -35,6 +35,9 @@ REFERENCE = {1.23: 26.9, 1.65: 28.1, 2.09: 30.5, 2.51: 34.2, 2.94: 37.8, 3.37: 4
 STILL_V = 0.01
 """The support stands where its sensor moves by less within a tenth of a second."""
 Z95 = 1.96
+TRACKER, PEAK = "#4477AA", "#CC6677"
+MARGIN = 4.0
+"""Hz above and below what is known, of what the picture shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,24 +123,44 @@ def table(record: Record, found: np.ndarray, sds: np.ndarray) -> str:
 
 
 def draw(record: Record, found: np.ndarray, sds: np.ndarray, folder: Path) -> None:
-    """Draw frequency with its band over the reference, and the motion below."""
-    from bench.reporting.figures.style import panels, save_figure
+    """Draw frequency with its band over the reference, and the motion below, with their caption."""
+    from bench.reporting.figures.style import entry, legend_below, panels, save_figure
 
-    figure, (top, low) = panels(2, 1, 55.0, "time (s)", sharex=True)
-    top.fill_between(record.times, found * np.exp(-Z95 * sds), found * np.exp(Z95 * sds), color="#4477AA", alpha=0.25,
-                     lw=0, label="95 % interval")  # fmt: skip
-    top.plot(record.times, found, color="#4477AA", lw=1.0, label="tracker (EKF)")
-    for i, stay in enumerate(stays(record)):
+    figure, (top, low) = panels(2, 1, 46.0, "time (s)", sharex=True)
+    band = top.fill_between(record.times, found * np.exp(-Z95 * sds), found * np.exp(Z95 * sds), color=TRACKER,
+                            alpha=0.25, lw=0, label="95 % interval")  # fmt: skip
+    top.plot(record.times, found, color=TRACKER, lw=1.0)
+    styles = {"color": "black", "lw": 1.4}, {"color": PEAK, "lw": 1.4, "ls": ":"}
+    known = stays(record)
+    for stay in known:
         ends = record.times[stay.samples[[0, -1]]]
-        top.plot(ends, [stay.reference] * 2, color="black", lw=1.4, label=None if i else "spectrogram")
-        top.plot(ends, [stay.peak] * 2, color="#CC6677", lw=1.4, ls=":", label=None if i else "spectrum of the stay")
-    top.set_ylim(22.0, 46.0)
+        for value, style in zip((stay.reference, stay.peak), styles, strict=True):
+            top.plot(ends, [value] * 2, **style)
+    values = [value for stay in known for value in (stay.reference, stay.peak)]
+    top.set_ylim(min(values) - MARGIN, max(values) + MARGIN)
+    top.set_xlim(record.times[0], record.times[-1])
     top.set_ylabel("first frequency (Hz)")
-    top.legend(ncols=2, loc="upper left", frameon=False)
     low.plot(record.times, 1000 * record.acceleration, color="0.4", lw=0.5)
     low.set_ylabel("acceleration (mV)")
-    folder.mkdir(parents=True, exist_ok=True)
-    save_figure(figure, folder, "online_dropbear")
+    for axis in (top, low):
+        axis.grid()
+    names = zip(styles, ("spectrogram", "spectrum of the stay"), strict=True)
+    tracker = entry(color=TRACKER, lw=1.0, label="tracker (EKF)")
+    legend_below(figure, [tracker, band, *(entry(**style, label=name) for style, name in names)])
+    save_figure(figure, folder, "online_dropbear", caption(record, found))
+
+
+def caption(record: Record, found: np.ndarray) -> str:
+    """What the picture shows."""
+    known = stays(record)
+    off = [abs(float(np.nanmedian(found[stay.samples[stay.samples.size // 2 :]])) / stay.peak - 1.0) for stay in known]
+    return (
+        f"The tracker follows the moving support to within {100 * max(off):.2g} % where it stands still. Above: first "
+        "natural frequency of the beam, followed sample by sample from the acceleration below, the force unknown, and "
+        "not told when the support moves. Black: what a spectrogram says of each stay of the support. Dotted: the peak "
+        "of the spectrum of that stay alone, which sees all of its samples at once, and from which the error is "
+        "measured over the second half of each stay."
+    )
 
 
 HEAD = """# A beam whose support moves

@@ -15,7 +15,8 @@ from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.systems import Chain
 from tests.studies import chains
-from tests.studies.chains import PER_PERIOD, PERIODS, main, natural_frequencies, page, picture, reach, scenario
+from tests.studies.chains import ASTRAY, PER_PERIOD, PERIODS, main, natural_frequencies, page, picture, reach, scenario
+from tests.studies.chains_picture import caption, reaching
 
 
 def test_natural_frequencies_are_those_of_equal_chains(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,7 +77,24 @@ def test_page_and_picture_of_what_is_there(tmp_path: Path) -> None:
     text = page(data, 120.0)
     assert "it cannot (n = 2)" in text
     assert "3 parameters, 21 samples of each mass over 6 s" in text
-    assert [path.suffix for path in picture(data, tmp_path)] == [".svg", ".png"]
+    assert "One mass" not in text
+    assert [path.suffix for path in picture(data, tmp_path, ASTRAY)] == [".svg", ".png"]
+    assert (tmp_path / "chains.txt").read_text(encoding="utf-8").rstrip() == caption(data, ASTRAY)
+
+
+def test_methods_are_ordered_by_the_chains_they_solve_and_those_of_the_longest_are_named() -> None:
+    """One that answers long chains wrongly is behind one that solves short ones; one failure is no solution."""
+    data = lines(
+        n=[1, 5, 1, 5, 1, 5],
+        method=["ls", "ls", "shooting", "shooting", "pinn", "pinn"],
+        n_ok=[5, 5, 5, 5, 5, 4],
+        rmse_excess=[80.0, 90.0, 1.0, 1.1, 1.0, 1.0],
+        status=["ok"] * 6,
+    )
+    assert reaching(data, ASTRAY) == ["shooting", "pinn", "ls"]
+    assert caption(data, ASTRAY).startswith("Up to 5 masses: Multiple shooting solved it every time.")
+    failed = data.assign(n_ok=0)
+    assert reaching(failed, ASTRAY) == []
 
 
 def test_an_excess_is_a_root_mean_over_quantities() -> None:
@@ -107,6 +125,9 @@ def test_a_second_run_computes_nothing(tmp_path: Path, monkeypatch: pytest.Monke
     assert main(arguments) == 0
     assert {name: store.stamp(name) for name in store.identities()} == before
     assert (tmp_path / "chains.md").read_bytes() == page_before
+    assert main([*arguments[:2], "sizes=1,2", "methods=ls,rls", "fit=false"]) == 0  # of what is stored alone
+    assert set(pd.read_csv(tmp_path / "chains.csv").method) == {"ls"}
+    assert main([*arguments[:2], "methods=rls", "fit=false"]) == 2
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.studies.dropbear import REFERENCE, followed, main, read, stays
+from tests.studies.dropbear import REFERENCE, caption, draw, followed, main, read, stays
 
 PLACES = [os.environ.get("BENCH_SHARED_DATA"), Path(__file__).parents[2].parent / "shared" / "data"]
 FOLDERS = [Path(place) / "dropbear_slow" for place in PLACES if place]
@@ -35,6 +35,12 @@ def test_stays_and_frequencies_of_a_made_record(tmp_path) -> None:
         late = stay.samples[stay.samples.size // 2 :]
         assert np.nanmedian(found[late]) == pytest.approx(stay.reference, rel=0.01)
         assert np.nanmin(sds[late]) > 0
+    draw(record, found, sds, tmp_path / "figures")
+    said = (tmp_path / "figures" / "online_dropbear.txt").read_text(encoding="utf-8")
+    assert said.startswith(caption(record, found))
+    assert caption(record, np.full(found.shape, 1.5) * found).startswith(
+        "The tracker follows the moving support to within 5"
+    )
 
 
 @pytest.mark.skipif(not any((f / "ten_steps.txt").is_file() for f in FOLDERS), reason="the record is not there")

@@ -21,7 +21,7 @@ from tests.studies.engines import children, floors, page, peers, results, rivals
 from tests.studies.engines.__main__ import main, read_options
 from tests.studies.engines.children import ROOT, Outcome, answered
 from tests.studies.engines.floors import Rates
-from tests.studies.engines.picture import lifted, picture
+from tests.studies.engines.picture import caption, lifted, picture, stored_growths
 from tests.studies.engines.results import Growth, Result
 from tests.studies.engines.row import METHOD_STREAM
 from tests.studies.engines.rows import CURVES, SEED, Row, chain_fields, rows
@@ -240,6 +240,27 @@ def test_the_page_counts(tmp_path: Path) -> None:
     data = page.tidy(study)
     assert list(data[data.part == "rows"].seconds.dropna()) == [0.01, 0.04]
     assert [path.suffix for path in picture([growth], tmp_path)] == [".svg", ".png"]
+    assert [(own.curve, own.sizes, own.seconds) for own in stored_growths(data)] == [
+        (CURVES[0], (1, 3, 10), (1, 3, 10))
+    ]
+
+
+def test_growth_faster_than_the_problem_is_counted() -> None:
+    """Of time as the square of the samples, and as their root."""
+    square, root = Growth(CURVES[1], (1, 10), (1.0, 100.0)), Growth(CURVES[2], (1, 100), (1.0, 10.0))
+    said = caption([square, root])
+    assert said.startswith("Time grows faster than the problem on 1 of 2 lines.")
+    assert said.endswith("Multiple shooting with samples.")
+
+
+def test_the_picture_alone_needs_stored_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fit=false", f"out={tmp_path}"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    rows = "growth,shooting samples,now,25,0.1", "growth,shooting samples,now,100,0.2"
+    (tmp_path / "engines.csv").write_text("\n".join(["part,name,code,size,seconds", *rows]) + "\n", encoding="utf-8")
+    assert main(["fit=false", f"out={tmp_path}"]) == 0
+    assert (tmp_path / "figures" / "engines_scaling.svg").is_file()
+    assert not (tmp_path / "engines.md").exists()
 
 
 def test_numbers_at_lines_that_end_near_by_do_not_cover_each_other() -> None:

@@ -15,7 +15,7 @@ from tests.studies.pinn.scaling import COUNT, GROWN, chain, horizon, ratios, set
 
 torch = pytest.importorskip("torch")
 
-from tests.studies.pinn import reach, rivals  # noqa: E402
+from tests.studies.pinn import pictures, reach, rivals  # noqa: E402
 from tests.studies.pinn.products import product_sizes, roofline  # noqa: E402
 
 
@@ -120,6 +120,49 @@ def test_the_roofline_holds_the_products_of_the_work() -> None:
     measured = roofline(work)
     assert measured.products > 0
     assert measured.ratio == measured.whole / measured.products
+
+
+def point(method: str, size: int, seconds: float, ratio: float) -> dict[str, object]:
+    return {"method": method, "size": size, "seconds": seconds, "ratio": ratio}
+
+
+LOSS = {
+    name: {
+        "evaluations": [0, last],
+        "loss": [9.0, end],
+        "mean_square_data": [1.0, 0.5],
+        "mean_square_physics": [0.0, 3.0],
+    }
+    for name, last, end in (("pinn", 4, 2.0), ("pinn_adam", 99, 3.0))
+}
+GROWTH = {
+    "residuals": [point("pinn", 10, 1.0, 1.0), point("collocation", 10, 0.5, 1.0)],
+    "masses": [point("pinn", 2, 4.0, 1.25), point("collocation", 2, 1.0, 1.0), point("shooting", 2, 0.5, 0.9)],
+    "cycles": [point("pinn", 2, 6.0, 1.0), point("collocation", 2, 2.0, 1.0), point("shooting", 2, 1.5, 1234.0)],
+}
+
+
+def test_pictures_are_made_from_stored_parts_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "pinn").mkdir()
+    for name, data in (("loss", LOSS), ("scaling", GROWTH)):
+        part = {"title": name, "text": "", "columns": ["a"], "rows": [["b"]], "data": data}
+        (tmp_path / "pinn" / f"{name}.json").write_text(json.dumps(part), encoding="utf-8")
+    assert main(["fit=false", f"out={tmp_path}"]) == 0
+    written = capsys.readouterr().out.split()
+    assert [Path(path).name for path in written] == [
+        "pinn_loss.svg", "pinn_loss.png", "pinn_scaling.svg", "pinn_scaling.png", "pinn.md"
+    ]  # fmt: skip
+    text = (tmp_path / "pinn.md").read_text(encoding="utf-8")
+    for name in ("pinn_loss", "pinn_scaling"):
+        assert (tmp_path / "figures" / f"{name}.txt").read_text(encoding="utf-8") in f"{text}\n"
+
+
+def test_captions_of_the_pictures_say_what_the_numbers_say() -> None:
+    assert pictures.loss_caption(LOSS).startswith("PINN ends after 5 evaluations, PINN (paper's training) after 100.")
+    said = pictures.scaling_caption(GROWTH)
+    assert "and PINN takes most" in said
+    assert "on the shortest record PINN takes 4 times that of Multiple shooting" in said
+    assert "Multiple shooting 1234; PINN 1.25; Spline collocation 1." in said
 
 
 def test_the_page_shows_what_is_stored(tmp_path: Path) -> None:

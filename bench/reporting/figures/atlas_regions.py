@@ -15,9 +15,9 @@ from bench.atlas.model import FEWEST, Model, told
 from bench.entrants.registry import load_method
 from bench.reporting.atlas import NEAR, RARE, point_frame
 from bench.reporting.figures.atlas import (
-    AMBIGUOUS,
     LABELS,
     LINE,
+    ambiguous_entry,
     draw_ambiguous,
     draw_bound,
     grid,
@@ -37,7 +37,6 @@ EVERY = 3
 def draw_regions(slices: Sequence[Slice], atlas: pd.DataFrame, out: Path) -> list[Path]:
     """A picture a slice, from the model of each method with points enough; the files, none without such a method."""
     folder = out / "figures"
-    folder.mkdir(parents=True, exist_ok=True)
     unknown = atlas[~atlas.start_known]
     fastest = unknown.groupby("method").seconds.median().sort_values().index
     models = {}
@@ -51,23 +50,49 @@ def _drawn(own: Slice, models: dict[str, Model], folder: Path) -> list[Path]:
     across, up = own.axes()
     frame = pd.concat([point_frame(point) for point in own.points()], ignore_index=True)
     regions = {name: near for name, model in models.items() if (near := near_bound(frame, model)).any()}
-    figure, axes = panels(4, 2, 62.0, LABELS[across.name])
+    risky = bool((100.0 * frame.wrong_basin > RISKS[0]).any())
+    figure, axes = panels(3 + risky, 2 if risky else 3, 62.0 if risky else 46.0, LABELS[across.name])
     for axis, name, title in zip(axes, ("k_over_m", "c_over_m"), ("k/m", "c/m"), strict=False):
         draw_bound(axis, across, up, frame, f"bound_{name}")
-        axis.set_title(f"bound on {title} (%)")
-    _threshold(axes[2], across, up, frame)
-    axes[2].set_title("wrong basin (%)")
-    letters = _fastest(axes[3], across, up, frame, regions)
-    axes[3].set_title("fastest method near the bound of k/m")
+        axis.set_title(f"bound on {title} (%)", loc="left")
+    if risky:
+        _threshold(axes[2], across, up, frame)
+        axes[2].set_title("wrong basin (%)", loc="left")
+    letters = _fastest(axes[-1], across, up, frame, regions)
+    axes[-1].set_title("fastest method near the bound", loc="left")
     legend_below(figure, [
-        *(entry(color="none", marker=f"${letter}$", markerfacecolor="black", markeredgecolor="black", markersize=7,
-                label=load_method(name).card.title) for name, letter in letters.items()),
-        entry(color="none", marker="s", markerfacecolor=AMBIGUOUS, markersize=7,
-              label="above the Nyquist frequency: ambiguous"),
+        *(entry(color="none", marker=f"${letter}$", markerfacecolor="black", markeredgecolor="black",
+                markeredgewidth=0.3, markersize=6, label=load_method(name).card.title)
+          for name, letter in letters.items()),
+        ambiguous_entry(),
         entry(color="none", marker="s", markerfacecolor="white", markeredgecolor="black", markersize=7,
               label="white: the test does not tell k/m, or no method is near"),
     ])  # fmt: skip
-    return save_figure(figure, folder, f"atlas_map_{own.name}")
+    caption = _caption(regions, LABELS[across.name], LABELS[up.name], risky)
+    return save_figure(figure, folder, f"atlas_map_{own.name}", caption)
+
+
+def _caption(regions: dict[str, np.ndarray], across: str, up: str, risky: bool) -> str:
+    left, widest = np.ones(1, bool), ("", 0.0)
+    for name, near in regions.items():
+        own = float(np.mean(near & left))
+        left = left & ~near
+        widest = max(widest, (name, own), key=lambda pair: pair[1])
+    wrong = (
+        " Wrong basin: how often the likelihood itself has its highest peak at another frequency, by its threshold."
+        if risky
+        else f" The likelihood has its highest peak at another frequency on less than {RISKS[0]:g} % of the data sets "
+        "everywhere below the Nyquist frequency, so that no panel shows it."
+    )
+    lead = "No method is near the bound here"
+    if widest[0]:
+        fastest, share = load_method(widest[0]).card.title, 100.0 * widest[1]
+        lead = f"{fastest} is the fastest method near the bound on {share:.0f} % of this map"
+    return (
+        f"{lead}. Across: {across}; up: {up}. The first panels: the Cramér-Rao bound on k/m and on c/m, light is low, "
+        f"with lines at whole powers of ten.{wrong} Last: the fastest of the methods whose error of k/m a model of the "
+        f"atlas expects within {NEAR:g} times the bound; light to dark by speed, with letters."
+    )
 
 
 def near_bound(frame: pd.DataFrame, model: Model) -> np.ndarray:
@@ -84,7 +109,7 @@ def _threshold(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame) -> None:
     x, y, z = grid(across, up, frame.assign(own=100.0 * frame.wrong_basin), "own")
     axis.pcolormesh(x, y, z, cmap="Greys", vmin=0.0, vmax=100.0, shading="nearest", rasterized=True)
     if np.nanmax(z) > RISKS[0]:
-        axis.clabel(axis.contour(x, y, z, levels=RISKS, colors=LINE, linewidths=0.9), fmt="%g")
+        axis.clabel(axis.contour(x, y, z, levels=RISKS, colors=LINE, linewidths=0.9), fmt="%g", inline_spacing=1)
     draw_ambiguous(axis, across, up, frame)
     set_scales(axis, across, up)
 

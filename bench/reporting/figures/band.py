@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from bench.reporting.figures.gallery import Gallery, Nothing, Picture, counts, where
 from bench.reporting.figures.response import with_record
 from bench.reporting.figures.style import panels, wrapped
+from bench.reporting.frame import Result
 from bench.scoring.summary import Z95
 
 
@@ -37,10 +39,20 @@ def draw_band(gallery: Gallery) -> Picture:
     cells = [cell for cell, _ in found]
     return Picture(
         figure,
-        f"The band of each method that states one ({where(cells[0])}; replicate 0): its reconstruction minus the true "
-        "response, and 1.96 of its standard deviations to either side. Where the band holds the line at zero it holds "
+        f"{_lead(cells)} Each panel is a method that states a band ({where(cells[0])}; replicate 0): its "
+        "reconstruction minus the true response, and 1.96 of its standard deviations to either side. Where the band "
+        "holds the line at zero it holds "
         f"the truth. The percentage is measured: the mean share of the record inside the method's own 95 % band over "
         f"{counts(cells)} replicates; 95 is what a band should have. Scales differ from panel to panel. The bands "
         "breathe with the motion: parameters that are a little wrong move the response most where it is fast or far "
         "out. The paper's Figure 9 draws such a band without saying how often it holds.",
     )
+
+
+def _lead(cells: Sequence[Result]) -> str:
+    """How often the bands hold the truth, in a sentence."""
+    shares = [100.0 * float(own.mean()) for cell in cells if (own := cell.successful("band_inside_95")).size]
+    if not shares:
+        return "A band says how far a reconstruction may be off."
+    low, high = f"{min(shares):.0f}", f"{max(shares):.0f}"
+    return f"95 % bands hold the truth over {low if low == high else f'{low} to {high}'} % of the record."

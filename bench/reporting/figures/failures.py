@@ -1,17 +1,20 @@
-"""What failed where: the share of failed replicates of every method in every scenario, by status."""
+"""What failed where: the share of failed replicates of the methods that failed on a system, by status."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from bench.contract.estimate import Status
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, where
+from bench.entrants.reference import REFERENCES
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture
 from bench.reporting.figures.style import FULL, MM, SMALL, entry, legend_below, pyplot, width_of
 from bench.reporting.frame import Result
+from bench.reporting.rounding import readable
 
 LETTERS = {
     Status.DIVERGED: "d", Status.NONFINITE: "n", Status.TIMEOUT: "t", Status.KILLED: "k", Status.OOM: "o",
@@ -19,84 +22,114 @@ LETTERS = {
 }  # fmt: skip
 NOT_TRIED = (Status.UNSUPPORTED, Status.MISSING_DEPENDENCY)
 """Not failures of a fit: the method says that it cannot, or its package is not there."""
-MANY = 18
-"""Methods from which on a number and its letter stand one above the other."""
+CELL = 6.6
+"""Height of a row (mm): a number and its letter, one above the other."""
 MOST = 60
-"""Scenarios shown at most: those with most failures."""
+"""Rows shown at most: those with most failures."""
+Scene = tuple[str, str]
+"""A system and what disturbs it: a row, at its noise level and start with most failures of each method."""
 
 
-def shares(cell: Result) -> tuple[float, Status | None, Status | None]:
-    """Share of replicates that were tried and failed, their most frequent status, and why it was not tried, if so."""
+@dataclass(frozen=True)
+class Share:
+    """Of the replicates of a method: how many of those tried failed, the status of most, and why not tried, if so."""
+
+    failed: float
+    status: Status | None
+    absent: Status | None
+
+
+def share(cell: Result) -> Share:
+    """The share of a cell."""
     counted = Counter(cell.statuses)
     absent = max((s for s in NOT_TRIED if counted[s]), key=lambda s: counted[s], default=None)
     failed = {status: counted[status] for status in LETTERS if counted[status]}
     total = sum(failed.values()) / cell.n if cell.n else 0.0
-    return total, max(failed, key=lambda s: failed[s], default=None), absent
+    return Share(total, max(failed, key=lambda s: failed[s], default=None), absent)
+
+
+def worst(cells: Sequence[Result]) -> dict[tuple[Scene, str], Share]:
+    """By row and method, the share of the cell with most failures; not tried only if no cell of it was."""
+    found: dict[tuple[Scene, str], Share] = {}
+    for cell in cells:
+        at, own = ((cell.system, cell.disturbance), cell.label), share(cell)
+        kept = found.get(at)
+        if kept is None or (own.failed, own.absent is None) > (kept.failed, kept.absent is None):
+            found[at] = own
+    return found
 
 
 def draw_failures(gallery: Gallery) -> Picture:
-    """A heat map, a row a scenario and a column a method."""
-    scenes: dict[tuple[Any, ...], list[Result]] = {}
-    for cell in gallery.cells:
-        scenes.setdefault((cell.system, cell.disturbance, -cell.snr_db, cell.initial_state, cell.series), []).append(
-            cell
-        )
-    bad = {key: sum(c.n - c.n_ok for c in own) for key, own in scenes.items()}
-    keys = sorted(key for key in scenes if bad[key])
-    if not keys:
+    """A heat map, a row a system and a column a method, of those rows and columns in which something failed."""
+    found = worst(gallery.cells)
+    bad = Counter[Scene]()
+    for (scene, _), own in found.items():
+        bad[scene] += round(1e6 * own.failed)
+    rows = sorted(sorted((scene for scene in bad if bad[scene]), key=lambda scene: -bad[scene])[:MOST])
+    if not rows:
         raise Nothing("no replicate of any cell failed")
-    if len(keys) > MOST:
-        keys = sorted(sorted(keys, key=lambda key: -bad[key])[:MOST])
-    labels = [label for label in gallery.looks if any(c.label == label for key in keys for c in scenes[key])]
-    grid: dict[tuple[int, int], Result] = {
-        (row, labels.index(c.label)): c for row, key in enumerate(keys) for c in scenes[key]
+    failed = {at for at, own in found.items() if own.failed}
+    columns = [label for label in gallery.looks if any((row, label) in failed for row in rows)]
+    grid = {
+        (rows.index(scene), columns.index(label)): own
+        for (scene, label), own in found.items()
+        if scene in rows and label in columns
     }
-    many = len(labels) > MANY
-    names = max(width_of(gallery.looks[label].title, SMALL) for label in labels)  # they stand upright
-    height = (names + 6.0 + (7.0 if many else 4.6) * len(keys)) * MM
+    names = max(width_of(gallery.looks[label].title, SMALL) for label in columns)  # they stand upright
+    height = (names + 6.0 + CELL * len(rows)) * MM
     figure, axis = pyplot().subplots(figsize=(FULL, height), layout="constrained")
-    _heat(axis, grid, (len(keys), len(labels)), "\n" if many else "")
-    axis.set_xticks(range(len(labels)), [gallery.looks[label].title for label in labels], rotation=90)
-    axis.set_yticks(range(len(keys)), _names([scenes[key][0] for key in keys]))
+    _heat(axis, grid, (len(rows), len(columns)))
+    axis.set_xticks(range(len(columns)), [gallery.looks[label].title for label in columns], rotation=90)
+    axis.xaxis.tick_top()
+    axis.set_yticks(range(len(rows)), [_name(row) for row in rows])
     axis.tick_params(length=0)
-    used = {status for cell in grid.values() for status in shares(cell)[1:] if status is not None}
-    legend_below(figure, _handles(used, len(grid) < len(keys) * len(labels)))
-    fine = len(scenes) - len(keys)
-    return Picture(figure, _caption(fine, sum(c.n - c.n_ok for c in gallery.cells), sum(c.n for c in gallery.cells)))
+    used = {status for own in grid.values() for status in (own.status, own.absent) if status is not None}
+    legend_below(figure, _handles(used, len(grid) < len(rows) * len(columns)))
+    scenes = {scene for scene, _ in found}
+    fitted = {label for (scene, label), own in found.items() if scene in rows and own.absent is None}
+    never = [gallery.looks[label].title for label in gallery.looks if label in fitted - set(columns) - set(REFERENCES)]
+    return Picture(figure, _caption(gallery.cells, len(rows), len(scenes), never))
 
 
-def _caption(left_out: int, failed: int, total: int) -> str:
+def _caption(cells: Sequence[Result], rows: int, scenes: int, never: Sequence[str]) -> str:
+    tried = sum(cell.n - sum(cell.statuses.count(status) for status in NOT_TRIED) for cell in cells)
+    failed = sum(cell.statuses.count(status) for cell in cells for status in LETTERS)
+    without = f" No fit of these failed there: {'; '.join(never)}." if never else ""
     return (
-        f"Where methods fail: the share (%) of the replicates of each method and scenario that were tried and failed, "
-        "with the letter of the most frequent status. Hatched: the method says that it cannot do this ('unsupported'), "
-        f"or a package is missing; that is no failure of a fit. White: no failure. {left_out} scenarios in which "
-        f"nothing failed (or less than in those shown) are left out. In all {failed} of {total} stored replicates are "
-        "not ok. A failure counts as an infinite error in medians, ranks and profiles."
+        f"Fits failed in {rows} of {scenes} kinds of test. In a row, a system with what disturbs its record, the "
+        "share (%) of the replicates that were tried and failed, at the noise level and start where it is largest, "
+        "with the letter of the most frequent status. White: no failure. Hatched: the method says that it cannot do "
+        "this ('unsupported'), or a package is missing; that is no failure of a fit. Kinds of test and methods "
+        f"without any failure are left out.{without} Of all {tried} replicates that were tried {failed} failed. A "
+        "failure counts as an infinite error in medians, ranks and profiles."
     )
 
 
-def _heat(axis: Any, grid: dict[tuple[int, int], Result], shape: tuple[int, int], between: str) -> None:
+def _name(scene: Scene) -> str:
+    """A row's name: the system, and what disturbs it."""
+    system, disturbance = scene
+    return readable(system) + (f", {readable(disturbance)}" if disturbance else "")
+
+
+def _heat(axis: Any, grid: Mapping[tuple[int, int], Share], shape: tuple[int, int]) -> None:
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Rectangle
 
     values = np.full(shape, np.nan)
-    for at, cell in grid.items():
-        values[at] = 100.0 * shares(cell)[0]
+    for at, own in grid.items():
+        values[at] = 100.0 * own.failed if own.failed else np.nan
     colours = ListedColormap(colormaps["OrRd"](np.linspace(0.0, 0.85, 256)))
-    axis.imshow(
-        np.ma.masked_invalid(np.where(values > 0, values, np.nan)), cmap=colours, vmin=0, vmax=100, aspect="auto"
-    )
-    for (row, column), cell in grid.items():
-        total, status, absent = shares(cell)
-        if absent is not None:
-            hatch = "////" if absent is Status.UNSUPPORTED else "...."
+    axis.imshow(np.ma.masked_invalid(values), cmap=colours, vmin=0, vmax=100, aspect="auto")
+    for (row, column), own in grid.items():
+        if own.absent is not None:
+            hatch = "////" if own.absent is Status.UNSUPPORTED else "...."
             axis.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, fc="0.93", ec="0.45", hatch=hatch, lw=0.0))
-        if status is not None:
-            number = f"{100 * total:.0f}" if total >= 0.01 else "<1"
-            text = f"{number}{between}{LETTERS[status]}"
-            style = {"ha": "center", "va": "center", "fontsize": 7 if len(text) < 4 else 5.5}  # a narrow cell
-            axis.text(column, row, text, color="white" if total > 0.6 else "black", **style)
+        if own.status is not None:
+            number = f"{100 * own.failed:.0f}" if own.failed >= 0.01 else "<1"
+            style = {"ha": "center", "va": "center", "fontsize": SMALL, "linespacing": 0.95}
+            ink = "white" if own.failed > 0.6 else "black"
+            axis.text(column, row, f"{number}\n{LETTERS[own.status]}", color=ink, **style)
     axis.set_xticks(np.arange(-0.5, shape[1]), minor=True)
     axis.set_yticks(np.arange(-0.5, shape[0]), minor=True)
     axis.grid(which="minor", color="0.8", lw=0.5)
@@ -104,30 +137,6 @@ def _heat(axis: Any, grid: dict[tuple[int, int], Result], shape: tuple[int, int]
     missing = [(r, c) for r in range(shape[0]) for c in range(shape[1]) if (r, c) not in grid]
     if missing:
         axis.plot([c for _, c in missing], [r for r, _ in missing], marker=".", ms=1.5, color="0.6", ls="none")
-
-
-def _names(cells: Sequence[Result]) -> list[str]:
-    """A name for each row; with what tells rows of one name apart."""
-    names = [where(c).replace("initial state", "start") for c in cells]
-    for name, several in Counter(names).items():
-        if several > 1:
-            own = [i for i, other in enumerate(names) if other == name]
-            traits = zip(*(_traits(cells[i]) for i in own), strict=True)
-            for varied in (column for column in traits if len(set(column)) > 1):
-                for i, text in zip(own, varied, strict=True):
-                    names[i] += f", {text}"
-    counted, numbers = Counter(names), Counter[str]()
-    for i, name in enumerate(names):
-        if counted[name] > 1:
-            numbers[name] += 1
-            names[i] = f"{name} ({numbers[name]})"
-    return names
-
-
-def _traits(cell: Result) -> tuple[str, ...]:
-    """What may tell scenarios of one name apart."""
-    prior = f"mass known to {100 * cell.prior['mass']:g} %" if cell.prior else "no prior"
-    return f"{cell.duration:g} s", f"{cell.samples} samples", prior, f"seed {cell.seed}"
 
 
 def _handles(used: set[Status], gaps: bool) -> list[Any]:
@@ -141,5 +150,5 @@ def _handles(used: set[Status], gaps: bool) -> list[Any]:
     if Status.MISSING_DEPENDENCY in used:
         found.append(Patch(fc="0.93", ec="0.45", hatch="....", lw=0.0, label="package missing"))
     if gaps:
-        found.append(entry(ls="none", marker=".", ms=1.5, color="0.6", label="not stored"))
+        found.append(entry(ls="none", marker=".", ms=1.5, color="0.6", label="not run"))
     return found

@@ -10,8 +10,9 @@ import numpy as np
 
 from bench.config.experiment import Experiment
 from bench.reporting.family import Family, Row, Section, any_stored, family_of
+from bench.reporting.figures.beside import LINE, spread
 from bench.reporting.figures.gallery import Gallery, Nothing, Picture, where
-from bench.reporting.figures.style import MM, MORE_COLOURS, SMALL, panels, plain_logarithmic, wrapped
+from bench.reporting.figures.style import MORE_COLOURS, SMALL, panels, plain_logarithmic, wrapped
 from bench.reporting.frame import ERROR, Frame, Result, experiment_frame, table_experiments
 from bench.reporting.tables.family_numbers import GROUP, PLACE, moment_score, rms
 from bench.scoring.path import MOMENTS
@@ -22,8 +23,8 @@ DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.
 COLOURS = (*MORE_COLOURS, "#8C564B", "#777777")
 """Eleven, so that no two rows of a panel have the same; and another dash in the next row."""
 BASE = ("black", "-")
-LINE = 1.3 * SMALL / 72.0 / MM
-"""Height of a line of text (mm)."""
+NEAR = 1.5
+"""A training is said to be near the bound whose error at the end is at most so many times the bound."""
 LABEL = 37.0
 """Width of the column of names beside a panel (mm)."""
 
@@ -68,13 +69,14 @@ def family_picture(frame: Frame) -> Picture:
         axis.grid()
     for axis in axes[::2]:
         axis.set_ylabel("error of k/m / bound (−)")
+    ends = [curve.ratios[-1] for _, own in found for curve in own]
     scene = next(curve.row.member.cells[PLACE] for _, own in found for curve in own)
     return Picture(
         figure,
-        f"How the ways of training reach their answer ({where(scene)}): root mean square error of k/m of the answer so "
-        "far over its Cramér-Rao bound (grey line), in a panel on the same data sets, against processor time; a dot is "
-        "where the longest training ended, "
-        "black is the base that the others are one thing apart from.",
+        f"{sum(end <= NEAR for end in ends)} of {len(ends)} trainings end within {NEAR:g} times the bound. In a panel, "
+        f"all on the same data sets ({where(scene)}): root mean square error of k/m of the answer so far over its "
+        "Cramér-Rao bound (grey line) against processor time. A dot is where the longest training ended; black is the "
+        "base, from which each of the others differs in one thing. Names stand in the order of the errors at the end.",
         family.method,
     )
 
@@ -123,6 +125,7 @@ def _limits(axis: Any, every: Sequence[Curve]) -> None:
     axis.set(xscale="log", yscale="log")
     axis.set_xlim(0.8 * min(curve.seconds[0] for curve in every), 1.5 * max(curve.end for curve in every))
     axis.set_ylim(0.8 * min(1.0, ratios.min()), 1.25 * max(1.0, ratios.max()))
+    plain_logarithmic(axis.xaxis)
     plain_logarithmic(axis.yaxis)
 
 
@@ -157,19 +160,3 @@ def _name_lines(
         axis.plot([1.0, 1.04], [end, at], color=colour, lw=0.5, **kept)
         axis.plot([1.04, 1.13], [at, at], color=colour, ls=dashes, lw=1.1, **kept)
         axis.text(1.15, at, names[curve.row], fontsize=SMALL, va="center", transform=axis.transAxes, linespacing=1.0)
-
-
-def spread(wanted: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """Centres (n,) of labels of these sizes (n,) on a line from 0 to 1: near those wanted (n,), none on another.
-
-    Least squares in the order of what is wanted; labels that do not fit all hang over the upper end.
-    """
-    from scipy.optimize import isotonic_regression
-
-    order = np.argsort(wanted, kind="stable")
-    below = np.cumsum(sizes[order]) - 0.5 * sizes[order]
-    free = isotonic_regression(wanted[order] - below).x
-    placed = np.clip(free, 0.0, max(0.0, 1.0 - float(sizes.sum()))) + below
-    centres = np.empty_like(placed)
-    centres[order] = placed
-    return centres

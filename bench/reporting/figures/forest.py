@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, counts
-from bench.reporting.figures.style import FULL, MM, entry, legend_below, pyplot
+from bench.entrants.reference import REFERENCES
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, best_first, counts
+from bench.reporting.figures.style import entry, legend_below, rows_of_methods
 from bench.reporting.frame import Result
 from bench.scoring.summary import RESAMPLES
 
@@ -20,6 +21,7 @@ MOST = 6
 ROW = 5.6
 """Height of a method (mm)."""
 FARTHEST = 100.0
+NEAR = 1.25
 
 
 def excess_interval(errors: np.ndarray, bound: float) -> tuple[float, float, float]:
@@ -49,42 +51,36 @@ def draw_forest(gallery: Gallery) -> Picture:
     if not found:
         raise Nothing("no method with an error and a bound over two replicates or more is stored")
     snrs = sorted({snr for _, snr, _ in found}, reverse=True)[:MOST]
-    labels = _ranked(found)
+    excesses: dict[str, list[float]] = {}
+    for (label, _, _), (excess, _, _) in found.items():
+        excesses.setdefault(label, []).append(excess)
+    labels = best_first(excesses)
     labels += [c.label for c in dict.fromkeys(cells) if c.label not in labels and c.snr_db in snrs]
     labels = list(dict.fromkeys(labels))
-    figure, axes = pyplot().subplots(
-        1, len(snrs), figsize=(FULL, (22.0 + ROW * len(labels)) * MM), layout="constrained", sharey=True, sharex=True,
-        squeeze=False,
-    )  # fmt: skip
-    _scale(axes[0][0], found)
-    for axis, snr in zip(axes[0], snrs, strict=True):
+    figure, axes = rows_of_methods([gallery.looks[label] for label in labels], len(snrs), ROW)
+    for axis in axes:
+        _scale(axis, found)
+    for axis, snr in zip(axes, snrs, strict=True):
         _column(axis, gallery, labels, found, [c for c in cells if c.snr_db == snr], metrics)
         axis.set_title(f"{snr:g} dB", loc="center")
-    axes[0][0].set_yticks(range(len(labels)), [gallery.looks[label].title for label in labels])
-    axes[0][0].set_ylim(len(labels) - 0.4, -0.6)
-    axes[0][len(snrs) // 2].set_xlabel("root mean square error / Cramér-Rao bound (−)")
+    axes[len(snrs) // 2].set_xlabel("root mean square error / Cramér-Rao bound (−)")
     legend_below(figure, _handles([name for _, name in metrics]))
-    return Picture(figure, _caption(cells, [name for _, name in metrics], told))
+    return Picture(figure, _caption(excesses, cells, [name for _, name in metrics], told))
 
 
-def _caption(cells: Sequence[Result], names: Sequence[str], told: str) -> str:
+def _caption(excesses: Mapping[str, Sequence[float]], cells: Sequence[Result], names: Sequence[str], told: str) -> str:
+    middles = [float(np.median(own)) for label, own in excesses.items() if label not in REFERENCES]
+    on = sum(middle <= NEAR for middle in middles)
     second = f" Filled: {names[0]}; hollow: {names[1]}." if len(names) > 1 else f" Result is the {names[0]}."
     return (
-        f"How far each method is from the best that the data allow, at each noise level ({cells[0].system}, initial "
-        f"state {told}; {counts(cells)} replicates).{second} Lines are 95 % intervals (bootstrap over the replicates). "
-        "At the line at 1 no unbiased method can do better; methods whose intervals overlap are not told apart by this "
-        "picture, but may be by the tables, which compare them on the same data. An arrow: beyond the edge. Failed "
-        "replicates are left out; where there are any, the number that succeeded stands beside. Methods in order of "
-        "their median excess over all columns, to a tenth."
+        f"{on} of {len(middles)} methods are within {NEAR:g} times the best that the data allow. Columns are noise "
+        f"levels ({cells[0].system}, initial state {told}; {counts(cells)} replicates).{second} Lines are 95 % "
+        "intervals (bootstrap over the replicates). At the line at 1 no unbiased method can do better; methods whose "
+        "intervals overlap are not told apart by this picture, but may be by the tables, which compare them on the "
+        "same data. An arrow: beyond the edge. Failed replicates are left out; where there are any, the number that "
+        "succeeded stands beside. The count, and the order to a tenth of the logarithm, are by a method's median "
+        "excess over all columns."
     )
-
-
-def _ranked(found: dict[tuple[str, float, str], tuple[float, float, float]]) -> list[str]:
-    """Methods by the median of their logarithmic excess, best first, to a tenth; those that tie in the usual order."""
-    own: dict[str, list[float]] = {}
-    for (label, _, _), (excess, _, _) in found.items():
-        own.setdefault(label, []).append(math.log(max(excess, 1.0)))  # below 1 there is nothing to be won
-    return sorted(own, key=lambda label: (round(float(np.median(own[label])), 1), list(own).index(label)))
 
 
 def _column(
@@ -108,9 +104,6 @@ def _column(
         if cell.n_ok < cell.n:
             spans = [found[key] for key in ((cell.label, cell.snr_db, metric) for metric, _ in metrics) if key in found]
             _count(axis, row, f"{cell.n_ok}/{cell.n}", [(low, high) for _, low, high in spans])
-    for row in range(1, len(labels), 2):
-        axis.axhspan(row - 0.5, row + 0.5, color="0.955", lw=0, zorder=0)
-    axis.tick_params(axis="y", length=0)
 
 
 def _count(axis: Any, row: int, text: str, spans: Sequence[tuple[float, float]]) -> None:

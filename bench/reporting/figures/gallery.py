@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -19,6 +19,7 @@ from bench.store.store import Store
 
 USUAL_SNR = 20.0
 """The noise level (dB) that pictures of a single one show, or the nearest there is: that of the paper's figures."""
+MOST_NAMED = 4
 Told = Literal["known", "unknown"]
 
 
@@ -106,6 +107,22 @@ def where(cell: Result) -> str:
     disturbed = f", disturbance {cell.disturbance.replace('_', ' ')}" if cell.disturbance else ""
     drawn = ", truth drawn" if cell.truth_drawn else ""
     return f"{cell.system}, {cell.snr_db:.4g} dB, initial state {cell.initial_state}{disturbed}{drawn}"
+
+
+def best_first(excesses: Mapping[str, Sequence[float]]) -> list[str]:
+    """Methods by the median of their logarithmic excess, to a tenth; those that tie stay in the order given.
+
+    Below 1 there is nothing to be won: no unbiased method can be there.
+    """
+    middle = {
+        label: round(float(np.median(np.log(np.maximum(own, 1.0)))), 1) for label, own in excesses.items() if len(own)
+    }
+    return sorted(middle, key=middle.__getitem__)
+
+
+def named(titles: Sequence[str]) -> str:
+    """Methods in a sentence: by name, or how many they are where that would be long."""
+    return "; ".join(titles) if len(titles) <= MOST_NAMED else f"{len(titles)} of them"
 
 
 def counts(cells: Iterable[Result]) -> str:

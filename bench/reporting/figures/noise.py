@@ -1,4 +1,4 @@
-"""Error against noise for every method, with the bound: the paper's Figure 10."""
+"""Error against noise, a panel a method, over the bound: of the groups, and of the displacement (paper's Figure 10)."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from typing import Any
 
 import numpy as np
 
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, counts
+from bench.entrants.reference import REFERENCES
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, best_first, counts
 from bench.reporting.figures.style import (
-    FULL,
-    MM,
     Look,
     decibels,
     entry,
-    handle,
     legend_below,
     looks,
+    panels,
     plain_logarithmic,
-    pyplot,
+    wrapped,
 )
 from bench.reporting.frame import Result
 from bench.reporting.labels import beside_paper, title
 from bench.reporting.paper import own_method, printed
 
-PANELS = (
-    ("k_over_m_error_pct", "error of k/m (%)"),
-    ("c_over_m_error_pct", "error of c/m (%)"),
-    ("rmse", "displacement error (m)"),
-)
-ON_BOUND, MOSTLY = 1.25, 0.75
-"""A method whose errors are mostly below so many times the bound lies on it: its markers are hollow, one in another."""
-PAPER = {"marker": "D", "mfc": "none", "linestyle": "none", "ms": 5.0, "mew": 1.1}
+GROUPS = {"k_over_m_error_pct": "k/m", "c_over_m_error_pct": "c/m"}
+DISPLACEMENT = "rmse"
+COLUMNS = 6
+NEAR = 1.25
+"""A method whose error is at most so many times the bound, in the median over its points, is said to be on it."""
+DASHES = ("-", (0, (3.0, 1.2)))
+BOUND = {"color": "0.8", "lw": 3.0, "solid_capstyle": "round"}
+PAPER = {"marker": "D", "mfc": "none", "linestyle": "none", "ms": 4.0, "mew": 1.1}
 PAPER_SYSTEM = {"m": 1.0, "c": 0.4, "k": 8.0}
+MILLI = 1000.0
 
 
 def root_mean_square(cell: Result, metric: str) -> float:
@@ -43,91 +43,115 @@ def root_mean_square(cell: Result, metric: str) -> float:
 
 
 def draw_noise(gallery: Gallery) -> Picture:
-    """One panel a metric, one line a method, over SNR; start known."""
+    """Errors of k/m and c/m over SNR, start known."""
+    return _drawn(gallery, list(GROUPS), list(GROUPS.values()), "error (%)", 1.0)
+
+
+def draw_displacement(gallery: Gallery) -> Picture:
+    """Errors of the displacement over SNR, start known, and what the paper prints of its own method."""
+    return _drawn(gallery, [DISPLACEMENT], ["displacement"], "error (mm)", MILLI)
+
+
+def _drawn(gallery: Gallery, metrics: Sequence[str], names: Sequence[str], unit: str, factor: float) -> Picture:
     started = [cell for cell in gallery.main if cell.initial_state == "known"] or gallery.main
     found = [cell for cell in started if cell.label != "prior"]
-    metrics = [(m, label) for m, label in PANELS if any(math.isfinite(root_mean_square(c, m)) for c in found)]
-    if not metrics:
+    metrics = [m for m in metrics if any(math.isfinite(root_mean_square(c, m)) for c in found)]
+    lines = {label: own for label in gallery.looks if (own := _lines(found, label, metrics, factor))}
+    if not lines:
         raise Nothing("no method with an error and a bound is stored")
-    figure, axes = pyplot().subplots(
-        1, len(metrics), figsize=(FULL * (0.4 + 0.2 * len(metrics)), 70.0 * MM), layout="constrained", squeeze=False
-    )
-    sizes = _sizes(found)
-    drawn: dict[str, Look] = {}
-    for axis, (metric, label) in zip(axes[0], metrics, strict=True):
-        drawn |= _panel(axis, gallery, found, metric, sizes)
-        axis.set_title(label, loc="left")
-    handles = [_region(), *(_entry(look, sizes) for label, look in gallery.looks.items() if label in drawn)]
-    if metrics[-1][0] == "rmse" and _papers(found):
-        theirs = beside_paper(own_method())[0]
-        style = {**PAPER, "color": looks([theirs])[theirs].colour}
-        axes[0][-1].plot(*_paper_points(), **style, zorder=20)
-        handles.append(entry(**style, label=f"the paper's {title(theirs)}"))
-    legend_below(figure, handles)
-    return Picture(figure, _caption(found, sizes, len(handles) - 1 > len(drawn)))
+    excesses = {label: _excesses(found, label, metrics) for label in lines}
+    order = best_first(excesses)
+    bounds = [_bounds(found, metric, factor) for metric in metrics]
+    figure, axes = panels(len(order), COLUMNS, 23.0, "SNR (dB)", sharex=True, sharey=True)
+    for axis, label in zip(axes, order, strict=True):
+        _panel(axis, gallery.looks[label], lines[label], bounds)
+    _scales(axes, [*bounds, *(line for own in lines.values() for line in own)])
+    figure.supylabel(unit)
+    paper = _paper(axes, order, found) if metrics == [DISPLACEMENT] else ""
+    legend_below(figure, _handles(names if len(metrics) > 1 else [], paper))
+    middles = [float(np.median(own)) for label, own in excesses.items() if label not in REFERENCES and own]
+    on = sum(middle <= NEAR for middle in middles)
+    return Picture(figure, _caption(found, names, on, len(middles), paper))
 
 
-def _caption(found: Sequence[Result], sizes: Mapping[str, float], paper: bool) -> str:
-    hollow = f" {len(sizes)} methods lie on each other there: hollow markers, one in another." if sizes else ""
+def _caption(found: Sequence[Result], names: Sequence[str], on: int, total: int, paper: str) -> str:
+    styles = f" Filled markers: {names[0]}; hollow ones: {names[1]}." if len(names) > 1 else ""
+    theirs = f" Diamonds: {paper} as the paper prints it (its Table 5, Figure 10)." if paper else ""
     return (
-        f"Error against noise for every method ({found[0].system}, initial state {found[0].initial_state}; "
-        f"{counts(found)} replicates a point): root mean square error over the replicates, failures left out. The line "
-        "is the Cramér-Rao bound, and below it, in grey, no unbiased method can be; a biased one can, where the noise "
-        f"is large.{hollow} A line that runs level has an error of its own that no better sensor "
-        "removes." + (" Orange diamonds: the paper's own PINN (its Table 5, Figure 10)." if paper else "")
+        f"{on} of {total} methods are on the bound in {' and '.join(names)}. Each panel is a method "
+        f"({found[0].system}, initial state {found[0].initial_state}; {counts(found)} replicates a point): root mean "
+        f"square error over the replicates, failures left out; the least noise is on the left.{styles} The broad grey "
+        "line is the Cramér-Rao bound, the least error of an unbiased method; a biased one can be below it where the "
+        f"noise is large. A method counts as on it whose error is at most {NEAR:g} times the bound in the median over "
+        "its noise levels. A line that runs level has an error of its own that no better sensor removes. Panels in "
+        f"order of the median excess over the bound, to a tenth of its logarithm.{theirs}"
     )
 
 
-def _papers(found: Sequence[Result]) -> bool:
-    """Whether this is the system of the paper's Table 5."""
-    return found[0].parameters == PAPER_SYSTEM and found[0].kind == "sdof"
+Line = Mapping[float, float]
+"""By SNR (dB), an error."""
 
 
-def _paper_points() -> tuple[Any, ...]:
-    points = [(p.snr_db, p.value) for p in printed() if p.table == 5 and p.metric == "rmse"]
-    return tuple(zip(*points, strict=True))
+def _lines(found: Sequence[Result], label: str, metrics: Sequence[str], factor: float) -> list[Line]:
+    """One line a metric of a method; none where it has no error at all."""
+    own = [c for c in found if c.label == label]
+    lines: list[Line] = [
+        {c.snr_db: factor * v for c in own if (v := root_mean_square(c, metric)) > 0} for metric in metrics
+    ]
+    return lines if any(lines) else []
 
 
-def _sizes(found: Sequence[Result]) -> dict[str, float]:
-    """Marker sizes of the methods that lie on the bound, from large to small in the order of methods."""
-    near: dict[str, list[bool]] = {}
-    for cell in found:
-        excess = [cell.summary.get(metric, {}).get("excess", math.nan) for metric, _ in PANELS]
-        near.setdefault(cell.label, []).extend(e < ON_BOUND for e in excess if math.isfinite(e))
-    on = [label for label, own in near.items() if own and np.mean(own) >= MOSTLY]
-    return {label: 3.0 + 7.5 * (len(on) - i) / len(on) for i, label in enumerate(on)} if len(on) > 1 else {}
+def _excesses(found: Sequence[Result], label: str, metrics: Sequence[str]) -> list[float]:
+    own = [c.summary.get(m, {}).get("excess", math.nan) for c in found if c.label == label for m in metrics]
+    return [excess for excess in own if math.isfinite(excess)]
 
 
-def _panel(
-    axis: Any, gallery: Gallery, found: Sequence[Result], metric: str, sizes: Mapping[str, float]
-) -> dict[str, Look]:
-    points: dict[str, dict[float, float]] = {}
-    for cell in found:
-        value = root_mean_square(cell, metric)
-        if math.isfinite(value) and value > 0:
-            points.setdefault(cell.label, {})[cell.snr_db] = value
-    bounds = {cell.snr_db: cell.bound(metric) for cell in found if math.isfinite(cell.bound(metric))}
-    snrs = sorted(bounds)
-    line = [bounds[snr] for snr in snrs]
-    axis.fill_between(snrs, line, 1e-15, color="0.9", lw=0)
-    axis.plot(snrs, line, color="black", lw=1.4, marker="_" if len(snrs) == 1 else None, ms=14)
-    for i, (label, own) in enumerate(points.items()):
-        look, drawn = gallery.looks[label], sorted(own)
-        point = look.point(sizes.get(label, 4.0), hollow=label in sizes)
-        axis.plot(drawn, [own[s] for s in drawn], color=look.colour, lw=0.8, **point, zorder=3 + 0.1 * i)
-    values = [*line, *(v for own in points.values() for v in own.values())]
-    axis.set(yscale="log", ylim=(0.5 * min(values), 2.0 * max(values)))
-    plain_logarithmic(axis.yaxis)
-    decibels(axis, snrs)
+def _bounds(found: Sequence[Result], metric: str, factor: float) -> Line:
+    return {c.snr_db: factor * c.bound(metric) for c in found if math.isfinite(c.bound(metric))}
+
+
+def _panel(axis: Any, look: Look, lines: Sequence[Line], bounds: Sequence[Line]) -> None:
+    for bound in bounds:
+        snrs = sorted(bound)
+        axis.plot(snrs, [bound[snr] for snr in snrs], **BOUND, marker="_" if len(snrs) == 1 else None, ms=14, zorder=1)
+    for i, line in enumerate(lines):
+        point = look.point(3.6, hollow=i > 0) | ({"mfc": "white"} if i > 0 else {})
+        snrs = sorted(line)
+        axis.plot(snrs, [line[snr] for snr in snrs], color=look.colour, lw=0.9, ls=DASHES[i], **point, zorder=3)
+    axis.set_title(wrapped(look.title, 26.0), loc="left")
     axis.grid()
-    return {label: gallery.looks[label] for label in points}
 
 
-def _region() -> Any:
+def _scales(axes: Sequence[Any], lines: Sequence[Line]) -> None:
+    """The same scales in all panels."""
+    from matplotlib.ticker import LogLocator
 
-    return entry(color="black", lw=1.4, label="Cramér-Rao bound")
+    values = [value for line in lines for value in line.values()]
+    axes[0].set(yscale="log", ylim=(0.6 * min(values), 1.7 * max(values)))
+    plain_logarithmic(axes[0].yaxis)
+    axes[0].yaxis.set_major_locator(LogLocator(numticks=9))
+    for axis in axes:
+        label = axis.get_xlabel()
+        decibels(axis, sorted({snr for line in lines for snr in line}))
+        axis.set_xlabel(label)
 
 
-def _entry(look: Look, sizes: Mapping[str, float]) -> Any:
-    size = min(sizes.get(look.label, 4.0), 7.0)
-    return handle(look, **{**look.point(size, hollow=look.label in sizes), "lw": 0.8})
+def _paper(axes: Sequence[Any], order: Sequence[str], found: Sequence[Result]) -> str:
+    """Draw what the paper prints beside its own method; its name, where this is the system of the paper's Table 5."""
+    if found[0].parameters != PAPER_SYSTEM or found[0].kind != "sdof":
+        return ""
+    theirs = [label for label in beside_paper(own_method()) if label in order]
+    if not theirs:
+        return ""
+    points = [(p.snr_db, MILLI * p.value) for p in printed() if p.table == 5 and p.metric == DISPLACEMENT]
+    for label in theirs:
+        axes[order.index(label)].plot(*zip(*points, strict=True), **PAPER, color=looks([theirs[0]])[theirs[0]].colour)
+    return title(theirs[0])
+
+
+def _handles(names: Sequence[str], paper: str) -> list[Any]:
+    point = {"marker": "o", "ms": 3.6, "mew": 0.8, "color": "0.3", "lw": 0.9}
+    faces = zip(names, DASHES, ("0.3", "white"), strict=False)
+    found = [entry(**point, mfc=face, ls=dashes, label=name) for name, dashes, face in faces]
+    found.append(entry(**BOUND, label="Cramér-Rao bound"))
+    return [*found, *([entry(**PAPER, color="0.3", label=f"{paper}, as the paper prints it")] if paper else [])]

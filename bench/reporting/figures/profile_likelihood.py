@@ -10,10 +10,11 @@ import numpy as np
 
 from bench.contract.prior import Prior
 from bench.information.profile import THRESHOLD, Profile
-from bench.reporting.figures.style import FULL, MM, legend_below, pyplot
+from bench.reporting.figures.style import legend_below, panels
 
 CAPTION = (
-    "Profile likelihoods on one replicate: each quantity is held and the rest fitted again, the noise level too. No "
+    "A curve that rises on both sides of its lowest point is a quantity that the data tell. Profile likelihoods on one "
+    "replicate: each quantity is held and the rest fitted again, the noise level too. No "
     "prior enters the blue line; it is flat where the data do not tell the quantity. Orange: half the squared distance "
     "from the prior's nominal value, in its standard deviations. Dashed: where a 95 % "
     "interval ends. Dotted: the true value."
@@ -22,15 +23,9 @@ CAPTION = (
 
 def draw_profiles(found: Sequence[Profile], truth: dict[str, float], prior: Prior | None) -> Any:
     """One panel a quantity: profile, threshold, the true value, and what the prior says of it."""
-    plt = pyplot()
     columns = min(4, max(3, math.ceil(math.sqrt(len(found)))))
-    rows = -(-len(found) // columns)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=(FULL, (10.0 + 42.0 * rows) * MM), layout="constrained", squeeze=False
-    )
-    for axis in axes.flat[len(found) :]:
-        axis.set_axis_off()
-    for axis, profile in zip(axes.flat, found, strict=False):
+    figure, axes = panels(len(found), columns, 42.0, "")
+    for axis, profile in zip(axes, found, strict=True):
         q, x = profile.quantity, profile.values
         axis.plot(x, profile.drop, color="#0072B2", marker="o", ms=2.5, lw=1.2, label="data: profile likelihood")
         if prior is not None:
@@ -41,11 +36,11 @@ def draw_profiles(found: Sequence[Profile], truth: dict[str, float], prior: Prio
         axis.axhline(THRESHOLD, color="0.4", ls="--", lw=0.8, label="ends of the 95 % interval")
         axis.axvline(q.value(truth), color="0.4", ls=":", lw=1.0, label="true value")
         axis.set(ylim=(-0.2, 3 * THRESHOLD), xlim=(x[0], x[-1]))
-        axis.set_title(q.name.replace("_over_", "/") + (f" ({q.unit})" if q.unit != "-" else ""))
+        axis.set_title(q.name.replace("_over_", "/") + (f" ({q.unit})" if q.unit != "-" else ""), loc="left")
         axis.locator_params(axis="x", nbins=4)
         axis.grid()
-    for row in axes:
-        row[0].set_ylabel("fall of log-likelihood (−)")
-    handles = {label: h for axis in axes.flat for h, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    for axis in axes[::columns]:
+        axis.set_ylabel("fall of log-likelihood (−)")
+    handles = {label: h for axis in axes for h, label in zip(*axis.get_legend_handles_labels(), strict=True)}
     legend_below(figure, list(handles.values()))
     return figure

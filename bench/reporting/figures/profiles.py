@@ -1,19 +1,24 @@
-"""Performance profiles: on what share of all data sets a method is within a factor of the best."""
+"""Performance profiles, read along a row: within what factors of the best error a method is, and how often."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from bench.reporting.figures.gallery import Gallery, Nothing, Picture, methods_only
-from bench.reporting.figures.style import FULL, MM, handle, legend_below, pyplot
+from bench.reporting.figures.style import Look, entry, legend_below, rows_of_methods
 from bench.reporting.frame import Result
-from bench.scoring.comparison import Errors, profile
+from bench.scoring.comparison import Errors
 
 METRICS = (("k_over_m_error_pct", "k/m"), ("c_over_m_error_pct", "c/m"), ("rmse", "displacement"))
-FACTORS = np.geomspace(1.0, 100.0, 161)
+SHARES = (0.25, 0.5, 0.75, 0.95)
+"""Of the data sets, at which a row is read: a bar from the first to the third, a marker, a line to the last."""
+FARTHEST = 100.0
+ALIKE = 1.25
+"""Methods whose factor on half of the data sets is at most so many times the least are called alike."""
 Scene = tuple[str, float]
 
 
@@ -53,32 +58,74 @@ def draw_profiles(gallery: Gallery) -> Picture:
     metrics = [m for m in METRICS if all(c.has(m[0]) or not c.n_ok for c in chosen)]
     if not metrics:
         raise Nothing("no error that all methods have is stored")
-    figure, axes = pyplot().subplots(
-        1, len(metrics), figsize=(FULL, 62.0 * MM), layout="constrained", sharey=True, squeeze=False
-    )
-    for axis, (metric, name) in zip(axes[0], metrics, strict=True):
-        shares = profile(joined(labels, scenes, cells, metric, fewest), list(FACTORS))
-        for i, label in enumerate(labels):
-            look, own = gallery.looks[label], 100.0 * shares[label]
-            start = (7 * i) % 32
-            axis.plot(FACTORS, own, color=look.colour, lw=1.0, markevery=(start, 32), **look.point(4.0))
-        axis.set(xscale="log", xlim=(1.0, FACTORS[-1]), ylim=(0, 103), xlabel="error / least of all methods (−)")
+    found = {name: factors(joined(labels, scenes, cells, metric, fewest)) for metric, name in metrics}
+    first = next(iter(found.values()))
+    order = sorted(labels, key=lambda label: tuple(first[label][[1, 2, 3, 0]]))
+    figure, axes = rows_of_methods([gallery.looks[label] for label in order], len(metrics))
+    for axis, (name, own) in zip(axes, found.items(), strict=True):
+        for row, label in enumerate(order):
+            _row(axis, row, gallery.looks[label], own[label])
+        axis.set(xscale="log", xlim=(1.0, FARTHEST))
         axis.set_xticks([1, 10, 100], ["1", "10", "100"])
         axis.set_title(name, loc="left")
-        axis.grid()
-    axes[0][0].set_ylabel("share of the data sets (%)")
-    legend_below(figure, [handle(gallery.looks[label]) for label in labels])
+    axes[len(axes) // 2].set_xlabel("error / least of all methods (−)")
+    legend_below(figure, _handles())
+    middle = [first[label][SHARES.index(0.5)] for label in order]
+    alike = sum(own <= ALIKE * middle[0] for own in middle)
     systems = len({c.series for c in chosen})
     levels = ", ".join(f"{snr:g}" for snr in sorted({snr for _, snr in scenes}, reverse=True))
-    return Picture(
-        figure,
-        f"Performance profiles over {len(scenes)} scenarios ({systems} parameter sets, {levels} dB, initial state "
-        f"{told}), the first {fewest} replicates of each, on which every method here was run: on what share of these "
-        "data sets the error is within so many times the least error of all methods. A line further up and to the left "
-        "is better; where it ends says how often the method is not grossly wrong. A failed fit is within no factor. "
-        "Close to the left edge methods on the bound take turns by luck; what tells is how soon a line reaches the "
-        "top.",
+    data = f"{len(scenes)} scenarios ({systems} parameter sets, {levels} dB, initial state {told})"
+    lead = f"{alike} of {len(order)} methods are about equally often near the least error of {metrics[0][1]}."
+    return Picture(figure, f"{lead} {_caption(data, fewest)}")
+
+
+def _caption(data: str, replicates: int) -> str:
+    first, middle, third, last = (f"{100.0 * share:g} %" for share in SHARES)
+    return (
+        f"Over {data}, the first {replicates} replicates of each, on which every method here was run: how many times "
+        "the least error of all methods on the same data a method's error is, read off its performance profile. "
+        f"Marker: {middle} of the data sets are within; bar: from {first} to {third}; line: up to {last}. Further left "
+        "is better. A failed fit is within no factor, and an arrow is beyond the edge. Methods on the bound take turns "
+        "at being best by luck, so that none is always at the edge; what tells them from others is how far the line "
+        f"reaches. About equally often: the markers of the first column are within {ALIKE:g} times the leftmost. "
+        "Methods in order of that column."
     )
+
+
+def factors(errors: Errors) -> Mapping[str, np.ndarray]:
+    """By method, within what factors of the least error it is on SHARES of the data sets (4,); infinite if on fewer.
+
+    Read off its performance profile (E. D. Dolan, J. J. Moré, Math. Program. 91:201, 2002).
+    """
+    least = np.min(np.stack(list(errors.values.values())), axis=0)
+    found = {}
+    for method, own in errors.values.items():
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(own == least, 1.0, own / least)
+        ratio = np.sort(np.where(np.isfinite(own), ratio, np.inf))
+        found[method] = ratio[[math.ceil(share * ratio.size) - 1 for share in SHARES]]
+    return found
+
+
+def _row(axis: Any, row: int, look: Look, values: np.ndarray) -> None:
+    low, _, high, most = np.minimum(values, FARTHEST)
+    axis.plot([high, most], [row, row], color=look.colour, lw=0.9, zorder=2, solid_capstyle="butt")
+    axis.plot([low, high], [row, row], color=look.colour, lw=3.2, alpha=0.5, zorder=2, solid_capstyle="butt")
+    for value, style in ((values[1], look.point(4.2)), (values[3], {**look.point(0.0), "marker": "|", "ms": 4.0})):
+        if value <= FARTHEST:
+            axis.plot(value, row, ls="none", zorder=3, **style)
+    if values[3] > FARTHEST:
+        arrow = {"marker": (3, 0, 270.0), "ms": 3.4, "color": look.colour, "clip_on": False}
+        axis.plot(FARTHEST, row, ls="none", zorder=3, **arrow)
+
+
+def _handles() -> list[Any]:
+    first, middle, third, last = (f"{100.0 * share:g}" for share in SHARES)
+    return [
+        entry(color="0.3", marker="o", ms=4.2, ls="none", label=f"{middle} % of the data sets are within"),
+        entry(color="0.3", lw=3.2, alpha=0.5, label=f"{first} to {third} %"),
+        entry(color="0.3", lw=0.9, marker="|", ms=4.0, label=f"to {last} %"),
+    ]
 
 
 def joined(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from bench.contract.problem import Channel, Record
 from bench.dynamics.simulate import fitted_start, simulate
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, where
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, named, where
 from bench.reporting.figures.style import HALF, MM, entry, legend_below, panels, pyplot, wrapped
 from bench.reporting.frame import Result
 
@@ -55,8 +55,8 @@ def draw_record(gallery: Gallery) -> Picture:
     of = "the displacement" if n == 1 else f"each of {n} displacements"
     return Picture(
         figure,
-        f"The record that the methods are given ({where(cell)}; replicate 0): {size} samples of {of} over "
-        f"{cell.duration:g} s, and the true response, which no method sees. The bars are the noise's standard "
+        f"The methods are given {size} noisy samples of {of} over {cell.duration:g} s. The grey line is the true "
+        f"response, which no method sees ({where(cell)}; replicate 0). The bars are the noise's standard "
         "deviation σ, which no method is told either. The noise level is the same over the whole record, so the "
         "decayed part tells less. The paper's Figure 4 shows the same.",
     )
@@ -105,11 +105,20 @@ def draw_reconstruction(gallery: Gallery) -> Picture:
     which = "" if len(drawn[0][1]["true_displacement"]) == 1 else f", DOF {dof + 1}"
     return Picture(
         figure,
-        f"What each method makes of the same record ({where(drawn[0][0])}; replicate 0{which}). Solid: its own "
-        "reconstruction. Dashed: it has none, and the response simulated from its parameters stands in. The number is "
-        "the root mean square error of this replicate over the whole record. A good method's line hides the true "
-        "response; one with a wrong k/m runs ahead of it or behind, more with every cycle. The paper's Figure 5 shows "
-        "this for its PINN alone.",
+        f"{_lead(gallery, [cell for cell, *_ in drawn])} Each panel is what a method makes of the same record "
+        f"({where(drawn[0][0])}; replicate 0{which}). Solid: its own reconstruction. Dashed: it has none, and the "
+        "response simulated from its parameters stands in. The number is the root mean square error of this replicate "
+        "over the whole record; the first sentence names those whose error is larger than the noise of a sample. A "
+        "good method's line hides the true response; one with a wrong k/m runs ahead of it or behind, more with every "
+        "cycle. The paper's Figure 5 shows this for its PINN alone.",
+    )
+
+
+def _lead(gallery: Gallery, cells: Sequence[Result]) -> str:
+    """Which reconstructions are far from the truth, in a sentence: by more than the samples' noise."""
+    far = [gallery.looks[c.label].title for c in cells if c.sigma and c.first("rmse") > c.sigma[0]]
+    return (
+        f"All methods follow the true response except {named(far)}." if far else "All methods follow the true response."
     )
 
 

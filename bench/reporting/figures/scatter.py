@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, counts, where
+from bench.reporting.figures.gallery import Gallery, Nothing, Picture, counts, named, where
 from bench.reporting.figures.style import entry, legend_below, panels, wrapped
 from bench.reporting.frame import Result
 
@@ -15,6 +16,8 @@ LEVEL = 5.991
 """The 95 % quantile of chi-squared with two degrees of freedom."""
 REACH = 4.5
 """Half the width of a panel, in standard deviations of the bound."""
+BESIDE = 1.5
+"""A cloud is beside the truth whose median k/m is off by so many median deviations from it."""
 K, C = "k_over_m", "c_over_m"
 
 
@@ -60,11 +63,26 @@ def draw_scatter(gallery: Gallery) -> Picture:
     )
     return Picture(
         figure,
-        f"Errors of both identifiable groups ({where(cells[0])}), one point a replicate, {counts(cells)} a method. "
-        f"{region}The cross is the truth. Estimates beyond a panel's edge stand on it as small triangles, and are "
-        "counted. Methods on the bound fill the ellipse and nothing else; a cloud beside it is a bias, a wider one is "
-        "information lost. The paper's Figure 7 shows one estimate of each group.",
+        f"{_lead(gallery, cells)} One point is a replicate: its errors of both identifiable groups "
+        f"({where(cells[0])}; {counts(cells)} a method). {region}The cross is the truth. Estimates beyond a panel's "
+        "edge stand on it as small triangles, and are counted. Methods on the bound fill the ellipse and nothing "
+        "else; a cloud beside it is a bias, a wider one is information lost. Beside the truth counts a cloud whose "
+        f"median k/m is off by more than {BESIDE:g} median deviations. The paper's Figure 7 shows one estimate of "
+        "each group.",
     )
+
+
+def _lead(gallery: Gallery, cells: Sequence[Result]) -> str:
+    """Which clouds lie beside the truth, in a sentence: those whose middle k/m is off by more than its own spread."""
+    beside = []
+    for cell in cells:
+        k = cell.successful(f"{K}_ratio") - 1.0
+        middle = float(np.median(k))
+        if abs(middle) > BESIDE * float(np.median(np.abs(k - middle))):
+            beside.append(gallery.looks[cell.label].title)
+    if not beside:
+        return "All methods scatter around the truth."
+    return f"All methods scatter around the truth except {named(beside)}."
 
 
 def _limits(cells: list[Result], covariance: np.ndarray | None) -> np.ndarray:

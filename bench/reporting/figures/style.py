@@ -28,7 +28,7 @@ SMALL, NORMAL = 7.0, 7.5
 DPI = 200
 FONT = "DejaVu Sans"
 """It comes with matplotlib: pictures are the same on every machine."""
-LONGEST = 30
+LONGEST = 34
 """Letters of a name that are drawn; of a longer one, its two ends."""
 Marker = str | tuple[int, int, float]
 
@@ -141,6 +141,28 @@ def panels(n: int, columns: int, height: float, xlabel: str, **shared: Any) -> t
     return figure, list(axes.flat[:n])
 
 
+ROW = 4.4
+"""Height of a method (mm) in a picture whose rows are methods."""
+
+
+def rows_of_methods(shown: Sequence[Look], columns: int, row: float = ROW) -> tuple[Any, list[Any]]:
+    """A figure whose rows are methods, named on the left, first on top, and so many columns: figure and axes.
+
+    A method's row is its number from 0 on.
+    """
+    figure, axes = pyplot().subplots(
+        1, columns, figsize=(FULL, (18.0 + row * len(shown)) * MM), layout="constrained", sharey=True, squeeze=False
+    )
+    for axis in axes[0]:
+        for i in range(1, len(shown), 2):
+            axis.axhspan(i - 0.5, i + 0.5, color="0.955", lw=0, zorder=0)
+        axis.tick_params(axis="y", length=0)
+        axis.grid(axis="x")
+    axes[0][0].set_yticks(range(len(shown)), [look.title for look in shown])
+    axes[0][0].set_ylim(len(shown) - 0.4, -0.6)
+    return figure, list(axes[0])
+
+
 def entry(**style: Any) -> Any:
     """A legend's entry: a line with properties of matplotlib's."""
     from matplotlib.lines import Line2D
@@ -198,13 +220,17 @@ def wrapped(title: str, width: float) -> str:
 
 
 def plain_logarithmic(axis: Any) -> None:
-    """Ticks of a logarithmic x or y axis (``axes.xaxis``): 1, 2, 5, 10 as they are where it is short, else decades."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+    """Ticks of a logarithmic x or y axis (``axes.xaxis``) as plain numbers: 1, 2, 5, 10 where it is short, or decades.
+
+    Of an axis whose decades would need more than four digits or decimals, as powers of ten.
+    """
+    from matplotlib.ticker import FuncFormatter, LogFormatterMathtext, LogLocator, NullFormatter
 
     low, high = axis.get_view_interval()
     if high / low < 100.0:
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    plain = low >= 1e-4 and high < 1e5
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}") if plain else LogFormatterMathtext())
     axis.set_minor_formatter(NullFormatter())
 
 
@@ -221,8 +247,11 @@ def decibels(axis: Any, snrs: Sequence[float]) -> None:
     axis.set_xlim(max(snrs) + 2.5, min(snrs) - 2.5)
 
 
-def save_figure(figure: Any, folder: Path, name: str) -> list[Path]:
-    """Write a figure as SVG and PNG, the same bytes for the same picture; returns the paths."""
+def save_figure(figure: Any, folder: Path, name: str, caption: str) -> list[Path]:
+    """Write a figure as SVG and PNG, the same bytes for the same picture, and its caption beside it.
+
+    Returns the paths of the drawings. The caption is one line, whose first sentence says what is seen.
+    """
     paths = []
     for ending, extra in (("svg", {"metadata": {"Date": None}}), ("png", {"dpi": DPI})):
         drawn = io.BytesIO()
@@ -230,4 +259,6 @@ def save_figure(figure: Any, folder: Path, name: str) -> list[Path]:
         paths.append(folder / f"{name}.{ending}")
         write(paths[-1], drawn.getvalue(), folder)
         figure.set_layout_engine("none")  # it stays as the first one laid it out
+    write(folder / f"{name}.txt", f"{caption}\n", folder)
+    pyplot().close(figure)
     return paths

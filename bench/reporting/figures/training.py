@@ -41,22 +41,22 @@ def draw_training(gallery: Gallery) -> Picture:
         plain_logarithmic(axis.yaxis)
         axis.grid()
     legend_below(figure, [handle(gallery.looks[cell.label]) for cell, _ in found])
-    ends = ", ".join(
-        f"{gallery.looks[cell.label].title} {arrays[EVALUATIONS].max():.0f} (loss {arrays[LOSS][-1]:.3g})"
-        for cell, arrays in found
-    )
+    last = {gallery.looks[cell.label].title: (a[EVALUATIONS].max(), a[LOSS][-1]) for cell, a in found}
+    ends = ", ".join(f"{name} {evaluations:.0f} (loss {loss:.3g})" for name, (evaluations, loss) in last.items())
+    soonest, latest = (least(last, key=lambda name: last[name][0]) for least in (min, max))
+    lead = f"{soonest} ends its training after {last[soonest][0]:.0f} evaluations"
+    lead += f", {latest} after {last[latest][0]:.0f}" if latest != soonest else ""
     same = [label for label in beside_paper(own_method()) if label in {cell.label for cell, _ in found}]
     trainings = (
         f" The {title(same[0])}'s two trainings minimise the same loss of the same network." if len(same) == 2 else ""
     )
     return Picture(
         figure,
-        f"Training on the same record ({where(found[0][0])}; replicate 0): the whole loss, each term with the weight "
-        "it has at the end (which can lift the curve before), and the mean square of each term, in "
-        f"natural units. Evaluations until the end, and the loss there: {ends}.{trainings} A "
-        "line ends where its training stopped, which need not be at the minimum. A "
-        "term that is nil throughout is left out, and a line begins late where a term is nil at first. The paper's "
-        "Figure 6 shows the whole loss alone.",
+        f"{lead}. On the same record ({where(found[0][0])}; replicate 0): the whole loss, each term with the weight "
+        "it has at the end (which can lift the curve before), and the mean square of each term, in natural units. "
+        f"Evaluations until the end, and the loss there: {ends}.{trainings} A line ends where its training stopped, "
+        "which need not be at the minimum. A term that is nil throughout is left out, and a line begins late where a "
+        "term is nil at first. The paper's Figure 6 shows the whole loss alone.",
     )
 
 

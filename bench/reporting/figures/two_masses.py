@@ -16,7 +16,7 @@ from bench.reporting.figures.response import (
 )
 from bench.reporting.figures.style import FULL, MM, legend_below, pyplot
 from bench.reporting.frame import Result
-from bench.reporting.labels import beside_paper
+from bench.reporting.labels import beside_paper, title
 from bench.reporting.paper import own_method
 from bench.scoring.summary import Z95
 
@@ -63,15 +63,16 @@ def draw_two_masses(gallery: Gallery) -> Picture:
 
 
 def _caption(cell: Result, arrays: Arrays, sd: np.ndarray | None, source: str, n: int) -> str:
-    inside = ""
+    off, inside = np.abs(arrays["displacement"] - arrays["true_displacement"]), ""
+    off_mm = 1000.0 * float(np.sqrt(np.mean(off**2)))
     if sd is not None:
-        off = np.abs(arrays["displacement"] - arrays["true_displacement"])[:n]
-        inside = f" In this replicate it holds {100 * np.mean(off <= Z95 * sd[:n]):.0f} % of the true responses."
+        share = 100 * np.mean(off[:n] <= Z95 * sd[:n])
+        inside = f" In this replicate it holds {share:.0f} % of the true responses."
     return (
-        f"Several masses, identified from the samples shown ({where(cell)}; {cell.label}, replicate 0). Left: "
-        f"response. Right: estimate minus truth, in millimetres.{source}{inside} Where the band holds the line at "
-        "zero it holds the truth. The paper's Figure 11 shows a simulated response of two masses, of which nothing "
-        "is identified."
+        f"{title(cell.label)} finds the motion of {len(off)} masses to {off_mm:.2g} mm, root mean square. Left: "
+        f"response, with the samples shown ({where(cell)}; replicate 0). Right: estimate minus truth, in "
+        f"millimetres.{source}{inside} Where the band holds the line at zero it holds the truth. The paper's Figure "
+        "11 shows a simulated response of two masses, of which nothing is identified."
     )
 
 

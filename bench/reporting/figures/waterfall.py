@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from bench.reporting.figures.gallery import Gallery, Nothing, Picture, methods_only, where
-from bench.reporting.figures.style import FULL, MM, handle, legend_below, plain_logarithmic, pyplot
+from bench.reporting.figures.style import HALF, MM, Look, handle, legend_below, plain_logarithmic, pyplot
 from bench.reporting.frame import Result
 from bench.scoring.search import SAME
 
@@ -19,31 +19,39 @@ FLOOR = 1e-4
 def draw_waterfall(gallery: Gallery) -> Picture:
     """The scenario whose searches had most starts: objective above the best over the order of the starts."""
     found = _searches(gallery)
-    figure, axis = pyplot().subplots(figsize=(FULL, 75.0 * MM), layout="constrained")
-    for cell, ends in found:
+    figure, axis = pyplot().subplots(figsize=(HALF, 58.0 * MM), layout="constrained")
+    for i, (cell, ends) in enumerate(found):
         above = np.maximum(ends - ends.min(), FLOOR)
         look = gallery.looks[cell.label]
-        axis.plot(np.arange(1, ends.size + 1), above, color=look.colour, lw=1.0, **look.point(4.0))
+        axis.plot(np.arange(1, ends.size + 1), above, color=look.colour, lw=1.0, **_nested(look, i, len(found)))
     axis.axhline(SAME, color="0.5", lw=0.8, ls="--")
     axis.annotate(
-        "same end below", (0.01, SAME), xycoords=("axes fraction", "data"), ha="left", va="bottom", color="0.35"
+        "the best end below", (0.01, SAME), xycoords=("axes fraction", "data"), ha="left", va="bottom", color="0.35"
     )
     axis.set(yscale="log", xlabel="start, best first (−)", ylabel="objective above the best (−)")
     axis.xaxis.get_major_locator().set_params(integer=True)
     axis.set_ylim(bottom=FLOOR / 2.0)
     plain_logarithmic(axis.yaxis)
     axis.grid()
-    legend_below(figure, [handle(gallery.looks[cell.label]) for cell, _ in found])
-    counts = ", ".join(
+    looks = [gallery.looks[cell.label] for cell, _ in found]
+    legend_below(figure, [handle(look, **_nested(look, i, len(found))) for i, look in enumerate(looks)])
+    counts = "; ".join(
         f"{gallery.looks[cell.label].title} {np.sum(ends <= ends.min() + SAME)} of {ends.size}" for cell, ends in found
     )
+    all_same = sum(bool(np.all(ends <= ends.min() + SAME)) for _, ends in found)
     return Picture(
         figure,
-        f"Where searches from several starts end ({where(found[0][0])}; replicate 0): minus the log posterior at each "
-        f"end above that of the method's best, on the floor of {FLOOR:g} where they agree. Below the dashed line "
-        f"({SAME:g}) an end is the best one within {np.sqrt(2.0 * SAME):.2f} standard errors. Starts that ended there: "
-        f"{counts}. A start that came to no end is left out.",
+        f"Every start ended at the method's best answer in {all_same} of {len(found)} searches. Minus the log "
+        f"posterior at the end of each start above that of the best, in order ({where(found[0][0])}; replicate 0), on "
+        f"the floor of {FLOOR:g} where they agree. Below the dashed line ({SAME:g}) an end is the best one within "
+        f"{np.sqrt(2.0 * SAME):.2f} standard errors. Starts that ended there: {counts}. A start that came to no end "
+        "is left out.",
     )
+
+
+def _nested(look: Look, i: int, n: int) -> dict[str, Any]:
+    """A hollow marker, smaller than that of the method before, so that one shows in another where they agree."""
+    return {**look.point(4.0 + 5.0 * (n - 1 - i) / max(n, 1), hollow=True), "mew": 1.0}
 
 
 def _searches(gallery: Gallery) -> list[tuple[Result, np.ndarray]]:

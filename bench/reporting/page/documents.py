@@ -53,6 +53,10 @@ def _parser() -> Any:
     return MarkdownIt("commonmark", {"html": False}).enable("table")
 
 
+FIGURE = r'<div class="scroll" tabindex="0" role="region" aria-label="\2">\1</div>'
+"""A picture that stands alone: scrolled on a narrow page."""
+
+
 def _body(tokens: Sequence[Any]) -> str:
     """The page's HTML, its first heading left out, links and pictures pointed at what lies beside the site."""
     heading, shown = "", []
@@ -70,7 +74,8 @@ def _body(tokens: Sequence[Any]) -> str:
     count = itertools.count(1)
     opened = '<div class="scroll" tabindex="0" role="region" aria-label="Table {} of this page"><table'
     body = re.sub("<table", lambda _: opened.format(next(count)), body)
-    return body.replace("</table>", "</table></div>")
+    body = body.replace("</table>", "</table></div>")
+    return re.sub(r'<p>(<img [^>]*?alt="([^"]*)"[^>]*>)</p>', FIGURE, body)
 
 
 def _retarget(token: Any) -> None:

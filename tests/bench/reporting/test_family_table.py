@@ -336,7 +336,7 @@ def test_the_command_draws_it_under_the_family_s_name_and_no_variant_elsewhere(f
 
 
 def test_names_beside_a_panel_lie_apart_and_near_what_they_name() -> None:
-    from bench.reporting.figures.family import spread
+    from bench.reporting.figures.beside import spread
 
     wanted, sizes = np.array([0.5, 0.5, 0.9, 0.52]), np.full(4, 0.1)
     found = spread(wanted, sizes)

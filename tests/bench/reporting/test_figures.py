@@ -16,8 +16,8 @@ from bench.store.store import Store
 
 pytest.importorskip("matplotlib")
 ALONE = {
-    "record", "reconstruction", "training_loss", "scatter", "basin", "band", "error_against_noise", "forest",
-    "coverage", "accuracy_against_time", "waterfall",
+    "record", "reconstruction", "training_loss", "scatter", "basin", "band", "error_against_noise",
+    "displacement_against_noise", "forest", "coverage", "accuracy_against_time", "waterfall",
 }  # fmt: skip
 """What a method alone gives on one mass that never failed: no comparison, no failure, no second mass."""
 
@@ -80,7 +80,7 @@ def test_a_store_that_lost_its_arrays_still_gives_what_rows_tell(tmp_path: Path,
     ARRAYS_LOST[how](store.folder / stored.arrays)
     assert main([f"store={store.folder}", f"out={tmp_path / 'out'}"]) == 0
     assert pictures(tmp_path / "out") == {
-        "scatter", "error_against_noise", "forest", "coverage", "accuracy_against_time"
+        "scatter", "error_against_noise", "displacement_against_noise", "forest", "coverage", "accuracy_against_time"
     }  # fmt: skip
 
 

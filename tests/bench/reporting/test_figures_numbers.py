@@ -15,19 +15,20 @@ from stored import BOUND, CORRELATION, NOISE, SD_C, SD_K, described, displacemen
 from bench.contract.estimate import Status
 from bench.information.fisher import compute_bound, information
 from bench.scenario.scenario import Scenario
+from bench.scoring.comparison import Errors, profile
 from bench.scoring.row import Row
 from bench.scoring.summary import metric_bounds
 from bench.store.store import Store
 
 pytest.importorskip("matplotlib")
 
-from bench.reporting.figures.basin import misfit
+from bench.reporting.figures.basin import clusters, draw_basin, misfit
 from bench.reporting.figures.coverage import covered, draw_coverage
-from bench.reporting.figures.failures import draw_failures, shares
+from bench.reporting.figures.failures import draw_failures, share
 from bench.reporting.figures.forest import excess_interval
 from bench.reporting.figures.gallery import Gallery, Nothing
-from bench.reporting.figures.noise import draw_noise
-from bench.reporting.figures.profiles import draw_profiles
+from bench.reporting.figures.noise import draw_displacement, draw_noise
+from bench.reporting.figures.profiles import SHARES, draw_profiles, factors
 from bench.reporting.figures.response import draw_reconstruction, draw_record, simulated
 from bench.reporting.figures.scatter import bound_covariance, draw_scatter, ellipse
 from bench.reporting.figures.time import draw_time
@@ -88,32 +89,46 @@ def free_basis(k: float, c: float, times: np.ndarray) -> np.ndarray:
 def test_the_noise_picture_draws_root_mean_squares_and_bounds(store: Store) -> None:
     fill(store, ["shooting", "sindy"], (40.0, 20.0, 10.0))
     gallery = Gallery(store)
-    axes = draw_noise(gallery).figure.axes
-    for axis, metric in zip(axes, ("k_over_m_error_pct", "c_over_m_error_pct", "rmse"), strict=True):
-        bound = metric_bounds(BOUND)[metric]
-        assert any(np.allclose(line[1], bound) for line in curves(axis, "black"))
-        for label in ("shooting", "sindy"):
+    groups, one = draw_noise(gallery).figure.axes, draw_displacement(gallery).figure.axes
+    drawn = [(groups, 0, "k_over_m_error_pct", 1.0), (groups, 1, "c_over_m_error_pct", 1.0), (one, 0, "rmse", 1000.0)]
+    for axes, number, metric, factor in drawn:
+        bound = factor * metric_bounds(BOUND)[metric]
+        assert [axis.get_title("left") for axis in axes] == ["Multiple shooting", "SINDy"]
+        for axis, label in zip(axes, ("shooting", "sindy"), strict=True):
+            assert np.allclose(curves(axis, "0.8")[number][1], bound)
             cells = {c.stored.cell["snr_db"]: store.load(c.stored.identity) for c in gallery.cells if c.label == label}
             rms = {
-                snr: np.sqrt(np.mean([row.scores[metric] ** 2 for row in cell.rows]))
+                snr: factor * np.sqrt(np.mean([row.scores[metric] ** 2 for row in cell.rows]))
                 for snr, cell in cells.items()
                 if cell
             }
-            x, y = curves(axis, gallery.looks[label].colour)[0]
+            x, y = curves(axis, gallery.looks[label].colour)[number]
             assert list(x) == [10.0, 20.0, 40.0]
             assert np.allclose(y, [rms[snr] for snr in x], rtol=1e-4)
+
+
+def test_methods_on_the_bound_come_first_and_are_counted_without_the_oracle(store: Store) -> None:
+    for label, spread in (("ls", 4.0), ("shooting", 1.0), ("sindy", 2.0), ("oracle", 1.0)):
+        save(store, described(label, n=200), scored(label, 200, spread))
+    picture = draw_noise(Gallery(store))
+    titles = [axis.get_title("left") for axis in picture.figure.axes]
+    assert titles == ["oracle", "Multiple shooting", "SINDy", "LS, finite\ndifferences"]
+    assert picture.caption.startswith("1 of 3 methods are on the bound in k/m and c/m.")
 
 
 def test_the_papers_points_stand_only_beside_its_own_system(store: Store) -> None:
     rows = scored("pinn", 5)
     save(store, described("pinn", n=5, parameters={"m": 2.0, "c": 0.4, "k": 8.0}), rows)
-    assert "paper's own PINN" not in draw_noise(Gallery(store)).caption
+    assert "as the paper prints it" not in draw_displacement(Gallery(store)).caption
     save(store, described("pinn", n=5), rows)
     save(store, described("pinn", 10.0, n=5), rows)
-    picture = draw_noise(Gallery(store))
-    assert "paper's own PINN" in picture.caption
-    drawn = [line for line in picture.figure.axes[2].get_lines() if line.get_marker() == "D"]
-    assert sorted(drawn[0].get_ydata()) == [0.013, 0.016, 0.021, 0.035, 0.056]  # the paper's Table 5
+    save(store, described("ls", n=5), scored("ls", 5))
+    picture = draw_displacement(Gallery(store))
+    assert "PINN as the paper prints it" in picture.caption
+    drawn = {axis.get_title("left"): [line for line in axis.get_lines() if line.get_marker() == "D"]
+             for axis in picture.figure.axes}  # fmt: skip
+    assert sorted(drawn["PINN"][0].get_ydata()) == [13.0, 16.0, 21.0, 35.0, 56.0]  # mm, the paper's Table 5
+    assert not drawn["LS, finite\ndifferences"]
 
 
 def test_the_ellipse_is_the_bound_of_the_stored_sds() -> None:
@@ -175,6 +190,27 @@ def test_the_misfit_is_that_of_the_stored_samples(store: Store) -> None:
                 assert surface[i, j] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-5)
 
 
+def test_estimates_that_touch_share_a_marker_that_counts_them(store: Store) -> None:
+    parts = {
+        "a": np.array([0.5, 0.5]),
+        "b": np.array([0.51, 0.49]),
+        "c": np.array([0.5, 0.6]),
+        "d": np.array([0.1, 0.5]),
+    }
+    assert clusters(parts) == [["a", "b"], ["c"], ["d"]]
+    rows = scored("shooting", 5)
+    for label in ("shooting", "pinn", "ls"):
+        save(store, described(label, n=5), rows, recorded(rows, True, False))
+    off = [replace(row, scores={**row.scores, "k_over_m_ratio": 2.0}) for row in rows]
+    save(store, described("sindy", n=5), off, recorded(off, True, False))
+    picture = draw_basin(Gallery(store))
+    wide, floor = picture.figure.axes[:2]
+    assert [text.get_text() for text in wide.texts] == ["SINDy"]
+    names, count = (text.get_text().replace("\n", " ") for text in floor.texts)
+    assert (names, count) == ("Multiple shooting; PINN; LS, finite differences", "3")
+    assert picture.caption.startswith("3 of 4 methods end on the floor")
+
+
 def test_excess_and_interval_of_normal_errors() -> None:
     """The interval of a root mean square over n normal errors is that of a chi-squared variable."""
     errors = np.append(2.0 * np.random.default_rng(3).standard_normal(400), np.inf)
@@ -194,9 +230,24 @@ def test_the_coverage_of_uniform_levels_is_the_diagonal(store: Store) -> None:
     rows = [Row(i, Status.OK, scores={"k_over_m_pit": (i + 0.5) / n, "c_over_m_pit": 1e-6}) for i in range(n)]
     save(store, described("mcmc", n=n), rows)
     gallery = Gallery(store)
-    diagonal, none = curves(draw_coverage(gallery).figure.axes[0], gallery.looks["mcmc"].colour)
+    picture = draw_coverage(gallery)
+    assert "in 1 of 1 methods" in picture.caption
+    diagonal, none = curves(picture.figure.axes[0], gallery.looks["mcmc"].colour)
     assert np.allclose(diagonal[1], diagonal[0], atol=100 / n)
     assert np.allclose(none[1], 0.0)
+
+
+def test_leads_name_the_methods_that_are_off(store: Store) -> None:
+    """One biased by ten times its spread; intervals that hold the truth always are not as often as 95 of 100."""
+    save(store, described("shooting", n=100), scored("shooting", 100))
+    rows = scored("ls", 100, bias=10.0 * SD_K)
+    rows = [replace(row, scores={**row.scores, "k_over_m_pit": 0.5}) for row in rows]
+    save(store, described("ls", n=100), rows, recorded(rows, True, False))
+    gallery = Gallery(store)
+    assert draw_scatter(gallery).caption.startswith(
+        "All methods scatter around the truth except LS, finite differences."
+    )
+    assert "in 1 of 2 methods" in draw_coverage(gallery).caption
 
 
 def test_coverage_is_shown_on_the_seed_with_most_replicates(store: Store) -> None:
@@ -215,17 +266,33 @@ def test_a_profile_rises_where_the_ratio_of_errors_is(store: Store) -> None:
         save(store, described(label, n=20), rows)
     gallery = Gallery(store)
     axis = draw_profiles(gallery).figure.axes[0]
-    x, y = curves(axis, gallery.looks["sindy"].colour)[0]
-    assert np.all(y[x < 2.99] == 0.0)
-    assert np.all(y[x > 3.01] == 75.0)
-    assert np.all(curves(axis, gallery.looks["shooting"].colour)[0][1] == 100.0)
+    assert [text.get_text() for text in axis.get_yticklabels()] == ["Multiple shooting", "SINDy"]
+    best, other = (curves(axis, gallery.looks[label].colour) for label in ("shooting", "sindy"))
+    assert all(np.all(line[0] == 1.0) for line in best)
+    assert [list(line[0]) for line in other[:2]] == [[3.0, 100.0], [3.0, 3.0]]  # beyond the edge; a quarter to three
+
+
+def test_factors_are_read_off_the_profile() -> None:
+    """Each read where the profile, a sum over the data sets, first reaches the share."""
+    rng = np.random.default_rng(5)
+    values = {name: np.exp(rng.standard_normal(203)) for name in "abc"}
+    values["b"][::4] = np.inf
+    errors = Errors(values, np.zeros(203, int))
+    for name, own in factors(errors).items():
+        for share_of, factor in zip(SHARES, own, strict=True):
+            reached, before = (
+                profile(errors, [factor * (1.0 + 1e-9), factor * (1.0 - 1e-9)])[name] if np.isfinite(factor) else (1, 0)
+            )
+            assert before < share_of <= reached
+    assert np.isinf(factors(errors)["b"][3])
+    assert np.all(np.isfinite(factors(errors)["a"]))
 
 
 def test_profiles_compare_on_data_that_all_methods_were_given(store: Store) -> None:
     fill(store, ["shooting", "sindy"], (40.0, 20.0))
     fill(store, ["mcmc"], (20.0,), n=12)
     caption = draw_profiles(Gallery(store)).caption
-    assert "over 2 scenarios" in caption  # 2 methods on 2 scenarios are more than 3 on 1
+    assert "Over 2 scenarios" in caption  # 2 methods on 2 scenarios are more than 3 on 1
     assert "first 30 replicates" in caption
 
 
@@ -236,16 +303,29 @@ def test_failures_tell_unsupported_from_failed(store: Store) -> None:
     save(store, described("ls", 10.0, n=20), [Row(i, Status.OK, scores={"rmse": 1.0}) for i in range(20)])
     gallery = Gallery(store)
     cell = next(c for c in gallery.cells if c.label == "shooting")
-    assert shares(cell) == (0.25, Status.DIVERGED, Status.UNSUPPORTED)
+    own = share(cell)
+    assert (own.failed, own.status, own.absent) == (0.25, Status.DIVERGED, Status.UNSUPPORTED)
     picture = draw_failures(gallery)
     axis = picture.figure.axes[0]
-    assert [text.get_text() for text in axis.texts] == ["25d"]
+    assert [text.get_text() for text in axis.texts] == ["25\nd"]
     assert len(axis.patches) == 1
-    picture.figure.canvas.draw()
-    row = axis.get_window_extent().height  # of the one row that is shown
-    assert all(text.get_window_extent().height < row for text in axis.texts)
-    assert [text.get_text() for text in axis.get_yticklabels()] == ["sdof, 20 dB, start known"]
-    assert "9 of 60" in picture.caption
+    assert [text.get_text() for text in axis.get_yticklabels()] == ["sdof"]
+    assert [text.get_text() for text in axis.get_xticklabels()] == ["Multiple shooting"]
+    assert "No fit of these failed there: LS, finite differences; SINDy." in picture.caption
+    assert "Of all 56 replicates that were tried 5 failed" in picture.caption
+
+
+def test_a_row_of_failures_is_the_noise_level_with_most_and_rows_without_any_are_left_out(store: Store) -> None:
+    for snr, failing in ((40.0, 0), (20.0, 2), (10.0, 15)):
+        rows = [Row(i, Status.TIMEOUT if i < failing else Status.OK, scores={"rmse": 1.0}) for i in range(20)]
+        save(store, described("sindy", snr, n=20), rows)
+    absent = [Row(i, Status.UNSUPPORTED) for i in range(20)]
+    save(store, {**described("sindy", n=20, duration=5.0), "system": "elsewhere"}, absent)
+    picture = draw_failures(Gallery(store))
+    axis = picture.figure.axes[0]
+    assert [text.get_text() for text in axis.texts] == ["75\nt"]
+    assert [text.get_text() for text in axis.get_yticklabels()] == ["sdof"]
+    assert "1 of 2 kinds of test" in picture.caption
 
 
 def test_time_is_the_median_fit(store: Store) -> None:
@@ -253,13 +333,29 @@ def test_time_is_the_median_fit(store: Store) -> None:
     rows = [replace(row, cpu_s=s) for row, s in zip(scored("shooting", 5), seconds, strict=True)]
     save(store, described("shooting", n=5), rows)
     gallery = Gallery(store)
-    axis = draw_time(gallery).figure.axes[0]
-    line = next(
-        np.array(own.get_data()) for own in axis.get_lines() if own.get_color() == gallery.looks["shooting"].colour
-    )
-    assert list(line[0]) == [0.3, 9.0]
+    times, errors = draw_time(gallery).figure.axes
+    assert list(curves(times, gallery.looks["shooting"].colour)[0][0]) == [0.3, 9.0]
     rms = np.sqrt(np.mean([row.scores["k_over_m_error_pct"] ** 2 for row in rows]))
-    assert np.allclose(line[1], rms / (100 * SD_K), rtol=1e-4)
+    (point,) = [line for line in errors.get_lines() if line.get_marker() == gallery.looks["shooting"].marker]
+    assert np.allclose(point.get_xdata(), rms / (100 * SD_K), rtol=1e-4)
+
+
+def test_methods_far_from_the_bound_are_grey_but_named(store: Store) -> None:
+    """Fastest first; the one that is called the fastest near the bound is not the fastest of all."""
+    for label, spread, seconds in (("ls", 9.0, 0.1), ("shooting", 1.0, 0.2), ("pinn", 1.0, 3.0)):
+        rows = [replace(row, cpu_s=seconds) for row in scored(label, 100, spread)]
+        save(store, described(label, n=100), rows)
+    gallery = Gallery(store)
+    picture = draw_time(gallery)
+    left, right = picture.figure.axes
+    assert [text.get_text() for text in left.get_yticklabels()] == [
+        "LS, finite differences",
+        "Multiple shooting",
+        "PINN",
+    ]
+    edges = [line.get_markeredgecolor() for line in right.get_lines() if line.get_marker() not in ("None", None)]
+    assert edges == ["0.6", gallery.looks["shooting"].colour, gallery.looks["pinn"].colour]
+    assert picture.caption.startswith("Multiple shooting is the fastest method near the bound.")
 
 
 def test_training_draws_the_stored_traces(store: Store) -> None:
@@ -326,7 +422,7 @@ def test_a_mass_without_a_sensor_has_no_samples(store: Store) -> None:
     store.save(stored, first)
     gallery = Gallery(store)
     assert len(draw_record(gallery).figure.axes) == 1
-    assert "40 samples of the displacement" in draw_record(gallery).caption
+    assert "40 noisy samples of the displacement" in draw_record(gallery).caption
     left = draw_two_masses(gallery).figure.axes[::2]
     sizes = [[len(line.get_xdata()) for line in axis.get_lines() if line.get_marker() == "o"] for axis in left]
     assert sizes == [[40], [0]]
@@ -358,7 +454,7 @@ def test_what_cannot_be_drawn_says_why(store: Store) -> None:
     for draw in (draw_record, draw_scatter, draw_training, draw_two_masses, draw_profiles, draw_coverage):
         with pytest.raises(Nothing, match=r"stored|needs"):
             draw(gallery)
-    assert [text.get_text() for text in draw_failures(gallery).figure.axes[0].texts] == ["100o"]
+    assert [text.get_text() for text in draw_failures(gallery).figure.axes[0].texts] == ["100\no"]
 
 
 def test_the_waterfall_draws_the_stored_ends_in_order(store: Store) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,8 @@ from bench.store.store import Store
 
 pytest.importorskip("matplotlib")
 
-from bench.reporting.figures.gallery import Gallery
-from bench.reporting.figures.pictures import PICTURES
+from bench.reporting.figures.gallery import Gallery, Picture
+from bench.reporting.figures.pictures import PICTURES, write_picture
 from bench.reporting.figures.style import (
     FULL,
     HALF,
@@ -30,6 +31,7 @@ from bench.reporting.figures.style import (
     width_of,
     wrapped,
 )
+from bench.reporting.page.pictures import first_sentence
 
 STYLES = {label: (card.colour, card.marker) for label, card in cards().items()}
 DEUTERANOPIA = np.array(
@@ -133,16 +135,16 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> Gallery:
 
 
 @pytest.fixture(scope="module")
-def drawn(full: Gallery) -> Callable[[str], Any]:
-    """The figure of a name, drawn once."""
-    return cache(lambda name: PICTURES[name](full).figure)
+def drawn(full: Gallery) -> Callable[[str], Picture]:
+    """The picture of a name, drawn once."""
+    return cache(lambda name: PICTURES[name](full))
 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("name", PICTURES)
-def test_of_thirty_methods_every_letter_can_be_read(name: str, drawn: Callable[[str], Any]) -> None:
+def test_of_thirty_methods_every_letter_can_be_read(name: str, drawn: Callable[[str], Picture]) -> None:
     """No text under 7 points at the size of print, none on another, none outside the page."""
-    figure = drawn(name)
+    figure = drawn(name).figure
     width = figure.get_size_inches()[0]
     assert width <= FULL + 1e-9
     assert any(abs(width - wanted) < 1e-9 for wanted in (FULL, HALF)) or HALF < width < FULL
@@ -160,15 +162,53 @@ def test_of_thirty_methods_every_letter_can_be_read(name: str, drawn: Callable[[
         assert wide < 1.5 or high < 1.5, (a, b)
 
 
+ROWS = {"forest", "profiles", "accuracy_against_time"}
+"""Pictures whose rows are methods."""
+
+
 @pytest.mark.parametrize("name", [name for name in PICTURES if name != "failures"])
-def test_every_axis_has_a_unit(name: str, drawn: Callable[[str], Any]) -> None:
+def test_every_axis_has_a_unit(name: str, drawn: Callable[[str], Picture]) -> None:
     """In its own label, that of the axis it shares, or the title over it; names of methods need none."""
-    figure = drawn(name)
+    figure = drawn(name).figure
     below = [axis.get_xlabel() for axis in figure.axes if axis.get_xlabel()]
     beside = [axis.get_ylabel() for axis in figure.axes] + [figure.get_supylabel()]
-    if name == "error_against_noise":
-        beside = [axis.get_title("left") for axis in figure.axes]
     beside = [label for label in beside if label]
     assert below
-    assert beside or name == "forest"
+    assert beside or name in ROWS
     assert all("(" in label for label in (*below, *beside))
+
+
+SENTENCE = 140
+"""Letters of a caption's first sentence: two lines beside a picture."""
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_a_caption_begins_with_one_short_sentence(name: str, drawn: Callable[[str], Picture]) -> None:
+    """As the page takes it apart; what follows explains."""
+    first, rest = first_sentence(drawn(name).caption)
+    assert first.endswith(".")
+    assert len(first) <= SENTENCE
+    assert rest
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_no_legend_has_more_than_six_entries_and_no_panel_is_empty(name: str, drawn: Callable[[str], Picture]) -> None:
+    """But where the entries are few in all that is stored, or are the letters of a table."""
+    figure = drawn(name).figure
+    entries = [
+        len(legend.get_texts()) for legend in (*figure.legends, *(axis.get_legend() for axis in figure.axes)) if legend
+    ]
+    assert all(n <= 6 for n in entries) or name in BY_LEGEND
+    for axis in figure.axes:
+        assert axis.lines or axis.collections or axis.images or axis.patches
+
+
+BY_LEGEND = {"training_loss", "waterfall", "failures"}
+"""Few methods train, and few search from several starts; failures have letters, of which few are used."""
+
+
+def test_only_names_that_are_drawn_are_explained(full: Gallery, tmp_path: Path) -> None:
+    write_picture(full, "record", tmp_path)
+    assert "stands for" not in (tmp_path / "record.txt").read_text(encoding="utf-8")
+    write_picture(full, "error_against_noise", tmp_path)
+    assert "\\u65b9\\u6cd5 stands for 方法." in (tmp_path / "error_against_noise.txt").read_text(encoding="utf-8")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import io
 import json
 import math
 import re
@@ -24,6 +25,7 @@ from bench.commands.report import main
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
 from bench.reporting.frame import Result
+from bench.reporting.labels import cards
 from bench.reporting.page import board, documents, origin, pictures, scenario_data, told
 from bench.reporting.page.addresses import scenario_slugs, slug, slugs
 from bench.reporting.page.elsewhere import atlas_records, unsteady
@@ -398,6 +400,8 @@ def test_a_results_file_becomes_a_page_and_its_markup_stays_text(tmp_path: Path)
     assert "b" not in [tag for tag, _ in tags]
     assert ("a", {"href": "other.html"}) in tags
     assert [own["src"] for tag, own in tags if tag == "img"] == ["../figures/p.png"]
+    regions = [own["aria-label"] for tag, own in tags if own.get("class") == "scroll" and own.get("tabindex") == "0"]
+    assert regions == ["Table 1 of this page", "p"]  # what is wider than the page is scrolled, by keyboard too
     assert [own.get("data-name") for tag, own in tags if tag == "table"] == ["A title"]
 
 
@@ -427,6 +431,31 @@ def test_figures_are_copied_small_and_linked_whole(cells: Cells) -> None:
         "../figures/a.svg", "../figures/a.png",
     ]  # fmt: skip
     assert "First & foremost." in shown.text
+
+
+def test_the_copy_of_a_figure_keeps_the_colours_of_thin_lines_and_is_not_shown_too_small(tmp_path: Path) -> None:
+    """Thirty lines, of which each is seldom beside the white and the greys of letters."""
+    from PIL import Image, ImageColor, ImageDraw
+
+    colours = [card.colour for card in cards().values() if card.colour][:30]
+    image = Image.new("RGB", (1378, 1200), "white")
+    draw = ImageDraw.Draw(image)
+    for grey in range(0, 256, 2):
+        draw.rectangle((5 * grey, 1100, 5 * grey + 10, 1200), fill=(grey, grey, grey))
+    for i, colour in enumerate(colours):
+        draw.rectangle((100, 30 * i + 10, 300, 30 * i + 16), fill=colour)
+    image.save(tmp_path / "lines.png")
+    image.resize((689, 600)).save(tmp_path / "half.png")
+    half, lines = pictures.pictures(tmp_path, tmp_path / "site")
+    with Image.open(io.BytesIO(lines.copy)) as small:
+        copy = small.convert("RGB")
+    scale = pictures.WIDTH / image.width
+    for i, colour in enumerate(colours):
+        seen = copy.getpixel((round(200 * scale), round((30 * i + 13) * scale)))
+        assert isinstance(seen, tuple)
+        off = max(abs(a - b) for a, b in zip(seen, ImageColor.getrgb(colour), strict=True))
+        assert off <= 32, (colour, seen)
+    assert half.least == pytest.approx(lines.least / 2)
 
 
 def test_what_the_data_do_not_tell_is_said(cells: Cells) -> None:

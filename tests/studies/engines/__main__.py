@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
-from bench.commands.fields import read_fields, whole
+from bench.commands.fields import flag, read_fields, whole
 from bench.commands.guard import command
 from bench.errors import InputError
 from bench.isolation.processes import single_threaded
@@ -24,9 +24,11 @@ from bench.store.store import Store
 if TYPE_CHECKING:
     from tests.studies.engines.page import Study
 
+TABLE = "engines.csv"
 USAGE = """usage: python -m tests.studies.engines [rows=<a,b>|none] [before=<folder of an earlier checkout>]
                                            [scaling=true|false] [rivals=true|false] [rival_python=<with their packages>]
-                                           [limit_s=120] [out=results]"""
+                                           [limit_s=120] [out=results] [fit=true]
+fit=false: the picture alone, of the numbers in <out>/engines.csv; nothing is measured"""
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,7 @@ class Options:
     rival_python: str
     limit_s: float
     out: Path
+    fit: bool
 
 
 def read_options(arguments: Sequence[str]) -> Options:
@@ -47,7 +50,7 @@ def read_options(arguments: Sequence[str]) -> Options:
     from tests.studies.engines.rows import rows
 
     texts = dict.fromkeys(("rows", "before", "scaling", "rivals"), "")
-    texts |= {"rival_python": sys.executable, "limit_s": "120", "out": "results"}
+    texts |= {"rival_python": sys.executable, "limit_s": "120", "out": "results", "fit": "true"}
     texts = read_fields(arguments, texts)
     known = rows()
     chosen = () if texts["rows"] == "none" else tuple(filter(None, texts["rows"].split(","))) or tuple(known)
@@ -66,7 +69,10 @@ def read_options(arguments: Sequence[str]) -> Options:
     if not Path(python).is_file():
         raise InputError("rival_python", python, "the path of a Python interpreter")
     limit, wanted = float(whole("limit_s", texts["limit_s"])), {name: text == "true" for name, text in flags.items()}
-    return Options(chosen, before, wanted["scaling"], wanted["rivals"], python, limit, Path(texts["out"]))
+    out, fit = Path(texts["out"]), flag("fit", texts["fit"])
+    if not fit and not (out / TABLE).is_file():
+        raise InputError("out", out, f"a folder with {TABLE}; without fit=false it is measured")
+    return Options(chosen, before, wanted["scaling"], wanted["rivals"], python, limit, out, fit)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -76,20 +82,33 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: Sequence[str]) -> int:
     single_threaded()  # before numpy: this process measures the rates of the floors
+    chosen = read_options(arguments)
+    Store(chosen.out / "figures").prepare()
+    for path in _measured_page(chosen) if chosen.fit else _drawn(chosen.out):
+        print(path)
+    return 0
+
+
+def _drawn(out: Path) -> list[Path]:
+    """The picture of the stored numbers; its files, none where no curve is stored."""
+    import pandas as pd
+
+    from tests.studies.engines.picture import picture, stored_growths
+
+    growths = stored_growths(pd.read_csv(out / TABLE))
+    return picture(growths, out / "figures") if growths else []
+
+
+def _measured_page(chosen: Options) -> list[Path]:
+    """Measure, and write page, numbers and picture; the files."""
     from tests.studies.engines.page import page, tidy
     from tests.studies.engines.picture import picture
 
-    chosen = read_options(arguments)
-    Store(chosen.out / "figures").prepare()
     study = _measured(chosen)
-    written = [chosen.out / "engines.md", chosen.out / "engines.csv"]
+    written = [chosen.out / "engines.md", chosen.out / TABLE]
     written[0].write_text(page(study), encoding="utf-8")
     written[1].write_text(tidy(study).to_csv(index=False, float_format="%.4g"), encoding="utf-8")
-    if study.growths:
-        written += picture(study.growths, chosen.out / "figures")
-    for path in written:
-        print(path)
-    return 0
+    return written + (picture(study.growths, chosen.out / "figures") if study.growths else [])
 
 
 def _measured(chosen: Options) -> Study:

@@ -18,6 +18,7 @@ from bench.reporting import labels
 from bench.reporting.rounding import number
 from tests.studies.engines.floors import FORMULAS, Rates
 from tests.studies.engines.peers import Peer
+from tests.studies.engines.picture import caption
 from tests.studies.engines.results import LARGE, Growth, Result, difference, same_answers
 from tests.studies.engines.rivals import SOLVED, STARTS
 
@@ -190,7 +191,8 @@ def page(study: Study) -> str:
     if study.results:
         parts += [said_of_rows(study.results), _table(map(line, study.results), COLUMNS), said_of_floors(study.results)]
     if study.growths:
-        parts += ["## Growth", "![Time against size](figures/engines_scaling.svg)", said_of_growth(study.growths)]
+        image = "![Time against size](figures/engines_scaling.svg)"
+        parts += ["## Growth", image, caption(study.growths), said_of_growth(study.growths)]
     if study.peers:
         own = study.peers[0].seconds
         columns = ("engine", "start", "time (ms)", "over ours, alone", "solved")

@@ -1,7 +1,8 @@
 """``python -m tests.studies.pinn``: what the PINN engine costs and how far it can be trusted, as a page.
 
 Each part is stored when it is done (``<out>/pinn/<part>.json``), and the page ``<out>/pinn.md`` and its pictures are
-made from what is stored; ``part=`` runs some of them only. Rival scripts are timed where ``peers=`` names their folder.
+made from what is stored; ``part=`` runs some of them only, ``fit=false`` none. Rival scripts are timed where ``peers=``
+names their folder.
 """
 
 from __future__ import annotations
@@ -16,12 +17,13 @@ from pathlib import Path
 from tabulate import tabulate
 from tqdm import tqdm
 
-from bench.commands.fields import read_fields, whole
+from bench.commands.fields import flag, read_fields, whole
 from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.errors import InputError
 from bench.isolation.processes import single_threaded
 from bench.store.store import Store
+from tests.studies.pinn import pictures
 from tests.studies.pinn.common import Part
 
 PARTS = (
@@ -36,7 +38,7 @@ PARTS = (
     "reach",
     "scaling",
 )
-USAGE = """usage: python -m tests.studies.pinn [part=<a,b>] [replicates=100] [out=results]
+USAGE = """usage: python -m tests.studies.pinn [part=<a,b>] [replicates=100] [out=results] [fit=true]
                                         [peers=<folder of rival scripts> [peer_python=<python with DeepXDE>] [seeds=3]]
 parts: """ + ", ".join(PARTS)
 
@@ -50,11 +52,13 @@ def options(arguments: Sequence[str]) -> dict[str, str]:
         "peers": "",
         "peer_python": "",
         "seeds": "3",
+        "fit": "true",
     }
     found = read_fields(arguments, found)
     for part in found["part"].split(","):
         if part not in PARTS:
             raise InputError("part", part, f"one of {', '.join(PARTS)}")
+    flag("fit", found["fit"])
     for name in ("replicates", "seeds"):
         whole(name, found[name])
     if found["peers"] and not (Path(found["peers"]) / "naive_fit.py").is_file():
@@ -100,9 +104,20 @@ def page(folder: Path) -> str:
         if path.is_file():
             part = json.loads(path.read_text(encoding="utf-8"))
             table = tabulate(part["rows"], headers=part["columns"], tablefmt="github", disable_numparse=True)
-            picture = f"![{part['title']}](figures/pinn_{name}.svg)" if part["data"] else ""
-            sections += [f"## {part['title']}", part["text"], table, *([picture] if picture else [])]
+            sections += [f"## {part['title']}", part["text"], table]
+            if part["data"]:
+                caption = getattr(pictures, f"{name}_caption")(part["data"])
+                sections += [f"![{part['title']}](figures/pinn_{name}.svg)", caption]
     return "\n\n".join(sections) + "\n"
+
+
+def drawn(folder: Path, out: Path) -> list[Path]:
+    """The pictures of all stored parts that have numbers for one."""
+    found: list[Path] = []
+    for path in (folder / f"{name}.json" for name in PARTS):
+        data = json.loads(path.read_text(encoding="utf-8"))["data"] if path.is_file() else {}
+        found += getattr(pictures, f"{path.stem}_picture")(data, out) if data else []
+    return found
 
 
 MACHINE = (
@@ -123,16 +138,13 @@ def _main(arguments: Sequence[str]) -> int:
     folder = out / "pinn"
     Store(folder).prepare()
     Store(out / "figures").prepare()
-    for name in chosen["part"].split(","):
+    for name in chosen["part"].split(",") if flag("fit", chosen["fit"]) else []:
         part = run(name, chosen)
         print(f"\n{part.title}\n\n{tabulate(part.rows, headers=part.columns, disable_numparse=True)}", flush=True)
         content = {**asdict(part), "python": platform.python_version()}
         (folder / f"{name}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        if part.data:
-            from tests.studies.pinn import pictures
-
-            for path in getattr(pictures, f"{name}_picture")(part.data, out / "figures"):
-                print(path)
+    for path in drawn(folder, out / "figures"):
+        print(path)
     (out / "pinn.md").write_text(page(folder), encoding="utf-8")
     print(out / "pinn.md")
     return 0
