@@ -123,7 +123,8 @@ def test_counted_errors_of_normal_ones_are_their_standard_deviation() -> None:
     assert counted(np.array([0.1, np.inf, np.inf])) == math.inf
 
 
-def test_the_command_compares_forces_and_writes_the_best_as_a_record(tmp_path, capsys) -> None:
+def test_the_command_compares_forces_and_writes_the_best_as_a_record(tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")  # headings and names stand on one line each
     path = tmp_path / "force.csv"
     assert main([*GIVEN, f"out={path}", "verify=2"]) == 0
     said = capsys.readouterr().out
