@@ -97,7 +97,9 @@ def _notebook(arguments: Sequence[str]) -> list[Path]:
     if any(value is not None for value in overrides.get("data", [])):
         raise InputError("data", overrides["data"][0], "left out: a cell is of simulated data")
     (job,) = sweep(overrides, multirun=False)
-    return [_written(path_of(fields["out"]), notebook(job.cell(), overrides).encode())]
+    path = path_of(fields["out"])
+    check_file(path)
+    return [_written(path, notebook(job.cell(), overrides).encode())]
 
 
 def _written(path: Path, content: bytes, folder: Path | None = None) -> Path:
