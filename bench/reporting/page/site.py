@@ -175,12 +175,10 @@ def index(site: Site) -> dict[str, Any]:
 def first_choice(site: Site) -> dict[str, str]:
     """What the leaderboard shows at first: a scenario of the first screen's first situation, at a middle noise."""
     own = list(site.advice[0].panels) if site.advice else list(site.panels[:1])
-    panel = sorted(own, key=lambda p: abs(p.facts.snr_db - MIDDLE_DB))[0]
+    level = told.usual(own)
+    panel = next(p for p in own if p.facts.snr_db == level)
     chosen = {"system": panel.facts.system, "snr": decibels(panel.facts.snr_db), "start": panel.facts.initial_state}
     return {**chosen, "data": panel.kind, **({"quantity": heading(panel.ranked[0])} if panel.ranked else {})}
-
-
-MIDDLE_DB = 20.0
 
 
 def _pages(site: Site) -> Iterator[tuple[str, str]]:
@@ -215,7 +213,6 @@ def _page(site: Site, path: str, template: str, **values: Any) -> tuple[str, str
         "percent": percent,
         "seconds": seconds,
         "share": home.share,
-        "one_in": home.one_in,
         "unbroken": unbroken,
         "order": order,
     }
@@ -233,11 +230,11 @@ def home_values(site: Site) -> dict[str, Any]:
     rows = home.rows(site.advice, atlas, points, site.out.parent)
     first = site.advice[0] if site.advice else None
     panels = first.panels if first else site.panels
+    best = first.advised[0] if first and not first.hopeless else None
     return {
-        "rows": rows, "first": first, "best": first.advised[0] if first and not first.hopeless else None,
-        "accuracy": told.accuracy(panels, first.advised[0].label) if first and first.advised else "",
+        "rows": rows, "first": first, "best": best, "one_in": home.one_in(best.risk_at_most) if best else "",
         "noise": told.noise(panels), "untold": untold(panels[0]),
-        "ranked": [quantity(metric) for metric in panels[0].ranked if metric != "rmse"],
+        "ranked": list(map(quantity, told.ranked(panels[0]))),
         "basis": home.basis_of(panels), "counts": counts(site),
     }  # fmt: skip
 

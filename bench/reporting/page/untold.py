@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from bench.reporting.frame import ERROR
 from bench.reporting.page.reading import Panel
+from bench.reporting.page.told import ranked
 from bench.reporting.page.words import joined, percent, quantity
 
 WORDS = {"m": "mass m", "c": "damping c", "k": "stiffness k"}
@@ -31,8 +32,8 @@ def untold(panel: Panel) -> Untold | None:
     first = f"{names[:1].upper()}{names[1:]}" if plain else f"The values of {names}"
     twice = "the mass, damping and stiffness" if plain else "every mass, damping and stiffness"
     alike = "a system that differs in them" if panel.facts.forced else f"in free vibration, a system with twice {twice}"
-    ranked = [quantity(m) for m in panel.ranked if m != "rmse"]
-    told = f"The motion tells only {joined(ranked)}." if ranked else ""
+    groups = list(map(quantity, ranked(panel)))
+    told = f"The motion tells only {joined(groups)}." if groups else ""
     given = tuple((word(n), percent(share)) for n, share in shares if math.isfinite(share)) if panel.facts.prior else ()
     return Untold(f"{first}: {alike} moves exactly alike.", told, given)
 
