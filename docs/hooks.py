@@ -74,16 +74,18 @@ def _moved(source: str, target: str) -> str:
 
 
 def commands() -> list[str]:
-    """The names of the modules that ``python -m bench.<name>`` runs, ``main`` first."""
+    """Return the names of the modules that ``python -m bench.<name>`` runs, ``main`` first."""
     folder = ROOT / "bench" / "commands"
     named = [path.stem for path in sorted(folder.glob("*.py")) if '__name__ == "__main__"' in path.read_text("utf-8")]
     return ["main", *(name for name in named if name != "main")]
 
 
 def _helps() -> Iterator[str]:
-    for name in commands():
+    verbs = import_module("bench.commands.verbs").VERBS
+    lines = [("main", "bench", []), *(("main", f"bench {verb}", [verb]) for verb in verbs)]
+    lines += [(name, f"bench.{name}", []) for name in commands() if name != "main"]
+    for module, shown, words in lines:
         said = io.StringIO()
         with redirect_stdout(said):
-            import_module(f"bench.commands.{name}").main(["--help"])
-        shown = "bench" if name == "main" else f"bench.{name}"
+            import_module(f"bench.commands.{module}").main([*words, "--help"])
         yield f"## `python -m {shown}`\n\n```text\n{said.getvalue().strip()}\n```"

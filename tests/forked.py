@@ -23,7 +23,7 @@ from typing import Any
 
 REPOSITORY = Path(__file__).parents[1]
 MODULES = (
-    "benchmark", "certify", "check", "claims", "design", "expect", "export", "figures", "identifiability", "main",
+    "benchmark", "check", "claims", "design", "expect", "export", "figures", "identifiability", "main",
     "merge", "new", "publish", "recheck", "report", "reproduce", "reproduction", "status", "submit", "tables", "track",
 )  # fmt: skip
 WARM = (

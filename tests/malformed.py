@@ -11,6 +11,8 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from bench.commands.verbs import VERBS
+
 LONG = "z" * 65_536
 """Longer than any name, and nearly as long as an argument may be."""
 NUMBERS = ("", "abc", "nan", "-inf", "1e999", "0x1F", "1,5", "true", "9" * 400 + "x")
@@ -408,12 +410,7 @@ claims | store=store results=missing | results | missing | folder
 benchmark | zz=1 | zz | 1 | not a field
 benchmark | store=x | store | x |
 benchmark | experiment=table3 | experiment | table3 |
-certify | out=x | data | | data=record.csv
-certify | data=good.csv out=x out=y | out | y | twice
-certify | data=good.csv zz=1 | zz | 1 | not a field
-certify | data=good.csv snr=20 | snr | 20 | simulated
-certify | data=good.csv twins=1000000000 twins=1 | twins | 1 | twice
-certify | data=good.csv twins=1000000000 | twins | 1000000000 |
+certify | clean.csv | argument | clean.csv | write data=clean.csv
 certify | data=good.csv method=, | method | , |
 design | zz=1 | argument | zz=1 | want=
 design | want=c_over_m:5% | frequency | |
@@ -769,6 +766,8 @@ TRACKS = ("measured", "online", "atlas")
 
 def entry(command: str) -> tuple[str, list[str]]:
     """The module of a command, and the arguments that come first on its line."""
+    if command in VERBS:
+        return "main", [command]
     if command in TRACKS:
         return "main", ["-m", f"experiment={command}"]
     return ("main" if command == "bench" else command), []

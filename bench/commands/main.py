@@ -10,7 +10,11 @@ from typing import Any
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
 
-USAGE = """usage: python -m bench method=<name> [field=value ...]        one cell
+USAGE = """usage: python -m bench <verb> [field=value ...]               --help for each
+
+{verbs}
+
+       python -m bench method=<name> [field=value ...]        one cell
        python -m bench -m method=a,b snr=40,20 [...]        a sweep of all of these
        python -m bench -m experiment=table3                 the cells of a table
        python -m bench method=<name> data=record.csv        a measured record
@@ -60,7 +64,6 @@ options:
 see also:
   python -m bench.status               what is stored, failed, stale, missing
   python -m bench.status experiment=table3 watch=true    follow a running sweep
-  python -m bench.certify data=r.csv   a page about a measured record
   python -m bench.design --help        the cheapest test that tells enough
   python -m bench.expect --help        what each method would do at a test
   python -m bench.check my_method.py   does a method of your own keep the contract
@@ -75,8 +78,13 @@ ATLAS = "experiment=atlas"
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0, 2 for bad input, 130 when interrupted."""
     from bench.commands.guard import guarded
+    from bench.commands.verbs import execute, named_verb
 
     arguments = list(sys.argv[1:] if argv is None else argv)
+    verb = named_verb(arguments)
+    if verb is not None:
+        rest = [word for place, word in enumerate(arguments) if place != arguments.index(verb)]
+        return guarded("bench", lambda: execute(verb, rest))
     kept = "interrupted; finished cells are kept, the same command goes on from here"
     return guarded("bench", lambda: _main(arguments), kept)
 
@@ -147,11 +155,13 @@ def _no_option(text: str) -> str:
 
 
 def _usage() -> str:
+    from bench.commands.verbs import summaries
     from bench.config.choices import GROUPS, choices
     from bench.reporting.terminal import wrapped
 
     names = {f"{group}s": ", ".join(choices(group)) for group in GROUPS}
-    return "\n".join(wrapped(line, " " * 17) for line in USAGE.format(**names).splitlines())
+    text = USAGE.format(**names, verbs=summaries())
+    return "\n".join(wrapped(line, " " * 17) for line in text.splitlines())
 
 
 def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:

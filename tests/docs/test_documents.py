@@ -14,6 +14,7 @@ from conftest import REPOSITORY
 from pages import DOCUMENTS, blocks, commands, name
 
 from bench.commands.main import main as bench_main
+from bench.commands.verbs import VERBS
 from bench.reporting.claims.panels import section
 
 README = REPOSITORY / "README.md"
@@ -97,7 +98,7 @@ def test_the_fields_of_a_command_are_known_to_it(
 ) -> None:
     """Parsed only: a field that is written stands in the command's help, or in that of ``python -m bench``."""
     command = import_module(f"bench.commands.{module.removeprefix('bench').lstrip('.') or 'main'}").main
-    command(["--help"])
+    command([*(word for word in given[:1] if word in VERBS), "--help"])
     bench_main(["--help"])
     sources = ["conf/config.yaml", *(f"bench/commands/{OWN[word]}.py" for word in given if word in OWN)]
     said = capsys.readouterr().out + "".join((REPOSITORY / path).read_text(encoding="utf-8") for path in sources)

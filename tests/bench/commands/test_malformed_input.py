@@ -10,6 +10,8 @@ from forked import Call, Ended, Forked
 from malformed import TRACKS, Malformed, all_malformed, entry
 from malformed_files import Shelf
 
+from bench.commands.verbs import VERBS
+
 NOTICE = "line(s) left out that do not read"
 """What is said of a stream's lines as they come, before anybody knows how it ends."""
 LONGEST = 2000
@@ -62,7 +64,7 @@ def shown(value: str) -> list[str]:
 def objections(case: Malformed, ended: Ended, before: dict[str, int], after: dict[str, int]) -> list[str]:
     """What is not as it is wanted, in words."""
     lines = [line for line in ended.err.splitlines() if NOTICE not in line]
-    program = "bench" if case.command in ("bench", *TRACKS) else f"bench.{case.command}"
+    program = "bench" if case.command in ("bench", *TRACKS, *VERBS) else f"bench.{case.command}"
     found = [f"status {ended.status}"] if ended.status != 2 else []
     found += [f"{len(lines)} lines on the error stream"] if len(lines) != 1 else []
     line = lines[-1] if lines else ""

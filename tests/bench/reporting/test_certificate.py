@@ -55,7 +55,7 @@ def made(ranked: list[ModelClass]) -> Certificate:
 
 @pytest.fixture(scope="module")
 def shown(made: Certificate) -> Mapping[str, Any]:
-    return contents(made, "python -m bench.certify data=decay.csv")
+    return contents(made, "python -m bench certify data=decay.csv")
 
 
 @pytest.fixture(scope="module")
