@@ -185,15 +185,9 @@ def as_written(value: Any) -> str:
     """Return a value as the text of a field."""
     if isinstance(value, bool):
         return str(value).lower()
-    return (
-        ",".join(value)
-        if isinstance(value, tuple)
-        else f"{value:g}"
-        if isinstance(value, float)
-        else ""
-        if value is None
-        else str(value)
-    )
+    if isinstance(value, tuple):
+        return ",".join(value)
+    return f"{value:g}" if isinstance(value, float) else "" if value is None else str(value)
 
 
 def command_line(verb: Callable[..., int], values: Mapping[str, Any]) -> str:

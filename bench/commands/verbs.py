@@ -13,9 +13,9 @@ COMMAND = "python -m bench"
 
 
 def named_verb(arguments: Sequence[str]) -> str | None:
-    """Return the verb of a command line: its first word that is no option and has no ``=``; None for a run."""
-    first = next((word for word in arguments if not word.startswith("-")), "=")
-    return None if "=" in first else first
+    """Return the verb of a command line: its first word that is no option, where it is a word; None for a run."""
+    first = next((word for word in arguments if not word.startswith("-")), "")
+    return first if first.isidentifier() else None
 
 
 def load(name: str) -> Callable[..., int]:
