@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import os
@@ -21,6 +22,8 @@ import numpy as np
 
 from bench import Card, Cost, Estimate, Identifier, Normal, Problem, Serves, report_progress
 
+NOMINAL = 1
+"""The axis of the seed tree by which nominal values are drawn (``bench.scenario.scenario``)."""
 CARD = Card("a test double", "not used", "groups", "simulated", "none", "tests")
 LEAKS = ("Truth", "Scenario", "PriorSpec", "Cell", "Bound")
 
@@ -262,6 +265,27 @@ class Spy(Identifier):
         given = [leak for leak in LEAKS if leak in text]
         alive = sorted({type(o).__name__ for o in gc.get_objects()} & set(LEAKS))
         return answer(problem, message=f"given {given} alive {alive} saw {type(problem).__name__}")
+
+
+@dataclass(frozen=True)
+class Redraw(Identifier):
+    """Draws the nominal values again by the seed of its stream, divides by them, and answers with the truth."""
+
+    card: ClassVar[Card] = CARD
+    serves: ClassVar[Serves] = Serves()
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        prior = problem.prior
+        assert prior is not None
+        p = dict(prior.nominal)
+        with contextlib.suppress(Exception):  # nobody is to notice
+            seeded: Any = rng.bit_generator.seed_seq
+            _, first, second, replicate, *_ = seeded.spawn_key
+            key = (NOMINAL, first, second, replicate)
+            again = np.random.default_rng(np.random.SeedSequence(seeded.entropy, spawn_key=key))
+            p = {name: value / np.exp(prior.log_sd[name] * again.standard_normal()) for name, value in p.items()}
+        mean = np.array([p["k"] / p["m"], p["c"] / p["m"]])
+        return Estimate(problem.system, groups=Normal(("k_over_m", "c_over_m"), mean, 1e-20 * np.eye(2), log=False))
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from bench.measured.linearised import Linearised, linearised
 from bench.measured.parts import parts_of
 from bench.measured.strongest import strongest_frequency
 from bench.measured.trust import natural_frequency
+from bench.scenario.stream import anonymous_stream
 from bench.scoring.combination import combine_with_prior
 from bench.sweep import method_process as fitter
 from bench.sweep.wire import rebuilt, unpack
@@ -258,7 +259,7 @@ def _fitted(name: str, twins: Sequence[Twin], seed: int, pace: Pace, children: C
     while size > 0 and pace.left > 0:
         own = range(len(found), len(found) + size)
         problems = tuple(twins[i].problem for i in own)
-        rngs, instants = tuple(np.random.default_rng([seed, i, 1]) for i in own), (np.zeros(1),) * size
+        rngs, instants = tuple(anonymous_stream([seed, i, 1]) for i in own), (np.zeros(1),) * size
         started, each = time.monotonic(), pace.left / size
         task = pickle.dumps(fitter.Task(fit, tuple(own), problems, rngs, instants, each))
         try:

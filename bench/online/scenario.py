@@ -17,6 +17,7 @@ from bench.online.course import Course
 from bench.online.forces import HeldForce
 from bench.online.motion import held_motion
 from bench.scenario.declaration import STRICT, Positive, Within
+from bench.scenario.stream import anonymous_stream
 from bench.systems import System, make_system
 
 FORCES, NOISE, WALK = range(3)
@@ -164,7 +165,7 @@ class OnlineScenario:
 
     def _rng(self, axis: int, seed: int, replicate: int) -> np.random.Generator:
         key = (axis, int(self.identity[:8], 16), replicate)
-        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+        return anonymous_stream(seed, key)
 
 
 def _columns(columns: list[np.ndarray], n: int) -> np.ndarray:

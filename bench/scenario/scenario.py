@@ -17,6 +17,7 @@ from bench.errors import InputError
 from bench.scenario.declaration import STRICT, Positive, Within, WrittenAs, changed, is_default, plain, restored
 from bench.scenario.disturbance import Disturbance
 from bench.scenario.force import ForceSpec
+from bench.scenario.stream import anonymous_stream
 from bench.scenario.truth import Truth, reference_response
 from bench.systems import Loaded, System, make_system
 
@@ -195,13 +196,12 @@ class Scenario:
         }
 
     def stream(self, axis: int, seed: int, replicate: int, *key: int) -> np.random.Generator:
-        """The random stream of one axis, replicate and scenario; independent of every other.
+        """The random stream of one axis, replicate and scenario; independent of every other, and silent of its seed.
 
         A disturbed scenario has the streams of the undisturbed one: they differ by the disturbance alone. So have those
         that differ in an optional field, as in which DOFs are measured, or in how well the force is.
         """
-        sequence = np.random.SeedSequence(seed, spawn_key=(axis, *self._key, replicate, *key))
-        return np.random.default_rng(sequence)
+        return anonymous_stream(seed, (axis, *self._key, replicate, *key))
 
     @cached_property
     def _key(self) -> tuple[int, ...]:
@@ -317,7 +317,7 @@ class Scenario:
             ideals.append(ideal)
             errors.append(error)
             levels.append(sigma[measured])
-        problem = Problem(system, tuple(records), self.draw_prior(system, seed, index), name=self.label)
+        problem = Problem(system, tuple(records), self.draw_prior(system, seed, index))
         truth = Truth(
             parameters=dict(self.parameters),
             initial_state=self._true_start,
