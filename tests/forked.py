@@ -23,8 +23,8 @@ from typing import Any
 
 REPOSITORY = Path(__file__).parents[1]
 MODULES = (
-    "benchmark", "check", "claims", "design", "expect", "export", "figures", "identifiability", "main",
-    "merge", "new", "publish", "recheck", "report", "reproduce", "reproduction", "status", "submit", "tables", "track",
+    "benchmark", "claims", "design", "expect", "export", "figures", "identifiability", "main",
+    "merge", "publish", "recheck", "report", "reproduce", "reproduction", "status", "submit", "tables", "track",
 )  # fmt: skip
 WARM = (
     ["method=ls", "snr=nan"], ["method=ls", "data=nowhere.csv"], ["experiment=online", "x=1"],

@@ -153,10 +153,10 @@ FIELDS = (
     *(Field("atlas", name, WHOLE, "test=forced dry_run=true") for name in ("points", "workers")),
     *(Field("atlas", name, NAMES, "dry_run=true") for name in ("test", "engine")),
     *(Field("atlas", name, FLAGS, "points=8 part=points method=ls") for name in ("fit", "dry_run")),
-    *(Field("check", name, (*NUMBERS, "0", "-1", "1e308"), "ls") for name in ("timeout_s",)),
-    Field("check", "format", NAMES[:3], "ls"),
-    Field("check", "method.bootstrap", ("abc", "nan", "1e999", "2.5", LONG), "ls"),
-    Field("check", "system.n", ("two", "2.5", "0", "-1", "1e12", "1000000000", "nan"), "chain"),
+    *(Field("check", name, ("nan", "0"), "package=ls") for name in ("timeout_s",)),
+    Field("check", "format", NAMES[:3], "package=ls"),
+    Field("check", "method.bootstrap", ("abc", "nan", "1e999", "2.5", LONG), "package=ls"),
+    Field("check", "system.n", ("two", "2.5", "0", "-1", "1e12", "1000000000", "nan"), "package=chain"),
     Field("export", "replicate", (*WHOLE, "1e3", "1000000", "999999999999"), "petab"),
     *(Field("export", name, NAMES, "petab") for name in ("system", "prior", "disturbance", "initial_state")),
     *(
@@ -174,7 +174,7 @@ FIELDS = (
     Field("merge", "verify", (*NUMBERS, "0.09", "1.01", "1e308", "-1"), "store"),
     *(Field("merge", name, WHOLE, "store") for name in ("seed", "workers")),
     Field("merge", "store", TO_WRITE, "store"),
-    Field("new", "out", (*TO_WRITE, "filled_toml", "/dev/zero"), "method my_method"),
+    Field("new", "out", (*TO_WRITE, "filled_toml", "/dev/zero"), "method=my_method"),
     Field("publish", "seal", FLAGS, "store=store archive=out"),
     Field("submit", "method", NAMES, "store=store"),
     Field("submit", "store", TO_READ, "method=ls"),
@@ -490,12 +490,10 @@ online | system=sdof snr=1e300 dry_run=true | snr | 1e300 |
 atlas | zz=1 | argument | zz=1 |
 atlas | test=zz dry_run=true | test | zz |
 atlas | engine=zz dry_run=true | engine | zz | processes or ray
-check | | package | | name one
-check | nowhere | package | nowhere |
-check | ls timeout_s=0 | timeout_s | 0 | positive
-check | ls format=xml | format | xml | table or json
-check | ls zz=1 | argument | zz=1 | timeout_s=
-check | ls method.window={ | method.window | { | a number
+check | package=nowhere | package | nowhere | 
+check | package=ls timeout_s=0 | timeout_s | 0 | positive
+check | package=ls format=xml | format | xml | table or json
+check | package=ls method.window={ | method.window | { | a number
 export | | export | | one of
 export | zz | export | zz | one of
 export | petab replicate=-1 | replicate | -1 | whole number
@@ -512,81 +510,75 @@ merge | plain.zip | submission | plain.zip |
 merge | good.csv verify=2 | verify | 2 | at most 1
 merge | good.csv workers=0 | workers | 0 | whole number
 merge | pipe | submission | pipe | it is no file
-new | method | argument | method | write method
-new | zz name | | zz |
-new | method ../x | | ../x |
-new | method my_method out=file/below | out | file/below | cannot be written
-new | method class | name | class | small letters
-new | method a/b | name | a/b | small letters
-new | method .. | name | .. | small letters
-new | method _ | name | _ | small letters
-new | method größe | name | größe | small letters
-new | method Own | name | Own | small letters
-new | method 2nd | name | 2nd | small letters
-new | method ls | name | ls | of that name
-new | method oracle | name | oracle | of that name
-new | system sdof | name | sdof | of that name
-new | method numpy | name | numpy | Python has a module
-new | method os | name | os | Python has a module
-new | method bench | name | bench | Python has a module
-new | method $LONG | name | zzzz | at most 60 letters
-new | tool my_method | kind | tool | method, system
-new | method my_method other | argument | method my_method other | write method
-new | method my_method out=a out=b | out | b | twice
-new | method my_method zz=1 | argument | zz=1 | out=
-check | raising.py | package | raising.py | RuntimeError: no
-check | leaving.py | package | leaving.py | neither end its process
-check | ending.py | package | ending.py | neither end its process
-check | interrupting.py | package | interrupting.py | neither end its process
-check | dying.py | package | dying.py | SIGKILL
-check | printing.py | package | printing.py | File too large
-check | looping.py timeout_s=1 | package | looping.py | limit of 1 s
-check | sleeping.py timeout_s=1 | package | sleeping.py | limit of 1 s
-check | recursing.py | package | recursing.py | RecursionError
-check | syntax.py | package | syntax.py | SyntaxError
-check | nested.py | package | nested.py | SyntaxError
-check | minus.py | package | minus.py | cannot be imported
-check | latin.py | package | latin.py | utf-8
-check | nul.py | package | nul.py | null bytes
-check | binary.py | package | binary.py | cannot be imported
-check | nothing.py | package | nothing.py | subclasses
-check | lacking.py | package | lacking.py | not_installed_anywhere
-check | abstract.py | package | abstract.py | subclasses
-check | 'two words.py' | package | two words.py | can be imported
-check | missing.py | package | missing.py | no such file
-check | pipe.py | package | pipe.py | it is no file
-check | zero.py | package | zero.py | it is no file
-check | folder | package | folder | pyproject.toml
-check | .. | package | .. | pyproject.toml
-check | $LONG | package | zzzz | a file, a folder
-check | $LONG.py | package | zzzz | no such file
-check | numpy.zz | package | numpy.zz | cannot be imported
-check | bench.commands.main | package | bench.commands.main | subclasses
-check | os | package | os | subclasses
-check | prior | package | prior | registered
-check | ls ekf | package | ls ekf | name one
-check | notoml | package | notoml/pyproject.toml | cannot be read
-check | random_toml | package | random_toml/pyproject.toml | cannot be read
-check | nul_toml | package | nul_toml/pyproject.toml | cannot be read
-check | deep_toml | package | deep_toml/pyproject.toml | cannot be read
-check | number_toml | package | number_toml/pyproject.toml | register a class
-check | points_toml | package | points_toml/pyproject.toml | register a class
-check | group_toml | package | group_toml/pyproject.toml | register a class
-check | value_toml | package | value_toml/pyproject.toml | <class>
-check | word_toml | package | word_toml/pyproject.toml | <class>
-check | lines_toml | package | lines_toml/pyproject.toml | letters
-check | gone_toml | method | own | not_there
-check | other_toml | method | own | subclasses
-check | lacks_toml | method | own | attribute
-check | raises_toml | method | own | ZeroDivisionError
-check | taken_toml | method | ls | of that name
-check | system_toml | system | own | ZeroDivisionError
-check | sdof method.x=1 | method.x | 1 | no method
-check | ls system.zz=1 | system.zz | 1 | no system
-check | chain system.n=true | system.n | True | whole number
-check | ls method.zz=1 | method.zz | 1 | settings of ls
-check | ls method.bootstrap=1 method.bootstrap=2 | method.bootstrap | 2 | twice
-check | ls timeout_s=1 timeout_s=2 | timeout_s | 2 | twice
+new | method=../x | method | ../x | 
+new | method=my_method out=file/below | out | file/below | cannot be written
+new | method=class | method | class | small letters
+new | method=a/b | method | a/b | small letters
+new | method=.. | method | .. | small letters
+new | method=_ | method | _ | small letters
+new | method=größe | method | größe | small letters
+new | method=Own | method | Own | small letters
+new | method=2nd | method | 2nd | small letters
+new | method=ls | method | ls | of that name
+new | method=oracle | method | oracle | of that name
+new | system=sdof | system | sdof | of that name
+new | method=numpy | method | numpy | Python has a module
+new | method=os | method | os | Python has a module
+new | method=bench | method | bench | Python has a module
+new | method=$LONG | method | zzzz | at most 60 letters
+new | method=my_method out=a out=b | out | b | twice
+check | package=raising.py | package | raising.py | RuntimeError: no
+check | package=leaving.py | package | leaving.py | neither end its process
+check | package=ending.py | package | ending.py | neither end its process
+check | package=interrupting.py | package | interrupting.py | neither end its process
+check | package=dying.py | package | dying.py | SIGKILL
+check | package=printing.py | package | printing.py | File too large
+check | package=looping.py timeout_s=1 | package | looping.py | limit of 1 s
+check | package=sleeping.py timeout_s=1 | package | sleeping.py | limit of 1 s
+check | package=recursing.py | package | recursing.py | RecursionError
+check | package=syntax.py | package | syntax.py | SyntaxError
+check | package=nested.py | package | nested.py | SyntaxError
+check | package=minus.py | package | minus.py | cannot be imported
+check | package=latin.py | package | latin.py | utf-8
+check | package=nul.py | package | nul.py | null bytes
+check | package=binary.py | package | binary.py | cannot be imported
+check | package=nothing.py | package | nothing.py | subclasses
+check | package=lacking.py | package | lacking.py | not_installed_anywhere
+check | package=abstract.py | package | abstract.py | subclasses
+check | package='two words.py' | package | two words.py | can be imported
+check | package=missing.py | package | missing.py | no such file
+check | package=pipe.py | package | pipe.py | it is no file
+check | package=zero.py | package | zero.py | it is no file
+check | package=folder | package | folder | pyproject.toml
+check | package=.. | package | .. | pyproject.toml
+check | package=$LONG | package | zzzz | a file, a folder
+check | package=$LONG.py | package | zzzz | no such file
+check | package=numpy.zz | package | numpy.zz | cannot be imported
+check | package=bench.commands.main | package | bench.commands.main | subclasses
+check | package=os | package | os | subclasses
+check | package=prior | package | prior | registered
+check | package=notoml | package | notoml/pyproject.toml | cannot be read
+check | package=random_toml | package | random_toml/pyproject.toml | cannot be read
+check | package=nul_toml | package | nul_toml/pyproject.toml | cannot be read
+check | package=deep_toml | package | deep_toml/pyproject.toml | cannot be read
+check | package=number_toml | package | number_toml/pyproject.toml | register a class
+check | package=points_toml | package | points_toml/pyproject.toml | register a class
+check | package=group_toml | package | group_toml/pyproject.toml | register a class
+check | package=value_toml | package | value_toml/pyproject.toml | <class>
+check | package=word_toml | package | word_toml/pyproject.toml | <class>
+check | package=lines_toml | package | lines_toml/pyproject.toml | letters
+check | package=gone_toml | method | own | not_there
+check | package=other_toml | method | own | subclasses
+check | package=lacks_toml | method | own | attribute
+check | package=raises_toml | method | own | ZeroDivisionError
+check | package=taken_toml | method | ls | of that name
+check | package=system_toml | system | own | ZeroDivisionError
+check | package=sdof method.x=1 | method.x | 1 | no method
+check | package=ls system.zz=1 | system.zz | 1 | no system
+check | package=chain system.n=true | system.n | True | whole number
+check | package=ls method.zz=1 | method.zz | 1 | settings of ls
+check | package=ls method.bootstrap=1 method.bootstrap=2 | method.bootstrap | 2 | twice
+check | package=ls timeout_s=1 timeout_s=2 | timeout_s | 2 | twice
 export | petab replicate=0 replicate=1 | replicate | 1 | twice
 export | petab snr=20 snr=10 | snr | 10 | twice
 export | petab snr=10,20 | snr | 10,20 | several

@@ -32,6 +32,9 @@ LARGEST = 10**9
 DIGITS = 19
 """Digits of a whole number at most: no limit has more."""
 
+EXPONENT = re.compile(r"[-+]?[0-9.]+e[-+]?[0-9]+", re.IGNORECASE)
+"""A number such as 1e-3, which YAML reads as a word."""
+
 Read = Callable[[str, str], Any]
 """Reads a field's text: called with the field's name and the text, raises InputError."""
 Names = Sequence[str] | Callable[[], Sequence[str]]
@@ -280,8 +283,8 @@ def help_page(command: str, verb: Callable[..., int]) -> str:
             continue
         shown = f"[{field.shown()}] " if field.shown() else ""
         values = ", ".join(field.values()) if isinstance(field.read, Choice) else ""
-        listed = f"{': ' if field.text else ''}{values}" if values else ""
-        lines.append(f"  {field.name:<{wide}}  {shown}{field.text}{listed}")
+        text = "; ".join(part for part in (values, field.text) if part)
+        lines.append(f"  {field.name:<{wide}}  {shown}{text}")
     head = f"usage: {command}{required} [field=value ...]\n\n{inspect.getdoc(verb)}"
     return laid_out("\n".join([head, *(["\nfields (defaults in brackets):", *lines] if lines else [])]))
 
@@ -295,3 +298,23 @@ def completions(verb: Callable[..., int], word: str) -> list[str]:
     else:
         offered = [f"{field}=" for field in fields]
     return [text for text in offered if text.startswith(word)]
+
+
+def read_settings(arguments: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Read ``method.width=32 system.n=3`` as values by group and name; raises InputError."""
+    import yaml
+
+    settings: dict[str, dict[str, Any]] = {}
+    for argument in arguments:
+        path, _, text = argument.partition("=")
+        group, _, name = path.partition(".")
+        if not name or not text:
+            raise InputError(path, text, f"write {group}.<name>=<value>")
+        if name in settings.setdefault(group, {}):
+            raise InputError(path, text, "given twice; give it once")
+        try:
+            value = float(text) if EXPONENT.fullmatch(text) else yaml.safe_load(text)
+        except (yaml.YAMLError, RecursionError, ValueError):
+            raise InputError(path, text, "a number, a word or a list") from None
+        settings[group][name] = value
+    return settings

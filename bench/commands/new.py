@@ -1,42 +1,31 @@
-"""``python -m bench.new``: a small package of a method or a system of one's own to start from.
-
-It has a ``pyproject.toml`` with the entry point that makes the name known, one module, a README, and a test that runs
-``python -m bench.check``, which it passes as it is.
-"""
+"""The verb ``new``: the template of a method or a system."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
 
-from bench.commands.fields import path_of, read_fields
-from bench.commands.guard import command
 from bench.errors import InputError
 
-USAGE = """usage: python -m bench.new method <name> [out=<folder>]
-       python -m bench.new system <name> [out=<folder>]
 
-out: where it is written; by default <name> in the current folder\n\n"""
+def new(
+    method: Annotated[str | None, "name of a new method"] = None,
+    system: Annotated[str | None, "name of a new system, in place of a method"] = None,
+    out: Annotated[Path | None, "folder to write [bench-<name>]"] = None,
+) -> int:
+    """Write a small package with a method or a system to start from.
 
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Print the files written; exit status 2 for bad input."""
-    return command("bench.new", USAGE + str(__doc__), argv, _main)
-
-
-def _main(arguments: Sequence[str]) -> int:
-    words = [argument for argument in arguments if "=" not in argument]
-    if len(words) != 2:
-        raise InputError("argument", " ".join(words), "write method <name> or system <name>")
-    fields = read_fields([argument for argument in arguments if "=" in argument], {"out": words[1]})
-
+    It has a pyproject.toml with the entry point that registers the name, one module, a README, and a test that runs
+    the checks of python -m bench check, which pass.
+    """
     from bench.conformance.template_files import written
 
-    for path in written(words[0], words[1], path_of(fields["out"])):
+    name = method or system
+    if name is None or (method and system):
+        raise InputError("method", method or "", "write method=<name> or system=<name>, one of the two")
+    # a folder of the module's own name would hide the module from whoever works beside it
+    folder = out or Path(f"bench-{name.replace('_', '-')}")
+    for path in written("method" if method else "system", name, folder):
         print(path)
-    print(f"try it: python -m bench.check {fields['out']}")
+    print(f"try it: python -m bench check package={folder}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

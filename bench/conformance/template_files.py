@@ -8,7 +8,7 @@ from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 
-from bench.conformance.target import KINDS
+from bench.conformance.target import Kind
 from bench.entrants.registry import method_names
 from bench.errors import InputError
 from bench.systems import registered_systems
@@ -18,25 +18,25 @@ LONGEST = 60
 """Letters of a name: files and folders get it with an ending."""
 
 
-def written(kind: str, name: str, folder: Path) -> list[Path]:
+def written(kind: Kind, name: str, folder: Path) -> list[Path]:
     """Write the package called ``name`` into a folder that is not there yet, or empty; returns its files.
 
-    Raises InputError for an unknown kind, a name that cannot be one or is taken, and a folder that cannot be written.
+    Raises InputError for a name that cannot be one or is taken, and a folder that cannot be written.
     """
-    if kind not in KINDS.values():
-        raise InputError("kind", kind, f"one of {', '.join(KINDS.values())}")
-    if not (name.isascii() and name.isidentifier() and name.islower()) or keyword.iskeyword(name):
-        raise InputError("name", name, "small letters, digits and _, a letter first, as Python names a module")
-    if len(name) > LONGEST:
-        raise InputError("name", name, f"at most {LONGEST} letters")
-    if name in (method_names() if kind == "method" else registered_systems()):
-        raise InputError("name", name, f"the benchmark has a {kind} of that name; choose another")
-    if _is_module(name):
-        raise InputError("name", name, "Python has a module of that name, which it would hide; choose another")
     words = name.strip("_").split("_")
+    class_name = "".join(word.capitalize() for word in words)
+    spelt = name.isascii() and name.isidentifier() and name.islower() and class_name.isidentifier()
+    if not spelt or keyword.iskeyword(name) or keyword.iskeyword(class_name):
+        raise InputError(kind, name, "small letters, digits and _, a letter first, as Python names a module")
+    if len(name) > LONGEST:
+        raise InputError(kind, name, f"at most {LONGEST} letters")
+    if name in (method_names() if kind == "method" else registered_systems()):
+        raise InputError(kind, name, f"the benchmark has a {kind} of that name; choose another")
+    if _is_module(name):
+        raise InputError(kind, name, "Python has a module of that name, which it would hide; choose another")
     fields = {
         "name": name,
-        "class_name": "".join(word.capitalize() for word in words),
+        "class_name": class_name,
         "distribution": name.strip("_").replace("_", "-"),
         "title": " ".join(words).capitalize(),
     }

@@ -1,4 +1,4 @@
-"""The contract, over every registered method and variant: the checks of ``python -m bench.check``."""
+"""The contract, over every registered method and variant: the checks of ``python -m bench check``."""
 
 from __future__ import annotations
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 from conftest import REPOSITORY, Python
 
-from bench.commands.new import main
+from bench.commands.main import main
 
 
 @pytest.mark.parametrize(("kind", "other"), [("method", "[bench.methods]"), ("system", "[bench.systems]")])
 def test_a_new_package_passes_its_own_test(kind: str, other: str, tmp_path: Path, python: Python) -> None:
     folder = tmp_path / "somewhere"
-    assert main([kind, "quarter_car", f"out={folder}"]) == 0
+    assert main(["new", f"{kind}=quarter_car", f"out={folder}"]) == 0
     assert (folder / "README.md").read_text(encoding="utf-8").startswith("# Quarter car\n")
     env = {"PYTHONPATH": str(REPOSITORY)}
     done = python("-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder), env=env)
@@ -24,7 +24,7 @@ def test_a_new_package_passes_its_own_test(kind: str, other: str, tmp_path: Path
 def test_nothing_of_a_template_is_left_open(tmp_path: Path) -> None:
     for kind in ("method", "system"):
         folder = tmp_path / kind
-        assert main([kind, "quarter_car", f"out={folder}"]) == 0
+        assert main(["new", f"{kind}=quarter_car", f"out={folder}"]) == 0
         for path in folder.iterdir():
             assert "$" not in path.name + path.read_text(encoding="utf-8"), path
             assert "template" not in path.name
@@ -33,14 +33,15 @@ def test_nothing_of_a_template_is_left_open(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["method"], "argument=method: write method <name>"),
-        (["tool", "own"], "kind=tool: one of method, system"),
-        (["method", "Own"], "name=Own: small letters"),
-        (["method", "class"], "name=class: small letters"),
-        (["method", "ls"], "name=ls: the benchmark has a method of that name"),
-        (["system", "sdof"], "name=sdof: the benchmark has a system of that name"),
-        (["method", "own", "out=."], "out=.: it is there already"),
-        (["method", "own", "where=x"], "argument=where=x"),
+        ([], "method=: write method=<name>"),
+        (["method=own", "system=own"], "method=own: write method=<name> or system=<name>"),
+        (["method=Own"], "method=Own: small letters"),
+        (["method=class"], "method=class: small letters"),
+        (["method=true"], "method=true: small letters"),  # its class would be True
+        (["system=_2nd"], "system=_2nd: small letters"),  # its class would be 2nd
+        (["method=ls"], "method=ls: the benchmark has a method of that name"),
+        (["system=sdof"], "system=sdof: the benchmark has a system of that name"),
+        (["method=own", "out=."], "out=.: it is there already"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(
@@ -48,7 +49,7 @@ def test_bad_input_is_one_line_and_writes_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there").touch()
-    assert main(arguments) == 2
+    assert main(["new", *arguments]) == 2
     error = capsys.readouterr().err
     assert line in error
     assert error.count("\n") == 1

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from bench.commands.check import main
+from bench.commands.main import main
 from bench.conformance.check import Check, outcome
 from bench.conformance.specimen import Specimen
 from bench.conformance.system_checks import SYSTEM_CHECKS
@@ -133,5 +133,5 @@ def test_declared_groups_are_held_against_what_free_vibration_tells(
     groups: str, status: int, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "own.py").write_text(GROUPS.replace("{groups}", groups))
-    assert main([str(tmp_path / "own.py")]) == status
+    assert main(["check", f"package={tmp_path / 'own.py'}"]) == status
     assert words in " ".join(capsys.readouterr().out.split())

@@ -13,7 +13,7 @@ import pytest
 from conftest import Python
 
 from bench import Identifier
-from bench.commands.check import main
+from bench.commands.main import main as bench_main
 from bench.conformance.candidate import Candidate
 from bench.conformance.check import Outcome, outcome
 from bench.conformance.method_checks import METHOD_CHECKS
@@ -81,7 +81,7 @@ def test_an_installed_package_is_known_by_its_name(tmp_path: Path, python: Pytho
     (info / "entry_points.txt").write_text("[bench.methods]\nother_name = good:Good\n")
     path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
     for name in ("somebodys-methods", "good", "other_name"):
-        done = python("-m", "bench.check", name, env={"PYTHONPATH": path})
+        done = python("-m", "bench", "check", f"package={name}", env={"PYTHONPATH": path})
         assert done.returncode == 0, done.stdout + done.stderr
         assert done.stdout.startswith("method other_name (good:Good)\n")
 
@@ -110,6 +110,11 @@ def test_what_lies_about_is_taken_away_again(third_party: dict[str, ModuleType])
     candidate = Candidate(third_party["good"].Good())
     assert candidate.elsewhere[1].seen == []
     assert (dict(os.environ), Path.cwd()) == (before, folder)
+
+
+def main(words: list[str]) -> int:
+    """Check a package, which is the word without a field."""
+    return bench_main(["check", *(word if "=" in word else f"package={word}" for word in words)])
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[dict[str, object]]]:
@@ -173,14 +178,14 @@ def test_the_command_catches_a_dishonest_one(capsys: pytest.CaptureFixture[str])
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        ([], "package=: name one file"),
+        ([], "package=: needed: file"),
         (["nowhere.py"], "package=nowhere.py: there is no such file"),
         (["no_such_package"], "package=no_such_package: a file, a folder"),
         (["."], "it has no pyproject.toml"),
         ([str(FOLDER / "good.py"), "timeout_s=never"], "timeout_s=never: a positive number"),
         ([str(FOLDER / "good.py"), "method.width=3"], "method.width=3: settings of good: none"),
         ([str(FOLDER / "good.py"), "format=xml"], "format=xml: table or json"),
-        ([str(FOLDER / "good.py"), "method.=3"], "argument=method.=3: write method.<name>"),
+        ([str(FOLDER / "good.py"), "method.=3"], "method.=3: write method.<name>"),
         (["chain", "system.n=0"], "one mass"),
         (["json"], "no class in it subclasses"),
     ],

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from conftest import REPOSITORY, Python, StoreFactory
 
-from bench.commands.check import main
+from bench.commands.main import main
 
 PAGE = REPOSITORY / "docs" / "tutorials" / "add_method.md"
 DAMPING_RATIO = 0.4 / (2 * 8**0.5)
@@ -56,7 +56,7 @@ def test_a_new_method_is_one_file(folder: Path, python: Python, new_store: Store
 
 def test_it_keeps_the_contract(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What a reader copies passes the checks of anybody's method."""
-    assert main([str(folder / "zero_crossings.py")]) == 0, capsys.readouterr().out
+    assert main(["check", f"package={folder / 'zero_crossings.py'}"]) == 0, capsys.readouterr().out
 
 
 def test_without_its_package_it_is_unknown(python: Python) -> None:

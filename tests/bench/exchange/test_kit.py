@@ -9,7 +9,7 @@ from pathlib import Path
 
 from conftest import Python, StoreFactory
 
-from bench.commands.new import main
+from bench.commands.main import main
 from bench.store.store import Store
 
 
@@ -17,7 +17,7 @@ def test_a_method_from_the_template_is_run_submitted_and_merged(
     tmp_path: Path, python: Python, new_store: StoreFactory
 ) -> None:
     folder, theirs, ours = tmp_path / "own", new_store(), Store(tmp_path / "ours")
-    assert main(["method", "quarter_car", f"out={folder}"]) == 0
+    assert main(["new", "method=quarter_car", f"out={folder}"]) == 0
     project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     info = folder / "quarter_car-0.1.0.dist-info"  # what pip leaves of it
     info.mkdir()

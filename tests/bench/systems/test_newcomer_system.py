@@ -16,7 +16,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from bench import systems
-from bench.commands.check import main as check
 from bench.commands.main import main
 from bench.config.experiment import expand
 from bench.information.fisher import information
@@ -87,7 +86,7 @@ def test_it_is_at_most_thirty_lines(folder: Path) -> None:
 
 def test_it_keeps_the_contract(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What a reader copies passes the checks of anybody's system."""
-    assert check([str(folder)]) == 0, capsys.readouterr().out
+    assert main(["check", f"package={folder}"]) == 0, capsys.readouterr().out
 
 
 def test_its_file_is_a_scenario_that_starts_from_ours(folder: Path) -> None:
