@@ -444,10 +444,8 @@ expect | samples=50 cycles=1e300 damping=0.1 snr=20 | cycles | 1e300 | at most
 expect | samples=50 cycles=5 damping=1e300 snr=20 | damping | 1e300 | at most
 expect | samples=50 cycles=5 damping=0.1 snr=1e300 | snr | 1e300 |
 expect | samples=50 cycles=5 damping=0.1 snr=20 atlas=good.csv | atlas | good.csv | experiment=atlas
-identifiability | zz=1 | argument | zz=1 | field=value
 identifiability | system=sdof,duffing | system | sdof,duffing | several values
 identifiability | system.duration=-1 | system.duration | -1 | greater than 0
-identifiability | measured=[0] measured=[0] | measured | [0] | twice
 identifiability | seed=-1 | seed | -1 |
 identifiability | prior.zz=1 | prior.zz | 1 | no such field
 track | zz=1 | argument | zz=1 | --help

@@ -273,7 +273,7 @@ SYSTEM_CHECKS: tuple[Check[Specimen], ...] = (
     Check(
         "groups",
         groups_are_told,
-        "declare these as groups; python -m bench.identifiability shows what a scenario tells",
+        "declare these as groups; python -m bench identifiability shows what a scenario tells",
     ),
     Check("pickling", travels, "a frozen dataclass of a module does, with plain fields"),
 )

@@ -40,7 +40,7 @@ HEADINGS = {
 LEGEND = """Each entry: median over the replicates, and after × the excess: root mean square error over the bound, 1
 being the best that an unbiased method can do. The row *bound* gives the Cramér-Rao bound on the root mean square (a
 median lies below a root mean square: about 0.67 of it for a normal error), and below it how much of its variance is
-the prior's: 0 % is told by the data, 100 % by the prior alone (`python -m bench.identifiability` says more). *oracle*
+the prior's: 0 % is told by the data, 100 % by the prior alone (`python -m bench identifiability` says more). *oracle*
 is maximum a posteriori started at the truth, *prior* the nominal values without any data. Free vibration tells k/m
 and c/m only: m, and what follows from it, is decided by the prior. All 95 % intervals are in the CSV. A failed
 replicate counts as an infinite error in medians; the excess is over the successful ones, and ×>1e6 where some ran

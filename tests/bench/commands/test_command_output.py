@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.commands import identifiability, status
 from bench.commands.guard import command, guarded
 from bench.commands.main import main
+from bench.commands.verbs import VERBS
 from bench.config.experiment import expand
 from bench.contract.estimate import Status
 from bench.reporting.plan_table import listing
@@ -270,15 +270,15 @@ def test_a_record_fits_and_its_values_have_the_digits_of_their_intervals(termina
     ],
 )
 def test_identifiability_fits(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert identifiability.main(arguments) == 0
+    assert main(["identifiability", *arguments]) == 0
     out = capsys.readouterr().out
     assert widest(out) <= 80
     assert "decided by the prior" in out
 
 
 def test_help_fits(capsys: pytest.CaptureFixture[str]) -> None:
-    for page in (main, status.main, identifiability.main):
-        assert page(["--help"]) == 0
+    for words in ([], *([verb] for verb in VERBS)):
+        assert main([*words, "--help"]) == 0
         out = capsys.readouterr().out
         assert widest(out) <= 80, [line for line in out.splitlines() if len(line) > 80]
 
