@@ -127,3 +127,11 @@ def python(tmp_path: Path) -> Python:
         return subprocess.run(command, cwd=empty, env=environment, capture_output=True, text=True, timeout=300)
 
     return run
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print what tests have noted, such as the seed of a random draw."""
+    reports = [report for group in terminalreporter.stats.values() for report in group]
+    notes = {str(text) for report in reports for name, text in getattr(report, "user_properties", ()) if name == "note"}
+    for note in sorted(notes):
+        terminalreporter.write_line(note)

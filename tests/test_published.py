@@ -1,0 +1,195 @@
+"""Published rows, drawn at random, come out of today's code as they stand in the archive.
+
+A stored description is made a scenario and a method again, each drawn replicate is solved alone, and its scores are
+compared with the stored ones; no process of a sweep takes part. Changed numbers without a new version number show here.
+Every run draws with a seed of its own, which the last lines of a run state; set PUBLISHED_SEED to repeat a draw.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.contract.estimate import Status
+from bench.entrants.reference import REFERENCES
+from bench.entrants.registry import make_method, method_names, missing_package
+from bench.scenario.scenario import METHOD, Scenario
+from bench.scoring.combination import combine_with_prior
+from bench.scoring.row import Row
+from bench.scoring.score import score
+from bench.store.archive.archive import Archive
+
+REPOSITORY = Path(__file__).parents[1]
+RUN = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(time.time_ns()))
+"""The same in all processes of a run."""
+SEED = os.environ.get("PUBLISHED_SEED", RUN[-8:])
+TOLERANCE = 1e-3
+"""Of the error's size: no table shows a smaller difference."""
+LEAST_SIZE = 0.01
+"""An error (%) below this is small by luck and has no digits of its own."""
+ROUNDING_PCT = 5e-4
+"""Of a ratio that is stored with five digits (%)."""
+UNSUPPORTED_SHARE = 0.1
+"""Of the drawn rows, how many may be those of a method that does not take the problem."""
+STOPPED = frozenset({Status.TIMEOUT, Status.KILLED, Status.OOM, Status.MISSING_DEPENDENCY})
+"""Statuses that hang on the machine."""
+UNREPEATABLE: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {  # by method, the settings under which it is
+    "npe": lambda settings: True,  # trained anew on each machine, and training makes rounding larger
+    "nuts": lambda settings: True,  # its chains part by rounding
+    "pinn_family": lambda settings: settings.get("sampling") == "adaptive",  # chooses points by rounded residuals
+}
+
+MOST_LINES = 6
+"""Of a row that differs."""
+
+
+@dataclass(frozen=True)
+class PublishedCell:
+    """A cell of the archive: its stored description and rows, and whether today's code claims to compute the same."""
+
+    identity: str
+    description: Mapping[str, Any]
+    rows: Sequence[Row]
+    current: bool
+
+
+def published_cells() -> Iterator[PublishedCell]:
+    """Yield all cells of the archive; everything that depends on its format stands in this function."""
+    archive = Archive(REPOSITORY / "results" / "archive")
+    stale = set((REPOSITORY / "tests" / "published_stale.txt").read_text().split())
+    for identity in archive.identities():
+        cell = archive.load(identity)
+        assert cell is not None
+        yield PublishedCell(identity, cell.cell, cell.rows, identity[:8] not in stale)
+
+
+@cache
+def cells_by_method() -> dict[str, list[PublishedCell]]:
+    """Read the archive once a process."""
+    cells: dict[str, list[PublishedCell]] = {}
+    for cell in published_cells():
+        cells.setdefault(cell.description["method"], []).append(cell)
+    return cells
+
+
+def draw_rows(method: str, n: int, longest_s: float) -> list[tuple[PublishedCell, Row]]:
+    """Draw rows of a method that took at most so long (s), spread over its systems; fewer where there are not so many.
+
+    Every system has the same chance, however many cells it has.
+    """
+    rng = random.Random(f"{SEED} {method} {n}")
+    unrepeatable = UNREPEATABLE.get(method, lambda settings: False)
+    by_system: dict[str, list[PublishedCell]] = {}
+    for cell in cells_by_method().get(method, []):
+        if cell.current and not unrepeatable(cell.description["settings"]):
+            by_system.setdefault(cell.description["data"]["system"], []).append(cell)
+    systems = sorted(by_system)
+    rng.shuffle(systems)
+    drawn: list[tuple[PublishedCell, Row]] = []
+    unsupported = 0
+    for attempt in range(20 * n * bool(systems)):
+        cell = rng.choice(by_system[systems[attempt % len(systems)]])
+        row = rng.choice(cell.rows)
+        if row.status in STOPPED or not row.wall_s <= longest_s:
+            continue
+        if row.status is Status.UNSUPPORTED:
+            if unsupported >= UNSUPPORTED_SHARE * n:
+                continue
+            unsupported += 1
+        drawn.append((cell, row))
+        if len(drawn) == n:
+            break
+    return drawn
+
+
+def recompute(description: Mapping[str, Any], replicate: int) -> tuple[Status, dict[str, float]]:
+    """Make the data of a replicate, solve it alone, and score the estimate."""
+    scenario = Scenario.from_dict(description, label=description["system"])
+    name, seed = description["method"], description["seed"]
+    problem, truth = scenario.maker(seed)(replicate)
+    stream = scenario.stream(METHOD, seed, replicate, int.from_bytes(name.encode(), "big") % 2**32)
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        try:
+            if name in REFERENCES:
+                estimate = REFERENCES[name](problem, truth)
+            else:
+                estimate = make_method(name, dict(description["settings"])).identify(problem, stream)
+        except Exception:
+            return Status.CRASHED, {}
+        try:
+            estimate = combine_with_prior(estimate.checked(), problem.prior).checked()
+            return estimate.status, score(estimate, problem, truth)
+        except Exception:
+            return Status.INVALID, {}
+
+
+def differences(cell: PublishedCell, row: Row) -> list[str]:
+    """Compare a published row with what is computed now: one line a score that differs."""
+    status, scores = recompute(cell.description, row.replicate)
+    if status is not row.status:
+        return [f"status {row.status} is published, {status} computed"]
+    if status is not Status.OK:
+        return []
+    names = sorted(scores.keys() & row.scores.keys())
+    assert any(name.endswith("_error_pct") for name in names)
+    missing = {name for name in row.scores if name.startswith("rmse") or name.endswith("_error_pct")} - scores.keys()
+    wrong = [f"{name} is published, and not computed" for name in sorted(missing)]
+    for name in names:
+        gap, allowed = abs(scores[name] - row.scores[name]), TOLERANCE * _size(name, cell, row)
+        if name.endswith("_ratio"):
+            error = name.removesuffix("_ratio") + "_error_pct"
+            gap, allowed = 100 * gap, TOLERANCE * _size(error, cell, row) + ROUNDING_PCT * abs(row.scores[name])
+        if scores[name] != row.scores[name] and not gap <= allowed:
+            wrong.append(f"{name}: {row.scores[name]:.6g} is published, {scores[name]:.6g} computed")
+    return wrong
+
+
+def _size(name: str, cell: PublishedCell, row: Row) -> float:
+    """The size of a score: its own or the median over the cell's rows, whichever is larger."""
+    values = [abs(other.scores[name]) for other in cell.rows if math.isfinite(other.scores.get(name, math.nan))]
+    least = 0.0 if name.startswith("rmse") else LEAST_SIZE
+    return max(abs(row.scores[name]), median(values) if values else 0.0, least)
+
+
+def check_rows(method: str, n: int, longest_s: float) -> None:
+    """Draw rows of a method and compare each; say which differ, in what, and how to repeat the draw."""
+    if reason := missing_package(method):
+        pytest.skip(reason)
+    drawn = draw_rows(method, n, longest_s)
+    if not drawn:
+        pytest.skip(f"no current row of {method} took less than {longest_s:g} s and can be repeated")
+    wrong = {f"cell {cell.identity}, replicate {row.replicate}": differences(cell, row) for cell, row in drawn}
+    lines = [f"{place}: {line}" for place, found in wrong.items() for line in found[:MOST_LINES]]
+    assert not lines, "\n".join([f"PUBLISHED_SEED={SEED}", *lines])
+
+
+@pytest.mark.parametrize("method", method_names())
+def test_rows_drawn_at_random_agree(method: str) -> None:
+    check_rows(method, n=2, longest_s=0.4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", method_names())
+def test_many_rows_drawn_at_random_agree(method: str) -> None:
+    check_rows(method, n=20, longest_s=20.0)
+
+
+def test_most_published_cells_are_current(record_property: Callable[[str, object], None]) -> None:
+    cells = [cell for group in cells_by_method().values() for cell in group]
+    stale = sum(not cell.current for cell in cells)
+    note = f"published rows drawn with PUBLISHED_SEED={SEED}; {stale} of {len(cells)} cells are stale and left out"
+    record_property("note", note)
+    assert stale < 0.1 * len(cells)
