@@ -289,6 +289,22 @@ class Redraw(Identifier):
 
 
 @dataclass(frozen=True)
+class Clock(Identifier):
+    """Sleeps for 0.1 s, and replaces the clocks that its time may be taken by, of Python or of the harness."""
+
+    of: str = "time"
+
+    card: ClassVar[Card] = CARD
+    serves: ClassVar[Serves] = Serves()
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        time.sleep(0.1)
+        for name in ("perf_counter", "process_time", "monotonic"):
+            setattr(sys.modules[self.of], name, lambda: -1e9)
+        return answer(problem)
+
+
+@dataclass(frozen=True)
 class Sometimes(Identifier):
     """Is killed by one replicate in twenty, until a file says that it is mended."""
 

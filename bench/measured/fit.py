@@ -13,7 +13,7 @@ from bench.contract.method import Identifier
 from bench.contract.problem import Problem
 from bench.isolation.processes import Children, Died
 from bench.sweep import method_process as fitter
-from bench.sweep.wire import rebuilt, unpack
+from bench.sweep.wire import rebuilt
 from bench.sweep.workers import Limits
 
 
@@ -42,7 +42,7 @@ def fit_alone(
         return Outcome(None, Status(died.reason), died.message, time.perf_counter() - started)
     finally:
         children.close()
-    (outcome,) = unpack(packed)
+    (outcome,) = fitter.outcomes(packed)
     if "answer" not in outcome:
         return Outcome(None, Status(outcome["status"]), outcome["message"])
     estimate = rebuilt(outcome["answer"], problem.system).checked()

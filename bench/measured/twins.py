@@ -31,7 +31,7 @@ from bench.measured.trust import natural_frequency
 from bench.scenario.stream import anonymous_stream
 from bench.scoring.combination import combine_with_prior
 from bench.sweep import method_process as fitter
-from bench.sweep.wire import rebuilt, unpack
+from bench.sweep.wire import rebuilt
 from bench.systems import MEASURED, Quantity
 
 LEVEL = 0.95
@@ -263,7 +263,7 @@ def _fitted(name: str, twins: Sequence[Twin], seed: int, pace: Pace, children: C
         started, each = time.monotonic(), pace.left / size
         task = pickle.dumps(fitter.Task(fit, tuple(own), problems, rngs, instants, each))
         try:
-            outcomes = unpack(fitter.answers(child, task, size, each, MEMORY_MB, lambda report: None))
+            outcomes = fitter.outcomes(fitter.answers(child, task, size, each, MEMORY_MB, lambda report: None))
         except Died:
             return found if len(found) >= LEAST else []
         found += [_estimate(outcome, problem) for outcome, problem in zip(outcomes, problems, strict=True)]

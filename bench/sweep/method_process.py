@@ -1,6 +1,7 @@
 """The process of a method: it gets problems and never a truth, and answers in plain numbers.
 
 One process serves one cell, with one thread. What goes wrong in a fit of several replicates is tried again one by one.
+The process that asks watches each attempt by its own clocks, within which the times that a fit reports must lie.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from time import perf_counter, process_time
 from typing import Any, Protocol
 
 import numpy as np
@@ -30,11 +32,16 @@ from bench.isolation.failure import one_line, traceback_text
 from bench.isolation.limit import LONGEST_FILE, limit_files
 from bench.isolation.processes import READY_S, Child, Children, Died
 from bench.scenario.truth import Truth
-from bench.sweep.wire import pack, plain
+from bench.sweep.wire import pack, plain, unpack
 
 CPU_MARGIN_S = 60.0
 LONGEST_ANSWER = 64 << 20
 """Of one replicate, packed (bytes)."""
+LEAST_SHARE, SLACK_S = 0.9, 2e-3
+"""An attempt may report this share of the time that the process that asks sees, less the slack (s): messages take
+0.1 ms, on a busy machine some milliseconds."""
+REPORT, BEGIN, END, DONE = b"r", b"b", b"e", b"d"
+"""First byte of a message from a method's process: an answer so far, begin and end of an attempt, all outcomes."""
 
 
 class Fit(Protocol):
@@ -96,7 +103,7 @@ def serve(connection: Connection) -> None:
     connection.send_bytes(b"ready")
     while True:
         content = connection.recv_bytes()
-        connection.send_bytes(b"d" + pack(perform(content, connection)))
+        connection.send_bytes(DONE + pack(perform(content, connection)))
 
 
 def ready(children: Children, spare: Child | None, requires: Sequence[str], memory_mb: float | None) -> Child:
@@ -110,20 +117,79 @@ def ready(children: Children, spare: Child | None, requires: Sequence[str], memo
 def answers(
     child: Child, task: bytes, n: int, timeout_s: float, memory_mb: float, on_report: Callable[[bytes], None]
 ) -> bytes:
-    """The packed outcomes of a task of ``n`` replicates; raises Died, within ``n`` times the limit of one.
+    """Have a task of ``n`` replicates fitted; :func:`outcomes` reads what is returned.
 
-    ``on_report`` gets what the fit reports on its way, packed.
+    Args:
+        child: A process that is :func:`ready`.
+        task: A pickled :class:`Task`.
+        n: How many replicates it has.
+        timeout_s: Limit of one replicate (s).
+        memory_mb: Limit of the process (MB).
+        on_report: Gets what the fit reports on its way, packed.
+
+    Raises:
+        Died: Where the process ended, or did not answer within the limits.
     """
+    watch = _Watch(child.pid, n)
     child.send(task)
     deadline = time.monotonic() + timeout_s * n
     try:
-        while (message := child.receive(max(0.0, deadline - time.monotonic()), memory_mb))[:1] != b"d":
-            on_report(message[1:])
+        while (message := child.receive(max(0.0, deadline - time.monotonic()), memory_mb))[:1] != DONE:
+            if message[:1] == REPORT:
+                on_report(message[1:])
+            else:
+                watch.note(message)
     except Died as died:
         if died.reason == "timeout":
             died.message = f"stopped after the limit of {timeout_s:g} s"
         raise
-    return message[1:]
+    return pack((watch.spans, watch.total_s, message[1:]))
+
+
+def outcomes(content: bytes) -> list[dict[str, Any]]:
+    """Return the outcomes of :func:`answers` in plain numbers, with times that the process that asked has seen.
+
+    Replicates of one attempt share its time equally. The first attempt has them all; where it failed, each has one.
+    """
+    spans, total_s, packed = unpack(content)
+    answered: list[dict[str, Any]] = unpack(packed)
+    together = len(spans) < 2
+    n = len(answered) if together else 1
+    for i, outcome in enumerate(answered if spans else []):
+        seen = spans[0 if together else min(i + 1, len(spans) - 1)]
+        for name, span, longest in zip(("wall_s", "cpu_s"), seen, (total_s, sys.float_info.max), strict=True):
+            if name in outcome and not max(LEAST_SHARE * span - SLACK_S, 0.0) <= n * float(outcome[name]) <= longest:
+                outcome[name] = span / n
+    return answered
+
+
+class _Watch:
+    """Wall and processor times (s) of the attempts of a process, by clocks that it cannot change."""
+
+    def __init__(self, pid: int, n: int) -> None:
+        self.pid, self.most = pid, n + 1
+        self.spans: list[tuple[float, float]] = []
+        self.began = self._begin = self._now()
+
+    def note(self, message: bytes) -> None:
+        """Note the begin of an attempt, or its end; one that fails has none."""
+        now = self._now()
+        if message == BEGIN and len(self.spans) < self.most:
+            self.spans.append((0.0, 0.0))
+            self._begin = now
+        elif message == END and self.spans:
+            self.spans[-1] = (now[0] - self._begin[0], now[1] - self._begin[1])
+
+    @property
+    def total_s(self) -> float:
+        """Wall time since the request."""
+        return self._now()[0] - self.began[0]
+
+    def _now(self) -> tuple[float, float]:
+        try:
+            return perf_counter(), time.clock_gettime(~self.pid << 3 | 2)  # as clock_getcpuclockid of Linux
+        except OSError:  # another system: the processor time is what the process says
+            return perf_counter(), 0.0
 
 
 def perform(content: bytes, connection: Connection | None = None) -> list[dict[str, Any]]:
@@ -132,34 +198,34 @@ def perform(content: bytes, connection: Connection | None = None) -> list[dict[s
     _limit_processor_time(task.timeout_s * len(task.replicates) + CPU_MARGIN_S)
     if connection is not None:
         listen(_Reporter(connection, task))
+    send = (lambda message: None) if connection is None else connection.send_bytes
     try:
-        return _outcomes(task)
+        return _outcomes(task, send)
     except Exception:
         if len(task.replicates) == 1:
             return [_failure(task.replicates[0])]
-    outcomes = []
+    attempts = []
     for i in range(len(task.replicates)):
         fresh: Task = pickle.loads(content)  # random streams as they were
         try:
-            outcomes += _outcomes(fresh.part(i))
+            attempts += _outcomes(fresh.part(i), send)
         except Exception:
-            outcomes.append(_failure(task.replicates[i]))
-    return outcomes
+            attempts.append(_failure(task.replicates[i]))
+    return attempts
 
 
-def _outcomes(task: Task) -> list[dict[str, Any]]:
+def _outcomes(task: Task, send: Callable[[bytes], None]) -> list[dict[str, Any]]:
     n = len(task.replicates)
     fit: Fit = pickle.loads(task.fit)
     before = _peak_memory_mb()
-    wall, cpu = time.perf_counter(), time.process_time()
+    send(BEGIN)
+    wall, cpu = perf_counter(), process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         estimates = fit(task.payloads, task.rngs)
-    took = {
-        "wall_s": (time.perf_counter() - wall) / n,
-        "cpu_s": (time.process_time() - cpu) / n,
-        "peak_memory_mb": max(_peak_memory_mb() - before, 0.0),
-    }
+    took = {"wall_s": (perf_counter() - wall) / n, "cpu_s": (process_time() - cpu) / n}
+    send(END)
+    took["peak_memory_mb"] = max(_peak_memory_mb() - before, 0.0)
     if not isinstance(estimates, list | tuple) or len(estimates) != n:
         raise TypeError(f"a list of {n} Estimate objects was expected")
     found = []
@@ -241,4 +307,4 @@ class _Reporter:
             return
         self.last[i] = now
         outcome = {"replicate": self.task.replicates[i], **_answer(estimate(), self.task.times[i])}
-        self.connection.send_bytes(b"b" + pack(outcome))
+        self.connection.send_bytes(REPORT + pack(outcome))

@@ -34,7 +34,7 @@ from bench.store.bounds import load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.store.stored import StoredCell
-from bench.sweep.method_process import Task
+from bench.sweep.method_process import Task, outcomes
 from bench.sweep.wire import rebuilt, unpack
 
 KEPT_DRAWS = 500
@@ -117,7 +117,7 @@ class Scorer:
 
     def score(self, cell: Cell, answers: bytes) -> list[Scored]:
         """The rows of what a method's process answered."""
-        scored = [self._scored(cell, outcome) for outcome in unpack(answers)]
+        scored = [self._scored(cell, outcome) for outcome in outcomes(answers)]
         return [replace(one, facts=facts(self._pair(cell, one.row.replicate)[1])) for one in scored]
 
     def fail(self, cell: Cell, replicate: int, failure: Failure, wall_s: float) -> list[Scored]:

@@ -85,7 +85,7 @@ def test_whatever_a_method_says_is_one_row_that_everybody_can_read(
     store, scorer = made(), Scorer()
     queued = queue_cell(Planned(cell, State.MISSING, "", True), store, 1)
     task = scorer.open(cell, pickle.dumps(said), (0,), 600.0)
-    CellQueue([], store).add(queued, scorer.score(cell, pack(perform(task))))
+    CellQueue([], store).add(queued, scorer.score(cell, pack(([], 0.0, pack(perform(task))))))
     problem = scorer.finish(cell, store, queued.rows, queued.arrays, queued.facts, queued.errors(), True, {}, {})
     assert problem == ""
     stored = Store(store.folder).load(cell.identity)
@@ -162,7 +162,7 @@ def complete(cell: Cell, new_store: StoreFactory) -> tuple[CellQueue, QueuedCell
     assert cells.take(None) == (queued, (0,))
     scorer = Scorer()
     task = scorer.open(cell, pickle.dumps(Said(traces={"loss": [1.0]})), (0,), 600.0)
-    cells.add(queued, scorer.score(cell, pack(perform(task))))
+    cells.add(queued, scorer.score(cell, pack(([], 0.0, pack(perform(task))))))
     assert cells.complete.get_nowait() is queued
     assert queued.rows[0].status is Status.OK
     return cells, queued
