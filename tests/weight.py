@@ -1,0 +1,112 @@
+"""Print how large the project is, beside its goals: ``python -m tests.weight``.
+
+Lines and files of each room, of the tests and the studies; tracked files; the largest of them; the size of results.
+Exits with status 1 where something that has reached its goal once (``REACHED``) has grown beyond it again.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+REPOSITORY = Path(__file__).parents[1]
+LARGEST = 12
+"""How many of the largest files are named."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """How much of what is wanted at most; a path counts where it starts with one of ``places``."""
+
+    name: str
+    most: int
+    places: tuple[str, ...]
+    unit: str = "lines"
+
+    def holds(self, path: str) -> bool:
+        """Decide whether a tracked file counts."""
+        return path.startswith(self.places) and (self.unit != "lines" or path.endswith(".py"))
+
+
+def rooms(folder: str, *names: str) -> tuple[str, ...]:
+    """Return where the rooms of a folder stand, be they packages or single modules."""
+    return tuple(f"{folder}/{name}{ending}" for name in names for ending in ("/", ".py"))
+
+
+ENGINES = (*rooms("bench/atlas", "run", "engine"), "bench/online/paths.py", "bench/measured/track.py")
+OUTSIDE = ("store", "config", "sweep", "run", "isolation", "entrants", "face", "commands", "cli", "conformance", "kit")
+LIGHTER = (*rooms("bench", *OUTSIDE, "exchange"), *ENGINES)
+LIGHTER_TESTS = (
+    *rooms("tests/bench", *OUTSIDE, "exchange"), "tests/malformed", "tests/misbehaving", "tests/forked",
+)  # fmt: skip
+GOALS = (
+    Goal("bench", 22_000, ("bench/",)),
+    Goal("  errors, systems", 1_000, rooms("bench", "errors", "systems")),
+    Goal("  contract", 1_000, rooms("bench", "contract")),
+    Goal("  dynamics", 800, rooms("bench", "dynamics")),
+    Goal("  scenario", 800, rooms("bench", "scenario")),
+    Goal("  likelihood", 500, rooms("bench", "likelihood")),
+    Goal("  information", 700, rooms("bench", "information")),
+    Goal("  scoring", 700, rooms("bench", "scoring")),
+    Goal("  store", 600, rooms("bench", "store")),
+    Goal("  run: sweep, isolation", 1_300, rooms("bench", "run", "sweep", "isolation")),
+    Goal("  config", 600, rooms("bench", "config")),
+    Goal("  records: measured", 2_800, rooms("bench", "records", "measured")),
+    Goal("  planning, atlas", 700, rooms("bench", "planning", "atlas")),
+    Goal("  tracking: online, twin", 700, rooms("bench", "tracking", "online", "twin")),
+    Goal("  report", 4_200, rooms("bench", "report", "reporting")),
+    Goal("  kit: conformance, entrants, exchange", 900, rooms("bench", "kit", "conformance", "entrants", "exchange")),
+    Goal("  face, commands", 1_700, rooms("bench", "face", "cli", "commands")),
+    Goal("around the science, engines included", 6_500, LIGHTER),
+    Goal("methods", 13_500, ("methods/",)),
+    Goal("tests and studies", 20_000, ("tests/",)),
+    Goal("  tests of what is around the science", 4_500, LIGHTER_TESTS),
+    Goal("  studies of sweeps", 500, rooms("tests/studies", "sweeps")),
+    Goal("tracked files", 800, ("",), "files"),
+    Goal("results/archive", 25_000, ("results/archive/",), "kB"),
+)
+REACHED: tuple[str, ...] = ()
+"""Names of goals that have been reached: none of them may be missed again."""
+
+
+def measure(goal: Goal, paths: Iterable[str]) -> tuple[int, int]:
+    """Count what a goal limits, in its unit, and the files."""
+    files = [path for path in paths if goal.holds(path)]
+    if goal.unit == "files":
+        return len(files), len(files)
+    if goal.unit == "kB":
+        return sum(map(size, files)) // 1000, len(files)
+    return sum((REPOSITORY / path).read_bytes().count(b"\n") for path in files), len(files)
+
+
+def size(path: str) -> int:
+    """Return the size of a tracked file (bytes)."""
+    return (REPOSITORY / path).stat().st_size
+
+
+def main() -> int:
+    """Print the measures; return 1 where a goal that was reached is missed."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=REPOSITORY, capture_output=True, text=True, check=True)
+    paths = sorted(path for path in listed.stdout.split("\0") if path and (REPOSITORY / path).is_file())
+    grown = []
+    assert {*REACHED} <= {goal.name.strip() for goal in GOALS}, "REACHED names something that is no goal"
+    print(f"{'':<42}{'today':>8}{'goal':>8}        files")
+    for goal in GOALS:
+        today, files = measure(goal, paths)
+        print(f"{goal.name:<42}{today:>8,}{goal.most:>8,} {goal.unit:<6}{files:>6}{'  reached' * (today <= goal.most)}")
+        if goal.name.strip() in REACHED and today > goal.most:
+            grown.append(f"{goal.name.strip()}: {today:,} {goal.unit}, at most {goal.most:,} since that was reached")
+    results = [path for path in paths if path.startswith("results/")]
+    print(f"\nresults: {sum(map(size, results)) // 1000:,} kB in {len(results)} files\nlargest files (kB)")
+    for path in sorted(paths, key=size, reverse=True)[:LARGEST]:
+        print(f"{size(path) // 1000:>8,}  {path}")
+    for line in grown:
+        print(line, file=sys.stderr)
+    return 1 if grown else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
