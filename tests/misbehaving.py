@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
+import psutil
 
 from bench import Card, Cost, Estimate, Identifier, Normal, Problem, Serves, report_progress
 
@@ -106,6 +107,15 @@ def daemonise(pid_file: str) -> None:
         time.sleep(0.01)
 
 
+def stop_neighbours() -> None:
+    """Stop all that the server of this process has started, and the server's group."""
+    server = os.getppid()
+    for neighbour in psutil.Process(server).children():
+        if neighbour.pid != os.getpid():
+            os.kill(neighbour.pid, signal.SIGSTOP)
+    os.killpg(os.getpgid(server), signal.SIGSTOP)
+
+
 def misbehave(kind: str, problem: Problem) -> Any:
     """Go wrong as ``kind`` says, or answer."""
     good = answer(problem)
@@ -132,6 +142,8 @@ def misbehave(kind: str, problem: Problem) -> Any:
         os._exit(0)
     if kind == "stop_server":
         os.kill(os.getppid(), signal.SIGSTOP)
+    if kind == "stop_neighbours":
+        stop_neighbours()
     if kind == "kill_server":
         os.kill(os.getppid(), signal.SIGKILL)
     if kind == "raise":
@@ -286,6 +298,36 @@ class Redraw(Identifier):
             p = {name: value / np.exp(prior.log_sd[name] * again.standard_normal()) for name, value in p.items()}
         mean = np.array([p["k"] / p["m"], p["c"] / p["m"]])
         return Estimate(problem.system, groups=Normal(("k_over_m", "c_over_m"), mean, 1e-20 * np.eye(2), log=False))
+
+
+@dataclass(frozen=True)
+class Ancestors(Identifier):
+    """Looks for a number in its own arguments, and in what it can read of its process and of all above it."""
+
+    number: float = 0.0
+
+    card: ClassVar[Card] = CARD
+    serves: ClassVar[Serves] = Serves()
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        number = str(self.number)
+        found = [name for name in ("argv", "orig_argv") if number in str(getattr(sys, name))]
+        pid = os.getpid()
+        while pid > 1:
+            process = pathlib.Path(f"/proc/{pid}")
+            for path in (process / "cmdline", process / "environ", *self.files(process)):
+                with contextlib.suppress(OSError):
+                    if path.is_file() and number.encode() in path.read_bytes():
+                        found.append(str(path))
+            pid = int((process / "stat").read_text().rpartition(")")[2].split()[1])
+        return answer(problem, message=str(found))
+
+    @staticmethod
+    def files(process: pathlib.Path) -> list[pathlib.Path]:
+        """Files that a process holds open."""
+        with contextlib.suppress(OSError):
+            return list((process / "fd").iterdir())
+        return []
 
 
 @dataclass(frozen=True)

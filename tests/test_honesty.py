@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import misbehaving
 import numpy as np
 import pytest
-from conftest import Plugins, StoreFactory
+from conftest import Plugins, Python, StoreFactory
 
 from bench import Status
 from bench.entrants.registry import default_settings
@@ -84,3 +86,35 @@ def test_times_are_shared_by_the_replicates_of_an_attempt() -> None:
 
 SAID = [(-0.4, 0.0), (float("nan"), -1e9), (7.0, float("inf")), (0.55, 0.26)]
 """Wall and processor time of four replicates (s)."""
+
+
+def test_no_true_parameter_stands_in_a_process_that_a_method_can_read(
+    python: Python, new_store: StoreFactory, tmp_path: Path
+) -> None:
+    """It reads its arguments, and the command lines, variables and open files of itself and of all above it."""
+    info = tmp_path / "site" / "double-1.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: double\nVersion: 1\n")
+    (info / "entry_points.txt").write_text("[bench.methods]\nancestors = misbehaving:Ancestors\n")
+    path = os.pathsep.join([str(info.parent), str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    store = new_store()
+    fields = ("system.parameters.k=7.31251", "method.number=7.31251", "replicates=1", "workers=1")
+    done = python("-m", "bench", "method=ancestors", *fields, f"store={store.folder}", env={"PYTHONPATH": path})
+    assert done.returncode == 0, done.stderr
+    (stored,) = (store.load(identity) for identity in store.identities())
+    assert stored is not None
+    assert [(row.status, row.message) for row in stored.rows] == [(Status.OK, "[]")]
+
+
+def test_neighbours_that_a_method_has_stopped_go_on(reference: Scenario, store: Store, plugins: Plugins) -> None:
+    """It stops all children of its server, the server, and the server's group; every row is as without it."""
+    plugins("Wrong", "Draw")
+    cells = [
+        Cell(reference, "wrong", {"kind": "stop_neighbours"}, 4, 0, "wrong"),
+        Cell(reference, "draw", {}, 40, 0, ""),
+    ]
+    run_cells(plan(cells, store), store, Limits(2, 60.0, 2000.0))
+    for cell in cells:
+        stored = store.load(cell.identity)
+        assert stored is not None
+        assert {row.status for row in stored.rows} == {Status.OK}

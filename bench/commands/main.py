@@ -9,6 +9,7 @@ from typing import Any
 
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
+from bench.isolation.secrecy import hide_arguments
 
 USAGE = """usage: python -m bench <verb> [field=value ...]               --help for each
 
@@ -81,6 +82,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     from bench.commands.verbs import execute, named_verb
 
     arguments = list(sys.argv[1:] if argv is None else argv)
+    if argv is None:
+        hide_arguments()
     verb = named_verb(arguments)
     if verb is not None:
         rest = [word for place, word in enumerate(arguments) if place != arguments.index(verb)]

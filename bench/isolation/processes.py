@@ -1,8 +1,8 @@
 """Child processes that may die, hang or grow: started from a server that has the heavy imports, ended by a kill.
 
 Every child is the head of a process group of its own, writes whatever it prints to a file, and ends with the process
-that started it, even when that one is killed. What it started ends with it. A server that a child has stopped is
-continued, and one that a child has killed is started again.
+that started it, even when that one is killed. What it started ends with it. A server, or a child that is waited for, is
+continued where another child has stopped it; a server that a child has killed is started again.
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ READY_S = 300.0
 """How long a child may take to start."""
 STARTS, PAUSE_S = 6, 0.2
 """How often a start is tried, and the pause between (s): a server that is killed takes a moment to be gone."""
+LOOK_S = 0.2
+"""How often a child that is waited for is looked at."""
 WATCH_S = 1.0
 """How often it is made sure that the server goes on."""
 
@@ -180,10 +182,10 @@ def _server() -> int | None:
     return None
 
 
-def _continue(server: int | None) -> None:
-    if server is not None:
+def _continue(pid: int | None) -> None:
+    if pid is not None:
         with contextlib.suppress(OSError):
-            os.kill(server, signal.SIGCONT)
+            os.kill(pid, signal.SIGCONT)
 
 
 class Child:
@@ -221,7 +223,9 @@ class Child:
         while True:
             left = deadline - time.monotonic()
             try:
-                ready = wait(self._watched, max(0.0, min(left, 0.2)))
+                ready = wait(self._watched, max(0.0, min(left, LOOK_S)))
+                if not ready:
+                    _continue(self.pid)  # a neighbour may have stopped it
                 if self.connection in ready:
                     return self.connection.recv_bytes(LONGEST_MESSAGE)  # type: ignore[no-any-return]
             except EOFError:

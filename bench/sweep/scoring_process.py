@@ -22,6 +22,7 @@ from bench.contract.problem import Problem
 from bench.entrants.reference import REFERENCES
 from bench.information.fisher import Bound
 from bench.isolation.failure import one_line, traceback_text
+from bench.isolation.secrecy import close_memory
 from bench.scenario.scenario import METHOD
 from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
@@ -68,6 +69,7 @@ class Failure:
 
 def serve(connection: Connection) -> None:
     """Do what the run asks, one request after another; the answers, or what went wrong, are pickled."""
+    close_memory()
     scorer = Scorer()
     requests: dict[str, Callable[..., Any]] = {
         "open": scorer.open,
