@@ -1,4 +1,7 @@
-"""What is believed of the parameters after a fit: a normal in their logarithms, or draws."""
+"""What is believed of the parameters after a fit: a normal in their logarithms, or draws.
+
+Beliefs of many replicates that differ in their numbers alone are one belief whose arrays have leading axes (*sets).
+"""
 
 from __future__ import annotations
 
@@ -18,45 +21,59 @@ ROUNDING = 4.0 * float(np.finfo(float).eps)
 class Marginal:
     """The belief about one quantity: its point value and its quantile function.
 
-    ``ppf`` maps levels in (0, 1) to quantiles, ``cdf`` a value to its level; both are None where the method gives no
-    uncertainty.
+    ``value`` is a number, or an array (*sets). ``ppf`` maps levels (n,) in (0, 1) to quantiles (*sets, n), ``cdf`` a
+    value, or values (*sets), to levels (*sets); both are None where the method gives no uncertainty.
     """
 
-    value: float
+    value: Any
     ppf: Callable[[np.ndarray], np.ndarray] | None = None
-    cdf: Callable[[float], float] | None = None
+    cdf: Callable[[Any], Any] | None = None
 
-    def interval(self, level: float) -> tuple[float, float]:
+    def interval(self, level: float) -> tuple[Any, Any]:
         """The equal-tailed interval of the given level, e.g. 0.95; NaNs without an uncertainty."""
         if self.ppf is None:
             return float("nan"), float("nan")
-        low, high = self.ppf(np.array([0.5 - level / 2, 0.5 + level / 2]))
-        return float(low), float(high)
+        ends = self.ppf(np.array([0.5 - level / 2, 0.5 + level / 2]))
+        return _number(ends[..., 0]), _number(ends[..., 1])
 
 
-def standard_quantile(levels: Any, dof: float | None) -> Any:
-    """Quantiles of the standard normal, or of Student's t with ``dof`` degrees of freedom."""
+def _number(value: Any) -> Any:
+    """Return an array as it is, and one without axes as a float."""
+    return float(value) if np.ndim(value) == 0 else value
+
+
+def standard_quantile(levels: Any, dof: Any) -> Any:
+    """Quantiles of the standard normal, or of Student's t with ``dof`` degrees of freedom, a number or (*sets).
+
+    Of levels (n,) they have the shape (n,), or (*sets, n).
+    """
     from scipy.special import ndtri, stdtrit  # slow to import, and few need it
 
-    return ndtri(levels) if dof is None else stdtrit(dof, levels)
+    if dof is None:
+        return ndtri(levels)
+    distinct, place = np.unique(dof, return_inverse=True)  # replicates nearly always share one, and quantiles are slow
+    return stdtrit(distinct.reshape(-1, *np.ndim(levels) * (1,)), levels)[place.reshape(np.shape(dof))]
 
 
-def normal_marginal(value: float, mean: float, sd: float, dof: float | None, log: bool) -> Marginal:
-    """Normal, or Student's t with ``dof`` degrees of freedom, in the quantity or in its logarithm."""
+def normal_marginal(value: Any, mean: Any, sd: Any, dof: Any, log: bool) -> Marginal:
+    """Normal, or Student's t with ``dof`` degrees of freedom, in the quantity or in its logarithm.
+
+    Value, mean, standard deviation and degrees of freedom are numbers, or arrays of one shape (*sets).
+    """
 
     def ppf(levels: np.ndarray) -> np.ndarray:
-        z = standard_quantile(levels, dof)
         with np.errstate(over="ignore"):
-            return np.asarray(np.exp(mean + sd * z) if log else mean + sd * z)
+            quantiles = np.expand_dims(mean, -1) + np.expand_dims(sd, -1) * standard_quantile(levels, dof)
+            return np.asarray(np.exp(quantiles) if log else quantiles)
 
-    def cdf(true: float) -> float:
+    def cdf(true: Any) -> Any:
         from scipy.special import ndtr, stdtr
 
         with np.errstate(over="ignore"):
             z = ((np.log(true) if log else true) - mean) / np.maximum(sd, 1e-300)
-        return float(ndtr(z) if dof is None else stdtr(dof, z))
+        return _number(ndtr(z) if dof is None else stdtr(dof, z))
 
-    return Marginal(value, ppf, cdf)
+    return Marginal(_number(value), ppf, cdf)
 
 
 class Belief(Protocol):
@@ -67,8 +84,8 @@ class Belief(Protocol):
         """The parameters, or groups, that it is about."""
         ...
 
-    def values(self) -> dict[str, float]:
-        """The point value of each of them."""
+    def values(self) -> dict[str, Any]:
+        """The point value of each of them: a number, or an array (*sets)."""
         ...
 
     def finite(self) -> bool:
@@ -88,21 +105,21 @@ class Belief(Protocol):
 class Normal:
     """A normal belief over named positive parameters, in their logarithms; or over groups, in themselves.
 
-    ``names`` of shape (d,), ``mean`` (d,) and ``covariance`` (d, d). With ``log`` the mean is that of the logarithms.
-    ``covariance`` None: a point without uncertainty. With ``dof`` the intervals use Student's t with that many
-    degrees of freedom (the noise was estimated), else the normal.
+    ``names`` of shape (d,), ``mean`` (*sets, d) and ``covariance`` (*sets, d, d). With ``log`` the mean is that of the
+    logarithms. ``covariance`` None: a point without uncertainty. With ``dof``, a number or (*sets), the intervals use
+    Student's t with that many degrees of freedom (the noise was estimated), else the normal.
     """
 
     names: tuple[str, ...]
     mean: np.ndarray
     covariance: np.ndarray | None
     log: bool
-    dof: float | None = None
+    dof: Any = None
 
-    def values(self) -> dict[str, float]:
+    def values(self) -> dict[str, Any]:
         """The point value of each named quantity."""
         centre = np.exp(self.mean) if self.log else self.mean
-        return dict(zip(self.names, map(float, centre), strict=True))
+        return dict(zip(self.names, map(_number, np.moveaxis(centre, -1, 0)), strict=True))
 
     def finite(self) -> bool:
         """Whether every number is."""
@@ -115,24 +132,24 @@ class Normal:
             return self._log_marginal(quantity)
         if quantity.name in self.names:
             i = self.names.index(quantity.name)
+            centre = self.mean[..., i]
             if self.covariance is None:
-                return Marginal(float(self.mean[i]))
-            sd = float(np.sqrt(self.covariance[i, i]))
-            return normal_marginal(float(self.mean[i]), float(self.mean[i]), sd, self.dof, False)
+                return Marginal(_number(centre))
+            return normal_marginal(centre, centre, np.sqrt(self.covariance[..., i, i]), self.dof, False)
         return None
 
     def _log_marginal(self, quantity: Quantity) -> Marginal | None:
         if not set(quantity.exponents) <= set(self.names):
             return None
         weights = np.array(quantity.vector(self.names))
-        centre = float(weights @ self.mean + np.log(quantity.coefficient))
+        centre = self.mean @ weights + np.log(quantity.coefficient)
         with np.errstate(over="ignore"):
-            value = float(np.exp(centre))
+            value = np.exp(centre)
         if self.covariance is None:
-            return Marginal(value)
-        terms = np.abs(weights) * np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        rounding = ROUNDING * float(np.sum(terms)) ** 2  # of a ratio that is known far better than its parts
-        sd = float(np.sqrt(max(weights @ self.covariance @ weights, 0.0) + rounding))
+            return Marginal(_number(value))
+        sds = np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=-2, axis2=-1), 0.0))
+        rounding = ROUNDING * (sds @ np.abs(weights)) ** 2  # of a ratio that is known far better than its parts
+        sd = np.sqrt(np.maximum(self.covariance @ weights @ weights, 0.0) + rounding)
         return normal_marginal(value, centre, sd, self.dof, True)
 
     def expressed_in(self, scale: Mapping[str, float]) -> Normal:
@@ -146,7 +163,7 @@ class Normal:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """A belief as draws of the parameters: ``samples`` of shape (n_draws, n_parameters), all positive.
+    """A belief as draws of the parameters: ``samples`` of shape (*sets, n_draws, n_parameters), all positive.
 
     The point value of a quantity is the median of its draws: the one functional of a skewed posterior that a monotone
     change of the quantity leaves in its place, so that ``1/q`` and ``log q`` have theirs at the same draw.
@@ -155,9 +172,9 @@ class Draws:
     names: tuple[str, ...]
     samples: np.ndarray
 
-    def values(self) -> dict[str, float]:
+    def values(self) -> dict[str, Any]:
         """The point value of each parameter."""
-        return dict(zip(self.names, map(float, np.median(self.samples, axis=0)), strict=True))
+        return dict(zip(self.names, map(_number, np.moveaxis(np.median(self.samples, axis=-2), -1, 0)), strict=True))
 
     def finite(self) -> bool:
         """Whether every draw is."""
@@ -167,17 +184,18 @@ class Draws:
         """The belief about a product of powers; None where these names do not determine it."""
         if not set(quantity.exponents) <= set(self.names):
             return None
-        columns = {name: self.samples[:, i] for i, name in enumerate(self.names)}
-        draws = np.sort(quantity.value(columns))
+        columns = {name: self.samples[..., i] for i, name in enumerate(self.names)}
+        draws = np.sort(quantity.value(columns), axis=-1)
 
         def ppf(levels: np.ndarray) -> np.ndarray:
-            return np.asarray(np.quantile(draws, levels))
+            return np.moveaxis(np.quantile(draws, levels, axis=-1), 0, -1)
 
-        def cdf(true: float) -> float:
+        def cdf(true: Any) -> Any:
             # mid-rank over n + 1: the rank statistic of simulation-based calibration, never 0 or 1
-            return float((np.searchsorted(draws, true) + 0.5) / (draws.size + 1.0))
+            below = np.sum(draws < np.expand_dims(true, -1), axis=-1)
+            return _number((below + 0.5) / (draws.shape[-1] + 1.0))
 
-        return Marginal(float(np.median(draws)), ppf, cdf)
+        return Marginal(_number(np.median(draws, axis=-1)), ppf, cdf)
 
     def expressed_in(self, scale: Mapping[str, float]) -> Draws:
         """The same draws with every parameter divided by its scale."""

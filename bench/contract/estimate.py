@@ -121,12 +121,12 @@ class Estimate:
         if not np.allclose(basis @ powers, target) or np.any(self.groups.mean <= 0):
             return None
         coefficients = np.array([self.system.quantity(name).coefficient for name in self.groups.names])
-        centre = float(powers @ np.log(self.groups.mean / coefficients) + np.log(quantity.coefficient))
+        centre = np.log(self.groups.mean / coefficients) @ powers + np.log(quantity.coefficient)
         if self.groups.covariance is None:
-            return Marginal(float(np.exp(centre)))
+            return Marginal(np.exp(centre)[()])
         gradient = powers / self.groups.mean
-        sd = float(np.sqrt(max(gradient @ self.groups.covariance @ gradient, 0.0)))
-        return normal_marginal(float(np.exp(centre)), centre, sd, self.groups.dof, True)
+        variance = np.einsum("...i,...ij,...j", gradient, self.groups.covariance, gradient)
+        return normal_marginal(np.exp(centre), centre, np.sqrt(np.maximum(variance, 0.0)), self.groups.dof, True)
 
     def expressed_in(self, units: Units) -> Estimate:
         """Convert to other units (see :meth:`Problem.expressed_in`; ``units.inverse`` leads back).

@@ -44,8 +44,8 @@ class Truth:
     measured: tuple[int, ...] | None = None
 
     def scored(self, displacement: np.ndarray) -> np.ndarray:
-        """Of displacements (n_dof, n), those of the DOFs with a sensor, which are scored."""
-        return displacement if self.measured is None else displacement[list(self.measured)]
+        """Of displacements (..., n_dof, n), those of the DOFs with a sensor, which are scored."""
+        return displacement if self.measured is None else displacement[..., list(self.measured), :]
 
 
 def reference_response(

@@ -14,12 +14,12 @@ import math
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from bench.errors import InputError
+from bench.scoring.resampling import lower_medians, resamples
 
 RESAMPLES = 1000
 LEVEL = 0.05
@@ -132,11 +132,11 @@ def holm(p_values: Sequence[float]) -> np.ndarray:
 def compare(errors: Errors, pairs: Sequence[tuple[str, str]] | None = None) -> list[Comparison]:
     """Every pair of methods (or the given ones), adjusted together."""
     pairs = list(itertools.combinations(errors.values, 2)) if pairs is None else list(pairs)
-    resamples = _resamples(errors.scenario)
+    drawn = _clustered_resamples(errors.scenario)
     found = []
     for a, b in pairs:
         p = signed_rank(differences(errors.values[a], errors.values[b], errors.scenario))
-        found.append(_pair(a, b, log_ratios(errors.values[a], errors.values[b]), resamples, p))
+        found.append(_pair(a, b, log_ratios(errors.values[a], errors.values[b]), drawn, p))
     return adjusted(found)
 
 
@@ -146,8 +146,8 @@ def adjusted(comparisons: Sequence[Comparison]) -> list[Comparison]:
     return [replace(c, adjusted=float(p)) for c, p in zip(comparisons, together, strict=True)]
 
 
-def _pair(a: str, b: str, ratios: np.ndarray, resamples: np.ndarray, p: float) -> Comparison:
-    medians = _resampled_medians(ratios, resamples)
+def _pair(a: str, b: str, ratios: np.ndarray, drawn: np.ndarray, p: float) -> Comparison:
+    medians = lower_medians(ratios, drawn)
     low, high = np.sort(medians)[[math.ceil(level * RESAMPLES) - 1 for level in (0.025, 0.975)]]
     sizes = medians[np.isfinite(medians)]
     error = float(np.std(sizes)) if sizes.size > 1 else np.inf
@@ -262,20 +262,7 @@ def _median(values: np.ndarray) -> np.ndarray:
     return np.asarray(np.partition(values, middle, axis=-1)[..., middle])
 
 
-def _resampled_medians(values: np.ndarray, resamples: np.ndarray) -> np.ndarray:
-    """The medians, as :func:`_median` has them, of resamples of values (n,).
-
-    Of ranks, since what is sorted is then half as large, and in no memory but that of the ranks drawn.
-    """
-    order, middle = np.argsort(values), (values.size - 1) // 2
-    ranks = np.empty(values.size, np.int32)
-    ranks[order] = np.arange(values.size)
-    drawn = ranks[resamples]
-    drawn.partition(middle, axis=1)
-    return np.asarray(values[order[drawn[:, middle]]])
-
-
-def _resamples(scenario: np.ndarray) -> np.ndarray:
+def _clustered_resamples(scenario: np.ndarray) -> np.ndarray:
     """Indices of resampled data sets, (RESAMPLES, n): scenarios with replacement, then replicates within each.
 
     With one scenario it is the plain bootstrap. All scenarios must have as many data sets.
@@ -284,14 +271,9 @@ def _resamples(scenario: np.ndarray) -> np.ndarray:
     if np.unique(counts).size > 1:
         raise InputError("replicates", counts.tolist(), "as many of every scenario")
     if labels.size == 1:
-        return _of_one_scenario(int(counts[0]))
+        return resamples(int(counts[0]), RESAMPLES)
     members = np.stack([np.flatnonzero(scenario == label) for label in labels])
     rng, n = np.random.default_rng(0), int(counts[0])
     chosen = rng.integers(0, labels.size, (RESAMPLES, labels.size))
     within = rng.integers(0, n, (RESAMPLES, labels.size, n))
     return np.asarray(members[chosen[..., None], within].reshape(RESAMPLES, -1))
-
-
-@cache
-def _of_one_scenario(n: int) -> np.ndarray:
-    return np.random.default_rng(0).integers(0, n, (RESAMPLES, 1, n)).reshape(RESAMPLES, -1)

@@ -1,10 +1,12 @@
-"""One replicate of one cell: what became of it, its scores, and what it took."""
+"""One replicate of one cell: what became of it, its scores, and what it took; and the scores of many by column."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from bench.contract.estimate import Status
 
@@ -27,3 +29,16 @@ class Row:
     peak_memory_mb: float = math.nan
     evaluations: int = 0
     data: str = ""
+
+
+def score_columns(rows: Sequence[Row]) -> dict[str, np.ndarray]:
+    """Return every score of some rows by name, (n,), NaN where a row has none; in the order in which rows have them."""
+    forms: dict[tuple[str, ...], list[int]] = {}
+    for i, row in enumerate(rows):
+        forms.setdefault(tuple(row.scores), []).append(i)
+    columns = {name: np.full(len(rows), np.nan) for form in forms for name in form}
+    for form, members in forms.items():
+        values = np.array([list(rows[i].scores.values()) for i in members], float)
+        for name, column in zip(form, values.T, strict=True):
+            columns[name][members] = column
+    return columns

@@ -1,15 +1,20 @@
-"""The scores of one replicate: an estimate against the truth, as named numbers."""
+"""The scores of replicates: estimates against their truths, as named numbers.
+
+Replicates whose estimates are of one kind are scored together, as arrays whose first axis is the replicate.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from bench.contract.belief import Marginal, Normal, standard_quantile
+from bench.contract.belief import Belief, Marginal, Normal, standard_quantile
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
-from bench.dynamics.simulate import fitted_start, simulate
+from bench.dynamics.simulate import displacements, fitted_start
 from bench.scenario.truth import Truth
 from bench.systems import Quantity
 
@@ -20,7 +25,14 @@ QUANTILES = (np.arange(200) + 0.5) / 200
 
 
 def score(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, float]:
-    """Named scores; a score that this estimate cannot have is absent. Failed estimates have none.
+    """Score one replicate, see :func:`scores`."""
+    return scores([estimate], [problem], [truth])[0]
+
+
+def scores(
+    estimates: Sequence[Estimate], problems: Sequence[Problem], truths: Sequence[Truth]
+) -> list[dict[str, float]]:
+    """Score replicates of one scenario; a score that an estimate cannot have is absent. Failed estimates have none.
 
     ``<quantity>_error_pct`` (absolute relative error, %), ``<quantity>_ratio`` (the value over the true one),
     ``<quantity>_coverage_50`` etc. (1 if the interval holds the truth, else 0), ``<quantity>_pit`` (the belief's level
@@ -29,89 +41,152 @@ def score(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, float
     ``rmse`` (of the reconstruction), ``rmse_simulated``, ``rmse_forecast`` (m), over the DOFs with a sensor;
     ``band_inside_50`` etc.: the share of the record where the displacement lies in the method's own band.
     """
-    if estimate.status is not Status.OK:
-        return {}
-    scores: dict[str, float] = {}
-    for quantity in problem.system.quantities:
-        marginal = estimate.marginal(quantity)
+    rows: list[dict[str, float]] = [{} for _ in estimates]
+    kinds: dict[object, list[int]] = {}
+    for i, estimate in enumerate(estimates):
+        if estimate.status is Status.OK:
+            kinds.setdefault(_kind(estimate, i), []).append(i)
+    for members in kinds.values():
+        columns = _columns(*([parts[i] for i in members] for parts in (estimates, problems, truths)))
+        for i, values in zip(members, np.stack(list(columns.values()), axis=1).tolist(), strict=True):
+            rows[i] = dict(zip(columns, values, strict=True))
+    return rows
+
+
+def _kind(estimate: Estimate, replicate: int) -> object:
+    """Name what the estimates that are scored together have in common; draws, which are long, are scored alone."""
+    belief = estimate.belief
+    if not isinstance(belief, Normal):
+        return replicate
+    form = (belief.names, np.shape(belief.mean), belief.log, belief.covariance is None, belief.dof is None)
+    positive = belief.log or bool(np.all(belief.mean > 0))  # groups that are not have no modal quantities
+    own = (
+        estimate.parameters is None,
+        estimate.initial_states is None,
+        len(estimate.reconstructions),
+        len(estimate.bands),
+    )
+    return *form, positive, *own
+
+
+def _stacked(beliefs: Sequence[Belief]) -> Any:
+    """Return beliefs of one kind as one belief whose arrays have the replicate as their first axis."""
+    first = beliefs[0]
+    if not isinstance(first, Normal):
+        return replace(first, samples=np.stack([belief.samples for belief in beliefs]))
+    return replace(
+        first,
+        mean=np.stack([belief.mean for belief in beliefs]),
+        covariance=None if first.covariance is None else np.stack([belief.covariance for belief in beliefs]),
+        dof=None if first.dof is None else np.array([belief.dof for belief in beliefs], float),
+    )
+
+
+def _columns(
+    estimates: Sequence[Estimate], problems: Sequence[Problem], truths: Sequence[Truth]
+) -> dict[str, np.ndarray]:
+    """Score estimates of one kind: each score by its name, shape (n,)."""
+    system, belief = problems[0].system, _stacked([estimate.belief for estimate in estimates])
+    whole = estimates[0].parameters is not None
+    joint = Estimate(system, parameters=belief) if whole else Estimate(system, groups=belief)
+    true = {name: np.array([truth.parameters[name] for truth in truths]) for name in system.names}
+    columns: dict[str, np.ndarray] = {}
+    for quantity in system.quantities:
+        marginal = joint.marginal(quantity)
         if marginal is not None:
-            scores |= _quantity_scores(quantity, marginal, float(quantity.value(truth.parameters)))
-    return scores | _displacement_scores(estimate, problem, truth) | _band_scores(estimate, truth)
+            columns |= _quantity_scores(quantity, marginal, quantity.value(true))
+    columns |= _simulated_scores(estimates, problems, truths, point_parameters(joint))
+    if estimates[0].reconstructions:
+        columns |= _reconstruction_scores(estimates, truths, belief.dof if isinstance(belief, Normal) else None)
+    return columns
 
 
-def _quantity_scores(quantity: Quantity, marginal: Marginal, true: float) -> dict[str, float]:
-    name = quantity.name
-    ratio = marginal.value / true
-    scores = {f"{name}_error_pct": 100.0 * abs(ratio - 1.0), f"{name}_ratio": ratio}
+def _quantity_scores(quantity: Quantity, marginal: Marginal, true: np.ndarray) -> dict[str, np.ndarray]:
+    name, ratio = quantity.name, marginal.value / true
+    columns = {f"{name}_error_pct": 100.0 * np.abs(ratio - 1.0), f"{name}_ratio": ratio}
     if marginal.ppf is None or marginal.cdf is None:
-        return scores
-    scores[f"{name}_pit"] = marginal.cdf(true)
+        return columns
+    columns[f"{name}_pit"] = marginal.cdf(true)
     for level in LEVELS:
         low, high = marginal.interval(level)
-        scores[f"{name}_coverage_{round(100 * level)}"] = float(low <= true <= high)
-    low, high = marginal.interval(0.95)
-    scores[f"{name}_interval_score_pct"] = 100.0 * interval_score(low, high, true, 0.95) / true
-    scores[f"{name}_crps_pct"] = 100.0 * crps(marginal.ppf(QUANTILES), true) / true
-    return scores
+        columns[f"{name}_coverage_{round(100 * level)}"] = ((low <= true) & (true <= high)).astype(float)
+    columns[f"{name}_interval_score_pct"] = 100.0 * interval_score(low, high, true, LEVELS[-1]) / true
+    columns[f"{name}_crps_pct"] = 100.0 * crps(marginal.ppf(QUANTILES), true) / true
+    return columns
 
 
-def interval_score(low: float, high: float, true: float, level: float) -> float:
+def interval_score(low: np.ndarray, high: np.ndarray, true: np.ndarray, level: float) -> np.ndarray:
     """Width plus ``2/alpha`` times the miss (Gneiting & Raftery, J. Am. Stat. Assoc. 102:359, 2007, eq. 43)."""
     alpha = 1.0 - level
-    return (high - low) + 2.0 / alpha * (max(low - true, 0.0) + max(true - high, 0.0))
+    return (high - low) + 2.0 / alpha * (np.maximum(low - true, 0.0) + np.maximum(true - high, 0.0))
 
 
-def crps(quantiles: np.ndarray, true: float) -> float:
-    """Continuous ranked probability score from quantiles at :data:`QUANTILES`.
+def crps(quantiles: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Continuous ranked probability scores from quantiles (..., n) at :data:`QUANTILES`, at true values (...).
 
     Twice the mean quantile (pinball) score over the levels (Gneiting & Ranjan, J. Bus. Econ. Stat. 29:411, 2011).
     """
-    return float(2.0 * np.mean((quantiles - true) * ((true < quantiles) - QUANTILES)))
+    true = np.expand_dims(true, -1)
+    return np.asarray(2.0 * np.mean((quantiles - true) * ((true < quantiles) - QUANTILES), axis=-1))
 
 
-def point_parameters(estimate: Estimate) -> Mapping[str, float] | None:
+def point_parameters(estimate: Estimate) -> Mapping[str, Any] | None:
     """Parameter values for a simulation; from groups alone, with the gauge mass at 1 (free response has no scale)."""
     if estimate.parameters is not None:
         return estimate.parameters.values()
     if estimate.groups is None:
         return None
     system = estimate.system
-    p = dict.fromkeys(system.names, 1.0)
+    p: dict[str, Any] = dict.fromkeys(system.names, 1.0)
     for name, value in estimate.groups.values().items():
         numerator = next(n for n, power in system.quantity(name).exponents.items() if power > 0)
         p[numerator] = value
     return p
 
 
-def _displacement_scores(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, float]:
-    p = point_parameters(estimate)
-    record = problem.records[0]
-    scores: dict[str, float] = {}
-    if p is not None:
-        start = estimate.initial_states[0] if estimate.initial_states else fitted_start(problem.system, p, record)
-        times = np.concatenate([truth.dense_times, truth.forecast_times])
-        response = simulate(record.rig(problem.system), p, start, times, record.forces).displacement
-        n = truth.dense_times.size
-        scores["rmse_simulated"] = _rms(truth.scored(response[:, :n] - truth.dense_displacement))
-        scores["rmse_forecast"] = _rms(truth.scored(response[:, n:] - truth.forecast_displacement))
-        scores["rmse"] = scores["rmse_simulated"]
-    if estimate.reconstructions:
-        error = estimate.reconstructions[0](truth.dense_times) - truth.dense_displacement
-        scores["rmse"] = _rms(truth.scored(error))
-    return scores
-
-
-def _band_scores(estimate: Estimate, truth: Truth) -> dict[str, float]:
-    if not estimate.bands or not estimate.reconstructions:
+def _simulated_scores(
+    estimates: Sequence[Estimate], problems: Sequence[Problem], truths: Sequence[Truth], p: Mapping[str, Any] | None
+) -> dict[str, np.ndarray]:
+    """Score the response at the estimated parameters, over the record and after it."""
+    if p is None:
         return {}
-    dof = estimate.belief.dof if isinstance(estimate.belief, Normal) else None
-    sd = truth.scored(estimate.bands[0](truth.dense_times))
-    off = np.abs(truth.scored(estimate.reconstructions[0](truth.dense_times) - truth.dense_displacement))
-    quantiles = {v: float(standard_quantile(0.5 + v / 2, dof)) for v in LEVELS}
-    return {f"band_inside_{round(100 * v)}": float(np.mean(off <= quantiles[v] * sd)) for v in LEVELS}
+    system, records = problems[0].system, [problem.records[0] for problem in problems]
+    p = {name: np.broadcast_to(value, len(records)) for name, value in p.items()}
+    starts = [
+        estimate.initial_states[0]
+        if estimate.initial_states
+        else fitted_start(system, {name: float(value[i]) for name, value in p.items()}, record)
+        for i, (estimate, record) in enumerate(zip(estimates, records, strict=True))
+    ]
+    times = np.concatenate([truths[0].dense_times, truths[0].forecast_times])
+    n = truths[0].dense_times.size
+    response = displacements(records[0].rig(system), p, starts, times, [record.forces for record in records])
+    dense, forecast = (np.stack([getattr(t, f"{part}_displacement") for t in truths]) for part in ("dense", "forecast"))
+    simulated = _rms(truths[0].scored(response[..., :n] - dense))
+    return {
+        "rmse_simulated": simulated,
+        "rmse_forecast": _rms(truths[0].scored(response[..., n:] - forecast)),
+        "rmse": simulated,
+    }
 
 
-def _rms(error: np.ndarray) -> float:
+def _reconstruction_scores(estimates: Sequence[Estimate], truths: Sequence[Truth], dof: Any) -> dict[str, np.ndarray]:
+    """Score the method's own displacement over the record, and its band where it has one."""
+    paths = [estimate.reconstructions[0](truth.dense_times) for estimate, truth in zip(estimates, truths, strict=True)]
+    error = truths[0].scored(np.stack(paths) - np.stack([truth.dense_displacement for truth in truths]))
+    columns = {"rmse": _rms(error)}
+    if not estimates[0].bands:
+        return columns
+    bands = [estimate.bands[0](truth.dense_times) for estimate, truth in zip(estimates, truths, strict=True)]
+    sd, off = truths[0].scored(np.stack(bands)), np.abs(error)
+    for level in LEVELS:
+        half = np.reshape(standard_quantile(0.5 + level / 2, dof), (-1, 1, 1)) * sd
+        columns[f"band_inside_{round(100 * level)}"] = np.mean(off <= half, axis=(-2, -1))
+    return columns
+
+
+def _rms(error: np.ndarray) -> np.ndarray:
+    """Root mean squares of errors (n, ...), shape (n,), infinite where one is not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
-        value = float(np.sqrt(np.mean(error**2)))
-    return value if np.isfinite(value) else float("inf")
+        values = np.sqrt(np.mean((error**2).reshape(len(error), -1), axis=1))
+    return np.where(np.isfinite(values), values, np.inf)

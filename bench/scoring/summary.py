@@ -11,9 +11,9 @@ from scipy.special import ndtri, stdtrit
 
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
-from bench.scoring.row import Row
+from bench.scoring.resampling import RESAMPLES, medians, resamples
+from bench.scoring.row import Row, score_columns
 
-RESAMPLES = 2000
 Z95 = float(ndtri(0.975))
 ALWAYS = ("rmse", "rmse_simulated", "rmse_forecast")
 
@@ -43,39 +43,37 @@ def metric_bounds(bound: Bound) -> dict[str, float]:
 
 
 def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Summary]:
-    """A summary of every metric that any replicate has, plus the metrics every cell has (NaN where none succeeded)."""
+    """Summarise every metric that any replicate has, and those that every cell has (NaN where none succeeded)."""
     bounds = metric_bounds(bound)
-    ok = [row for row in rows if row.status is Status.OK]
-    own = (name for row in ok for name in row.scores if not name.endswith("_ratio"))
-    names = list(dict.fromkeys([*own, *(name for name in bounds if not ok), *ALWAYS]))
-    index = np.random.default_rng(0).integers(0, len(rows), (RESAMPLES, len(rows)))
+    ok = np.array([row.status is Status.OK for row in rows])
+    columns = score_columns([row for row in rows if row.status is Status.OK])
+    metrics = [name for name in columns if not name.endswith("_ratio")]
     result = {}
-    for name in names:
+    for name in dict.fromkeys([*metrics, *(bounds if not ok.any() else ()), *ALWAYS]):
+        scored = columns.get(name, np.full(int(ok.sum()), np.nan))
         if name.endswith("_pit") or name.startswith("band_inside"):
-            result[name] = _share(np.array([row.scores[name] for row in ok if name in row.scores]))
+            result[name] = _share(scored[~np.isnan(scored)])
         elif "_coverage_" in name:
-            result[name] = _coverage(np.array([row.scores[name] for row in ok if name in row.scores]))
+            result[name] = _coverage(scored[~np.isnan(scored)])
         else:
-            values = np.array([row.scores.get(name, np.inf) if row.status is Status.OK else np.inf for row in rows])
-            result[name] = _error(values, index, bounds.get(name, float("nan")))
+            values = np.full(len(rows), np.inf)
+            values[ok] = np.where(np.isnan(scored), np.inf, scored)
+            result[name] = _error(values, bounds.get(name, float("nan")))
     return result
 
 
-def _error(values: np.ndarray, index: np.ndarray, bound: float) -> Summary:
+def _error(values: np.ndarray, bound: float) -> Summary:
     good = values[np.isfinite(values)]
-    medians = np.sort(_medians(values[index]))
-    low, high = medians[math.ceil(0.025 * RESAMPLES) - 1], medians[math.ceil(0.975 * RESAMPLES) - 1]
+    resampled = np.sort(medians(values, resamples(values.size)))
+    low, high = resampled[[math.ceil(level * RESAMPLES) - 1 for level in (0.025, 0.975)]]
     excess = float(np.sqrt(np.mean(good**2)) / bound) if good.size and np.isfinite(bound) and bound > 0 else np.nan
     mean = float(np.mean(values)) if good.size == values.size else float("inf")
-    median = float(_medians(values[None])[0])
-    return Summary(mean, median, float(low), float(high), bound, excess, int(good.size))
+    return Summary(mean, _median(values), float(low), float(high), bound, excess, int(good.size))
 
 
-def _medians(values: np.ndarray) -> np.ndarray:
-    """Row medians, of which some values may be infinite: a mean of a number and infinity is infinity, never NaN."""
-    ordered = np.sort(values, axis=1)
-    n = ordered.shape[1]
-    return np.asarray(0.5 * (ordered[:, (n - 1) // 2] + ordered[:, n // 2]))
+def _median(values: np.ndarray) -> float:
+    """Compute a median of values (n,) of which some may be infinite, never NaN."""
+    return float(medians(values, np.arange(values.size)[None])[0])
 
 
 def _share(values: np.ndarray) -> Summary:
@@ -94,7 +92,7 @@ def _coverage(hits: np.ndarray) -> Summary:
     if not hits.size:
         return Summary(nan, nan, nan, nan, nan, nan, 0)
     low, high = wilson_interval(int(hits.sum()), hits.size)
-    return Summary(float(hits.mean()), float(_medians(hits[None])[0]), low, high, nan, nan, int(hits.size))
+    return Summary(float(hits.mean()), _median(hits), low, high, nan, nan, int(hits.size))
 
 
 def wilson_interval(k: int, n: int) -> tuple[float, float]:

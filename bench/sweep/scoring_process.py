@@ -10,7 +10,7 @@ import hashlib
 import math
 import pickle
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -28,7 +28,7 @@ from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.path import path_scores
 from bench.scoring.row import Row
-from bench.scoring.score import score
+from bench.scoring.score import scores
 from bench.scoring.search import search_scores
 from bench.scoring.summary import summarise
 from bench.store.bounds import load_bounds
@@ -119,15 +119,14 @@ class Scorer:
 
     def score(self, cell: Cell, answers: bytes) -> list[Scored]:
         """The rows of what a method's process answered."""
-        scored = [self._scored(cell, outcome) for outcome in outcomes(answers)]
-        return [replace(one, facts=facts(self._pair(cell, one.row.replicate)[1])) for one in scored]
+        return self._scored(cell, outcomes(answers))
 
     def fail(self, cell: Cell, replicate: int, failure: Failure, wall_s: float) -> list[Scored]:
         """The row of a replicate without an answer; with a last report, the scores of that."""
         problem, truth = self._pair(cell, replicate)
         scores: Mapping[str, float] = {}
         if failure.best is not None:
-            scores = self._scored(cell, unpack(failure.best)).row.scores
+            scores = self._scored(cell, [unpack(failure.best)])[0].row.scores
         row = Row(replicate, failure.status, failure.message, scores, wall_s=wall_s, data=data_digest(problem))
         return [Scored(row, failure.log, facts=facts(truth))]
 
@@ -136,30 +135,27 @@ class Scorer:
             self.bounds = {cell.bound_identity: load_bounds([cell], store.bounds)[0]}
         return self.bounds[cell.bound_identity]
 
-    def _scored(self, cell: Cell, outcome: Mapping[str, Any]) -> Scored:
-        replicate = outcome["replicate"]
-        problem, truth = self._pair(cell, replicate)
-        took = {key: outcome[key] for key in ("wall_s", "cpu_s", "peak_memory_mb") if key in outcome}
-        common = {"replicate": replicate, "data": data_digest(problem), **took}
-        if "answer" not in outcome:
-            row = Row(status=Status(outcome["status"]), message=outcome["message"], **common)
-            return Scored(row, outcome.get("traceback", ""))
-        estimate = rebuilt(outcome["answer"], problem.system)
-        common["evaluations"] = estimate.cost.evaluations
-        try:
-            with np.errstate(all="ignore"):
-                sure = estimate.groups is None or estimate.groups.covariance is not None
-                estimate = combine_with_prior(estimate.checked(), problem.prior).checked()
-                scores = {**score(estimate, problem, truth), **path_scores(estimate, truth), **search_scores(estimate)}
-                scores = scores if sure else {name: own for name, own in scores.items() if not is_of_belief(name)}
-        except Exception as error:  # names or shapes that the contract does not allow
-            message = f"the estimate cannot be scored: {one_line(error)}"
-            return Scored(Row(status=Status.INVALID, message=message, **common))
-        if estimate.status is not Status.OK:
-            return Scored(Row(status=estimate.status, message=estimate.message, **common))
-        scores["realised_snr_db"] = truth.realised_snr_db
-        arrays = kept_arrays(estimate, problem, truth) if replicate == KEPT else {}
-        return Scored(Row(status=Status.OK, message=estimate.message, scores=scores, **common), arrays=arrays)
+    def _scored(self, cell: Cell, answered: Sequence[Mapping[str, Any]]) -> list[Scored]:
+        """Return what became of replicates in their order; those with an estimate are scored together."""
+        pairs = [self._pair(cell, outcome["replicate"]) for outcome in answered]
+        places = [i for i, outcome in enumerate(answered) if "answer" in outcome]
+        estimates = [rebuilt(answered[i]["answer"], pairs[i][0].system) for i in places]
+        judged = dict(zip(places, _judged(estimates, [pairs[i] for i in places]), strict=True))
+        scored = []
+        for i, (outcome, (problem, truth)) in enumerate(zip(answered, pairs, strict=True)):
+            took = {key: outcome[key] for key in ("wall_s", "cpu_s", "peak_memory_mb") if key in outcome}
+            common = {"replicate": outcome["replicate"], "data": data_digest(problem), **took}
+            if i not in judged:
+                row = Row(status=Status(outcome["status"]), message=outcome["message"], **common)
+                scored.append(Scored(row, outcome.get("traceback", ""), facts=facts(truth)))
+                continue
+            estimate, own = judged[i]
+            evaluations = estimate.cost.evaluations
+            row = Row(status=estimate.status, message=estimate.message, scores=own, evaluations=evaluations, **common)
+            kept = row.replicate == KEPT and row.status is Status.OK
+            arrays = kept_arrays(estimate, problem, truth) if kept else {}
+            scored.append(Scored(row, arrays=arrays, facts=facts(truth)))
+        return scored
 
     def finish(
         self,
@@ -202,6 +198,40 @@ class Scorer:
         except OSError as error:
             return error.strerror or str(error)
         return ""
+
+
+Pair = tuple[Problem, Truth]
+
+
+def _judged(estimates: Sequence[Estimate], pairs: Sequence[Pair]) -> list[tuple[Estimate, dict[str, float]]]:
+    """Combine estimates with the prior and score them; one that the contract does not allow is a failed estimate.
+
+    What cannot be scored together is scored one by one.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            return _scores_of(estimates, pairs)
+    except Exception as error:  # names or shapes that the contract does not allow
+        if len(estimates) > 1:
+            return [_judged([estimate], [pair])[0] for estimate, pair in zip(estimates, pairs, strict=True)]
+        message = f"the estimate cannot be scored: {one_line(error)}"
+        return [(Estimate.failed(estimates[0].system, Status.INVALID, message, estimates[0].cost), {})]
+
+
+def _scores_of(estimates: Sequence[Estimate], pairs: Sequence[Pair]) -> list[tuple[Estimate, dict[str, float]]]:
+    """Combine estimates with the prior and score them; raises whatever one of them makes a computation raise."""
+    problems, truths = [problem for problem, _ in pairs], [truth for _, truth in pairs]
+    stated = [estimate.groups is None or estimate.groups.covariance is not None for estimate in estimates]
+    checked = [estimate.checked() for estimate in estimates]
+    combined = [combine_with_prior(e, problem.prior).checked() for e, problem in zip(checked, problems, strict=True)]
+    judged = []
+    for estimate, sure, truth, own in zip(combined, stated, truths, scores(combined, problems, truths), strict=True):
+        if estimate.status is Status.OK:
+            own = {**own, **path_scores(estimate, truth), **search_scores(estimate)}
+            own = own if sure else {name: value for name, value in own.items() if not is_of_belief(name)}
+            own["realised_snr_db"] = truth.realised_snr_db
+        judged.append((estimate, own))
+    return judged
 
 
 def is_of_belief(name: str) -> bool:
