@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.contract.belief import Belief, Marginal, Normal, standard_quantile
+from bench.contract.belief import Marginal, Normal, standard_quantile
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
 from bench.dynamics.simulate import displacements, fitted_start
@@ -47,7 +47,9 @@ def scores(
         if estimate.status is Status.OK:
             kinds.setdefault(_kind(estimate, i), []).append(i)
     for members in kinds.values():
-        columns = _columns(*([parts[i] for i in members] for parts in (estimates, problems, truths)))
+        columns = _columns(
+            [estimates[i] for i in members], [problems[i] for i in members], [truths[i] for i in members]
+        )
         for i, values in zip(members, np.stack(list(columns.values()), axis=1).tolist(), strict=True):
             rows[i] = dict(zip(columns, values, strict=True))
     return rows
@@ -69,17 +71,11 @@ def _kind(estimate: Estimate, replicate: int) -> object:
     return *form, positive, *own
 
 
-def _stacked(beliefs: Sequence[Belief]) -> Any:
+def _stacked(beliefs: Sequence[Any]) -> Any:
     """Return beliefs of one kind as one belief whose arrays have the replicate as their first axis."""
-    first = beliefs[0]
-    if not isinstance(first, Normal):
-        return replace(first, samples=np.stack([belief.samples for belief in beliefs]))
-    return replace(
-        first,
-        mean=np.stack([belief.mean for belief in beliefs]),
-        covariance=None if first.covariance is None else np.stack([belief.covariance for belief in beliefs]),
-        dof=None if first.dof is None else np.array([belief.dof for belief in beliefs], float),
-    )
+    names = ("mean", "covariance", "dof") if isinstance(beliefs[0], Normal) else ("samples",)
+    arrays = {name: [getattr(belief, name) for belief in beliefs] for name in names}
+    return replace(beliefs[0], **{name: None if own[0] is None else np.stack(own) for name, own in arrays.items()})
 
 
 def _columns(

@@ -12,7 +12,7 @@ from scipy import stats
 from bench import Channel, Draws, Estimate, InitialState, Normal, Problem, Record, Status
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import Truth, closed_form
-from bench.scoring.score import QUANTILES, crps, interval_score, score
+from bench.scoring.score import QUANTILES, crps, interval_score, score, scores
 from bench.systems import SDOF
 
 P = {"m": 2.0, "c": 0.5, "k": 18.0}
@@ -173,3 +173,46 @@ def test_the_rmse_of_two_degrees_of_freedom_is_over_both(reference: Scenario) ->
     scores = score(Estimate(problem.system, parameters=belief, reconstructions=(Off(),)), problem, true)
     assert scores["rmse"] == pytest.approx(math.sqrt(0.5 * 0.09))
     assert scores["rmse_simulated"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_replicates_scored_together_have_the_scores_of_students_t_each() -> None:
+    """Log m of 40 replicates, each with its mean, width and degrees of freedom, of scipy's t; draws and a failure among
+    them, which have their own scores or none."""
+    rng, n = np.random.default_rng(3), 40
+    means, sds, dofs = rng.normal(np.log(P["m"]), 0.2, n), rng.uniform(0.05, 0.3, n), rng.integers(2, 30, n)
+    logs = np.column_stack([means, np.full(n, np.log(P["c"])), np.full(n, np.log(P["k"]))])
+    estimates = [
+        Estimate(SDOF(), parameters=Normal(NAMES, logs[i], sds[i] ** 2 * np.eye(3), log=True, dof=float(dofs[i])))
+        for i in range(n)
+    ]
+    estimates.insert(5, Estimate.failed(SDOF(), Status.DIVERGED, "no"))
+    estimates.insert(9, Estimate(SDOF(), parameters=Draws(NAMES, np.tile(list(P.values()), (7, 1)))))
+    rows = scores(estimates, [a_pair()[0]] * (n + 2), [a_pair()[1]] * (n + 2))
+    assert rows.pop(9)["m_pit"] == pytest.approx(0.5 / 8)
+    assert rows.pop(5) == {}
+    for row, mean, sd, dof in zip(rows, means, sds, dofs, strict=True):
+        belief = stats.t(dof, mean, sd)
+        assert row["m_pit"] == pytest.approx(belief.cdf(np.log(P["m"])), rel=1e-9)
+        assert row["m_error_pct"] == pytest.approx(100 * abs(np.exp(mean) / P["m"] - 1), rel=1e-9)
+        for level in (0.5, 0.8, 0.95):
+            low, high = np.exp(belief.interval(level))
+            assert row[f"m_coverage_{round(100 * level)}"] == float(low <= P["m"] <= high)
+        miss = max(low - P["m"], 0) + max(P["m"] - high, 0)
+        assert row["m_interval_score_pct"] == pytest.approx(100 * (high - low + 40 * miss) / P["m"], rel=1e-9)
+        quantiles = np.exp(belief.ppf(QUANTILES))  # the energy form: E|X - y| - E|X - X'|/2 over these quantiles
+        spread = np.mean(np.abs(quantiles[:, None] - quantiles)) / 2
+        energy = np.mean(np.abs(quantiles - P["m"])) - spread
+        assert row["m_crps_pct"] == pytest.approx(100 * energy / P["m"], rel=1e-9)
+
+
+@pytest.mark.parametrize("broken", [math.inf, -math.inf, 800.0])
+def test_a_response_that_diverges_leaves_those_beside_it_alone(broken: float) -> None:
+    groups = [np.array([9.0, 0.25]), np.array([9.0, -500.0]), np.array([8.0, 0.3]), np.array([broken, 0.25])]
+    estimates = [Estimate(SDOF(), groups=Normal(("k_over_m", "c_over_m"), own, None, log=False)) for own in groups]
+    rows = scores(estimates, [a_pair()[0]] * 4, [a_pair()[1]] * 4)
+    assert rows[1]["rmse_forecast"] == math.inf
+    for row, own in ((rows[0], groups[0]), (rows[2], groups[2])):
+        response = (
+            closed_form({"m": 1.0, "k": own[0], "c": own[1]}, 0.7, 0.2, LATER) - a_pair()[1].forecast_displacement
+        )
+        assert row["rmse_forecast"] == pytest.approx(np.sqrt(np.mean(response**2)), rel=1e-9, abs=1e-12)
