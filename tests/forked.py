@@ -23,7 +23,7 @@ from typing import Any
 
 REPOSITORY = Path(__file__).parents[1]
 MODULES = (
-    "benchmark", "claims", "design", "expect", "export", "figures", "main",
+    "benchmark", "claims", "export", "figures", "main",
     "merge", "publish", "recheck", "report", "reproduce", "reproduction", "status", "submit", "tables", "track",
 )  # fmt: skip
 WARM = (

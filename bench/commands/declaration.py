@@ -29,6 +29,8 @@ from bench.errors import InputError
 
 LARGEST = 10**9
 """Largest whole number where a field declares no limit of its own."""
+LISTED = 12
+"""Number of names up to which a page of help lists those of a field."""
 DIGITS = 19
 """Digits of a whole number at most: no limit has more."""
 
@@ -282,7 +284,7 @@ def help_page(command: str, verb: Callable[..., int]) -> str:
             lines.append(f"  {'...':<{wide}}  {field.text}")
             continue
         shown = f"[{field.shown()}] " if field.shown() else ""
-        values = ", ".join(field.values()) if isinstance(field.read, Choice) else ""
+        values = ", ".join(field.values()) if isinstance(field.read, Choice) and len(field.values()) <= LISTED else ""
         text = "; ".join(part for part in (values, field.text) if part)
         lines.append(f"  {field.name:<{wide}}  {shown}{text}")
     head = f"usage: {command}{required} [field=value ...]\n\n{inspect.getdoc(verb)}"

@@ -1,88 +1,230 @@
-"""``python -m bench.design``: the cheapest free decay that tells a quantity as well as is wanted.
-
-With ``force=optimal``: the force of a given energy that tells most. With ``given=record.csv``: what a decay that was
-taken would tell, if it had gone on for longer or were taken again.
-"""
+"""The verb ``design``: a test that determines a quantity well enough, and what each method would do at a test."""
 
 from __future__ import annotations
 
-import sys
+import math
+import re
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from bench.commands.design_request import request_of
-from bench.commands.fields import one_of, read_fields
-from bench.commands.guard import command
-from bench.config.atlas import on_the_bound
+from bench.commands.certify import RECORD
+from bench.commands.declaration import Choice, File, Number, Others, Whole
 from bench.errors import InputError
 
-FIELDS = {
-    "want": "", "frequency": "", "damping": "", "noise": "", "amplitude": "", "rate": "", "samples": "", "duration": "",
-    "method": "", "verify": "0", "times": "even", "force": "none", "energy": "", "mass": "", "out": "",
-}  # fmt: skip
-CHOICES = {"times": ("even", "optimal"), "force": ("none", "optimal")}
-USAGE = """usage: python -m bench.design want=c_over_m:5% frequency=2 damping=0.02 noise=0.5mm [field=value ...]
-
-  want       <quantity>:<error>%, of k_over_m, c_over_m, natural_frequency,
-             damping_ratio; the error is a standard deviation
-  frequency  natural frequency (Hz) as far as it is known: 2, or 2:10% with its
-             standard deviation
-  damping    damping ratio, 0.02 or 0.02:50%
-  noise      standard deviation of a sample, with its unit: 0.5mm
-  amplitude  displacement at the start, with its unit; without: several
-  rate       samples a second that there are; without: any
-  samples, duration
-             of a test that is given (s): what it would tell
-  times      [even] optimal: the best times of the samples of a test that is
-             given (samples=, duration=, amplitude=), beside even ones
-  force      [none] optimal: the best forces of an energy in a test that is given
-             (samples=, duration=, energy=, mass=), from rest, beside a hammer
-             blow, noise and an even multisine
-  energy     of the force: the integral of its square (N² s)
-  mass       as far as it is known (kg)
-  out        a file for the best times (s), one a line, or for the best force
-  method     [{method}] that verify= asks
-  verify     [0] simulate the proposed test so many times
-
-       python -m bench.design given=record.csv [want=damping_ratio:5%] [field=value ...]
-
-  given      a record of a free decay: what it would tell, had it gone on or
-             were it taken again
-  method     [{method}] that fits it
-  ...        columns=, units=, rate=, from=, to=, as for python -m bench data="""
+LEAST, MOST, LEAST_SHARE, MOST_SHARE = 1e-9, 1e9, 1e-6, 1000.0
+"""Limits of every quantity (SI units) and of every percentage."""
+QUANTITIES = ("k_over_m", "c_over_m", "natural_frequency", "damping_ratio")
+ATLAS = Path("results/atlas.csv.gz")
+Uncertain = tuple[float, float]
+"""A value and the standard deviation of its logarithm."""
+positive = Number(LEAST * (1 - 1e-12), MOST, f"a positive number from {LEAST:g}")
+share = Number(LEAST_SHARE * (1 - 1e-12), MOST_SHARE, f"a percentage from {LEAST_SHARE:g}")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Propose tests."""
-    return command("bench.design", USAGE.format(method=on_the_bound()[0]), argv, designed)
+def _percentage(field: str, text: str, shown: str) -> float:
+    if not text.endswith("%"):
+        raise InputError(field, shown, "a percentage, as 5%")
+    return share(field, text[:-1], shown) / 100.0
 
 
-def designed(arguments: Sequence[str]) -> int:
-    """Propose, print, and simulate where asked; raises InputError."""
-    if any(argument.startswith("given=") for argument in arguments):
-        from bench.commands.design_given import gone_on
-
-        return gone_on(arguments)
-    fields = read_fields(arguments, FIELDS)
-    request = request_of(fields)
-    for name, choices in CHOICES.items():
-        one_of(name, fields[name], choices)
-    if fields["force"] == "optimal":
-        from bench.commands.design_force import driven
-
-        return driven(request)
-    for name in ("energy", "mass"):
-        if fields[name]:
-            raise InputError(name, fields[name], "force=optimal beside it: a free decay has none")
-    if fields["times"] == "optimal":
-        from bench.commands.design_times import sampled
-
-        return sampled(request)
-    if fields["out"]:
-        raise InputError("out", fields["out"], "with times=optimal or force=optimal, which it is for")
-    from bench.commands.design_plan import planned
-
-    return planned(request)
+def wanted(field: str, text: str) -> tuple[str, float]:
+    """Read a quantity and the error of its logarithm: c_over_m:5%."""
+    quantity, _, error = text.partition(":")
+    if quantity not in QUANTITIES:
+        raise InputError(field, text, f"<quantity>:<error>%, of {', '.join(QUANTITIES)}")
+    return quantity, _percentage(field, error, text)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def uncertain(field: str, text: str) -> Uncertain:
+    """Read a positive number, with or without a standard deviation: 2 or 2:10%."""
+    value, colon, deviation = text.partition(":")
+    return positive(field, value, text), _percentage(field, deviation, text) if colon else 0.0
+
+
+def length(field: str, text: str) -> float:
+    """Read a length with its unit, in metres."""
+    from bench.measured.reading.units import unit_of
+
+    parts = re.fullmatch(r"\s*([-+.\deE]+)\s*([^\d\s].*)", text)
+    unit = unit_of(parts[2]) if parts else None
+    if parts is None or unit is None or unit.symbol != "m":
+        raise InputError(field, text, "a length with its unit, as 0.5mm")
+    return positive(field, parts[1], text) * unit.size
+
+
+def methods() -> Sequence[str]:
+    """Return the methods that can be chosen."""
+    from bench.config.choices import choices
+
+    return choices("method")
+
+
+Want = Annotated[tuple[str, float], wanted, "<quantity>:<error>% with the error a standard deviation, of k_over_m, "
+                 "c_over_m, natural_frequency, damping_ratio"]  # fmt: skip
+Frequency = Annotated[Uncertain, uncertain, "natural frequency (Hz), 2 or 2:10% with its uncertainty"]
+Damping = Annotated[Uncertain, uncertain, "damping ratio, 0.02 or 0.02:50% with its uncertainty"]
+Noise = Annotated[float, length, "standard deviation of a sample, as 0.5mm"]
+Amplitude = Annotated[float, length, "initial displacement, as 1cm"]
+Duration = Annotated[float, positive, "duration (s)"]
+Few = Annotated[int, Whole(8, 500), "number of samples"]
+Method = Annotated[str | None, Choice(methods), "method that fits [the first that reaches the bound]"]
+Verify = Annotated[int, Whole(0, 100_000), "number of simulations of each proposed test"]
+
+
+def design(
+    want: Want,
+    frequency: Frequency,
+    damping: Damping,
+    noise: Noise,
+    amplitude: Annotated[float | None, length, "initial displacement, as 1cm [several are tried]"] = None,
+    rate: Annotated[float | None, positive, "sampling rate (1/s) [any]"] = None,
+    samples: Annotated[int | None, Whole(8, 100_000), "with duration=: number of samples of a given test"] = None,
+    duration: Annotated[float | None, positive, "with samples=: duration of a given test (s)"] = None,
+    method: Method = None,
+    verify: Verify = 0,
+) -> int:
+    """Design the smallest free decay that reaches a wanted accuracy.
+
+    With samples= and duration=: the errors of that test.
+    """
+    from bench.reporting.plans.free_decay import decay_page, errors_of, proposals
+
+    request = _request(want, frequency, damping, noise, method, verify)
+    start = None if amplitude is None else amplitude / noise
+    if (samples is None) != (duration is None):
+        name = "samples" if samples is None else "duration"
+        raise InputError(name, "", f"{name}=..., of the test whose errors are sought")
+    if samples is not None and duration is not None:
+        tests = errors_of(request, start, samples, duration)
+    else:
+        tests = proposals(request, start, rate or 0.0)
+    if not tests:
+        error = f"{request.title} to {100 * request.error:g} %"
+        print(f"no free decay of up to 100,000 samples determines {error}; use a larger initial displacement")
+        return 1
+    print(decay_page(request, tests))
+    return 0
+
+
+def best_times(
+    want: Want,
+    frequency: Frequency,
+    damping: Damping,
+    noise: Noise,
+    samples: Few,
+    duration: Duration,
+    amplitude: Amplitude,
+    out: Annotated[Path | None, "file for the best times (s), one per line"] = None,
+    method: Method = None,
+    verify: Verify = 0,
+) -> int:
+    """Find the best sampling times of a free decay, beside even ones."""
+    from bench.planning.free_decay import Decay
+    from bench.reporting.plans.free_decay import times_page
+    from bench.reporting.whole_file import check_file, write
+
+    request = _request(want, frequency, damping, noise, method, verify)
+    if out is not None:
+        check_file(out)
+    text, times = times_page(request, Decay(samples, duration, amplitude / noise))
+    print(text)
+    if out is not None:
+        write(out, "\n".join(["t (s)", *(f"{time:.9g}" for time in times)]) + "\n")
+    return 0
+
+
+def best_force(
+    want: Want,
+    frequency: Frequency,
+    damping: Damping,
+    noise: Noise,
+    samples: Few,
+    duration: Duration,
+    energy: Annotated[float, positive, "integral of the squared force (N² s)"],
+    mass: Annotated[float, positive, "mass as far as it is known (kg)"],
+    out: Annotated[Path | None, "file for the best force, a record without the motion"] = None,
+    method: Method = None,
+    verify: Verify = 0,
+) -> int:
+    """Find the best force of a given energy, from rest, beside a hammer blow, noise and an even multisine."""
+    from bench.reporting.plans.forced import forced_test, forces_page
+    from bench.reporting.whole_file import check_file, write
+
+    request = _request(want, frequency, damping, noise, method, verify)
+    test, size = forced_test(request, samples, duration, energy, mass)
+    if out is not None:
+        check_file(out)
+    text, force = forces_page(request, test, size, energy)
+    print(text)
+    if out is not None:
+        rows = "\n".join(f"{time:.9g},{value:.9g}" for time, value in zip(test.times, force, strict=True))
+        write(out, f"t (s),force (N)\n{rows}\n")
+    return 0
+
+
+def longer(
+    given: Annotated[str, "record of a free decay"],
+    record: Annotated[Sequence[str], Others(RECORD), "columns=, units=, ... as for python -m bench data="],
+    want: Annotated[tuple[str, float] | None, wanted, "<quantity>:<error>%"] = None,
+    method: Method = None,
+) -> int:
+    """State what a record of a free decay would determine, were it longer or taken again."""
+    from bench.config.atlas import on_the_bound
+    from bench.config.overrides import read_overrides
+    from bench.planning.taken import taken
+    from bench.reporting.plans.longer import longer_page
+
+    try:
+        measured = taken(read_overrides([f"data={given}", f"method={method or on_the_bound()[0]}", *record]))
+    except InputError as error:
+        raise InputError("given" if error.field == "data" else error.field, error.value, error.remedy) from None
+    print(longer_page(measured, *(want or (None, 0.0))))
+    return 0
+
+
+def expected(
+    samples: Annotated[int, Whole(4, 100_000), "number of samples of the displacement, evenly spread"],
+    cycles: Annotated[float, Number(0.0, 1e6, "a positive number"), "undamped periods in the record"],
+    damping: Annotated[float, Number(0.0, 100.0, "a positive number"), "damping ratio"],
+    snr: Annotated[float, Number(-100.0, 300.0, "decibels above -100"), "mean square of the noise-free samples over "
+                   "the noise's variance (dB)"],
+    phase: Annotated[float, Number(), "initial phase (degrees): 0 released from rest, 90 after an impact"] = 0.0,
+    initial_state: Annotated[Literal["unknown", "known"], "whether methods are given the initial state"] = "unknown",
+    quantity: Annotated[Literal["k_over_m", "c_over_m"], "quantity whose errors are expected"] = "k_over_m",
+    atlas: Annotated[Path, "atlas of free decays, as experiment=atlas writes it"] = ATLAS,
+) -> int:  # fmt: skip
+    """State the errors that each method is expected to have at a free decay, from the atlas."""
+    from bench.atlas.model import ensembles
+    from bench.atlas.point import FreeDecay
+    from bench.reporting.plans.expected import expected_page, read_atlas
+
+    ensembles()  # before the work, where the package is missing
+    if atlas == ATLAS and not atlas.exists():  # in another folder than the clone
+        atlas = Path(__file__).parents[2] / atlas
+    File("a file that python -m bench -m experiment=atlas has written")("atlas", str(atlas))
+    point = FreeDecay(samples, cycles, damping, snr, math.radians(phase % 180.0), initial_state == "known")
+    print(expected_page(point, read_atlas(atlas, quantity), quantity))
+    return 0
+
+
+VARIANTS = {
+    "given": longer,
+    "snr": expected,
+    "cycles": expected,
+    "force=optimal": best_force,
+    "times=optimal": best_times,
+}
+
+
+def _request(
+    want: tuple[str, float], frequency: Uncertain, damping: Uncertain, noise: float, method: str | None, verify: int
+) -> Any:
+    from bench.config.atlas import on_the_bound
+    from bench.planning.search import Likely
+    from bench.reporting.plans.request import Request
+
+    if damping[0] >= 1.0:
+        raise InputError("damping", f"{damping[0]:g}", "below 1: a motion that oscillates")
+    likely = Likely(frequency[0], damping[0], frequency[1], damping[1])
+    return Request(*want, likely, noise, method or on_the_bound()[0], verify)

@@ -125,7 +125,7 @@ over the other points.
 **near**: share of points at which a method's errors are within {NEAR:g} times the bound, gross ones left out, and at
 most {100 * RARE:g} % are gross; **gross**: share of fits whose error is beyond five times the bound, or that give no
 answer; **coverage**: of 95 % intervals, the mean over points."""
-MODEL = f"""`python -m bench.expect` says what a method is expected to do at any test inside the box, by trees with
+MODEL = f"""`python -m bench design` says what a method is expected to do at any test inside the box, by trees with
 gradient boosting, fitted to `atlas.csv.gz`. Here is how they do at points that they were not fitted to, each left out
 once in {FOLDS} parts. **error**: median size of the error of the log excess, which is itself counted in few fits; **in
 range**: share of points inside the range from the 10 % to the 90 % quantile; **gross, off by**: mean distance of

@@ -10,9 +10,10 @@ from forked import Call, Forked
 from hypothesis import strategies as st
 from malformed import TRACKS, all_malformed, entry
 
+from bench.commands.verbs import VERBS
 from bench.config.overrides import settable
 
-COMMANDS = ("bench", "status", "identifiability", "design", "track", *TRACKS)
+COMMANDS = ("bench", "status", "track", *VERBS, *TRACKS)
 ASKED = {"-h", "--help", "--version"}
 """Where one of these is on a line, the rest of it does not matter."""
 WORDS = [word for case in all_malformed() for word in case.arguments if len(word) < 400]

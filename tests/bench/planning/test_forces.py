@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from bench.commands.design import main
+from bench.commands.main import main
 from bench.config.overrides import read_overrides
 from bench.entrants.registry import make_method
 from bench.information.fisher import compute_bound
@@ -126,7 +126,7 @@ def test_counted_errors_of_normal_ones_are_their_standard_deviation() -> None:
 def test_the_command_compares_forces_and_writes_the_best_as_a_record(tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")  # headings and names stand on one line each
     path = tmp_path / "force.csv"
-    assert main([*GIVEN, f"out={path}", "verify=2"]) == 0
+    assert main(["design", *GIVEN, f"out={path}", "verify=2"]) == 0
     said = capsys.readouterr().out
     for title in ("hammer blow", "band-limited noise", "even multisine", "best pulse for c/m", "counted, %"):
         assert title in said
@@ -142,13 +142,13 @@ def test_the_command_compares_forces_and_writes_the_best_as_a_record(tmp_path, c
 
 @pytest.mark.parametrize(
     ("fields", "said"),
-    [(["force=best"], "none or optimal"), (["energy=0"], "a positive number"), (["samples=8"], "at least 21"),
+    [(["force=best"], "force=best: optimal"), (["energy=0"], "a positive number"), (["samples=8"], "at least 21"),
      (["duration=0.1"], "duration"), (["amplitude=1cm"], "amplitude"), (["times=optimal"], "times"),
-     (["samples=501"], "500"), (["force=none"], "energy"), (["out=/dev/null/force.csv"], "cannot be written")],
+     (["samples=501"], "500"), (["force=none"], "leave it out"), (["out=/dev/null/force.csv"], "cannot be written")],
 )  # fmt: skip
 def test_a_mistype_is_one_line(fields: list[str], said: str, capsys) -> None:
     keys = {field.partition("=")[0] for field in fields}
-    assert main([*(one for one in GIVEN if one.partition("=")[0] not in keys), *fields]) == 2
+    assert main(["design", *(one for one in GIVEN if one.partition("=")[0] not in keys), *fields]) == 2
     error = capsys.readouterr().err.strip().splitlines()
     assert len(error) == 1
     assert said in error[0]
@@ -156,7 +156,7 @@ def test_a_mistype_is_one_line(fields: list[str], said: str, capsys) -> None:
 
 @pytest.mark.parametrize("field", ["energy", "mass", "samples", "duration"])
 def test_a_field_that_is_not_given_is_named(field: str, capsys) -> None:
-    assert main([one for one in GIVEN if not one.startswith(f"{field}=")]) == 2
+    assert main(["design", *(one for one in GIVEN if not one.startswith(f"{field}="))]) == 2
     assert f"{field}=" in capsys.readouterr().err
 
 

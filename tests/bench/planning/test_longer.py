@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bench
-from bench.commands.design import main
+from bench.commands.main import main
 from bench.planning.free_decay import Oscillator, motion
 from bench.planning.longer import Taken, start_of
 
@@ -58,12 +58,12 @@ def test_the_factor_is_the_least_that_reaches_the_error() -> None:
 def test_the_command_reads_a_record_and_refuses_what_is_none(tmp_path, capsys) -> None:
     path = tmp_path / "record.csv"
     np.savetxt(path, np.c_[TIMES, record(TIMES, 1)], delimiter=",", header="t (s),x (m)", comments="")
-    assert main([f"given={path}", "want=damping_ratio:5%"]) == 0
+    assert main(["design", f"given={path}", "want=damping_ratio:5%"]) == 0
     said = capsys.readouterr().out
     assert "s more bring damping ratio" in said
     assert "2 times as long" in said
     rng = np.random.default_rng(0)
     np.savetxt(path, np.c_[TIMES, rng.standard_normal(40)], delimiter=",", header="t (s),x (m)", comments="")
-    assert main([f"given={path}"]) == 2
+    assert main(["design", f"given={path}"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
-    assert main(["given=nowhere.csv"]) == 2
+    assert main(["design", "given=nowhere.csv"]) == 2

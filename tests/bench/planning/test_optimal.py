@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from bench.commands.design import main
+from bench.commands.main import main
 from bench.entrants.registry import make_method
 from bench.planning import optimal
 from bench.planning.free_decay import Decay
@@ -55,9 +55,9 @@ def test_a_real_method_gains_what_the_bound_promises() -> None:
 def test_the_command_says_when_to_sample(tmp_path, capsys) -> None:
     given = ["want=c_over_m:5%", "frequency=2", "damping=0.02", "noise=0.5mm", "times=optimal", "duration=8"]
     path = tmp_path / "times.csv"
-    assert main([*given, "samples=40", "amplitude=1cm", f"out={path}"]) == 0
+    assert main(["design", *given, "samples=40", "amplitude=1cm", f"out={path}"]) == 0
     assert "best for c/m" in capsys.readouterr().out
     assert len(path.read_text().splitlines()) == 41
     for wrong in (["samples=40"], ["amplitude=1cm"], ["samples=40", "amplitude=1cm", "times=soon"]):
-        assert main([*given, *wrong]) == 2
+        assert main(["design", *given, *wrong]) == 2
         assert capsys.readouterr().err.count("\n") == 1

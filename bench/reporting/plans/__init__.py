@@ -1,0 +1,1 @@
+"""Pages of tests that are planned, and of what each method is expected to do at one."""
