@@ -13,8 +13,11 @@ from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files, InclusionLevel
+from mkdocs.structure.nav import Link, Navigation
 
 ROOT = Path(__file__).parents[1]
+SITE = ROOT / "build" / "site"
+"""Where ``python -m bench.report`` writes the site of the results."""
 PLACE = "<!-- the help of every command, written by docs/hooks.py when the site is built -->"
 README = "readme.md"
 """Where README.md stands in the site, whose first page is docs/index.md."""
@@ -24,13 +27,25 @@ LINK = re.compile(r"(?P<open>\]\()(?P<target>[^)#\s]+)(?P<rest>(?:#[^)\s]*)?\))"
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the results, but for packed cells, and the documents of the root, as if they stood in docs/."""
+    """Add the results, but for packed cells, the documents of the root, and the site of the results if it is made."""
     for path in _beside():
         name = path.relative_to(ROOT).as_posix()
         nav = InclusionLevel.INCLUDED if name == "results/README.md" else InclusionLevel.NOT_IN_NAV
         place = README if name == "README.md" else name
         files.append(File.generated(config, place, abs_src_path=str(path), inclusion=nav))
+    for path in sorted(SITE.rglob("*")):
+        if path.is_file():
+            place = f"site/{path.relative_to(SITE).as_posix()}"
+            files.append(File.generated(config, place, abs_src_path=str(path), inclusion=InclusionLevel.NOT_IN_NAV))
     return files
+
+
+def on_nav(nav: Navigation, **_: Any) -> Navigation:
+    """Let the results lead to their site where it is made."""
+    if (SITE / "index.html").is_file():
+        results = next(section for section in nav.items if section.title == "Results")
+        results.children.append(Link("All results in a browser", "site/index.html"))
+    return nav
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:

@@ -1,7 +1,8 @@
 """``python -m bench -m experiment=measured``: the measured track, real records fitted by every method, as Table 11.
 
-Small records travel with the package; the others are found below ``data_root``, and one that is not there is a row
-that says so. Finished fits are kept in ``store``, and the same command goes on from them.
+The table goes to ``out``, and the same as a page with pictures to ``page``. Small records travel with the package; the
+others are found below ``data_root``, and one that is not there is a row that says so. Finished fits are kept in
+``store``, and the same command goes on from them.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from bench.commands.fields import flag, folder_of, listed, path_of, read_fields, whole
 from bench.config.choices import check_choice
-from bench.reporting.whole_file import check_folder, write
+from bench.reporting.whole_file import check_file, check_folder, write
 
 if TYPE_CHECKING:
     from bench.measured.track import Fit, Task
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 FIELDS = {
     "data_root": "", "set": "", "method": "", "timeout_s": "120", "store": "outputs/measured", "out": "results",
-    "dry_run": "false", "fit": "true",
+    "dry_run": "false", "fit": "true", "page": "build/table11.html",
 }  # fmt: skip
 COMMAND = "python -m bench -m experiment=measured data_root=<folder>"
 
@@ -41,8 +42,9 @@ def tracked(arguments: Sequence[str]) -> int:
     methods = listed("method", fields["method"]) if fields["method"] else track_methods()
     for name in methods:
         check_choice("method", name)
-    store, out = path_of(fields["store"]), path_of(fields["out"])
+    store, out, page = path_of(fields["store"]), path_of(fields["out"]), path_of(fields["page"])
     if not dry_run:
+        check_file(page, "page")
         check_folder(store, "store")
         check_folder(out)
     fits = Fits(store)
@@ -57,7 +59,7 @@ def tracked(arguments: Sequence[str]) -> int:
         found = _panels(name, own, run(own, fits, timeout_s, _say) if fitting else kept, root)
         panels += found
         free_runs += [one for panel in found for one in _free_runs(panel, root)]
-    _write(Track(panels, free_runs, 0 if fitting else missing), out)
+    _write(Track(panels, free_runs, 0 if fitting else missing), out, page)
     return 0
 
 
@@ -104,18 +106,18 @@ def _free_runs(panel: Panel, root: Path | None) -> Iterator[FreeRun]:
         yield FreeRun(f"{panel.name} {panel.system}", model, tuple(1e3 * error for error in errors))
 
 
-def _write(track: Track, out: Path) -> None:
+def _write(track: Track, out: Path, place: Path) -> None:
     """The table, and where the packages of the page are there, the page."""
     from bench.reporting.tables.track_table import track_table
 
-    made = dict(track_table(track, COMMAND))
+    made = {out / name: content for name, content in track_table(track, COMMAND).items()}
     try:
         from bench.reporting.track.page import page
 
-        made["table11.html"] = page(track, COMMAND)
+        made[place] = page(track, COMMAND)
     except ImportError as error:
         said = f"bench: no page, since {error.name} is missing: pip install 'vibration-bench[report]'"
         print(said, file=sys.stderr)
-    for name, content in made.items():
-        write(out / name, content, out)
-        print(out / name)
+    for path, content in made.items():
+        write(path, content)
+        print(path)

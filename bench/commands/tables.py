@@ -1,7 +1,8 @@
 """``python -m bench.tables``: the tables of all experiments as Markdown, CSV and LaTeX, from stored rows alone.
 
-A table is what its experiment in ``conf`` describes; a cell that the store lacks is a row that says so. A submitted
-method (``python -m bench.merge``) stands in the tables of which it has every scenario, and is marked.
+Pages and CSV files go to ``out``, what is meant for print (``.tex``) to ``tex``. A table is what its experiment in
+``conf`` describes; a cell that the store lacks is a row that says so. A submitted method (``python -m bench.merge``)
+stands in the tables of which it has every scenario, and is marked.
 """
 
 from __future__ import annotations
@@ -21,11 +22,13 @@ from bench.store.opening import DEFAULT_STORE
 if TYPE_CHECKING:
     from bench.reporting.frame import Frame
 
-USAGE = f"usage: python -m bench.tables [store={DEFAULT_STORE}] [archive=<folder>|none] [out=results]"
+USAGE = (
+    f"usage: python -m bench.tables [store={DEFAULT_STORE}] [archive=<folder>|none] [out=results] [tex=build/tables]"
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """``python -m bench.tables [store=...] [archive=...] [out=results]``; exit status 2 for bad input."""
+    """``python -m bench.tables [store=...] [archive=...] [out=...] [tex=...]``; exit status 2 for bad input."""
     return command("bench.tables", f"{USAGE}\n\n{__doc__}", argv, _main)
 
 
@@ -34,9 +37,10 @@ def _main(arguments: Sequence[str]) -> int:
     from bench.reporting.tables.forms import table_files
     from bench.reporting.tables.leaderboard import EXPERIMENTS, leaderboard
 
-    fields = read_fields(arguments, {**FIELDS, "out": "results"})
-    store, out = filled_store(fields), path_of(fields["out"])
+    fields = read_fields(arguments, {**FIELDS, "out": "results", "tex": "build/tables"})
+    store, out, tex = filled_store(fields), path_of(fields["out"]), path_of(fields["tex"])
     check_folder(out)
+    check_folder(tex, "tex")
     pooled, drawn, submitted, written = [], None, submitted_results(store), 0
     for name in table_experiments():
         frame = with_submitted(experiment_frame(name, store), submitted)
@@ -45,20 +49,21 @@ def _main(arguments: Sequence[str]) -> int:
             _say_stale(frame)
         else:
             print(f"{name}: no cells stored; run python -m bench -m experiment={name}", file=sys.stderr)
-        written += _write(files, out)
+        written += _write(files, out, tex)
         pooled += [frame] if name in EXPERIMENTS else []
         drawn = frame if frame.table.get("form") == "open" else drawn
-    written += _write(leaderboard(pooled, drawn), out)
+    written += _write(leaderboard(pooled, drawn), out, tex)
     if not written:
         raise InputError("store", fields["store"], "none of its cells stands in a table; see bench.status")
     return 0
 
 
-def _write(files: Mapping[str, str], out: Path) -> int:
-    """Write files by name, saying so; how many."""
+def _write(files: Mapping[str, str], out: Path, tex: Path) -> int:
+    """Write files by name and print their paths; returns how many."""
     for name, content in files.items():
-        write(out / name, content, out)
-        print(out / name)
+        folder = tex if name.endswith(".tex") else out
+        write(folder / name, content, folder)
+        print(folder / name)
     return len(files)
 
 

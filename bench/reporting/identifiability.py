@@ -138,4 +138,4 @@ def profile_intervals(
         rows.append([readable(p.quantity.name), estimate if structure.identifiable(p.quantity) else "any", *ends])
     headers = [f"profile of replicate 0, seed {seed}", "estimate", "95 % low", "95 % high"]
     figure = draw_profiles(computed, dict(scenario.parameters), scenario.draw_prior(system, seed, 0))
-    return table(rows, headers), list(save_figure(figure, out, f"profile_{scenario.label}", CAPTION))
+    return table(rows, headers), list(save_figure(figure, out, f"profile_{scenario.label}", CAPTION, svg=out))

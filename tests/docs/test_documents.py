@@ -44,10 +44,26 @@ def test_the_whole_table_3_is_shown_to_the_letter() -> None:
 def test_every_file_that_is_pointed_to_is_there(document: Path) -> None:
     """Links, and paths of this repository in code marks."""
     text = document.read_text(encoding="utf-8")
-    for target in re.findall(r"\]\((?!http)([^)#]+)(?:#[^)]*)?\)", text):
+    for target in re.findall(LINKED, text):
         assert (document.parent / target).exists(), target
     for target in re.findall(r"`((?:bench|methods|tests|conf|docs|results)/[\w./]+?)/?`", text):
         assert (REPOSITORY / target).exists(), target
+
+
+RESULTS = REPOSITORY / "results"
+LINKED = r"\]\((?!http)([^)#]+)(?:#[^)]*)?\)"
+
+
+@pytest.mark.parametrize("page", sorted(RESULTS.glob("*.md")), ids=name)
+def test_every_file_that_a_page_of_results_points_to_is_there(page: Path) -> None:
+    for target in re.findall(LINKED, page.read_text(encoding="utf-8")):
+        assert (page.parent / target).exists(), target
+
+
+def test_every_published_picture_is_shown_or_linked_by_a_page() -> None:
+    pages = {*DOCUMENTS, *RESULTS.glob("*.md")}
+    linked = {(p.parent / target).resolve() for p in pages for target in re.findall(LINKED, p.read_text("utf-8"))}
+    assert {path.resolve() for path in (RESULTS / "figures").iterdir()} <= linked
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=name)

@@ -233,7 +233,7 @@ def page(data: pd.DataFrame, timeout_s: float) -> str:
         f"| method | solved up to n = (all fits ok, rmse excess below {ASTRAY:g}) | and then, at n = |\n|---|---|---|"
     )
     parts += ["## Where each method gives up", "\n".join([head, *lines])]
-    parts += ["![Time and excess against the number of masses](figures/chains.svg)", caption(data, ASTRAY)]
+    parts += ["![Time and excess against the number of masses](figures/chains.png)", caption(data, ASTRAY)]
     columns = ["method", "time (s)", "rmse", "parameters", "ratios", "ok"]
     for n, own in data.groupby("n", sort=True):
         cell_scenario = scenario(int(n))

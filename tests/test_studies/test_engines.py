@@ -239,7 +239,7 @@ def test_the_page_counts(tmp_path: Path) -> None:
     assert "Without an answer by the earlier code: least squares (not in 9 s)." in page.said_of_rows([gone])
     data = page.tidy(study)
     assert list(data[data.part == "rows"].seconds.dropna()) == [0.01, 0.04]
-    assert [path.suffix for path in picture([growth], tmp_path)] == [".svg", ".png"]
+    assert [path.suffix for path in picture([growth], tmp_path)] == [".png"]
     assert [(own.curve, own.sizes, own.seconds) for own in stored_growths(data)] == [
         (CURVES[0], (1, 3, 10), (1, 3, 10))
     ]
@@ -259,7 +259,7 @@ def test_the_picture_alone_needs_stored_numbers(tmp_path: Path, capsys: pytest.C
     rows = "growth,shooting samples,now,25,0.1", "growth,shooting samples,now,100,0.2"
     (tmp_path / "engines.csv").write_text("\n".join(["part,name,code,size,seconds", *rows]) + "\n", encoding="utf-8")
     assert main(["fit=false", f"out={tmp_path}"]) == 0
-    assert (tmp_path / "figures" / "engines_scaling.svg").is_file()
+    assert (tmp_path / "figures" / "engines_scaling.png").is_file()
     assert not (tmp_path / "engines.md").exists()
 
 

@@ -8,7 +8,7 @@ NOISE = r"\d+(?: dB)?(?:, \d+)?(?: to \d+| and \d+)? dB\b"
 ALLOWED = (
     # names
     r"Python 3\.\d+",
-    r"\bTables? \d+(?: (?:to|and) \d+)?(?!\d)",
+    r"\b(?:Tables?|Figures?) \d+(?: (?:to|and) \d+)?(?!\d)",
     r"Karkadakattil 2026\b",
     r"doi[: ]10\.25082/RIMA\.2026\.02\.002",
     r"Schoukens, 2013",

@@ -44,11 +44,11 @@ PICTURES: dict[str, Callable[[Gallery], Picture]] = {
 """By file name, what draws it."""
 
 
-def write_picture(gallery: Gallery, name: str, out: Path) -> list[Path]:
-    """Draw a picture and write its files; the paths of the drawings. Raises Nothing where there is nothing to draw."""
+def write_picture(gallery: Gallery, name: str, out: Path, svg: Path | None = None) -> list[Path]:
+    """Draw a picture and write its files; returns their paths. Raises Nothing where there is nothing to draw."""
     picture = PICTURES[name](gallery)
     changed = _changed_names(gallery, picture.figure)
-    return save_figure(picture.figure, out, picture.name or name, picture.caption + changed)
+    return save_figure(picture.figure, out, picture.name or name, picture.caption + changed, svg)
 
 
 def _changed_names(gallery: Gallery, figure: Any) -> str:

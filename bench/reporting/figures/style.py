@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.reporting.figures.png import png_file
 from bench.reporting.labels import cards, in_order, title
 from bench.reporting.whole_file import write
 
@@ -25,7 +26,6 @@ MM = 1.0 / 25.4
 HALF, FULL = 85.0 * MM, 175.0 * MM
 SMALL, NORMAL = 7.0, 7.5
 """Font sizes (points)."""
-DPI = 200
 FONT = "DejaVu Sans"
 """It comes with matplotlib: pictures are the same on every machine."""
 LONGEST = 34
@@ -247,18 +247,21 @@ def decibels(axis: Any, snrs: Sequence[float]) -> None:
     axis.set_xlim(max(snrs) + 2.5, min(snrs) - 2.5)
 
 
-def save_figure(figure: Any, folder: Path, name: str, caption: str) -> list[Path]:
-    """Write a figure as SVG and PNG, the same bytes for the same picture, and its caption beside it.
+def save_figure(figure: Any, folder: Path, name: str, caption: str, svg: Path | None = None) -> list[Path]:
+    """Write a figure as a PNG file with its caption, and as SVG into a further folder where one is given; close it.
 
-    Returns the paths of the drawings. The caption is one line, whose first sentence says what is seen.
+    The same figure gives the same bytes. The caption is one line, whose first sentence says what is seen.
+
+    Returns:
+        The paths of the files.
     """
-    paths = []
-    for ending, extra in (("svg", {"metadata": {"Date": None}}), ("png", {"dpi": DPI})):
+    paths = [folder / f"{name}.png"]
+    write(paths[0], png_file(figure, caption), folder)
+    if svg is not None:
+        figure.set_layout_engine("none")  # it stays as the first file laid it out
         drawn = io.BytesIO()
-        figure.savefig(drawn, format=ending, **extra)
-        paths.append(folder / f"{name}.{ending}")
-        write(paths[-1], drawn.getvalue(), folder)
-        figure.set_layout_engine("none")  # it stays as the first one laid it out
-    write(folder / f"{name}.txt", f"{caption}\n", folder)
+        figure.savefig(drawn, format="svg", metadata={"Date": None})
+        paths.append(svg / f"{name}.svg")
+        write(paths[1], drawn.getvalue(), svg, "svg")
     pyplot().close(figure)
     return paths

@@ -1,4 +1,4 @@
-"""The tables that other commands wrote beside the site as Markdown: each becomes a page, its tables sortable."""
+"""The tables that other commands wrote as Markdown: each becomes a page, its tables sortable."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-OTHER_FORMS = (".csv", ".csv.gz", ".tex", ".html", ".md")
+OTHER_FORMS = (".csv", ".csv.gz", ".md")
+FILES = "files"
+"""The folder of the site with copies of them."""
 
 
 @dataclass(frozen=True)
 class Document:
-    """A page of a results file: ``files`` are the forms in which it lies beside the site."""
+    """A page of a results file: ``files`` are the names of the forms in which it is there."""
 
     name: str
     title: str
@@ -58,7 +60,7 @@ FIGURE = r'<div class="scroll" tabindex="0" role="region" aria-label="\2">\1</di
 
 
 def _body(tokens: Sequence[Any]) -> str:
-    """The page's HTML, its first heading left out, links and pictures pointed at what lies beside the site."""
+    """The page's HTML, its first heading left out, links and pictures pointed at the site's copies."""
     heading, shown = "", []
     for i, token in enumerate(tokens):
         if token.type == "heading_open":
@@ -85,9 +87,7 @@ def _retarget(token: Any) -> None:
             continue
         if name == "href" and re.fullmatch(r"[\w-]+\.md", target):
             token.attrSet(name, target.removesuffix(".md") + ".html")
-        elif name == "src" and target.startswith("figures/"):
-            token.attrSet(name, f"../{Path(target).with_suffix('.png').as_posix()}")
         else:
-            token.attrSet(name, f"../../{target}")
+            token.attrSet(name, f"../{target}" if target.startswith("figures/") else f"../{FILES}/{target}")
     if token.type == "image":
         token.attrSet("loading", "lazy")

@@ -1,29 +1,23 @@
-"""The figures beside the site: a smaller copy of each to look at, and links to the whole ones."""
+"""The figures of the results, each with its caption."""
 
 from __future__ import annotations
 
-import io
-import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import quote
 
+from bench.reporting.figures.png import caption_of
+from bench.reporting.figures.style import FULL
 from bench.reporting.labels import cards, title
 
-WIDTH = 900
-"""Pixels across of a copy at most."""
-COLOURS = 64
-PAGE = 1378
-"""Pixels across of a figure that is a whole page wide."""
 LEGIBLE = 46.0
-"""Width (rem) of such a figure below which its letters, of 7 points on paper, are too small to read; it is scrolled."""
+"""Width (rem) of a figure as wide as a page below which its letters, of 7 points, are too small; it is scrolled."""
 INITIALS = frozenset({"snr"})
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure: its copy's bytes, its caption, and where its whole files are from the site's folder.
+    """A figure: its file's bytes, its size in pixels, the first sentence of its caption and the rest.
 
     ``least`` is the width (rem) that it is not shown below.
     """
@@ -32,40 +26,28 @@ class Picture:
     heading: str
     caption: str
     rest: str
-    copy: bytes
+    data: bytes
     width: int
     height: int
     least: float
-    whole: tuple[tuple[str, str], ...]
 
 
-def pictures(folder: Path, out: Path) -> list[Picture]:
-    """Those of a folder with a PNG, by name."""
-    return [picture(path, out) for path in sorted(folder.glob("*.png"))] if folder.is_dir() else []
+def pictures(folder: Path) -> list[Picture]:
+    """Read those of a folder, by name."""
+    return [picture(path) for path in sorted(folder.glob("*.png"))] if folder.is_dir() else []
 
 
-def picture(path: Path, out: Path) -> Picture:
-    """A figure with its caption, the first sentence apart."""
+def picture(path: Path) -> Picture:
+    """Read a figure with its caption."""
     from PIL import Image
 
-    with Image.open(path) as found:
-        image = found.convert("RGB")
-    least = round(LEGIBLE * min(1.0, image.width / PAGE), 1)
-    if image.width > WIDTH:
-        image = image.resize((WIDTH, round(image.height * WIDTH / image.width)), Image.Resampling.LANCZOS)
-    buffer = io.BytesIO()
-    # not by the median cut, which gives the colours of thin lines away for shades of grey
-    few = image.quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    few.save(buffer, "PNG", optimize=True)
-    said = path.with_suffix(".txt")
-    first, rest = first_sentence(said.read_text(encoding="utf-8").strip() if said.is_file() else "")
-    whole = tuple(
-        (ending.removeprefix(".").upper(), quote(Path(os.path.relpath(own, out)).as_posix()))
-        for ending in (".svg", ".png") if (own := path.with_suffix(ending)).is_file()
-    )  # fmt: skip
+    with Image.open(path) as image:
+        (width, height), dpi = image.size, image.info.get("dpi", (100.0,))[0]
+    least = round(LEGIBLE * min(1.0, width / dpi / FULL), 1)
+    first, rest = first_sentence(caption_of(path))
     heading = " ".join(_word(word) for word in path.stem.split("_"))
     heading = heading[:1].upper() + heading[1:]
-    return Picture(path.stem, heading, first, rest, buffer.getvalue(), image.width, image.height, least, whole)
+    return Picture(path.stem, heading, first, rest, path.read_bytes(), width, height, least)
 
 
 def _word(word: str) -> str:

@@ -1,7 +1,7 @@
 """``python -m bench.report``: the results as a folder of pages that opens from a disk, without network or server.
 
-From stored cells, their arrays and the files beside the folder (tables, figures) alone; nothing is computed anew but
-ranks. The same store gives the same bytes.
+From stored cells, their arrays and a folder of results (tables, figures) alone, of which it holds copies; nothing is
+computed anew but ranks. The same store gives the same bytes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bench.reporting.grid import rendered
 from bench.reporting.labels import in_order, title
 from bench.reporting.page import board, cards, describe, elsewhere, home, origin, told
 from bench.reporting.page.addresses import scenario_slugs, slugs
-from bench.reporting.page.documents import Document, documents
+from bench.reporting.page.documents import FILES, Document, documents
 from bench.reporting.page.pictures import Picture, pictures
 from bench.reporting.page.reading import Panel, Reading, decibels, read
 from bench.reporting.page.scenario_data import scenario_data
@@ -40,10 +40,10 @@ MEASURED = "table11"
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """All that pages are made of; ``out`` is the site's folder, its neighbours lie beside it."""
+    """All that pages are made of; ``results`` is the folder of tables and figures."""
 
     store: Store
-    out: Path
+    results: Path
     reading: Reading
 
     @property
@@ -96,7 +96,7 @@ class Site:
 
     @cached_property
     def atlas(self) -> tuple[dict[str, Any], int]:
-        return elsewhere.atlas_records(self.out.parent)
+        return elsewhere.atlas_records(self.results)
 
     @cached_property
     def advice(self) -> list[Advice]:
@@ -104,19 +104,21 @@ class Site:
 
     @cached_property
     def documents(self) -> list[Document]:
-        return documents(self.out.parent)
+        return documents(self.results)
 
     @cached_property
     def pictures(self) -> list[Picture]:
-        return pictures(self.out.parent / "figures", self.out)
+        return pictures(self.results / "figures")
 
 
-def site_files(store: Store, out: Path) -> Iterator[tuple[str, bytes]]:
-    """Every file of the site by its path in the folder; raises InputError for a store that cannot be shown."""
-    site = Site(store, out, read(store))
+def site_files(store: Store, results: Path) -> Iterator[tuple[str, bytes]]:
+    """Yield every file of the site by its path in the folder; raises InputError for a store that cannot be shown."""
+    site = Site(store, results, read(store))
     yield from _assets()
     for picture in site.pictures:
-        yield f"figures/{picture.name}.png", picture.copy
+        yield f"figures/{picture.name}.png", picture.data
+    for document in site.documents:
+        yield from ((f"{FILES}/{name}", (results / name).read_bytes()) for name in document.files)
     for path, call, value in _data(site):
         yield path, f"bench.{call}({_json(value)});\n".encode()
     for path, text in _pages(site):
@@ -227,7 +229,7 @@ def order(value: float) -> str:
 def home_values(site: Site) -> dict[str, Any]:
     """The first screen."""
     atlas, points = site.atlas
-    rows = home.rows(site.advice, atlas, points, site.out.parent)
+    rows = home.rows(site.advice, atlas, points, site.results)
     first = site.advice[0] if site.advice else None
     panels = first.panels if first else site.panels
     best = first.advised[0] if first and not first.hopeless else None

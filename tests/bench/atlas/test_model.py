@@ -10,6 +10,7 @@ from bench.atlas.point import FreeDecay
 from bench.commands.main import main
 from bench.reporting.atlas import point_frame
 from bench.reporting.figures.atlas_regions import draw_regions, near_bound
+from bench.reporting.figures.png import caption_of
 
 pytest.importorskip("sklearn")
 SPREAD = 0.1
@@ -113,6 +114,6 @@ def test_a_region_is_where_the_model_expects_a_method_near_the_bound(tmp_path) -
     assert not near[quiet & (points.samples > 60)].any()
     assert not near[points.snr_db < 5].any()
     assert all(path.is_file() for path in draw_regions([own], frame, tmp_path))
-    said = (tmp_path / "figures" / "atlas_map_samples_snr.txt").read_text(encoding="utf-8")
+    said = caption_of(tmp_path / "figures" / "atlas_map_samples_snr.png")
     share = 100.0 * near_bound(points, Model(frame, "k_over_m")).mean()  # of the one method that there is
     assert f"near the bound on {share:.0f} % of this map" in said

@@ -138,7 +138,9 @@ def test_an_unknown_set_is_said() -> None:
 
 def test_the_command_fits_once_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = [f"store={tmp_path / 'kept'}", f"out={tmp_path}", "set=mgh17,silverbox", "method=output_error"]
+    asked.append(f"page={tmp_path / 'page.html'}")
     assert tracked(asked) == 0
+    assert "Table 11" in (tmp_path / "page.html").read_text(encoding="utf-8")
     text = (tmp_path / "table11.md").read_text(encoding="utf-8")
     assert "not found under data_root=: silverbox/SNLS80mV.csv.gz" in text
     assert "the same to three digits" in text

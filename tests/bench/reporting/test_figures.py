@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Callable
 from pathlib import Path
+from xml.etree import ElementTree
 
+import numpy as np
 import pytest
-from conftest import Python
+from conftest import REPOSITORY, Python
 from stored import described, fill, recorded, save, scored
 
 from bench.commands.figures import main
 from bench.reporting.figures.pictures import PICTURES
+from bench.reporting.figures.png import MOST_BYTES, RESOLUTIONS, caption_of, packed, png_file
+from bench.reporting.labels import cards
 from bench.store.store import Store
 
 pytest.importorskip("matplotlib")
@@ -32,7 +37,7 @@ def store(tmp_path: Path) -> Store:
 
 
 def pictures(out: Path) -> set[str]:
-    return {path.stem for path in out.glob("*.svg")}
+    return {path.stem for path in out.glob("*.png")}
 
 
 def test_every_picture_is_the_same_each_time_and_has_a_caption(store: Store, tmp_path: Path, python: Python) -> None:
@@ -40,15 +45,62 @@ def test_every_picture_is_the_same_each_time_and_has_a_caption(store: Store, tmp
     assert main([f"store={store.folder}", f"out={out}"]) == 0
     first = {path.name: path.read_bytes() for path in out.iterdir()}
     assert pictures(out) == {*ALONE, "profiles"}
-    assert set(first) == {f"{name}.{ending}" for name in pictures(out) for ending in ("svg", "png", "txt")}
-    for name in pictures(out):
-        text = first[f"{name}.txt"].decode()
-        assert text.endswith(".\n")
-        assert len(text.splitlines()) == 1
-        assert "nan" not in text
+    assert set(first) == {f"{name}.png" for name in pictures(out)}
+    for path in out.iterdir():
+        caption = caption_of(path)
+        assert caption.endswith(".")
+        assert len(caption.splitlines()) == 1
+        assert "nan" not in caption
     done = python("-m", "bench.figures", f"store={store.folder}", f"out={again}", env={"PYTHONHASHSEED": "7"})
     assert done.returncode == 0, done.stderr
     assert {path.name: path.read_bytes() for path in again.iterdir()} == first
+
+
+def test_pictures_are_drawn_as_svg_where_a_folder_is_named(store: Store, tmp_path: Path) -> None:
+    out, svg = tmp_path / "out", tmp_path / "svg"
+    assert main([f"store={store.folder}", f"out={out}", f"svg={svg}"]) == 0
+    assert {path.name for path in svg.iterdir()} == {f"{name}.svg" for name in pictures(out)}
+    assert all(ElementTree.parse(path).getroot().tag.endswith("svg") for path in svg.iterdir())
+
+
+def test_a_picture_too_large_for_its_file_is_drawn_with_fewer_pixels() -> None:
+    """Noise cannot be packed."""
+    from PIL import Image
+
+    from bench.reporting.figures.style import pyplot
+
+    figure = pyplot().figure(figsize=(4.0, 3.0))
+    figure.figimage(np.random.default_rng(0).uniform(size=(900, 1200)), resize=False)
+    with Image.open(io.BytesIO(png_file(figure, "Noise: 5 µm."))) as image:
+        assert image.size == (4 * RESOLUTIONS[-1], 3 * RESOLUTIONS[-1])
+        assert image.info["dpi"] == pytest.approx((RESOLUTIONS[-1], RESOLUTIONS[-1]), abs=0.1)
+        assert image.info["Description"] == "Noise: 5 µm."
+
+
+def test_the_palette_keeps_the_colours_of_thin_lines() -> None:
+    """Thirty lines, each of them a small part of a picture with all shades of grey."""
+    from PIL import Image, ImageColor, ImageDraw
+
+    colours = [card.colour for card in cards().values() if card.colour][:30]
+    image = Image.new("RGB", (1378, 1200), "white")
+    draw = ImageDraw.Draw(image)
+    for grey in range(0, 256, 2):
+        draw.rectangle((5 * grey, 1100, 5 * grey + 10, 1200), fill=(grey, grey, grey))
+    for i, colour in enumerate(colours):
+        draw.rectangle((100, 30 * i + 10, 300, 30 * i + 13), fill=colour)
+    with Image.open(io.BytesIO(packed(image, 200, ""))) as small:
+        drawn = small.convert("RGB")
+    for i, colour in enumerate(colours):
+        seen = drawn.getpixel((200, 30 * i + 12))
+        assert isinstance(seen, tuple)
+        assert max(abs(a - b) for a, b in zip(seen, ImageColor.getrgb(colour), strict=True)) <= 16, (colour, seen)
+
+
+@pytest.mark.parametrize("path", sorted((REPOSITORY / "results" / "figures").iterdir()), ids=lambda path: path.name)
+def test_a_published_picture_is_small_and_has_a_caption(path: Path) -> None:
+    assert path.suffix == ".png"
+    assert path.stat().st_size <= MOST_BYTES
+    assert caption_of(path).endswith(".")
 
 
 def test_a_store_of_one_method_gives_all_but_comparisons(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

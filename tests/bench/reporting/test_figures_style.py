@@ -21,6 +21,7 @@ pytest.importorskip("matplotlib")
 
 from bench.reporting.figures.gallery import Gallery, Picture
 from bench.reporting.figures.pictures import PICTURES, write_picture
+from bench.reporting.figures.png import caption_of
 from bench.reporting.figures.style import (
     FULL,
     HALF,
@@ -209,6 +210,6 @@ BY_LEGEND = {"training_loss", "waterfall", "failures"}
 
 def test_only_names_that_are_drawn_are_explained(full: Gallery, tmp_path: Path) -> None:
     write_picture(full, "record", tmp_path)
-    assert "stands for" not in (tmp_path / "record.txt").read_text(encoding="utf-8")
+    assert "stands for" not in caption_of(tmp_path / "record.png")
     write_picture(full, "error_against_noise", tmp_path)
-    assert "\\u65b9\\u6cd5 stands for 方法." in (tmp_path / "error_against_noise.txt").read_text(encoding="utf-8")
+    assert "\\u65b9\\u6cd5 stands for 方法." in caption_of(tmp_path / "error_against_noise.png")

@@ -138,7 +138,7 @@ def test_the_command_finds_the_table_by_its_experiment(store: Store, tmp_path: P
     assert {"table2", "table3", "table4", "table5", "robustness"} <= set(table_experiments())
     cells = Experiment("robustness").cells()
     out = tmp_path / "out"
-    arguments = [f"store={store.folder}", f"out={out}"]
+    arguments = [f"store={store.folder}", f"out={out}", f"tex={tmp_path / 'tex'}"]
     for c in cells:
         if c.scenario.disturbance is None:
             store.save(stored(c))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-import io
 import json
 import math
 import re
@@ -18,14 +17,14 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from conftest import REPOSITORY
+from conftest import REPOSITORY, Python
 from scipy.stats import binom, binomtest
 
 from bench.commands.report import main
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
+from bench.reporting.figures import png
 from bench.reporting.frame import Result
-from bench.reporting.labels import cards
 from bench.reporting.page import board, documents, origin, pictures, scenario_data, told
 from bench.reporting.page.addresses import scenario_slugs, slug, slugs
 from bench.reporting.page.elsewhere import atlas_records, unsteady
@@ -43,7 +42,6 @@ pytest.importorskip("jinja2")
 pytest.importorskip("markdown_it")
 pytest.importorskip("PIL")
 
-SITE = REPOSITORY / "results" / "site"
 AXE = Path(__file__).parent / "axe" / "axe.min.js"
 
 BOUND = Bound(
@@ -151,7 +149,7 @@ class Page(HTMLParser):
 def made(store: Store) -> Path:
     """The site of a store, by the command: its folder."""
     out = store.folder.parent / "site"
-    assert main([f"store={store.folder}", f"out={out}"]) == 0
+    assert main([f"store={store.folder}", f"results={store.folder.parent}", f"out={out}"]) == 0
     return out
 
 
@@ -390,7 +388,7 @@ def test_errors_survive_their_packing_to_half_a_percent() -> None:
 
 def test_a_results_file_becomes_a_page_and_its_markup_stays_text(tmp_path: Path) -> None:
     text = "# A title\n\nSee [other](other.md) <script>alert(1)</script>\n\n| a | b |\n|---|---|\n| 1 | <b>x |\n"
-    text += "\n![p](figures/p.svg)\n"
+    text += "\n![p](figures/p.png)\n"
     (tmp_path / "one.md").write_text(text, encoding="utf-8")
     (tmp_path / "one.csv").write_text("a,b\n", encoding="utf-8")
     (found,) = documents.documents(tmp_path)
@@ -414,48 +412,32 @@ def test_a_caption_begins_with_one_sentence() -> None:
     assert pictures.first_sentence("no end") == ("no end", "")
 
 
-def test_figures_are_copied_small_and_linked_whole(cells: Cells) -> None:
+def test_figures_and_files_of_the_results_are_copied_into_the_site(cells: Cells) -> None:
+    """Nothing of it leads out of its folder, which may be published alone."""
     from PIL import Image
 
     store = cells(stored("ls"))
-    folder = store.folder.parent / "figures"
-    folder.mkdir()
-    Image.new("RGB", (2000, 1000), "white").save(folder / "a.png")
-    (folder / "a.svg").write_text("<svg/>", encoding="utf-8")
-    (folder / "a.txt").write_text("First & foremost. The rest.\n", encoding="utf-8")
+    folder = store.folder.parent
+    (folder / "figures").mkdir()
+    whole = png.packed(Image.new("RGB", (1378, 700), "white"), 200, "First & foremost. The rest.")
+    (folder / "figures" / "a.png").write_bytes(whole)
+    (folder / "figures" / "half.png").write_bytes(png.packed(Image.new("RGB", (669, 700), "white"), 200, ""))
+    (folder / "one.md").write_text("# One\n\n![a](figures/a.png)\n", encoding="utf-8")
+    (folder / "one.csv").write_text("a,b\n", encoding="utf-8")
     site = made(store)
-    with Image.open(site / "figures" / "a.png") as copy:
-        assert copy.size == (pictures.WIDTH, pictures.WIDTH // 2)
+    assert (site / "figures" / "a.png").read_bytes() == whole
+    assert (site / "files" / "one.csv").read_text(encoding="utf-8") == "a,b\n"
     shown = Page((site / "figures.html").read_text(encoding="utf-8"))
     assert [own["href"] for tag, own in shown.elements if tag == "a" and "download" in own] == [
-        "../figures/a.svg", "../figures/a.png",
-    ]  # fmt: skip
+        "figures/a.png",
+        "figures/half.png",
+    ]
     assert "First & foremost." in shown.text
-
-
-def test_the_copy_of_a_figure_keeps_the_colours_of_thin_lines_and_is_not_shown_too_small(tmp_path: Path) -> None:
-    """Thirty lines, of which each is seldom beside the white and the greys of letters."""
-    from PIL import Image, ImageColor, ImageDraw
-
-    colours = [card.colour for card in cards().values() if card.colour][:30]
-    image = Image.new("RGB", (1378, 1200), "white")
-    draw = ImageDraw.Draw(image)
-    for grey in range(0, 256, 2):
-        draw.rectangle((5 * grey, 1100, 5 * grey + 10, 1200), fill=(grey, grey, grey))
-    for i, colour in enumerate(colours):
-        draw.rectangle((100, 30 * i + 10, 300, 30 * i + 16), fill=colour)
-    image.save(tmp_path / "lines.png")
-    image.resize((689, 600)).save(tmp_path / "half.png")
-    half, lines = pictures.pictures(tmp_path, tmp_path / "site")
-    with Image.open(io.BytesIO(lines.copy)) as small:
-        copy = small.convert("RGB")
-    scale = pictures.WIDTH / image.width
-    for i, colour in enumerate(colours):
-        seen = copy.getpixel((round(200 * scale), round((30 * i + 13) * scale)))
-        assert isinstance(seen, tuple)
-        off = max(abs(a - b) for a, b in zip(seen, ImageColor.getrgb(colour), strict=True))
-        assert off <= 32, (colour, seen)
-    assert half.least == pytest.approx(lines.least / 2)
+    document = Page((site / "results" / "one.html").read_text(encoding="utf-8"))
+    assert {own["href"] for tag, own in document.elements if tag == "a"} >= {"../files/one.csv", "../files/one.md"}
+    assert ("img", "../figures/a.png") in [(tag, own.get("src")) for tag, own in document.elements]
+    half, whole_width = pictures.pictures(folder / "figures")[::-1]
+    assert half.least == pytest.approx(whole_width.least * 669 / 1378, abs=0.1)
 
 
 def test_what_the_data_do_not_tell_is_said(cells: Cells) -> None:
@@ -869,11 +851,17 @@ def test_without_scripts_a_scenario_has_its_table(shown: tuple[Any, Path]) -> No
     assert len(browser.find_elements("css selector", "table[data-grid] tbody tr")) == 3
 
 
-def test_the_site_is_small_and_names_nothing_beyond_itself() -> None:
-    files = [path for path in SITE.rglob("*") if path.is_file()]
-    assert sum(path.stat().st_size for path in files) <= 10_000_000
+@pytest.mark.slow
+def test_the_site_of_the_results_is_small_and_names_nothing_beyond_itself(python: Python, tmp_path: Path) -> None:
+    out, results = tmp_path / "site", REPOSITORY / "results"
+    store = f"store={tmp_path}"
+    done = python("-m", "bench.report", store, f"archive={results / 'archive'}", f"results={results}", f"out={out}")
+    assert done.returncode == 0, done.stderr
+    files = [path for path in out.rglob("*") if path.is_file() and documents.FILES not in path.parts]
+    assert sum(path.stat().st_size for path in files) <= 12_000_000
     assert max(path.stat().st_size for path in files) <= 1_500_000
-    for page in SITE.rglob("*.html"):
-        loaded = re.findall(r'(?:<script[^>]* src|<link[^>]* href|<img[^>]* src)="([^"]+)"', page.read_text("utf-8"))
-        missing = [one for one in loaded if not one.startswith("data:") and not (page.parent / unquote(one)).is_file()]
+    for page in out.rglob("*.html"):
+        text = page.read_text("utf-8")
+        linked = re.findall(r'(?:<script[^>]* src|<link[^>]* href|<img[^>]* src|<a[^>]* href)="([^"#?]+)', text)
+        missing = [own for own in linked if ":" not in own and not (page.parent / unquote(own)).is_file()]
         assert not missing, (page, missing)

@@ -43,7 +43,7 @@ def store(tmp_path: Path) -> Store:
 
 def test_a_method_with_every_scenario_stands_in_the_table_and_is_marked(store: Store, tmp_path: Path) -> None:
     keep(store, cells())
-    assert main([f"store={store.folder}", f"out={tmp_path / 'out'}"]) == 0
+    assert main([f"store={store.folder}", f"out={tmp_path / 'out'}", f"tex={tmp_path / 'tex'}"]) == 0
     name = title(METHOD) + " (submitted)"
     assert name in (tmp_path / "out" / "table4.md").read_text(encoding="utf-8")
     assert f"{METHOD} (submitted)" in (tmp_path / "out" / "table4.csv").read_text(encoding="utf-8")

@@ -218,13 +218,17 @@ def small_store(tmp_path: Path, _short_experiments: None) -> Store:
 
 
 def test_the_command_writes_every_table_in_three_forms_the_same_each_time(small_store: Store, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    arguments = [f"store={small_store.folder}", f"out={out}"]
-    assert main(arguments) == 0
-    first = {path.name: path.read_bytes() for path in out.iterdir()}
+    out, tex = tmp_path / "out", tmp_path / "tex"
+
+    def written() -> dict[str, bytes]:
+        assert main([f"store={small_store.folder}", f"out={out}", f"tex={tex}"]) == 0
+        assert {path.suffix for path in tex.iterdir()} == {".tex"}
+        return {path.name: path.read_bytes() for path in (*out.iterdir(), *tex.iterdir())}
+
+    first = written()
+    assert {path.suffix for path in out.iterdir()} == {".md", ".csv"}
     assert set(first) == {f"table{i}.{ending}" for i in (2, 3, 4, 5) for ending in ("md", "csv", "tex")}
-    assert main(arguments) == 0
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == first
+    assert written() == first
     for i in (2, 3, 4, 5):
         lines = list(csv.reader(io.StringIO(first[f"table{i}.csv"].decode())))
         assert tuple(lines[0]) == COLUMNS
@@ -233,10 +237,10 @@ def test_the_command_writes_every_table_in_three_forms_the_same_each_time(small_
         assert text.index("Initial state known") < text.index("Initial state unknown")
         assert f"python -m bench -m experiment=table{i} && python -m bench.tables" in text
         assert str(tmp_path) not in text
-        tex = first[f"table{i}.tex"].decode()
-        assert tex.count("\\begin{tabular}") == tex.count("\\end{tabular}") == 2
-        assert "×" not in tex
-        assert not re.search(r"(?<!\\)%(?! needs| regenerate)", tex)
+        printed = first[f"table{i}.tex"].decode()
+        assert printed.count("\\begin{tabular}") == printed.count("\\end{tabular}") == 2
+        assert "×" not in printed
+        assert not re.search(r"(?<!\\)%(?! needs| regenerate)", printed)
     rows5 = list(csv.DictReader(io.StringIO(first["table5.csv"].decode())))
     snrs, told, methods = ("40", "30", "20", "10", "5"), ("known", "unknown"), ("bound", "prior", "oracle")
     found = {(line["row"], line["initial_state"], line["method"]) for line in rows5}
@@ -250,7 +254,7 @@ def test_the_command_writes_every_table_in_three_forms_the_same_each_time(small_
 @pytest.mark.usefixtures("_short_experiments")
 def test_a_table_without_any_cell_is_not_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "empty").mkdir()
-    assert main([f"store={tmp_path / 'empty'}", f"out={tmp_path / 'out'}"]) == 2
+    assert main([f"store={tmp_path / 'empty'}", f"out={tmp_path / 'out'}", f"tex={tmp_path / 'tex'}"]) == 2
     assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []
     assert "no cell is there; run python -m bench -m experiment=table5 first" in capsys.readouterr().err
 

@@ -2,7 +2,7 @@
 
 Every row is measured in fresh processes with limits of time and memory; ``before=`` names the folder of another
 checkout, whose code then takes turns with this one's in the same run. The page is ``<out>/engines.md``, the numbers
-``<out>/engines.csv``, the picture of growth ``<out>/figures/engines_scaling.svg``.
+``<out>/engines.csv``, the picture of growth ``<out>/figures/engines_scaling.png``.
 """
 
 from __future__ import annotations

@@ -191,7 +191,7 @@ def page(study: Study) -> str:
     if study.results:
         parts += [said_of_rows(study.results), _table(map(line, study.results), COLUMNS), said_of_floors(study.results)]
     if study.growths:
-        image = "![Time against size](figures/engines_scaling.svg)"
+        image = "![Time against size](figures/engines_scaling.png)"
         parts += ["## Growth", image, caption(study.growths), said_of_growth(study.growths)]
     if study.peers:
         own = study.peers[0].seconds

@@ -107,7 +107,7 @@ def page(folder: Path) -> str:
             sections += [f"## {part['title']}", part["text"], table]
             if part["data"]:
                 caption = getattr(pictures, f"{name}_caption")(part["data"])
-                sections += [f"![{part['title']}](figures/pinn_{name}.svg)", caption]
+                sections += [f"![{part['title']}](figures/pinn_{name}.png)", caption]
     return "\n\n".join(sections) + "\n"
 
 
