@@ -24,7 +24,7 @@ from typing import Any
 REPOSITORY = Path(__file__).parents[1]
 MODULES = (
     "benchmark", "claims", "export", "figures", "main",
-    "merge", "publish", "recheck", "report", "reproduce", "reproduction", "status", "submit", "tables", "track",
+    "merge", "publish", "recheck", "report", "reproduce", "reproduction", "status", "submit", "tables",
 )  # fmt: skip
 WARM = (
     ["method=ls", "snr=nan"], ["method=ls", "data=nowhere.csv"], ["experiment=online", "x=1"],
@@ -140,7 +140,9 @@ def _become(modules: Mapping[str, Any], call: dict[str, Any], places: Sequence[P
             os.setgid(call["user"])
             os.setuid(call["user"])
         sys.argv = ["bench", *call["arguments"]]
-        status = modules[call["module"]].main(call["arguments"])
+        verb = call["module"]
+        module, first = (modules[verb], []) if verb in modules else (modules["main"], [verb])
+        status = module.main([*first, *call["arguments"]])
         sys.stdout.flush()
     except BaseException as error:
         import traceback

@@ -1,344 +1,169 @@
-"""``python -m bench.track``: the live twin. Reads samples as lines, writes what is believed after each as JSON.
-
-A line holds the time (s), a value a sensor, and a force (N) a forced DOF, with commas, semicolons, tabs or blanks
-between them; an empty field or nan is a missing value. It ends with the stream; Ctrl-C ends it too, with its state kept
-where ``state`` says.
-"""
+"""The verb ``track``: the live twin of a stream of samples."""
 
 from __future__ import annotations
 
-import itertools
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from bench.commands.fields import file_of, flag, listed, number, one_of, path_of, read_fields, whole
-from bench.commands.guard import command
+from bench.commands.declaration import Choice, File, Number, Others, Whole, path_of, read_settings
 from bench.errors import InputError
-from bench.isolation.processes import compiled_single_threaded
-from bench.reporting.whole_file import check_file, is_special
 
 if TYPE_CHECKING:
-    from bench.contract.online import Layout, OnlineIdentifier, Tracker
-    from bench.twin.page import Page
-    from bench.twin.pressure import Intake
+    from bench.contract.online import Layout, Sensor
+    from bench.systems import System
+    from bench.twin.session import Display
 
-FIELDS = {
-    "system": "sdof", "method": "", "sensors": "", "forced": "", "ambient": "", "limits": "", "rate": "",
-    "from": "-", "follow": "false", "out": "-", "view": "false", "page": "false", "port": "0", "policy": "lag",
-    "queue": "2000", "state": "", "save_every": "1000", "resume": "false", "alarm": "",
-}  # fmt: skip
-USAGE = """usage: python -m bench.track system=sdof method=<name> [field=value ...] < stream
-
-  system     [sdof] a system of conf/system, for its equations alone
-  method     [{first}] {methods}
-             or window_<batch method> (length=150 every=10); method.<setting>=
-  sensors    [displacement of every DOF] displacement:0,acceleration:1
-  forced     DOFs whose force stands in the lines, e.g. 0; without: none
-  ambient    DOFs under a force that nobody measures
-  limits     lo:hi, the range of the sensors
-  rate       samples a second; without: from the first lines
-  from       [-] a file or pipe; follow=true waits for more
-  out        [-] where the JSON lines go: a file, - or none
-  view       [false] show the twin in the terminal (on the error stream)
-  page       [false] serve a page on this machine alone; port [0: any free one]
-  policy     [lag] or decimate, where samples come faster than the method
-  queue      [2000] samples that may wait
-  state      a file to keep the state in, every save_every [1000] samples and at
-             the end; resume=true goes on from it, and counts nothing twice
-  alarm      threshold of the method's alarm; without: none rings"""
-INTERRUPTED = "interrupted; the state is kept where state= says"
-FIRST_LINES, LEAST_RATE = 20, 1e-9
+rate_of = Number(1e-9, 1e9, "samples per second, a positive number")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """``python -m bench.track [field=value ...]``; exit status 2 for bad input, 130 when interrupted."""
-    return command("bench.track", _usage(), argv, tracked, INTERRUPTED)
-
-
-def _usage() -> str:
-    from bench.entrants.online import first_online, registered_online
-
-    return f"{USAGE.format(first=first_online(), methods=', '.join(registered_online()))}\n\n{__doc__}"
-
-
-def tracked(arguments: Sequence[str]) -> int:
-    """Run the twin until its stream ends."""
-    compiled_single_threaded()
-    fields, settings = _read(arguments)
-    method = _method(fields["method"], settings)
-    shape = _shape(fields)
-    objection = method.objection(_layout(shape, 1.0))
-    if objection:
-        raise InputError("method", fields["method"], objection)
-    for name in ("out", "state"):
-        _check_writable(name, fields[name])
-    if fields["rate"]:
-        _rate(fields["rate"])
-    content = _state(fields)
-    intake = _intake(fields, shape)
-    held: list[Any] = []
-    interval = content["interval"] if content else _interval(fields["rate"], intake, held)
-    layout = _layout(shape, interval)
-    from bench.twin.state import resumed
-
-    tracker = resumed(path_of(fields["state"]), content, method, layout) if content else method.start(layout)
-    tracker.prepare()
-    page = _page(fields, layout)
-    try:
-        _follow(fields, method, tracker, intake, held, page)
-        if not tracker.samples and intake.unreadable:
-            raise InputError("stream", f"{intake.unreadable} line(s)", f"lines that read {intake.form.columns}")
-    finally:
-        if page is not None:
-            page.close()
-    return 0
-
-
-def _check_writable(field: str, text: str) -> None:
-    """Raise InputError before any sample is read where a file cannot be written.
-
-    Lines may go to a pipe or a device, which is not tried.
-    """
-    path = path_of(text)
-    if text not in ("", "-", "none") and not (field == "out" and is_special(path)):
-        check_file(path, field)
-
-
-def _read(arguments: Sequence[str]) -> tuple[dict[str, str], dict[str, Any]]:
-    """Fields, and the settings of the method."""
-    from bench.config.suggest import did_you_mean
-
-    settings, rest = {}, []
-    for argument in arguments:
-        key, _, value = argument.partition("=")
-        if key.startswith("method.") and value:
-            settings[key.removeprefix("method.")] = _value(key, value)
-        else:
-            rest.append(argument)
-            if key not in FIELDS:
-                raise InputError("argument", argument, f"{did_you_mean(key, list(FIELDS))}see --help")
-    fields = read_fields(rest, FIELDS)
-    for name in ("follow", "view", "page", "resume"):
-        flag(name, fields[name])
-    one_of("policy", fields["policy"], ("lag", "decimate"))
-    whole("save_every", fields["save_every"])
-    whole("port", fields["port"], 0, 65535)
-    _threshold(fields["alarm"])
-    return fields, settings
-
-
-def _value(field: str, text: str) -> Any:
-    import yaml
-
-    try:
-        return yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError):
-        raise InputError(field, text, "a number, a word, or a list as [1, 2]") from None
-
-
-def _method(name: str, settings: Mapping[str, Any]) -> OnlineIdentifier:
-    from bench.config.suggest import did_you_mean
-    from bench.entrants.online import first_online, make_online, online_names
-
-    name = name or first_online()
-    if name not in online_names():
-        near = did_you_mean(name, online_names())
-        raise InputError("method", name, f"{near}online methods: {', '.join(online_names())}")
-    return make_online(name, settings)
-
-
-def _shape(fields: Mapping[str, str]) -> dict[str, Any]:
-    """The layout but for its interval."""
-    from bench.config.choices import check_choice
-    from bench.config.online import system_content
-    from bench.contract.online import Sensor
-    from bench.systems import MEASURED, make_system
-
-    check_choice("system", fields["system"])
-    stated = system_content(fields["system"])
-    system = make_system(stated["kind"], stated["options"])  # equations alone, no true value
-    limits = _limits(fields["limits"])
-    named = fields["sensors"] or ",".join(f"displacement:{dof}" for dof in range(system.n_dof))
-    sensors = []
-    for text in listed("sensors", named):
-        kind, _, dof = text.partition(":")
-        if kind not in MEASURED or (dof or "0") not in map(str, range(system.n_dof)):
-            wanted = f"<{', '.join(MEASURED)}>:<DOF>, of DOFs 0 to {system.n_dof - 1}, several with commas"
-            raise InputError("sensors", text, wanted)
-        sensors.append(Sensor(kind, int(dof or "0"), limits))  # type: ignore[arg-type]
-    dofs = {name: _dofs(name, fields[name], system.n_dof) for name in ("forced", "ambient")}
-    return {"system": system, "sensors": tuple(sensors), **dofs}
-
-
-def _dofs(field: str, text: str, n: int) -> tuple[int, ...]:
-    """Different DOFs of a system that has ``n``."""
-    found = tuple(whole(field, part, 0, n - 1) for part in listed(field, text)) if text else ()
-    if len(set(found)) < len(found):
-        raise InputError(field, text, "every DOF once")
-    return found
-
-
-def _limits(text: str) -> tuple[float, float] | None:
-    if not text:
-        return None
+def limits_of(field: str, text: str) -> tuple[float, float]:
+    """Read the range of a sensor, lo:hi."""
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
         low, high = math.nan, math.nan
     if not low < high:
-        raise InputError("limits", text, "lo:hi, the lower first, e.g. -0.1:0.1")
+        raise InputError(field, text, "lo:hi, the lower first, e.g. -0.1:0.1")
     return low, high
 
 
-def _layout(shape: Mapping[str, Any], interval: float) -> Layout:
+def systems() -> Sequence[str]:
+    """Return the systems of the configuration."""
+    from bench.config.choices import choices
+
+    return choices("system")
+
+
+def trackers() -> Sequence[str]:
+    """Return the online methods, and every batch method in windows."""
+    from bench.entrants.online import online_names
+
+    return online_names()
+
+
+def track(
+    settings: Annotated[Sequence[str], Others(("method",)), "method.<setting>="],
+    system: Annotated[str, Choice(systems), "system of conf/system, for its equations alone"] = "sdof",
+    method: Annotated[str | None, Choice(trackers), "online method, or window_<batch method> (method.length=150 "
+                      "method.every=10) [the first of results/online.md]"] = None,
+    sensors: Annotated[tuple[str, ...], "displacement:0,acceleration:1 [displacement of every DOF]"] = (),
+    forced: Annotated[tuple[str, ...], "DOFs whose force is in the lines, e.g. 0 [none]"] = (),
+    ambient: Annotated[tuple[str, ...], "DOFs under an unmeasured force [none]"] = (),
+    limits: Annotated[tuple[float, float] | None, limits_of, "lo:hi, the range of the sensors"] = None,
+    rate: Annotated[float | None, rate_of, "sampling rate (1/s) [of the first lines]"] = None,
+    from_: Annotated[str, "file or named pipe; - is standard input"] = "-",
+    follow: Annotated[bool, "wait for more lines at the end of a file"] = False,
+    out: Annotated[str, "destination of the JSON lines: a file, - or none"] = "-",
+    view: Annotated[bool, "show the twin in the terminal (on the error stream)"] = False,
+    page: Annotated[bool, "serve a page on this machine alone"] = False,
+    port: Annotated[int, Whole(0, 65535), "port of the page; 0: any free one"] = 0,
+    policy: Annotated[Literal["lag", "decimate"], "where samples come faster than the method"] = "lag",
+    queue: Annotated[int, Whole(10), "number of samples that may wait"] = 2000,
+    state: Annotated[Path | None, "file of the state, from which resume=true continues"] = None,
+    save_every: Annotated[int, "samples between two writes of the state"] = 1000,
+    resume: Annotated[bool, "continue from the state; no sample is counted twice"] = False,
+    alarm: Annotated[float | None, Number(wanted="a number, compared with the method's alarm"), "threshold of the "
+                     "method's alarm [none]"] = None,
+) -> int:  # fmt: skip
+    """Track the parameters of a system in a stream of samples.
+
+    Reads samples as lines and writes the estimates after each as a line of JSON. A line holds the time (s), a value per
+    sensor, and a force (N) per forced DOF, separated by commas, semicolons, tabs or blanks; an empty field or nan is a
+    missing value. It ends with the stream or with Ctrl-C, and keeps its state where state= says.
+    """
     from bench.contract.online import Layout
-
-    return Layout(shape["system"], shape["sensors"], interval, shape["forced"], shape["ambient"])
-
-
-def _intake(fields: Mapping[str, str], shape: Mapping[str, Any]) -> Intake:
+    from bench.entrants.online import first_online, make_online
+    from bench.isolation.processes import compiled_single_threaded
+    from bench.reporting.whole_file import check_file, is_special
     from bench.twin.lines import Form, lines, opened
     from bench.twin.pressure import Intake
+    from bench.twin.session import Output, Session, first_samples, interval_of
+    from bench.twin.state import read, resumed
 
-    follow = fields["follow"] == "true"
-    if follow and fields["from"] == "-":
+    compiled_single_threaded()
+    name = method or first_online()
+    identifier = make_online(name, read_settings(settings).get("method", {}))
+    equations = _equations(system)
+    measured, n = _sensors(sensors, equations, limits), equations.n_dof
+    driven = _dofs("forced", forced, n), _dofs("ambient", ambient, n)
+
+    def layout(interval: float) -> Layout:
+        return Layout(equations, measured, interval, *driven)
+
+    objection = identifier.objection(layout(1.0))
+    if objection:
+        raise InputError("method", name, objection)
+    path = path_of("out", out)
+    if out not in ("-", "none") and not is_special(path):  # a pipe or a device is not tried
+        check_file(path)
+    if state is not None:
+        check_file(state, "state")
+    if follow and from_ == "-":
         raise InputError("follow", "true", "with from=<file>; standard input is waited on anyway")
-    form = Form(len(shape["sensors"]), len(shape["forced"]))
-    source = lines(opened(fields["from"]), fields["from"], follow)
-    return Intake(source, form, fields["policy"], whole("queue", fields["queue"], least=10))  # type: ignore[arg-type]
-
-
-def _state(fields: Mapping[str, str]) -> dict[str, Any] | None:
-    from bench.twin.state import read
-
-    if fields["resume"] == "true" and not fields["state"]:
+    if resume and state is None:
         raise InputError("resume", "true", "with state=<file>")
-    if fields["resume"] != "true":
-        return None
-    wanted = "a state file of this command; leave resume out to begin"
-    return read(file_of("state", fields["state"], wanted))
+    kept = read(File("a state file of this command; leave resume out to begin")("state", str(state))) if resume else {}
+    form = Form(len(measured), len(driven[0]))
+    intake = Intake(lines(opened(from_), from_, follow), form, policy, queue)
+    first = [] if kept or rate else first_samples(intake)
+    interval = kept["interval"] if kept else 1.0 / rate if rate else interval_of(first, form.columns)
+    tracker = identifier.start(layout(interval))
+    if state is not None and kept:
+        tracker = resumed(state, kept, identifier, layout(interval))
+    tracker.prepare()
+    displays = _displays(tracker.layout, view, page, port)
+    session = Session(identifier, tracker, intake, first, alarm, state, save_every, displays)
+    with Output(out, path, tracker.samples if resume else None) as output:
+        session.follow(output)
+    if not tracker.samples and intake.unreadable:
+        raise InputError("stream", f"{intake.unreadable} line(s)", f"lines that read {form.columns}")
+    return 0
 
 
-def _interval(rate: str, intake: Intake, held: list[Any]) -> float:
-    """Of the samples (s): as told, or the median of the first; what was read for it is held."""
-    if rate:
-        return 1.0 / _rate(rate)
-    while len(held) < FIRST_LINES:
-        sample = intake.get()
-        held.append(sample)
-        if sample is None:
-            break
-    times = sorted({sample.time for sample in held if sample is not None})
-    steps = sorted(b - a for a, b in itertools.pairwise(times))
-    if not steps:
-        wanted = f"lines that read {intake.form.columns}; or say rate="
-        raise InputError("stream", f"{len(times)} sample(s)", wanted)
-    return float(steps[len(steps) // 2])
+def _equations(name: str) -> System:
+    """Return the equations of a system, without its true values."""
+    from bench.config.online import system_content
+    from bench.systems import make_system
+
+    content = system_content(name)
+    return make_system(content["kind"], content["options"])
 
 
-def _rate(text: str) -> float:
-    return number("rate", text, LEAST_RATE, 1.0 / LEAST_RATE, "samples a second, a positive number")
+def _sensors(names: Sequence[str], system: System, limits: tuple[float, float] | None) -> tuple[Sensor, ...]:
+    """Return the sensors of a stream; raises InputError."""
+    from bench.contract.online import Sensor
+    from bench.systems import MEASURED
+
+    sensors = []
+    for text in names or [f"displacement:{dof}" for dof in range(system.n_dof)]:
+        kind, _, dof = text.partition(":")
+        if kind not in MEASURED or (dof or "0") not in map(str, range(system.n_dof)):
+            wanted = f"<{', '.join(MEASURED)}>:<DOF>, of DOFs 0 to {system.n_dof - 1}, several with commas"
+            raise InputError("sensors", text, wanted)
+        sensors.append(Sensor(kind, int(dof or "0"), limits))  # type: ignore[arg-type]
+    return tuple(sensors)
 
 
-def _page(fields: Mapping[str, str], layout: Layout) -> Page | None:
-    if fields["page"] != "true":
-        return None
-    try:
-        from bench.twin.page import Page
-    except ImportError as error:
-        raise InputError("page", "true", f"needs {error.name}: pip install 'vibration-bench[twin]'") from None
-    page = Page(layout, whole("port", fields["port"], least=0, most=65535))
-    print(f"bench.track: {page.url}", file=sys.stderr, flush=True)
-    return page
+def _dofs(field: str, names: Sequence[str], n: int) -> tuple[int, ...]:
+    return tuple(Whole(0, n - 1)(field, name) for name in names)
 
 
-def _follow(
-    fields: Mapping[str, str], method: OnlineIdentifier, tracker: Tracker, intake: Intake, held: list[Any],
-    page: Page | None,
-) -> None:  # fmt: skip
-    """Take samples until the stream ends; keep the state on the way, at the end, and when interrupted."""
-    from bench.twin.report import content, line
-    from bench.twin.state import save
-    from bench.twin.terminal import View
+def _displays(layout: Layout, view: bool, page: bool, port: int) -> list[Display]:
+    """Return the displays that are asked for; raises InputError where a package is missing."""
+    displays: list[Display] = []
+    if view:
+        from bench.twin.terminal import View
 
-    alarm_at = _threshold(fields["alarm"])
-    every, place = whole("save_every", fields["save_every"]), fields["state"]
-    view = View(tracker.layout) if fields["view"] == "true" else None
-    last, again = tracker.last, 0
-    with _Output(fields["out"], tracker.samples if fields["resume"] == "true" else None) as out:
+        displays.append(View(layout))
+    if page:
         try:
-            while (sample := held.pop(0) if held else intake.get()) is not None:
-                if last is not None and sample.time <= last:
-                    again += 1
-                    continue
-                found = content(tracker.samples + 1, sample, tracker.update(sample), tracker.layout, alarm_at)
-                found |= {"waiting": intake.waiting, "decimated": intake.decimated, "unreadable": intake.unreadable}
-                out.write(line(found))
-                for shown in (view, page):
-                    if shown is not None:
-                        shown.add(found)
-                if place and tracker.samples % every == 0:
-                    save(path_of(place), method, tracker)
-        finally:
-            if place:
-                save(path_of(place), method, tracker)
-            if view is not None:
-                view.close()
-            if again:
-                print(f"bench.track: {again} sample(s) had been seen before; left out", file=sys.stderr)
-
-
-def _threshold(text: str) -> float | None:
-    return number("alarm", text, wanted="a number, compared with the method's alarm") if text else None
-
-
-class _Output:
-    """Where the lines go: a file, the output, or nowhere. Further than a state, a file's lines are written anew."""
-
-    def __init__(self, place: str, seen: int | None) -> None:
-        self.file: TextIO | None = None
-        self.own = place not in ("-", "none")
-        if place == "-":
-            self.file = sys.stdout
-        elif self.own:
-            try:
-                path = path_of(place)
-                before = [] if seen is None else _until(path, seen)
-                self.file = path.open("w", encoding="utf-8")
-                self.file.writelines(before)
-            except OSError as error:
-                raise InputError("out", place, f"cannot be written: {error.strerror}") from None
-
-    def write(self, text: str) -> None:
-        """A line, at once."""
-        if self.file is not None:
-            self.file.write(text + "\n")
-            self.file.flush()
-
-    def __enter__(self) -> _Output:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.own and self.file is not None:
-            self.file.close()
-
-
-def _until(place: Path, seen: int) -> list[str]:
-    """The lines of an earlier run of samples that the state has seen."""
-    import json
-
-    kept = []
-    for text in place.read_text(encoding="utf-8").splitlines(keepends=True) if place.is_file() else []:
-        try:
-            if json.loads(text)["sample"] <= seen:
-                kept.append(text)
-        except (ValueError, KeyError):
-            continue  # half of a line, where a run was killed
-    return kept
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+            from bench.twin.page import Page
+        except ImportError as error:
+            raise InputError("page", "true", f"needs {error.name}: pip install 'vibration-bench[twin]'") from None
+        served = Page(layout, port)
+        print(f"bench track: {served.url}", file=sys.stderr, flush=True)
+        displays.append(served)
+    return displays

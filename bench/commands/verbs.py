@@ -7,7 +7,7 @@ from importlib import import_module
 
 from bench.errors import InputError
 
-VERBS = ("certify", "design", "identifiability", "check", "new")
+VERBS = ("certify", "design", "track", "identifiability", "check", "new")
 """Each is the function of its name in the module of its name; a line without one of them is a run."""
 COMMAND = "python -m bench"
 

@@ -92,4 +92,4 @@ class Intake:
 
 
 def _say(sentence: str) -> None:
-    print(f"bench.track: {sentence}", file=sys.stderr, flush=True)
+    print(f"bench track: {sentence}", file=sys.stderr, flush=True)

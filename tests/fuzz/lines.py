@@ -13,7 +13,7 @@ from malformed import TRACKS, all_malformed, entry
 from bench.commands.verbs import VERBS
 from bench.config.overrides import settable
 
-COMMANDS = ("bench", "status", "track", *VERBS, *TRACKS)
+COMMANDS = ("bench", "status", *VERBS, *TRACKS)
 ASKED = {"-h", "--help", "--version"}
 """Where one of these is on a line, the rest of it does not matter."""
 WORDS = [word for case in all_malformed() for word in case.arguments if len(word) < 400]

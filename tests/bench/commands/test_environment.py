@@ -82,9 +82,9 @@ def test_a_full_output_is_one_line(line: str, shell: Shell) -> None:
 
 
 def test_a_closed_input_is_an_empty_stream(shell: Shell) -> None:
-    done = shell("@bench.track <&-")
+    done = shell("@bench track <&-")
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("bench.track: stream=")
+    assert done.stderr.startswith("bench: stream=")
 
 
 def test_a_working_folder_that_is_gone_is_one_line(shell: Shell) -> None:

@@ -16,7 +16,7 @@ import pytest
 from conftest import REPOSITORY
 
 from bench import InputError, Layout, Sample, Sensor
-from bench.commands.track import main
+from bench.commands.main import main
 from bench.entrants.online import make_online
 from bench.systems import make_system
 from bench.twin.lines import Form, lines, numbers
@@ -71,7 +71,7 @@ def test_a_file_that_grows_is_followed_half_lines_and_replacement_included(tmp_p
 
 
 def run(arguments: list[str], text: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "bench.track", *arguments]
+    command = [sys.executable, "-m", "bench", "track", *arguments]
     return subprocess.run(command, input=text, capture_output=True, text=True, cwd=REPOSITORY, check=False)
 
 
@@ -108,7 +108,7 @@ def test_what_stood_at_the_end_is_shown_where_there_is_no_terminal() -> None:
         (["from=nowhere.csv"], "there is no such file"),
         (["policy=drop"], "lag or decimate"),
         (["resume=true"], "with state=<file>"),
-        (["rate=fast", "method=rls"], "samples a second"),
+        (["rate=fast", "method=rls"], "samples per second"),
         (["method=rls", "ambient=0"], "the force is not known"),
         (["limits=3", "method=rls"], "lo:hi"),
         (["method=rls", "method.factor=2"], "method.factor"),
@@ -116,7 +116,7 @@ def test_what_stood_at_the_end_is_shown_where_there_is_no_terminal() -> None:
 )
 def test_what_is_mistyped_is_said_in_a_line_with_status_2(arguments, said, capsys, monkeypatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO())
-    assert main(arguments) == 2
+    assert main(["track", *arguments]) == 2
     error = capsys.readouterr().err.strip()
     assert said in error
     assert "\n" not in error
@@ -143,7 +143,7 @@ def test_a_killed_run_goes_on_and_counts_nothing_twice(tmp_path) -> None:
     out, state = tmp_path / "o.jsonl", tmp_path / "s.json"
     given = [*RLS, f"out={out}", f"state={state}", "save_every=50", "rate=20"]
     whole = run([*RLS, "rate=20"], RECORD)
-    killed = subprocess.Popen([sys.executable, "-m", "bench.track", *given], stdin=subprocess.PIPE, text=True,
+    killed = subprocess.Popen([sys.executable, "-m", "bench", "track", *given], stdin=subprocess.PIPE, text=True,
                               cwd=REPOSITORY)  # fmt: skip
     killed.stdin.write("\n".join(RECORD.splitlines()[:170]) + "\n")
     killed.stdin.flush()

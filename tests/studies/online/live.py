@@ -35,7 +35,7 @@ def live(seconds: int, folder: Path) -> str:
     stream = scenario.stream(4, 0)
     given = ["system=sdof", "forced=0", f"rate={RATE}", "page=true", "out=none", "alarm=1", "method=change_points"]
     twin = subprocess.Popen(
-        [sys.executable, "-m", "bench.track", *given], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "bench", "track", *given], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert twin.stdin is not None
     assert twin.stderr is not None
@@ -61,7 +61,7 @@ def live(seconds: int, folder: Path) -> str:
 
 HEAD = """## A live run
 
-A script writes samples to `python -m bench.track method=change_points page=true`, and headless Chromium shows the page.
+A script writes samples to `python -m bench track method=change_points page=true`, and headless Chromium shows the page.
 **behind**: from the moment a sample is written until the page says that it is there."""
 
 

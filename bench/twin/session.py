@@ -1,0 +1,125 @@
+"""A stream that is followed to its end: samples in, JSON lines, displays and the tracker's state out."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, TextIO
+
+from bench.contract.online import OnlineIdentifier, Sample, Tracker
+from bench.errors import InputError
+from bench.twin.pressure import Intake
+from bench.twin.report import content, line
+from bench.twin.state import save
+
+FIRST_LINES = 20
+"""Number of samples from which the sampling interval is taken."""
+
+
+class Display(Protocol):
+    """What shows each report of a session, on the terminal or as a page."""
+
+    def add(self, found: dict[str, Any]) -> None: ...
+    def close(self) -> None: ...
+
+
+def first_samples(intake: Intake) -> list[Sample | None]:
+    """Read the first samples, fewer where the stream ends, whose None is then the last."""
+    samples: list[Sample | None] = []
+    while len(samples) < FIRST_LINES and (not samples or samples[-1] is not None):
+        samples.append(intake.get())
+    return samples
+
+
+def interval_of(samples: Sequence[Sample | None], columns: str) -> float:
+    """Return the median interval (s) of samples; raises InputError, which names the columns, where there is none."""
+    times = sorted({sample.time for sample in samples if sample is not None})
+    steps = sorted(b - a for a, b in itertools.pairwise(times))
+    if not steps:
+        raise InputError("stream", f"{len(times)} sample(s)", f"lines that read {columns}; or say rate=")
+    return float(steps[len(steps) // 2])
+
+
+@dataclass
+class Session:
+    """A tracker on a stream. The state is kept in a file, if any, every ``save_every`` samples and at the end."""
+
+    method: OnlineIdentifier
+    tracker: Tracker
+    intake: Intake
+    first: list[Sample | None]
+    alarm: float | None
+    state: Path | None
+    save_every: int
+    displays: Sequence[Display] = ()
+
+    def follow(self, output: Output) -> None:
+        """Take samples until the stream ends, or this is interrupted; a sample seen before is counted once."""
+        tracker, last, again = self.tracker, self.tracker.last, 0
+        try:
+            while (sample := self.first.pop(0) if self.first else self.intake.get()) is not None:
+                if last is not None and sample.time <= last:
+                    again += 1
+                    continue
+                report = content(tracker.samples + 1, sample, tracker.update(sample), tracker.layout, self.alarm)
+                intake = self.intake
+                report |= {"waiting": intake.waiting, "decimated": intake.decimated, "unreadable": intake.unreadable}
+                output.write(line(report))
+                for display in self.displays:
+                    display.add(report)
+                if self.state and tracker.samples % self.save_every == 0:
+                    save(self.state, self.method, tracker)
+        finally:
+            if self.state:
+                save(self.state, self.method, tracker)
+            for display in self.displays:
+                display.close()
+            if again:
+                print(f"bench track: {again} sample(s) had been seen before; left out", file=sys.stderr)
+
+
+class Output:
+    """Destination of the JSON lines: a file, ``-`` for standard output, or ``none``.
+
+    A resumed session keeps the lines of the ``seen`` samples that its state includes.
+    """
+
+    def __init__(self, place: str, path: Path, seen: int | None) -> None:
+        self.file: TextIO | None = sys.stdout if place == "-" else None
+        self.closes = place not in ("-", "none")
+        if self.closes:
+            try:
+                before = [] if seen is None else _until(path, seen)
+                self.file = path.open("w", encoding="utf-8")
+                self.file.writelines(before)
+            except OSError as error:
+                raise InputError("out", place, f"cannot be written: {error.strerror}") from None
+
+    def write(self, text: str) -> None:
+        """Write a line at once."""
+        if self.file is not None:
+            self.file.write(text + "\n")
+            self.file.flush()
+
+    def __enter__(self) -> Output:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.closes and self.file is not None:
+            self.file.close()
+
+
+def _until(place: Path, seen: int) -> list[str]:
+    """Return the lines of an earlier session that the state includes."""
+    kept = []
+    for text in place.read_text(encoding="utf-8").splitlines(keepends=True) if place.is_file() else []:
+        try:
+            if json.loads(text)["sample"] <= seen:
+                kept.append(text)
+        except (ValueError, KeyError):
+            continue  # half of a line, where a session was killed
+    return kept
