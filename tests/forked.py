@@ -28,7 +28,9 @@ MODULES = (
 )  # fmt: skip
 WARM = (
     ["method=ls", "snr=nan"], ["method=ls", "data=nowhere.csv"], ["experiment=online", "x=1"],
-    ["experiment=atlas", "x=1"],    ["experiment=measured", "x=1"], ["method=ls", "system.duration=-1"],
+    ["experiment=atlas", "x=1"], ["experiment=measured", "x=1"], ["method=ls", "system.duration=-1"],
+    ["certify", "data=nowhere.csv"], ["track", "from=nowhere.csv"], ["identifiability", "snr=nan"],
+    ["check", "package=nowhere.py"], ["new", "method=new", "out=/dev/null"], ["design", "given=nowhere.csv"],
 )  # fmt: skip
 """Lines of which each ends early, but brings modules."""
 CPU_S, WALL_S, MEMORY = 20, 90.0, 3 * 2**30
