@@ -99,7 +99,10 @@ FIELDS = (
     Field("certify", "twins", WHOLE, "data=good.csv"),
     Field("certify", "out", TO_WRITE, "data=good.csv twins=0 method=ls"),
     Field("certify", "method", NAMES, "data=good.csv twins=0"),
-    *(Field("design", name, ("1", "1kg", "1rad", "nan m", "-1mm", "1e999mm"), DECAY) for name in ("noise", "amplitude")),
+    *(
+        Field("design", name, ("1", "1kg", "1rad", "nan m", "-1mm", "1e999mm"), DECAY)
+        for name in ("noise", "amplitude")
+    ),
     Field("design", "want", ("c_over_m", "c_over_m:5", "c_over_m:0%", "mass:5%", "c_over_m:nan%"), DECAY),
     Field("design", "given", FILES[1:7]),
     Field("design", "samples", ("7", "501"), FORCE),
@@ -134,7 +137,7 @@ FIELDS = (
     *(Field("atlas", name, TO_WRITE, "fit=false points=8 part=points method=ls") for name in ("store", "out")),
     *(Field("atlas", name, NAMES, "test=forced dry_run=true") for name in ("part", "method")),
     *(Field("atlas", name, WHOLE, "test=forced dry_run=true") for name in ("points", "workers")),
-    *(Field("atlas", name, NAMES, "dry_run=true") for name in ("test", "engine")),
+    Field("atlas", "test", NAMES, "dry_run=true"),
     *(Field("atlas", name, FLAGS, "points=8 part=points method=ls") for name in ("fit", "dry_run")),
     *(Field("check", name, ("nan", "0"), "package=ls") for name in ("timeout_s",)),
     Field("check", "format", NAMES[:3], "package=ls"),
@@ -447,7 +450,6 @@ online | system=sdof samples=1e12 dry_run=true | samples | 1e12 |
 online | system=sdof snr=1e300 dry_run=true | snr | 1e300 |
 atlas | zz=1 | argument | zz=1 |
 atlas | test=zz dry_run=true | test | zz |
-atlas | engine=zz dry_run=true | engine | zz | processes or ray
 check | package=nowhere | package | nowhere | 
 check | package=ls timeout_s=0 | timeout_s | 0 | positive
 check | package=ls format=xml | format | xml | table or json
@@ -623,7 +625,6 @@ submit | method=ls method=ls | method | ls | twice
 submit | method=oracle store=store | method | oracle | one of
 submit | method=ls archive=none | argument | archive=none | experiment=
 submit | zz=1 | argument | zz=1 | method=
-atlas | engine=ray,processes dry_run=true | engine | ray,processes | processes or ray
 atlas | test=free_decay,forced dry_run=true | test | free_decay,forced | one of
 atlas | test=forced test=forced | test | forced | twice
 atlas | test=forced part=phase dry_run=true | part | phase | some of

@@ -14,6 +14,7 @@ from conftest import Plugins, Python, StoreFactory
 
 from bench import Status
 from bench.entrants.registry import default_settings
+from bench.run.pool import Limits
 from bench.scenario.scenario import METHOD, NOMINAL, Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell
@@ -22,7 +23,6 @@ from bench.sweep.method_process import outcomes
 from bench.sweep.plan import plan
 from bench.sweep.runner import run_cells
 from bench.sweep.wire import pack
-from bench.sweep.workers import Limits
 
 TRUE = {"k_over_m": 8.0, "c_over_m": 0.4}
 """Of the reference system (1/s², 1/s)."""

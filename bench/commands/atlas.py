@@ -12,19 +12,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.commands.fields import flag, listed, one_of, path_of, read_fields, whole
-from bench.config.atlas import SAMPLED, TESTS, atlas_methods, atlas_slices, atlas_tasks, part_names
+from bench.commands.fields import flag, listed, path_of, read_fields, whole
+from bench.config.atlas import SAMPLED, TESTS, atlas_methods, atlas_slices, part_names
 from bench.config.schema import MOST_WORKERS
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
 from bench.reporting.whole_file import check_folder
 
 if TYPE_CHECKING:
-    from bench.atlas.run import Blocks, Task
+    from bench.atlas.run import Block
+    from bench.sweep.job import BlockJob
 
 FIELDS = {
     "test": "free_decay", "part": "", "method": "", "points": "", "workers": "", "store": "outputs/atlas",
-    "out": "results", "fit": "true", "dry_run": "false", "shard": "", "engine": "processes",
+    "out": "results", "fit": "true", "dry_run": "false", "shard": "",
 }  # fmt: skip
 COMMAND = "python -m bench -m experiment=atlas"
 USAGE = """usage: python -m bench -m experiment=atlas [field=value ...]
@@ -37,8 +38,9 @@ USAGE = """usage: python -m bench -m experiment=atlas [field=value ...]
   store     [outputs/atlas] where finished blocks are kept and found again
   out       [results] where the atlas, its tables and maps go
   fit       [true] false: write what is kept
-  engine    [processes] of this machine; ray: on a cluster, all of whose nodes
-            see the store
+  hydra/launcher
+            [local] this machine; ray, submitit_slurm: a cluster, all of whose
+            nodes see the store (options of it: hydra.launcher.<name>=<value>)
   shard     3/10: every tenth block from the third on, as a job of many that
             share the store; nothing is written but the blocks. In an array of
             Slurm each job takes its own
@@ -56,41 +58,41 @@ def atlas_usage() -> str:
 
 def made_atlas(arguments: Sequence[str]) -> int:
     """Compute what is missing and write the atlas; raises InputError."""
-    from bench.atlas.engine import ENGINES, check_engine
-    from bench.atlas.run import Blocks
+    from bench.run.pool import Limits
+    from bench.sweep.job import Atlas, BlockJob
 
-    fields = read_fields(arguments, FIELDS)
+    launcher = tuple(text for text in arguments if text.lstrip("+").startswith(("hydra/launcher=", "hydra.launcher.")))
+    fields = read_fields([text for text in arguments if text not in launcher], FIELDS)
     fitting, dry_run = flag("fit", fields["fit"]), flag("dry_run", fields["dry_run"])
-    test, engine = fields["test"], one_of("engine", fields["engine"], ENGINES)
+    test = fields["test"]
     parts = listed("part", fields["part"]) if fields["part"] else part_names(test)
     methods = listed("method", fields["method"]) if fields["method"] else []
     store, out = path_of(fields["store"]), path_of(fields["out"])
     most = whole("points", fields["points"]) if fields["points"] else None
     workers = whole("workers", fields["workers"], most=MOST_WORKERS) if fields["workers"] else usable_cores()
     number, shards = _shard(fields["shard"])
-    tasks = {part: atlas_tasks(part, methods, most, test) for part in parts}
+    atlas = [Atlas(test, part, methods, most) for part in parts]
+    tasks = {stated.part: stated.blocks() for stated in atlas}
     if not dry_run:
-        check_engine(engine)
         check_folder(store, "store")
         if shards == 1:
             check_folder(out)
             _check_packages()
-    blocks = Blocks(store)
     every = [task for own in tasks.values() for task in own][number - 1 :: shards]
-    left = [task for task in every if not blocks.holds(task)]
+    left = [block for block in every if not block.stored(store)]
     if len(left) == len(every) and not fitting and not dry_run:
         raise InputError("store", store, "a folder with finished blocks; without fit=false they are made")
-    fits, left_fits = sum(task.fits for task in every), sum(task.fits for task in left)
+    fits, left_fits = sum(block.size for block in every), sum(block.size for block in left)
     print(f"bench: {fits:,} fits in {len(every):,} blocks, {left_fits:,} in {len(left):,} to do", file=sys.stderr)
     if dry_run:
-        print(_progress(every, blocks, workers))
+        print(_progress(every, store, workers))
         return 0
     if left and fitting:
-        _run(every, blocks, left_fits, workers, engine)
+        _run(BlockJob(tuple(left), tuple(atlas), store, Limits(workers)), launcher)
     if shards > 1:
         return 0
     told = [f"{name}={fields[name]}" for name in ("test", "part", "points") if fields[name] != FIELDS[name]]
-    return _write(test, tasks, blocks, out, " ".join([COMMAND, *told]))
+    return _write(test, tasks, store, out, " ".join([COMMAND, *told]))
 
 
 def _check_packages() -> None:
@@ -119,12 +121,12 @@ def _shard(text: str) -> tuple[int, int]:
 NODES = (1, 10, 100)
 
 
-def _progress(tasks: Sequence[Task], blocks: Blocks, workers: int) -> str:
+def _progress(blocks: Sequence[Block], store: Path, workers: int) -> str:
     """How far each method is, and what the whole takes on one machine and on many."""
     from bench.atlas.cost import hours, progress
     from bench.reporting.terminal import table, wrapped
 
-    lines = progress(tasks, blocks)
+    lines = progress(blocks, store)
     rows = [
         [one.label, f"{one.done} of {one.blocks}", f"{one.fits_done:,} of {one.fits:,}",
          f"{1e3 * one.fit_s:.1f}" if one.done else "-", f"{one.fits_done * one.fit_s / 3600:.2f}" if one.done else "-",
@@ -133,7 +135,7 @@ def _progress(tasks: Sequence[Task], blocks: Blocks, workers: int) -> str:
     ]  # fmt: skip
     text = table(rows, ["method", "blocks", "fits", "ms a fit", "hours of a core", "left"])
     known = {one.label: one.fit_s for one in lines if one.done}
-    measured = [task for task in tasks if task.label in known]
+    measured = [block for block in blocks if block.label in known]
     if not measured:
         return text
     took = ", ".join(f"{hours(measured, known, n * workers):.2g}" for n in NODES)
@@ -142,33 +144,27 @@ def _progress(tasks: Sequence[Task], blocks: Blocks, workers: int) -> str:
     return f"{text}\n\n{wrapped(whole, '')}"
 
 
-def _run(tasks: Sequence[Task], blocks: Blocks, left: int, workers: int, engine: str) -> None:
-    from tqdm import tqdm
+def _run(job: BlockJob, launcher: tuple[str, ...]) -> None:
+    from bench.sweep.launch import Launch, launch_job
 
-    from bench.atlas.run import run
-
-    with tqdm(total=left, unit="fit", unit_scale=True, file=sys.stderr) as bar:
-        for task, error in run(tasks, blocks, workers, engine):
-            bar.update(task.fits)
-            if error:
-                bar.write(f"bench: {task.label}, block {task.key}: {error}", file=sys.stderr)
+    launch_job(job, Launch(launcher))
 
 
-def _write(test: str, tasks: dict[str, list[Task]], blocks: Blocks, out: Path, again: str) -> int:
+def _write(test: str, tasks: dict[str, list[Block]], store: Path, out: Path, again: str) -> int:
     from bench.reporting.atlas import PAGES, atlas_frame, packed, written
     from bench.reporting.figures.atlas import draw_atlas
     from bench.reporting.figures.atlas_regions import draw_regions
 
     every = atlas_slices(test)
     if SAMPLED in tasks:
-        frame = atlas_frame(tasks[SAMPLED], blocks)
+        frame = atlas_frame(tasks[SAMPLED], store)
         if frame.empty:
-            raise InputError("store", blocks.folder, "a folder with finished blocks; without fit=false they are made")
+            raise InputError("store", store, "a folder with finished blocks; without fit=false they are made")
         page = next(page for page in PAGES if page.kind is TESTS[test])
         for place in [*written(frame, page, out, again), *(draw_regions(every, frame, out) if page.modelled else [])]:
             print(place)
     slices = {s.name: s for s in every if s.name in tasks}
-    frames = {name: atlas_frame(tasks[name], blocks) for name in slices}
+    frames = {name: atlas_frame(tasks[name], store) for name in slices}
     there = [(slices[name], frame) for name, frame in frames.items() if not frame.empty]
     for place in [*(packed(frame, out / f"atlas_{own.name}.csv.gz") for own, frame in there), *draw_atlas(there, out)]:
         print(place)

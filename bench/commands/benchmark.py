@@ -17,12 +17,12 @@ from bench.config.experiment import Experiment
 from bench.config.overrides import Overrides, read_overrides
 from bench.errors import InputError
 from bench.reporting.terminal import table
+from bench.run.pool import Limits
 from bench.store.bounds import Replicates, bound_identity
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.launch import complete
 from bench.sweep.runner import compute_bounds
-from bench.sweep.workers import Limits
 
 EXPERIMENTS = ("table3", "table4", "table5")
 FIELDS = ("replicates", "method", "workers")

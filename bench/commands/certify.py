@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -76,14 +75,7 @@ def _request(data: str, system: str, method: Sequence[str], record: Sequence[str
 @contextmanager
 def _progress() -> Iterator[Callable[[str, int, int], None]]:
     """Show a progress bar over steps on the error stream; gives the callback that advances it."""
-    from tqdm.auto import tqdm
+    from bench.run.progress import Look, progress_bar
 
-    with tqdm(total=1, unit="step", file=sys.stderr, dynamic_ncols=True, mininterval=0.2) as bar:
-
-        def report(step: str, done: int, steps: int) -> None:
-            bar.total = steps
-            bar.set_description(step, refresh=False)
-            bar.n = done
-            bar.refresh()
-
-        yield report
+    with progress_bar() as on_look:
+        yield lambda step, done, steps: on_look(Look("step", done, steps, step))

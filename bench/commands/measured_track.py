@@ -17,7 +17,7 @@ from bench.config.choices import check_choice
 from bench.reporting.whole_file import check_file, check_folder, write
 
 if TYPE_CHECKING:
-    from bench.measured.track import Fit, Task
+    from bench.measured.track import Fit, MeasuredFit
     from bench.reporting.tables.track_table import FreeRun, Panel, Track
 
 FIELDS = {
@@ -25,13 +25,15 @@ FIELDS = {
     "dry_run": "false", "fit": "true", "page": "build/table11.html",
 }  # fmt: skip
 COMMAND = "python -m bench -m experiment=measured data_root=<folder>"
+MEMORY_MB = 16384.0
+"""Limit of a fit with its diagnostics, whose processes have limits of their own."""
 
 
 def tracked(arguments: Sequence[str]) -> int:
     """Run the track and write its table; raises InputError."""
     from bench.config.records import track_methods
     from bench.measured.sets import measured_set, set_names
-    from bench.measured.track import Fits, run, tasks
+    from bench.measured.track import read_fit, tasks
     from bench.reporting.tables.track_table import Track
 
     fields = read_fields(arguments, FIELDS)
@@ -47,27 +49,36 @@ def tracked(arguments: Sequence[str]) -> int:
         check_file(page, "page")
         check_folder(store, "store")
         check_folder(out)
-    fits = Fits(store)
     every = {name: list(tasks(name, measured_set(name), methods, root, timeout_s)) for name in names}
-    missing = sum(fits.get(task.key, timeout_s) is None for own in every.values() for task in own)
-    print(f"bench: {sum(map(len, every.values()))} fits, {missing} to do", file=sys.stderr)
+    missing = [task for own in every.values() for task in own if not task.stored(store)]
+    print(f"bench: {sum(map(len, every.values()))} fits, {len(missing)} to do", file=sys.stderr)
     if dry_run:
         return 0
+    if fitting and missing:
+        _fit(missing, store)
     panels, free_runs = [], []
     for name, own in every.items():
-        kept = [fit for task in own if (fit := fits.get(task.key, 0.0))]
-        found = _panels(name, own, run(own, fits, timeout_s, _say) if fitting else kept, root)
-        panels += found
-        free_runs += [one for panel in found for one in _free_runs(panel, root)]
-    _write(Track(panels, free_runs, 0 if fitting else missing), out, page)
+        fits = [fit for task in own if (fit := read_fit(store, task.key))]
+        set_panels = _panels(name, own, fits, root)
+        panels += set_panels
+        free_runs += [free_run for panel in set_panels for free_run in _free_runs(panel, root)]
+    _write(Track(panels, free_runs, sum(not task.stored(store) for task in missing)), out, page)
     return 0
 
 
-def _say(fit: Fit) -> None:
-    print(f"{fit.set} {fit.system}, {fit.sibling}: {fit.method} {fit.trust}, {fit.wall_s:.1f} s", file=sys.stderr)
+def _fit(missing: Sequence[MeasuredFit], store: Path) -> None:
+    """Fit one sibling after another, since the time of a fit is a result."""
+    from bench.run.pool import Limits, run_tasks
+    from bench.run.progress import progress_bar
+
+    with progress_bar() as on_look:
+        errors = run_tasks(missing, store, Limits(memory_mb=MEMORY_MB), "fit", on_look)
+    for task in missing:
+        if error := errors.get(task.key):
+            print(f"bench: {' '.join(task.kind)}: {error}", file=sys.stderr)
 
 
-def _panels(name: str, own: Sequence[Task], fits: Sequence[Fit], root: Path | None) -> list[Panel]:
+def _panels(name: str, own: Sequence[MeasuredFit], fits: Sequence[Fit], root: Path | None) -> list[Panel]:
     """A panel a system of a set; one that says so where its files are not there."""
     from bench.measured.sets import measured_set
     from bench.reporting.tables.track_table import Panel

@@ -33,6 +33,8 @@ from bench.entrants.registry import registered
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
 from bench.reporting.terminal import wrapped
+from bench.run.pool import Limits
+from bench.run.progress import progress_bar
 from bench.scoring.path import of_clock
 from bench.scoring.row import Row
 from bench.store.bounds import load_bounds
@@ -42,9 +44,7 @@ from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.store.submitted import marked
 from bench.sweep.plan import Planned, State
-from bench.sweep.progress_bar import progress_bar
 from bench.sweep.runner import compute_bounds, run_replicates
-from bench.sweep.workers import Limits
 
 USAGE = f"""usage: python -m bench.merge <file>.submission [field=value ...]
        python -m bench.merge <folder> [store={DEFAULT_STORE}]

@@ -23,7 +23,7 @@ from bench.reporting.whole_file import check_folder, write
 
 if TYPE_CHECKING:
     from bench.online.follow import Followed
-    from bench.online.paths import Paths, Task
+    from bench.online.paths import OnlinePath, Tracking
     from bench.online.scenario import OnlineScenario
     from bench.reporting.tables.online_table import Line
 
@@ -68,7 +68,7 @@ def online_usage() -> str:
 
 def followed_online(arguments: Sequence[str]) -> int:
     """Run the track and write its table; raises InputError."""
-    from bench.online.paths import Paths, missing
+    from bench.online.paths import missing_paths
 
     varying = dict(_varying(text) for text in arguments if text.startswith(VARYING))
     fields = read_fields([text for text in arguments if not text.startswith(VARYING)], FIELDS)
@@ -79,14 +79,13 @@ def followed_online(arguments: Sequence[str]) -> int:
     if not dry_run:
         check_folder(store, "store")
         check_folder(out)
-    paths = Paths(store)
-    left = sum(len(missing(task, paths)) for task in every)
-    print(f"bench: {sum(task.replicates for task in every)} runs, {left} to do", file=sys.stderr)
+    missing = missing_paths(every, store)
+    print(f"bench: {sum(of.replicates for of in every)} runs, {len(missing)} to do", file=sys.stderr)
     if dry_run:
         return 0
-    if left and fitting:
-        _run(every, paths, left, workers)
-    _write(every, refused, paths, out)
+    if missing and fitting:
+        _run(missing, store, workers)
+    _write(every, refused, store, out)
     return 0
 
 
@@ -113,10 +112,10 @@ def _scenarios(fields: Mapping[str, str], varying: Mapping[str, str]) -> list[On
     return [online_scenario(name) for name in named]
 
 
-def _tasks(fields: Mapping[str, str], scenarios: Sequence[OnlineScenario]) -> tuple[list[Task], list[Line]]:
+def _tasks(fields: Mapping[str, str], scenarios: Sequence[OnlineScenario]) -> tuple[list[Tracking], list[Line]]:
     """What is to be there, and a line for each method that cannot take a scenario."""
     from bench.entrants.online import make_online
-    from bench.online.paths import Task
+    from bench.online.paths import Tracking
     from bench.reporting.tables.online_table import Line
 
     content = online_track()
@@ -139,7 +138,7 @@ def _tasks(fields: Mapping[str, str], scenarios: Sequence[OnlineScenario]) -> tu
                 continue
             n = content["replicates_by_method"].get(method, content["replicates"])
             n = n if most is None else min(n, most)
-            tasks.append(Task(scenario, registered[method], settings.get(method, {}), n, seed, method))
+            tasks.append(Tracking(scenario, registered[method], settings.get(method, {}), n, seed, method))
     return tasks, refused
 
 
@@ -151,19 +150,18 @@ def _title(label: str, method: str) -> str:
     return title if label == method else f"{title} ({label.removeprefix(method).strip('_')})"
 
 
-def _run(tasks: Sequence[Task], paths: Paths, left: int, workers: int) -> None:
-    from tqdm import tqdm
+def _run(missing: Sequence[OnlinePath], store: Path, workers: int) -> None:
+    from bench.run.pool import Limits, run_tasks
+    from bench.run.progress import progress_bar
 
-    from bench.online.paths import run
-
-    with tqdm(total=left, unit="run", file=sys.stderr) as bar:
-        for task, replicate, error in run(tasks, paths, workers):
-            bar.update()
-            if error:
-                bar.write(f"{task.scenario.label}, {task.label}, replicate {replicate}: {error}", file=sys.stderr)
+    with progress_bar() as on_look:
+        errors = run_tasks(missing, store, Limits(workers), "run", on_look)
+    for path in missing:
+        if error := errors.get(path.key):
+            print(f"{path.of.scenario.label}, {path.of.label}, replicate {path.replicate}: {error}", file=sys.stderr)
 
 
-def _write(tasks: Sequence[Task], refused: Sequence[Line], paths: Paths, out: Path) -> None:
+def _write(tasks: Sequence[Tracking], refused: Sequence[Line], store: Path, out: Path) -> None:
     from bench.reporting.figures.online import draw_online
     from bench.reporting.tables.online_table import table
 
@@ -171,7 +169,7 @@ def _write(tasks: Sequence[Task], refused: Sequence[Line], paths: Paths, out: Pa
     lines, shown = [], []
     for scenario in scenarios.values():
         own = [task for task in tasks if task.scenario is scenario or task.scenario == scenario]
-        found = _scored(scenario, own, paths)
+        found = _scored(scenario, own, store)
         lines += [*found[0], *(line for line in refused if line.scenario == scenario.label)]
         if found[1] is not None:
             shown.append(found[1])
@@ -186,9 +184,10 @@ def _write(tasks: Sequence[Task], refused: Sequence[Line], paths: Paths, out: Pa
         print(f"bench: no picture, since {error.name} is missing", file=sys.stderr)
 
 
-def _scored(scenario: OnlineScenario, tasks: Sequence[Task], paths: Paths) -> tuple[list[Line], Any]:
+def _scored(scenario: OnlineScenario, tasks: Sequence[Tracking], store: Path) -> tuple[list[Line], Any]:
     """A line a method, and what the picture of the first replicate shows."""
     from bench.online.bound import bound_variances
+    from bench.online.paths import read_paths
     from bench.online.score import score, score_bound, scored
     from bench.reporting.figures.online import Shown
     from bench.reporting.tables.online_table import BOUND, Line
@@ -203,7 +202,7 @@ def _scored(scenario: OnlineScenario, tasks: Sequence[Task], paths: Paths) -> tu
     }
     lines, drawn = [Line(scenario.label, BOUND, BOUND, least, count, count)], {}
     for task in tasks:
-        kept = {i: path for i in range(task.replicates) if (path := paths.get(task.key(i))) is not None}
+        kept = read_paths(store, task)
         title = _title(task.label, task.method)
         good = {i: path for i, path in kept.items() if np.isfinite(path.means).all(axis=1).any()}
         if not good:

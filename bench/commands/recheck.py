@@ -40,6 +40,8 @@ from bench.errors import InputError
 from bench.information.fisher import Bound
 from bench.isolation.cores import usable_cores
 from bench.reporting.terminal import wrapped
+from bench.run.pool import Limits
+from bench.run.progress import progress_bar
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.bounds import load_bounds
@@ -52,9 +54,7 @@ from bench.store.stored import StoredCell
 from bench.store.version import rows_digest
 from bench.sweep.launch import preloaded
 from bench.sweep.plan import FAILURES, Planned, State
-from bench.sweep.progress_bar import progress_bar
 from bench.sweep.runner import compute_bounds, run_replicates
-from bench.sweep.workers import Limits
 
 USAGE = f"""usage: python -m bench.recheck [experiment=<name>] [method=<name>,<name>] [store={DEFAULT_STORE}]
 

@@ -21,6 +21,7 @@ from bench.commands.guard import command
 from bench.commands.stores import FIELDS, store_of
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
+from bench.run.pool import Limits
 from bench.scoring.row import Row
 from bench.store.cell import stored_as_cell
 from bench.store.opening import DEFAULT_STORE
@@ -28,7 +29,6 @@ from bench.store.store import Store
 from bench.store.stored import DIGITS, StoredCell
 from bench.store.version import Version
 from bench.sweep.launch import complete
-from bench.sweep.workers import Limits
 
 USAGE = f"usage: python -m bench.reproduce <cell> [store={DEFAULT_STORE}] [archive=<folder>|none]\n\n"
 TOLERANCE = 1e-3

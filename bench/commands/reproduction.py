@@ -17,11 +17,11 @@ from bench.reporting.frame import Result
 from bench.reporting.reproduction import Place, all_cells, ratio_verdicts, verdicts
 from bench.reporting.reproduction_page import files
 from bench.reporting.whole_file import check_folder, write
+from bench.run.pool import Limits
 from bench.store.cell import Cell
 from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store
 from bench.sweep.launch import complete
-from bench.sweep.workers import Limits
 
 
 def main(argv: Sequence[str] | None = None) -> int:

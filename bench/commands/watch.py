@@ -16,13 +16,13 @@ from bench.contract.estimate import Status
 from bench.reporting.rounding import number
 from bench.reporting.terminal import clipped
 from bench.reporting.terminal_tables import described
+from bench.run.progress import duration
 from bench.store import index as view
 from bench.store.cell import Cell
 from bench.store.durations import fit_seconds
 from bench.store.locks import under_way
 from bench.store.store import Store
 from bench.sweep.plan import State, plan
-from bench.sweep.progress import duration
 
 WINDOW_S = 300.0
 """The rate is that of the last five minutes."""

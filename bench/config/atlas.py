@@ -12,7 +12,7 @@ import yaml
 from bench.atlas.design import Slice, blocks, made, sobol
 from bench.atlas.forced import Forced
 from bench.atlas.point import FreeDecay, Point
-from bench.atlas.run import Task
+from bench.atlas.run import Block
 from bench.config.suggest import did_you_mean
 from bench.entrants.registry import make_method
 from bench.errors import InputError
@@ -61,9 +61,9 @@ def on_the_bound() -> list[str]:
     return list(atlas_content()["on_the_bound"])
 
 
-def atlas_tasks(
+def atlas_blocks(
     part: str, methods: Sequence[str] = (), most_points: int | None = None, test: str = FREE_DECAY
-) -> list[Task]:
+) -> list[Block]:
     """What is to be computed for a part, block by block; all methods of a block one behind the other.
 
     Raises InputError for a kind of test, a part or a method that the atlas does not have.
@@ -83,16 +83,16 @@ def atlas_tasks(
         for name in own:
             limit = content["points_by_method"].get(name, len(points)) if part == SAMPLED else len(points)
             if (not methods or name in methods) and number * content["block"] < limit:
-                found.append(_task(content, part, name, block))
+                found.append(_block(content, part, name, block))
     return found
 
 
-def _task(content: Mapping[str, Any], part: str, label: str, block: Sequence[Point]) -> Task:
+def _block(content: Mapping[str, Any], part: str, label: str, block: Sequence[Point]) -> Block:
     settings = dict(content["variants"].get(label, {}))
     method = settings.pop("method", label)
     make_method(method, settings)  # a name or a setting that is wrong is said before any work starts
     n = content["replicates_by_method"].get(label, content["replicates"])
-    return Task(block, method, settings, n if part == SAMPLED else content["slice_replicates"], content["seed"], label)
+    return Block(block, method, settings, n if part == SAMPLED else content["slice_replicates"], content["seed"], label)
 
 
 def _slice(kind: type[Point], name: str, stated: Mapping[str, Any]) -> Slice:

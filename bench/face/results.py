@@ -13,13 +13,13 @@ from bench.config.overrides import overrides_of
 from bench.config.schema import Config
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
+from bench.run.pool import Limits
 from bench.store.cell import Cell
 from bench.store.opening import open_store
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.sweep.launch import Launch, launch, warm_up
 from bench.sweep.plan import Planned, plan, read_retry
-from bench.sweep.workers import Limits
 
 if TYPE_CHECKING:
     import pandas as pd

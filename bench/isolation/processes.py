@@ -36,7 +36,7 @@ NEEDED = (
     "bench.isolation.processes",
     "bench.sweep.method_process",
     "bench.sweep.scoring_process",
-    "bench.sweep.bounds_process",
+    "bench.sweep.bounds",
     "scipy.integrate",  # makes the truth of a nonlinear system
     "scipy.interpolate",  # which most methods use: each of their processes would import it anew
 )

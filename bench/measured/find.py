@@ -26,7 +26,7 @@ from bench.measured.intervals import StatedInterval
 from bench.measured.record import Measured, spare_factor, with_fewer_samples, with_system
 from bench.measured.trust import OUTLIERS, Doubt, Trust
 from bench.measured.zeros import unit_over_mass, without
-from bench.sweep.workers import Limits
+from bench.run.pool import Limits
 from bench.systems.sums import Sum
 
 

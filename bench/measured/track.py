@@ -1,7 +1,7 @@
-"""The measured track: every set, sibling and method fitted once, and kept as a line of a file.
+"""The measured track: every set, sibling and method fitted once, and stored as a file.
 
-A fit is found again by what it hangs on: the definition of its set, the bytes of its file, the system, which part, and
-the method with all its settings. So an interrupted run goes on where it was, and a set that changes is fitted anew.
+A fit is stored under a digest of all that it depends on: the definition of its set, the bytes of its file, the system,
+the part of the record, and the method with all its settings.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,12 @@ from bench.measured.record import Measured, read_measured, with_system
 from bench.measured.request import Request, request_of
 from bench.measured.sets import MeasuredSet
 from bench.measured.siblings import Stated, pieces
+from bench.run.progress import Kind
+from bench.run.results import read_result, write_result
 from bench.systems.sums import Sum
 
-FILE = "fits.jsonl"
+ANALYSES, ANALYSIS_S = 50.0, 3600.0
+"""Limit of a fit with all its diagnostics: so many times the limit of the fit alone, and so many seconds more."""
 ENDS = ("value", "low", "high", "white_low", "white_high")
 
 
@@ -59,13 +62,13 @@ class Fit:
     held_out: float = math.nan
     offset: float = math.nan
 
-    def line(self) -> str:
-        """As a line of JSON; null stands for what is not finite."""
+    def as_json(self) -> str:
+        """Return the fit as JSON; null stands for what is not finite."""
         return json.dumps(_plain(asdict(self)), allow_nan=False, sort_keys=True)
 
     @staticmethod
-    def of_line(text: str) -> Fit:
-        """The fit of such a line."""
+    def of_json(text: str | bytes) -> Fit:
+        """Return the fit of such a text."""
         content = json.loads(text)
         for name in ("estimates", "withdrawn"):
             stated = content[name].items()
@@ -87,8 +90,8 @@ def _number(value: float | None) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
-    """A fit that is to be there: of a sibling of a set, by a method."""
+class MeasuredFit:
+    """A task of the engine: the fit of a sibling of a set by a method, within ``timeout_s``."""
 
     name: str
     of: MeasuredSet
@@ -96,10 +99,12 @@ class Task:
     job: Job
     sibling: str
     recording: Recording
+    timeout_s: float
+    size: int = 1
 
     @property
     def key(self) -> str:
-        """What the fit hangs on, as a digest; its limit of time apart."""
+        """Return a digest of all that the fit depends on but its limit of time."""
         settings = {name: str(value) for name, value in self.job.settings().items()}
         parts = [
             self.name, self.of.definition(), self.request.system, self.sibling, self.recording.sha256,
@@ -107,8 +112,27 @@ class Task:
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 
+    @property
+    def kind(self) -> Kind:
+        """Return the method and the set."""
+        return self.job.label, f"{self.name} {self.request.system}, {self.sibling}"
+
+    @property
+    def limit_s(self) -> float:
+        """Return the limit of the fit with all its diagnostics, whose fits of replicas have limits of their own."""
+        return ANALYSES * self.timeout_s + ANALYSIS_S
+
+    def stored(self, folder: Path) -> bool:
+        """Return whether the fit is stored, and has not run out of a shorter time than is allowed now."""
+        fit = read_fit(folder, self.key)
+        return fit is not None and not (fit.status == "timeout" and fit.timeout_s < self.timeout_s)
+
+    def compute(self, folder: Path) -> None:
+        """Fit and store; raises InputError where the folder cannot be written."""
+        write_result(folder, self.key, fitted(self).as_json().encode())
+
     def measured(self) -> Measured:
-        """The sibling as a problem."""
+        """Return the sibling as a problem."""
         return described(self.of, self.request, self.recording)
 
 
@@ -123,7 +147,7 @@ def described(of: MeasuredSet, request: Request, recording: Recording) -> Measur
 
 def tasks(
     name: str, of: MeasuredSet, methods: Sequence[str], data_root: Path | None, timeout_s: float
-) -> Iterator[Task]:
+) -> Iterator[MeasuredFit]:
     """The fits of a set, sibling by sibling; none where its files are not there. Raises InputError."""
     siblings: list[tuple[str, Path, Recording]] = []
     for path in of.paths(data_root):
@@ -134,47 +158,20 @@ def tasks(
         for label, path, recording in siblings:
             request = request_of(of.overrides(system, list(methods), path, timeout_s))
             for job in request.jobs:
-                yield Task(name, of, request, job, label, recording)
+                yield MeasuredFit(name, of, request, job, label, recording, timeout_s)
 
 
-class Fits:
-    """The finished fits of a folder, by key; each is appended as soon as it is there."""
-
-    def __init__(self, folder: Path) -> None:
-        self.path = folder / FILE
-        self._found = {fit.key: fit for fit in _read(self.path)}
-
-    def get(self, key: str, timeout_s: float) -> Fit | None:
-        """A finished fit; none that ran out of a time that was shorter than now."""
-        fit = self._found.get(key)
-        return None if fit is None or (fit.status == "timeout" and fit.timeout_s < timeout_s) else fit
-
-    def add(self, fit: Fit) -> None:
-        """Keep a fit."""
-        self._found[fit.key] = fit
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self.path.open("a", encoding="utf-8") as file:
-                file.write(fit.line() + "\n")
-        except OSError as error:
-            raise InputError("store", self.path, f"cannot be written: {error.strerror}") from None
+def read_fit(folder: Path, key: str) -> Fit | None:
+    """Return a stored fit; None where there is none, or it is damaged."""
+    content = read_result(folder, key)
+    return None if content is None else Fit.of_json(content)
 
 
-def _read(path: Path) -> Iterator[Fit]:
-    if not path.is_file():
-        return
-    for text in path.read_text(encoding="utf-8").splitlines():
-        try:
-            yield Fit.of_line(text)
-        except (ValueError, KeyError, TypeError, AttributeError):
-            continue  # a line that an interrupted run has left
-
-
-def fitted(task: Task, timeout_s: float) -> Fit:
-    """Fit a task now."""
+def fitted(task: MeasuredFit) -> Fit:
+    """Fit a sibling."""
     head = {
         "key": task.key, "set": task.name, "system": task.request.system, "sibling": task.sibling,
-        "method": task.job.label, "timeout_s": timeout_s,
+        "method": task.job.label, "timeout_s": task.timeout_s,
     }  # fmt: skip
     try:
         finding = find(task.job, task.measured())
@@ -208,16 +205,3 @@ def _offset(finding: Finding) -> float:
     if at is None:
         return math.nan
     return finding.channel_size * float(at.model.offsets(at.theta)[0])
-
-
-def run(every: Sequence[Task], fits: Fits, timeout_s: float, say: Callable[[Fit], None]) -> list[Fit]:
-    """The fits of all tasks, in their order: those that are kept, and the others now; ``say`` hears of each new one."""
-    found = []
-    for task in every:
-        fit = fits.get(task.key, timeout_s)
-        if fit is None:
-            fit = fitted(task, timeout_s)
-            fits.add(fit)
-            say(fit)
-        found.append(fit)
-    return found

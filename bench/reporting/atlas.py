@@ -14,7 +14,7 @@ import pandas as pd
 from bench.atlas.forced import Forced
 from bench.atlas.model import FOLDS, TOLD, held_out, told
 from bench.atlas.point import GROUPS, FreeDecay, Point
-from bench.atlas.run import Blocks, Task, bound_at
+from bench.atlas.run import Block, bound_at, read_block
 from bench.atlas.statistics import DISPLACEMENT, columns
 from bench.atlas.threshold import wrong_basin
 from bench.entrants.registry import load_method
@@ -27,18 +27,18 @@ RARE = 0.05
 """Share of gross errors."""
 
 
-def atlas_frame(tasks: Sequence[Task], blocks: Blocks) -> pd.DataFrame:
+def atlas_frame(blocks: Sequence[Block], folder: Path) -> pd.DataFrame:
     """A line for each point and method of the blocks that are finished, with the bound; all of one kind of test."""
     lines, bounds = [], dict[Point, list[float]]()
-    for task in tasks:
-        found = blocks.get(task)
-        if found is None:
+    for block in blocks:
+        stored = read_block(folder, block)
+        if stored is None:
             continue
-        for point, statistics in zip(task.points, found, strict=True):
+        for point, statistics in zip(block.points, stored, strict=True):
             if point not in bounds:
                 bounds[point] = _bounds(point)
-            lines.append([*_numbers(point), task.label, *bounds[point], *statistics.row().tolist()])
-    kind = type(tasks[0].points[0])
+            lines.append([*_numbers(point), block.label, *bounds[point], *statistics.row().tolist()])
+    kind = type(blocks[0].points[0])
     names = [*test_columns(kind), "method", *_bound_columns(kind), *columns(kind.QUANTITIES)]
     return pd.DataFrame(lines, columns=names)
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from bench.reporting.terminal import table, wrapped
 from bench.reporting.terminal_tables import described
+from bench.run.progress import duration
 from bench.store.durations import fit_seconds
 from bench.store.store import Store
 from bench.sweep.plan import Planned
-from bench.sweep.progress import duration
 
 MOST_OF_WHY = 160
 

@@ -1,19 +1,18 @@
-"""From a plan to finished cells: on this machine, or by way of a launcher of Hydra's, on Ray or Slurm.
+"""From a plan to results: on this machine, or by way of a launcher of Hydra's, on Ray or Slurm.
 
-A launcher gets jobs, each with some of the sweep's cells, and calls :func:`run_job` for each, wherever it likes.
-Results come through the store alone, which all nodes must see. So a job that is tried again computes only what is
-missing, and what jobs leave behind, lost with their node, is launched again as long as that brings anything.
+A launcher gets jobs, each with some of the work, and calls :func:`run_job` for each. Results come through the store
+alone, which all nodes must see. So a job that is tried again computes only what is missing, and what jobs leave behind,
+lost with their node, is launched again as long as that brings anything.
 """
 
 from __future__ import annotations
 
-import os
+import math
 import shutil
-import sys
 import threading
 import time
 import uuid
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -24,66 +23,69 @@ from bench.errors import InputError
 from bench.isolation.failure import one_line
 from bench.isolation.private import make_private_folder
 from bench.isolation.processes import start_server
+from bench.run.pool import Limits, say
+from bench.run.progress import Look, progress_bar
 from bench.store.archive.archive import Archive
 from bench.store.cell import Cell
 from bench.store.store import Store
-from bench.sweep.job import Job, read_job, write_job
+from bench.sweep.job import CellJob, Job, read_job
 from bench.sweep.plan import Planned, plan
-from bench.sweep.progress import Look
-from bench.sweep.progress_bar import progress_bar
-from bench.sweep.runner import needed, run_cells
-from bench.sweep.workers import Limits
+from bench.sweep.runner import needed
 
 WATCH_S = 1.0
-"""How often arrivals are counted, at most; where counting takes long, a twentieth of the time goes into it."""
+"""Shortest interval at which results are counted; where counting takes long, it gets a twentieth of the time."""
 
 
 @dataclass(frozen=True)
 class Launch:
-    """How a sweep is launched: Hydra's own overrides, if any, and how many cells a job of a launcher has."""
+    """How a run is launched: Hydra's own overrides, if any, and how many cells or blocks a job of a launcher has."""
 
     overrides: tuple[str, ...] = ()
     cells_per_job: int = 20
     progress: bool = True
-    """Whether a bar shows how far the sweep is."""
+    """Whether a bar shows how far the run is."""
 
     @property
     def launcher(self) -> str:
-        """The launcher's name."""
+        """Return the launcher's name."""
         chosen = [text.partition("=")[2] for text in self.overrides if text.lstrip("+").startswith("hydra/launcher=")]
         return chosen[-1] if chosen else "local"
 
     @property
     def local(self) -> bool:
-        """Whether this process has the cells computed itself, on the machine's cores."""
+        """Return whether this process has the work done itself, on the machine's cores."""
         return self.launcher == "local"
 
 
 def launch(planned: Sequence[Planned], store: Store, limits: Limits, how: Launch) -> None:
-    """Have the cells of a plan that are to be run computed and stored.
-
-    Cells that jobs elsewhere leave behind are launched again until none is left or a round has brought none; the store
-    then lacks them, and the error stream says why. Raises InputError for a launcher that is unknown or not installed,
-    and where the store can no longer be written.
-    """
+    """Have the cells of a plan that are to be run computed and stored; see :func:`launch_job`."""
     wanted = tuple(one for one in planned if one.run)
-    if not wanted:
-        return
+    if wanted:
+        if not how.local:
+            store = Store(store.folder.resolve(), store.archive and Archive(store.archive.folder.resolve()))
+        launch_job(CellJob(wanted, store, limits), how)
+
+
+def launch_job(job: Job, how: Launch) -> None:
+    """Have the items of a job computed and stored.
+
+    What jobs elsewhere leave behind is launched again until nothing is left or a round has brought nothing; the store
+    then lacks it, and the error stream says why. Raises InputError for a launcher that is unknown or not installed, and
+    where the store can no longer be written.
+    """
     if how.local:
-        _run_here(wanted, store, limits, how)
+        _run_here(job, how)
         return
-    store = Store(store.folder.resolve(), store.archive and Archive(store.archive.folder.resolve()))
-    folder = store.folder / "launches" / uuid.uuid4().hex[:12]
-    sweep = Job(wanted, store, limits)
+    folder = job.folder.resolve() / "launches" / uuid.uuid4().hex[:12]
     private = make_private_folder()
     try:
-        with _launcher(folder, private, how) as launcher, _watched(sweep, how.progress):
-            _rounds(launcher, sweep, folder, how)
+        with _launcher(folder, private, how) as launcher, _watched(job, how.progress):
+            _rounds(launcher, job, folder, how)
     finally:
         for own in (folder, private):  # jobs that still run elsewhere end when they see it
             shutil.rmtree(own, ignore_errors=True)
         with suppress(OSError):
-            folder.parent.rmdir()  # unless another sweep is under way
+            folder.parent.rmdir()  # unless another run is under way
 
 
 def complete(cells: Sequence[Cell], store: Store, limits: Limits) -> None:
@@ -97,22 +99,22 @@ def warm_up(methods: Collection[str]) -> None:
 
 
 def preloaded() -> tuple[str, ...]:
-    """The packages that ``conf/launch.yaml`` has imported once a run, where a method needs them."""
+    """Return the packages that ``conf/launch.yaml`` has imported once a run, where a method needs them."""
     from omegaconf import OmegaConf
 
     return tuple(OmegaConf.create(files("conf").joinpath("launch.yaml").read_text(encoding="utf-8")).preload)
 
 
-def _run_here(wanted: Sequence[Planned], store: Store, limits: Limits, how: Launch) -> None:
+def _run_here(job: Job, how: Launch) -> None:
     for text in how.overrides:
         if not text.lstrip("+").startswith("hydra/launcher="):
             raise InputError("argument", text, "an option of a launcher: name that too, by hydra/launcher=")
     with progress_bar(how.progress) as on_look:
-        run_cells(wanted, store, replace(limits, preload=preloaded()), on_look)
+        job.run(replace(job.limits, preload=preloaded()), on_look)
 
 
 def run_job(config: Any) -> dict[str, int]:
-    """One job: its cells that are still to be computed, each in processes of its own. What every launcher calls."""
+    """Run one job: its items that are still to be computed. What every launcher calls."""
     from hydra.core.hydra_config import HydraConfig
 
     path = Path(config.sweep) / f"{config.job}.job"
@@ -125,33 +127,33 @@ def run_job(config: Any) -> dict[str, int]:
             remedy = "was removed while the sweep ran; start it again, what was stored is kept"
             raise InputError("store", path.parent, remedy)
 
-    run_cells(left, job.store, limits, on_look)
-    return {"cells": len(job.planned), "computed": len(left)}
+    job.part(left).run(limits, on_look)
+    return {"cells": len(job.items), "computed": len(left)}
 
 
 def _write(path: Path, job: Job) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_job(path, job)
+        job.write(path)
     except OSError as error:
-        raise InputError("store", job.store.folder, f"cannot be written ({error.strerror}); make room") from None
+        raise InputError("store", job.folder, f"cannot be written ({error.strerror}); make room") from None
 
 
 def _cores(launcher: Any) -> int:
-    """How many cells a job elsewhere computes at once: one for each core that its launcher asks for."""
+    """Return how many workers a job elsewhere has: one for each core that its launcher asks for."""
     ray = launcher.get("ray") or {}
     return int(launcher.get("cpus_per_task") or (ray.get("remote") or {}).get("num_cpus") or 1)
 
 
-def _rounds(launcher: Any, sweep: Job, folder: Path, how: Launch) -> None:
-    """Launch what is left of a sweep, as long as a round brings anything."""
-    n_jobs, left = 0, list(sweep.planned)
+def _rounds(launcher: Any, job: Job, folder: Path, how: Launch) -> None:
+    """Launch what is left of a job, as long as a round brings anything."""
+    n_jobs, left = 0, list(job.items)
     size = how.cells_per_job
     while left:
         jobs: list[list[str]] = []
         for i in range(0, len(left), size):
             name = n_jobs + len(jobs)
-            _write(folder / f"{name}.job", sweep.part(left[i : i + size]))
+            _write(folder / f"{name}.job", job.part(left[i : i + size]))
             jobs.append([f"sweep={_quoted(folder)}", f"job={name}"])
         try:
             returns = launcher.launch(jobs, n_jobs)
@@ -163,12 +165,12 @@ def _rounds(launcher: Any, sweep: Job, folder: Path, how: Launch) -> None:
                 raise
             lost = one_line(error)
         n_jobs += len(jobs)
-        before, left = len(left), _left(sweep, left)
+        before, left = len(left), job.part(left).left()
         if not left:
             return
         goes_on = "launched again" if len(left) < before else "given up: a round has brought none"
-        said = f"bench: hydra/launcher={how.launcher} has left {len(left)} cells, {goes_on}"
-        print(f"{said} ({lost})" if lost else said, file=sys.stderr)
+        line = f"hydra/launcher={how.launcher} has left {len(left)} {job.unit}s, {goes_on}"
+        say(f"{line} ({lost})" if lost else line)
         if len(left) == before:
             return
 
@@ -186,8 +188,6 @@ def _launcher(folder: Path, private: Path, how: Launch) -> Any:
     from omegaconf.errors import OmegaConfBaseException
 
     own = [f"sweep={_quoted(folder)}", f"hydra.sweep.dir={_quoted(private)}"]
-    if how.local and not how.progress:
-        own.append("hydra.launcher.progress=false")
     if how.launcher == "ray":  # its default for a Ray of its own is refused by a cluster that it joins
         own.append("++hydra.launcher.ray.init.object_store_memory=null")
     state = Singleton.get_state()
@@ -225,17 +225,17 @@ def _quoted(path: Path) -> str:
 
 
 @contextmanager
-def _watched(sweep: Job, shown: bool) -> Any:
-    """A progress bar over cells that are computed elsewhere: what counts is what arrives in the store."""
-    from tqdm.auto import tqdm
-
+def _watched(job: Job, shown: bool) -> Iterator[None]:
+    """Show the progress of what is computed elsewhere, by what arrives in the store."""
     over = threading.Event()
-    with tqdm(total=len(sweep.planned), unit="cell", file=sys.stderr, dynamic_ncols=True, disable=not shown) as bar:
+    with progress_bar(shown) as on_look:
 
         def count() -> float:
             started = time.monotonic()
-            bar.n = len(sweep.planned) - len(_left(sweep, sweep.planned))
-            bar.refresh()
+            left = len(job.left())
+            done = len(job.items) - left
+            seconds_left = (started - begun) / done * left if done else math.nan
+            on_look(Look(job.unit, done, len(job.items), "", seconds_left, False))
             return time.monotonic() - started
 
         def watch() -> None:
@@ -243,6 +243,7 @@ def _watched(sweep: Job, shown: bool) -> Any:
             while not over.wait(max(WATCH_S, 20.0 * took)):
                 took = count()
 
+        begun = time.monotonic()
         watcher = threading.Thread(target=watch, daemon=True)
         watcher.start()
         try:
@@ -251,14 +252,3 @@ def _watched(sweep: Job, shown: bool) -> Any:
             over.set()
             watcher.join()
             count()
-
-
-def _left(sweep: Job, planned: Sequence[Planned]) -> list[Planned]:
-    """As :meth:`Job.left`, of many cells: one listing of the store, and a look only at cells that were there before."""
-    there = {entry.name for entry in os.scandir(sweep.store.folder)}
-
-    def left(one: Planned) -> bool:
-        identity = one.cell.identity
-        return f"{identity}.json" not in there or bool(one.stamp and sweep.store.stamp(identity) == one.stamp)
-
-    return [one for one in planned if left(one)]

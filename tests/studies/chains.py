@@ -31,13 +31,13 @@ from bench.errors import InputError
 from bench.reporting import frame, labels
 from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.pooling import pooled_excess
+from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.sweep.launch import complete
-from bench.sweep.workers import Limits
 from bench.systems import Chain
 from tests.studies.chains_picture import caption, picture
 

@@ -28,12 +28,12 @@ from bench.errors import InputError
 from bench.reporting.labels import title
 from bench.reporting.rounding import excess_text
 from bench.reporting.tables.common import csv, markdown_table
+from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.store import Store
 from bench.sweep.launch import complete
-from bench.sweep.workers import Limits
 from bench.systems.linear import SDOF
 
 SEED = 987

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from bench.commands.fields import read_fields, whole
 from bench.commands.guard import command
@@ -24,6 +23,7 @@ from bench.planning.forces import Forces, Told, told_by
 from bench.planning.search import Likely
 from bench.planning.verify import counted, simulated_forced
 from bench.reporting.tables.common import markdown_table
+from bench.run.progress import counter
 
 FIELDS = {"requests": "12", "tests": "20", "out": "results"}
 USAGE = """usage: python -m tests.studies.forces [requests=12] [tests=20] [out=results]
@@ -89,11 +89,11 @@ def made(arguments: Sequence[str]) -> int:
     name = on_the_bound()[0]
     method, planned = make_method(name, {}), requests(number)
     shares: dict[str, list[float]] = {title: [] for title in SIMULATED}
-    with tqdm(total=number * tests * len(SIMULATED), unit="test", file=sys.stderr) as bar:
+    with counter("test", number * tests * len(SIMULATED)) as advance:
         for one, found in planned:
             for title in SIMULATED:
                 told = found[title]
-                errors = simulated_forced(one.likely, one.test, told.force, one.quantity, method, tests, bar.update)
+                errors = simulated_forced(one.likely, one.test, told.force, one.quantity, method, tests, advance)
                 shares[title] += list(errors / told.median[one.quantity])
     out = Path(fields["out"])
     out.mkdir(parents=True, exist_ok=True)

@@ -21,7 +21,6 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from tabulate import tabulate
-from tqdm import tqdm
 
 from bench import Estimate, Normal, Problem, Status
 from bench.commands.fields import read_fields, whole
@@ -32,6 +31,7 @@ from bench.isolation.failure import one_line
 from bench.isolation.limit import limited
 from bench.isolation.processes import single_threaded
 from bench.reporting.rounding import excess_text, number
+from bench.run.progress import counter
 from bench.scenario.scenario import METHOD, Scenario
 from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
@@ -223,11 +223,11 @@ def _main(arguments: Sequence[str]) -> int:
     rows, limit = [], float(chosen["timeout_s"])
     counts = {label: int(chosen[label]) for label in ("duffing", "chain5")}
     total = len(SNRS) * sum(count + 1 for count in counts.values())
-    with tqdm(total=total, unit="data set", file=sys.stderr, leave=False) as bar:
+    with counter("data set", total) as advance:
         for label, count in counts.items():
             for snr in SNRS:
                 jobs = expand(["method=prior", f"system={label}", f"snr={snr}"], multirun=False)
-                outcomes = measure(jobs[0].scenario, count, limit, bar.update)
+                outcomes = measure(jobs[0].scenario, count, limit, advance)
                 rows += [row(label, snr, name, own) for name, own in outcomes.items()]
     (out / "handwritten.md").write_text(page(rows, limit), encoding="utf-8")
     print(out / "handwritten.md")

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from scipy.stats import binom, norm
-from tqdm import tqdm
 
 from bench.commands.fields import read_fields, whole
 from bench.commands.guard import command
@@ -24,6 +23,7 @@ from bench.planning.free_decay import QUANTITIES, Decay, errors, information
 from bench.planning.search import MOST_SAMPLES, WITHIN, Likely, Proposal, cheapest, not_exceeded
 from bench.planning.verify import reached, simulated
 from bench.reporting.tables.common import markdown_table
+from bench.run.progress import counter
 
 FIELDS = {"requests": "20", "tests": "500", "out": "results"}
 USAGE = """usage: python -m tests.studies.plans [requests=20] [tests=500] [out=results]
@@ -93,9 +93,9 @@ def made(arguments: Sequence[str]) -> int:
     name = on_the_bound()[0]
     method, lines, inside = make_method(name, {}), [], 0
     planned = requests(number)
-    with tqdm(total=number * tests, unit="test", file=sys.stderr) as bar:
+    with counter("test", number * tests) as advance:
         for one, plan in planned:
-            found = reached(simulated(one.likely, plan.decay, one.quantity, method, tests, bar.update), one.error)
+            found = reached(simulated(one.likely, plan.decay, one.quantity, method, tests, advance), one.error)
             share = expected_share(one, plan.decay)
             low, high = (float(value) / tests for value in binom.interval(0.95, tests, share))
             inside += low <= found <= high

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -43,13 +42,12 @@ class Request:
 
     def simulated(self, tests: Sequence[Simulation]) -> list[np.ndarray]:
         """Simulate and fit each test; returns its errors."""
-        from tqdm import tqdm
-
         from bench.entrants.registry import make_method
+        from bench.run.progress import counter
 
         method, number = make_method(self.method, {}), self.simulations
-        with tqdm(total=number * len(tests), unit="test", file=sys.stderr) as bar:
-            return [test(method, number, bar.update) for test in tests]
+        with counter("test", number * len(tests)) as advance:
+            return [test(method, number, advance) for test in tests]
 
 
 def percent(value: float) -> str:

@@ -9,7 +9,7 @@ import pytest
 from bench.atlas.design import Slice, sobol
 from bench.atlas.forced import KINDS, Forced
 from bench.commands.main import main
-from bench.config.atlas import SAMPLED, atlas_methods, atlas_tasks
+from bench.config.atlas import SAMPLED, atlas_blocks, atlas_methods
 
 POINT = Forced(100, 10.0, 0.05, 30.0, 2.0, 20.0, "multisine")
 
@@ -73,7 +73,7 @@ def test_a_slice_keeps_the_kind_of_force() -> None:
 
 
 def test_its_methods_can_be_made_and_the_command_writes_it(tmp_path, capsys) -> None:
-    assert {task.label for task in atlas_tasks(SAMPLED, test="forced")} == set(atlas_methods("forced"))
+    assert {task.label for task in atlas_blocks(SAMPLED, test="forced")} == set(atlas_methods("forced"))
     given = [f"store={tmp_path / 'store'}", f"out={tmp_path / 'out'}", "test=forced", "part=points", "points=2"]
     assert main(["-m", "experiment=atlas", *given, "method=frequency"]) == 0
     page = (tmp_path / "out" / "atlas_forced.md").read_text()

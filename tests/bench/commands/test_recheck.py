@@ -16,13 +16,13 @@ from stored import resealed
 
 from bench.commands import recheck
 from bench.config.experiment import expand
+from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.locks import Claims
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.sweep.launch import complete
-from bench.sweep.workers import Limits
 
 OLD = "0123456789abcdef"
 N = 12

@@ -10,12 +10,12 @@ import pytest
 from stored import resealed
 
 from bench.commands import reproduce, status
+from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.sweep.plan import plan
 from bench.sweep.runner import run_cells
-from bench.sweep.workers import Limits
 
 
 @pytest.fixture(scope="module")

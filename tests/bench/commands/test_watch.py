@@ -18,13 +18,13 @@ from conftest import StoreFactory
 from bench.commands import status, watch
 from bench.commands.watch import Look, Progress, block, line, rate, time_left
 from bench.errors import InputError
+from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.locks import Claims, under_way
 from bench.store.store import Store
 from bench.sweep.plan import plan
 from bench.sweep.runner import run_cells
-from bench.sweep.workers import Limits
 
 SWEEP = ["method=prior,oracle,ls", "replicates=2,3,4,5"]
 ENVIRONMENT = {**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "80"}

@@ -23,6 +23,7 @@ from bench.config.experiment import expand
 from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.exchange.submission import MANIFEST, pack, unpack
+from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.scoring.path import MOMENTS, of_clock
 from bench.scoring.row import Row
@@ -31,7 +32,6 @@ from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.store.submitted import is_submitted
 from bench.sweep.launch import complete
-from bench.sweep.workers import Limits
 
 N = 12
 Change = Callable[[StoredCell], StoredCell]

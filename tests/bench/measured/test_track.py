@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +14,15 @@ import pytest
 
 from bench import InputError
 from bench.commands.measured_track import tracked
-from bench.measured import track
 from bench.measured.free_run import free_run_error, part_problem
 from bench.measured.reading import Recording, Signal
 from bench.measured.sets import MeasuredSet, measured_set, set_names
 from bench.measured.siblings import Stated, agreement, pieces, total
-from bench.measured.track import Fit, Fits, tasks
+from bench.measured.track import Fit, tasks
 from bench.reporting.tables.track_table import Panel, Track, certified_ratio, digits, lines, markdown
 from bench.reporting.track.page import page
+from bench.run import pool
+from bench.run.results import write_result
 
 HALF = 1.959964
 TINY = {"title": "t", "licence": "none", "source": "here", "folder": "x", "files": ["x.csv"], "systems": ["sdof"]}
@@ -101,12 +103,12 @@ def test_a_recording_is_cut_scaled_and_thinned() -> None:
     assert second.signals[1].times == pytest.approx([0.0, 0.05, 0.25, 0.45, 0.5])
 
 
-def test_a_fit_survives_its_line() -> None:
+def test_a_fit_comes_back_as_it_was() -> None:
     one = fit("1", Stated(1.0, math.nan, 2.0, 0.5, 1.5))
-    again = Fit.of_line(one.line())
+    again = Fit.of_json(one.as_json())
     assert again.estimates["k_over_m"].value == 1.0
     assert math.isnan(again.estimates["k_over_m"].low)
-    assert again.line() == one.line()
+    assert again.as_json() == one.as_json()
 
 
 @pytest.mark.parametrize("name", set_names())
@@ -154,7 +156,7 @@ def test_the_command_fits_once_and_goes_on(tmp_path: Path, monkeypatch: pytest.M
     assert tracked([a.replace("output_error", "ls") for a in asked] + ["fit=false"]) == 0
     assert "1 fits are not made yet" in (tmp_path / "table11.md").read_text(encoding="utf-8")
 
-    monkeypatch.setattr(track, "fitted", lambda task, timeout_s: pytest.fail("it fits again"))
+    monkeypatch.setattr(pool, "processes", lambda preload: pytest.fail("it fits again"))
     assert tracked(asked) == 0
     assert (tmp_path / "table11.md").read_text(encoding="utf-8") == text
 
@@ -187,14 +189,11 @@ def test_what_makes_a_fit_new(tmp_path: Path) -> None:
     (weak,) = tasks("mgh17", of, ["ls_weak"], None, 60.0)
     assert one.key == titled.key
     assert len({one.key, thinned.key, weak.key}) == 3
-    fits = Fits(tmp_path)
-    fits.add(Fit("a", "s", "sdof", "1", "ls", "timeout", "", "do not trust", (), 60.0, 60.0, 0))
-    with (tmp_path / "fits.jsonl").open("a", encoding="utf-8") as file:
-        file.write('{"key": "b", "se')  # an interrupted run's
-    again = Fits(tmp_path)
-    assert again.get("a", 60.0) is not None
-    assert again.get("a", 120.0) is None
-    assert again.get("b", 60.0) is None
+    late = Fit(one.key, "s", "sdof", "1", "ls", "timeout", "", "do not trust", (), 60.0, 60.0, 0)
+    write_result(tmp_path, one.key, late.as_json().encode())
+    assert one.stored(tmp_path)
+    assert not replace(one, timeout_s=120.0).stored(tmp_path)
+    assert not weak.stored(tmp_path)
 
 
 def test_a_free_run_of_the_right_model_has_no_error(tmp_path: Path) -> None:

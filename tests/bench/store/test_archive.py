@@ -15,6 +15,7 @@ import pytest
 from bench import InputError, Status
 from bench.commands.publish import Described, publish
 from bench.config.experiment import expand
+from bench.run.pool import Limits
 from bench.scoring.row import Row
 from bench.store import index as view
 from bench.store import line
@@ -27,7 +28,6 @@ from bench.store.opening import VARIABLE, open_store
 from bench.store.store import Store
 from bench.store.stored import StoredCell, cell_file
 from bench.sweep.launch import complete
-from bench.sweep.workers import Limits
 
 NAN, INF = math.nan, math.inf
 ODD = ("", "größer", "a\nline", '"quoted"', "\u2028 \U0001f600", "nan", "null", "0")

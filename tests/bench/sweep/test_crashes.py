@@ -12,12 +12,12 @@ from conftest import Plugins, StoreFactory
 from bench import Status
 from bench.entrants.registry import default_settings
 from bench.isolation.failure import without_places
+from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.plan import FAILURES, State, plan, read_retry
 from bench.sweep.runner import run_cells
-from bench.sweep.workers import Limits
 
 KINDS = {
     "raise": (Status.CRASHED, "ValueError: two lines of reasons"),

@@ -7,7 +7,6 @@ import math
 import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,17 +20,18 @@ from bench import Estimate, Normal, Problem, Status
 from bench.entrants.registry import default_settings
 from bench.isolation.failure import LONGEST, one_line, printable
 from bench.isolation.processes import Died
+from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store import index as view
 from bench.store.cell import Cell
 from bench.store.store import Store
+from bench.sweep import cells as cells_of_a_run
+from bench.sweep.cells import QueuedCell, ScoringError, queue_cell
 from bench.sweep.method_process import perform
 from bench.sweep.plan import Planned, State, plan
-from bench.sweep.queue import CellQueue, QueuedCell, queue_cell
 from bench.sweep.runner import run_cells
 from bench.sweep.scoring_process import Scorer
 from bench.sweep.wire import LONGEST_MESSAGE, pack
-from bench.sweep.workers import Limits, ScoringError, Writer
 
 LONG_TEXT = st.integers(1, 17).map(lambda n: "x\udc80" * 2**n)
 ANY_TEXT = st.text(st.characters(exclude_categories=()), max_size=20) | LONG_TEXT
@@ -83,9 +83,9 @@ def test_whatever_a_method_says_is_one_row_that_everybody_can_read(
     said: Said, cell: Cell, made: Callable[[], Store]
 ) -> None:
     store, scorer = made(), Scorer()
-    queued = queue_cell(Planned(cell, State.MISSING, "", True), store, 1)
+    queued = queue_cell(Planned(cell, State.MISSING, "", True), store, Limits())
     task = scorer.open(cell, pickle.dumps(said), (0,), 600.0)
-    CellQueue([], store).add(queued, scorer.score(cell, pack(([], 0.0, pack(perform(task))))))
+    queued.add(scorer.score(cell, pack(([], 0.0, pack(perform(task))))), 1.0, True)
     problem = scorer.finish(cell, store, queued.rows, queued.arrays, queued.facts, queued.errors(), True, {}, {})
     assert problem == ""
     stored = Store(store.folder).load(cell.identity)
@@ -138,57 +138,68 @@ def test_a_sweep_of_methods_that_say_what_cannot_be_encoded_stores_every_cell(
         assert (stored.rows[0].status, stored.rows[0].message[: len(part)]) == (status, part)
 
 
-class Failing(Writer):
-    """A writer whose scoring process raises ``raises`` times, and then answers."""
+@pytest.fixture
+def complete(cell: Cell, new_store: StoreFactory) -> QueuedCell:
+    """A cell whose one row is there."""
+    queued = queue_cell(Planned(cell, State.MISSING, "", True), new_store(), Limits())
+    assert queued.take() == (0,)
+    scorer = Scorer()
+    task = scorer.open(cell, pickle.dumps(Said(traces={"loss": [1.0]})), (0,), 600.0)
+    queued.add(scorer.score(cell, pack(([], 0.0, pack(perform(task))))), 1.0, True)
+    assert queued.complete
+    assert queued.rows[0].status is Status.OK
+    return queued
 
-    def __init__(self, cells: CellQueue, raises: int, error: Exception) -> None:
-        super().__init__(cells, None, Limits(), [])  # type: ignore[arg-type]
-        self.raises, self.error = raises, error
-        self.asked: list[tuple[Any, ...]] = []
 
-    def ask(self, request: str, *arguments: Any, limit_s: float) -> Any:
-        self.asked.append(arguments)
-        if len(self.asked) <= self.raises:
-            raise self.error
-        return ""
+class Going:
+    """A thread of a run that is not over."""
+
+    def go_on(self) -> None:
+        """Raise nothing."""
 
 
 @pytest.fixture
-def complete(cell: Cell, new_store: StoreFactory) -> tuple[CellQueue, QueuedCell]:
-    """A queue with one cell, whose one row is there."""
-    store = new_store()
-    queued = queue_cell(Planned(cell, State.MISSING, "", True), store, 1)
-    cells = CellQueue([queued], store)
-    assert cells.take(None) == (queued, (0,))
-    scorer = Scorer()
-    task = scorer.open(cell, pickle.dumps(Said(traces={"loss": [1.0]})), (0,), 600.0)
-    cells.add(queued, scorer.score(cell, pack(([], 0.0, pack(perform(task))))))
-    assert cells.complete.get_nowait() is queued
-    assert queued.rows[0].status is Status.OK
-    return cells, queued
+def asked(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[tuple[Any, ...]]]:
+    """Have the scoring process raise some errors, and then answer; what it is asked to store."""
+
+    def failing(*errors: Exception) -> list[tuple[Any, ...]]:
+        left, requests = list(errors), list[tuple[Any, ...]]()
+
+        def ask(thread: Any, request: str, *arguments: Any, limit_s: float) -> str:
+            requests.append(arguments)
+            if left:
+                raise left.pop()
+            return ""
+
+        monkeypatch.setattr(cells_of_a_run, "ask", ask)
+        return requests
+
+    return failing
 
 
-def test_what_is_raised_while_a_cell_is_finished_is_its_row(complete: tuple[CellQueue, QueuedCell]) -> None:
-    cells, queued = complete
-    writer = Failing(cells, 1, ScoringError("UnicodeEncodeError: surrogates", "Traceback"))
-    writer._store(queued)
-    _, _, (row,), arrays, facts, tracebacks, bounded, *_ = writer.asked[-1]
+def test_what_is_raised_while_a_cell_is_finished_is_its_row(complete: QueuedCell, asked: Callable[..., Any]) -> None:
+    requests = asked(ScoringError("UnicodeEncodeError: surrogates", "Traceback"))
+    complete.finish(Going())  # type: ignore[arg-type]
+    _, _, (row,), arrays, facts, tracebacks, bounded, *_ = requests[-1]
     assert (row.status, row.scores) == (Status.INVALID, {})
     assert row.message == "it cannot be summarised: UnicodeEncodeError: surrogates"
     assert (arrays, facts, tracebacks, bounded) == ({}, {}, "replicate 0\nTraceback\n", False)
-    assert list(Path(cells.claims.folder).iterdir()) == []
 
 
-def test_a_process_that_dies_while_a_cell_is_finished_is_asked_again(complete: tuple[CellQueue, QueuedCell]) -> None:
-    cells, queued = complete
-    writer = Failing(cells, 2, Died("killed", "ended by SIGKILL", ""))
-    writer._store(queued)
-    assert [arguments[2][0].status for arguments in writer.asked] == [Status.OK] * 3
+def test_a_process_that_dies_while_a_cell_is_finished_is_asked_again(
+    complete: QueuedCell, asked: Callable[..., Any]
+) -> None:
+    died = Died("killed", "ended by SIGKILL", "")
+    requests = asked(died, died)
+    complete.finish(Going())  # type: ignore[arg-type]
+    assert [arguments[2][0].status for arguments in requests] == [Status.OK] * 3
 
 
 def test_a_cell_without_a_bound_is_stored(cell: Cell, new_store: StoreFactory) -> None:
     store = new_store()
-    queued = queue_cell(Planned(cell, State.MISSING, "", True), store, 1, unbounded="its bound cannot be computed: x")
+    queued = queue_cell(
+        Planned(cell, State.MISSING, "", True), store, Limits(), unbounded="its bound cannot be computed: x"
+    )
     assert not queued.open
     Scorer().finish(cell, store, queued.rows, {}, {}, "", queued.bounded, {}, {})
     stored = store.load(cell.identity)

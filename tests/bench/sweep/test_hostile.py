@@ -12,12 +12,12 @@ from bench import Status
 from bench.isolation import processes
 from bench.isolation.limit import LONGEST_FILE
 from bench.isolation.processes import Children
+from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.plan import plan
 from bench.sweep.runner import run_cells
-from bench.sweep.workers import Limits
 
 LIMITS = Limits(workers=1, timeout_s=120.0, memory_mb=1500.0)
 

@@ -19,15 +19,15 @@ from bench.commands.main import main
 from bench.config.experiment import Experiment, expand
 from bench.isolation.limit import limited
 from bench.isolation.private import VARIABLE, make_private_folder
+from bench.run.pool import Limits
 from bench.scenario.force import ForceSpec
 from bench.store.archive.archive import Archive
 from bench.store.cell import Cell
 from bench.store.seal import sealed
 from bench.store.store import Store
 from bench.sweep import launch
-from bench.sweep.job import FORMAT, Job, read_job, write_job
+from bench.sweep.job import FORMAT, CellJob, Job, read_job
 from bench.sweep.plan import Planned, State, plan
-from bench.sweep.workers import Limits
 
 PICKLERS = ("pickle", "marshal", "dill", "cloudpickle")
 FIELDS = ["method=ls,collocation", "system=sdof,duffing,chain2", "snr=20,10", "seed=3", "replicates=2", "prior=wrong"]
@@ -43,22 +43,28 @@ def cells() -> list[Cell]:
 
 
 @pytest.fixture
-def job(cells: list[Cell], tmp_path: Path) -> Job:
+def job(cells: list[Cell], tmp_path: Path) -> CellJob:
     store = Store(tmp_path / "rows", Archive(tmp_path / "archive"))
     store.prepare()
     planned = tuple(
         replace(one, state=State.STALE, why="numpy 1.0, now größer", stamp=1_700_000_000_123_456_789 + i)
         for i, one in enumerate(plan(cells, Store(store.folder)))
     )
-    return Job(planned, store, Limits(7, 1.5, 3.0, ("torch",)))
+    return CellJob(planned, store, Limits(7, 1.5, 3.0, ("torch",)))
 
 
-def test_a_job_comes_back_as_it_was(job: Job, tmp_path: Path) -> None:
-    write_job(tmp_path / "0.job", job)
-    back = read_job(tmp_path / "0.job", job.store.folder)
+def read(path: Path, folder: Path) -> CellJob:
+    job = read_job(path, folder)
+    assert isinstance(job, CellJob)
+    return job
+
+
+def test_a_job_comes_back_as_it_was(job: CellJob, tmp_path: Path) -> None:
+    job.write(tmp_path / "0.job")
+    back = read(tmp_path / "0.job", job.store.folder)
     assert (back.store.folder, back.store.archive.folder) == (job.store.folder, tmp_path / "archive")  # type: ignore[union-attr]
     assert back.limits == Limits(timeout_s=1.5, memory_mb=3.0)  # cores and packages are the node's own
-    for one, two in zip(job.planned, back.planned, strict=True):
+    for one, two in zip(job.items, back.items, strict=True):
         assert (one.state, one.why, one.stamp, one.cell.identity) == (two.state, two.why, two.stamp, two.cell.identity)
         assert (one.cell.label, one.cell.method, one.cell.seed) == (two.cell.label, two.cell.method, two.cell.seed)
         assert dict(one.cell.settings) == dict(two.cell.settings)
@@ -66,18 +72,18 @@ def test_a_job_comes_back_as_it_was(job: Job, tmp_path: Path) -> None:
 
 
 def test_a_force_that_was_read_from_a_file_comes_along(
-    job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    job: CellJob, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The job names the file; the cell's name hangs on the numbers in it, so another file is refused."""
     monkeypatch.chdir(tmp_path)
     column = tmp_path / "force.txt"
     column.write_text("0\n1\n0.5\n-1\n0\n")
     force = ForceSpec(1.0, None, None, kind="column", file="force.txt")
-    cell = replace(job.planned[0].cell, scenario=replace(job.planned[0].cell.scenario, force=force))
-    write_job(tmp_path / "0.job", replace(job, planned=(Planned(cell, State.MISSING, "", True),)))
+    cell = replace(job.items[0].cell, scenario=replace(job.items[0].cell.scenario, force=force))
+    replace(job, items=(Planned(cell, State.MISSING, "", True),)).write(tmp_path / "0.job")
     (tmp_path / "below").mkdir()
     monkeypatch.chdir(tmp_path / "below")
-    (back,) = read_job(tmp_path / "0.job", job.store.folder).planned
+    (back,) = read(tmp_path / "0.job", job.store.folder).items
     assert back.cell.identity == cell.identity
     assert back.cell.scenario.forces(0)[0].values.tolist() == [0.0, 1.0, 0.5, -1.0, 0.0]
     for other in (lambda: column.write_text("0\n2\n"), column.unlink, lambda: os.mkfifo(column)):
@@ -100,10 +106,10 @@ def _without_name(cell: Cell) -> Any:
     return replace(scenario, prior=scenario.prior and replace(scenario.prior, name=""))
 
 
-def test_a_job_is_text(job: Job, tmp_path: Path) -> None:
-    write_job(tmp_path / "0.job", job)
+def test_a_job_is_text(job: CellJob, tmp_path: Path) -> None:
+    job.write(tmp_path / "0.job")
     stated = json.loads((tmp_path / "0.job").read_text(encoding="utf-8"))
-    assert [one["identity"] for one in stated["cells"]] == [one.cell.identity for one in job.planned]
+    assert [one["identity"] for one in stated["cell"]["cells"]] == [one.cell.identity for one in job.items]
 
 
 class Raised(Exception):
@@ -134,33 +140,33 @@ HOSTILE: dict[str, Callable[[Path], bytes]] = {
     "a bit": lambda path: bytes([*path.read_bytes()[:-5], path.read_bytes()[-5] ^ 4, *path.read_bytes()[-4:]]),
     "half": lambda path: path.read_bytes()[: path.stat().st_size // 2],
     "nothing": lambda path: b"",
-    "another method": lambda path: edited(path, "cells", 0, "stated", "method", value="shooting"),
-    "a method of os": lambda path: edited(path, "cells", 0, "stated", "method", value="os.system"),
-    "another seed": lambda path: edited(path, "cells", 0, "stated", "seed", value=4),
-    "a list for a scenario": lambda path: edited(path, "cells", 0, "stated", "data", value=[]),
-    "no scenario": lambda path: edited(path, "cells", 0, "stated", "data", value={}),
-    "samples without end": lambda path: edited(path, "cells", 0, "stated", "data", "samples", value=10**18),
-    "cells in a text": lambda path: edited(path, "cells", value="all"),
-    "a state of its own": lambda path: edited(path, "cells", 0, "state", value="urgent"),
+    "another method": lambda path: edited(path, "cell", "cells", 0, "stated", "method", value="shooting"),
+    "a method of os": lambda path: edited(path, "cell", "cells", 0, "stated", "method", value="os.system"),
+    "another seed": lambda path: edited(path, "cell", "cells", 0, "stated", "seed", value=4),
+    "a list for a scenario": lambda path: edited(path, "cell", "cells", 0, "stated", "data", value=[]),
+    "no scenario": lambda path: edited(path, "cell", "cells", 0, "stated", "data", value={}),
+    "samples without end": lambda path: edited(path, "cell", "cells", 0, "stated", "data", "samples", value=10**18),
+    "cells in a text": lambda path: edited(path, "cell", "cells", value="all"),
+    "a state of its own": lambda path: edited(path, "cell", "cells", 0, "state", value="urgent"),
     "no limit": lambda path: edited(path, "timeout_s", value=-1.0),
     "a target": lambda path: edited(path, "_target_", value="os.system"),
 }
 
 
 @pytest.mark.parametrize("what", HOSTILE)
-def test_what_another_hand_has_put_in_the_place_of_a_job_is_one_line(job: Job, tmp_path: Path, what: str) -> None:
+def test_what_another_hand_has_put_in_the_place_of_a_job_is_one_line(job: CellJob, tmp_path: Path, what: str) -> None:
     path = tmp_path / "0.job"
-    write_job(path, job)
+    job.write(path)
     path.write_bytes(HOSTILE[what](path))
     with pytest.raises(InputError) as caught:
         read_job(path, job.store.folder)
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_a_job_does_not_say_where_its_cells_are_written(job: Job, tmp_path: Path) -> None:
-    write_job(tmp_path / "0.job", job)
+def test_a_job_does_not_say_where_its_cells_are_written(job: CellJob, tmp_path: Path) -> None:
+    job.write(tmp_path / "0.job")
     assert str(job.store.folder) not in (tmp_path / "0.job").read_text(encoding="utf-8")
-    assert read_job(tmp_path / "0.job", tmp_path / "here").store.folder == tmp_path / "here"
+    assert read(tmp_path / "0.job", tmp_path / "here").folder == tmp_path / "here"
 
 
 def test_while_a_launcher_runs_nothing_in_the_store_is_a_pickle(
@@ -227,7 +233,6 @@ def test_pickles_are_rebuilt_from_pipes_alone() -> None:
                 found.add(path.relative_to(REPOSITORY / "bench").as_posix())
     assert found == {
         "conformance/process.py", "conformance/method_checks.py", "conformance/system_checks.py", "measured/apart.py",
-        "sweep/bounds_process.py", "sweep/method_process.py", "sweep/scoring_process.py",
-        "sweep/wire.py", "sweep/workers.py",
+        "run/pool.py", "sweep/cells.py", "sweep/method_process.py", "sweep/scoring_process.py", "sweep/wire.py",
     }  # fmt: skip
     assert not any((REPOSITORY / "bench" / name).read_text().count("read_bytes") for name in found)

@@ -15,15 +15,16 @@ import pytest
 from bench import InputError
 from bench.commands.main import main
 from bench.config.experiment import expand
+from bench.run.pool import Limits
+from bench.run.progress import Look
 from bench.store.bounds import load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
+from bench.sweep import job as job_module
 from bench.sweep import launch
-from bench.sweep.job import Job, read_job, write_job
+from bench.sweep.job import CellJob, read_job
 from bench.sweep.launch import Launch
 from bench.sweep.plan import plan
-from bench.sweep.progress import Look
-from bench.sweep.workers import Limits
 
 SWEEP = ("method=ls,log_decrement", "seed=0,1", "replicates=3")
 
@@ -115,7 +116,7 @@ def test_a_job_that_is_tried_again_takes_what_its_first_try_did_not_store(
     cells: list[Cell], make_store: Callable[[], Store], tmp_path: Path
 ) -> None:
     store = make_store()
-    write_job(tmp_path / "0.job", Job(tuple(plan(cells, store)), store, Limits()))
+    CellJob(tuple(plan(cells, store)), store, Limits()).write(tmp_path / "0.job")
     store.path(cells[1].identity).write_text("{}")
     left = [one.cell.identity for one in read_job(tmp_path / "0.job", store.folder).left()]
     assert left == [cell.identity for cell in (cells[0], *cells[2:])]
@@ -126,7 +127,7 @@ def test_a_stale_cell_is_left_until_it_is_stored_anew(cells: list[Cell], make_st
     wanted = tuple(plan(cells[:1], store))
     store.path(identity).write_text("{}")
     wanted = (replace(wanted[0], stamp=store.path(identity).stat().st_mtime_ns),)
-    job = Job(wanted, store, Limits())
+    job = CellJob(wanted, store, Limits())
     assert job.left() == list(wanted)
     os.utime(store.path(identity), ns=(0, 1))
     assert job.left() == []
@@ -150,7 +151,7 @@ class Flaky:
 
 def _rounds(store: Store, cells: list[Cell], tmp_path: Path, stored: int) -> Flaky:
     launcher = Flaky(store, stored)
-    sweep = Job(tuple(plan(cells, store)), store, Limits())
+    sweep = CellJob(tuple(plan(cells, store)), store, Limits())
     launch._rounds(launcher, sweep, tmp_path, Launch(("hydra/launcher=flaky",), 1))
     return launcher
 
@@ -178,7 +179,7 @@ def test_a_full_store_is_not_tried_again(cells: list[Cell], make_store: Callable
 
     store = make_store()
     with pytest.raises(InputError, match="cannot be written"):
-        launch._rounds(Full(), Job(tuple(plan(cells, store)), store, Limits()), tmp_path, Launch(("x",)))
+        launch._rounds(Full(), CellJob(tuple(plan(cells, store)), store, Limits()), tmp_path, Launch(("x",)))
 
 
 def test_a_job_ends_with_its_sweep(
@@ -195,7 +196,7 @@ def test_a_job_ends_with_its_sweep(
         on_look(Look("fit", 1, 2, "", 1.0, False))
         after.append(planned)
 
-    monkeypatch.setattr(launch, "run_cells", interrupted)
+    monkeypatch.setattr(job_module, "run_cells", interrupted)
     assert _run(store, "basic", "cells_per_job=4") == 2
     assert after == []
     last = capsys.readouterr().err.splitlines()[-1]

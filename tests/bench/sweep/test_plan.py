@@ -11,13 +11,13 @@ import pytest
 from conftest import Plugins, StoreFactory
 
 from bench import InputError
+from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store import answers
 from bench.store.cell import Cell
 from bench.store.seal import read_regular
 from bench.sweep.plan import State, plan
 from bench.sweep.runner import run_cells
-from bench.sweep.workers import Limits
 
 
 @pytest.mark.parametrize("few", [0, 50], ids=["from the view", "from the files"])

@@ -13,18 +13,18 @@ from conftest import Plugins, StoreFactory
 
 from bench import Status
 from bench.entrants.registry import default_settings, make_method
+from bench.run import pool
+from bench.run.pool import Limits, TaskQueue
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.locks import Claims
 from bench.store.store import Store
 from bench.store.stored import StoredCell
-from bench.sweep import queue as queues
+from bench.sweep.cells import queue_cell
 from bench.sweep.plan import Planned, State, plan
-from bench.sweep.queue import CellQueue, Waiting, queue_cell
 from bench.sweep.runner import run_cells, run_replicates
 from bench.sweep.scoring_process import Scored
-from bench.sweep.workers import Limits
 
 
 def a_cell(reference: Scenario, **settings: object) -> Cell:
@@ -58,12 +58,14 @@ def test_a_task_takes_about_half_a_second_and_leaves_some_for_the_other_workers(
 ) -> None:
     """Of 95 replicates left with two workers a quarter goes out at most; slow fits go out one by one."""
     plugins("Together")
-    queued = queue_cell(Planned(replace(a_cell(reference), replicates=100), State.MISSING, "", True), new_store(), 2)
-    assert queued.next_task() == (0, 1, 2, 3, 4)
+    queued = queue_cell(
+        Planned(replace(a_cell(reference), replicates=100), State.MISSING, "", True), new_store(), Limits(2)
+    )
+    assert queued.take() == (0, 1, 2, 3, 4)
     queued.rows = [Row(i, Status.OK, "", wall_s=each_s) for i in range(4)] + [Row(4, Status.INVALID)]
-    assert [len(queued.next_task()) for _ in sizes] == sizes
+    assert [len(queued.take()) for _ in sizes] == sizes
     queued.alone.append(3)
-    assert queued.next_task() == (3,)
+    assert queued.take() == (3,)
 
 
 def test_what_dies_in_company_is_tried_again_one_by_one(
@@ -109,21 +111,25 @@ def test_no_cell_is_begun_while_the_store_is_behind(
     """Of ten cells that take no time two are complete, each with its claim, until one of them is stored."""
     plugins("Together")
     store = new_store()
-    cells = CellQueue([queue_cell(one, store, 1) for one in planned_cells(reference, 10)], store, most_complete=2)
+    cells = TaskQueue(
+        [queue_cell(one, store, Limits()) for one in planned_cells(reference, 10)], store.claims, most_complete=2
+    )
 
     def fit() -> bool:
         taken = cells.take(None)
         if taken is not None:
-            cells.add(taken[0], [Scored(Row(0, Status.OK))])
+            cells.add(taken[0], [Scored(Row(0, Status.OK))], 1.0, True)
         return taken is not None
 
-    with ThreadPoolExecutor(1) as pool:
+    with ThreadPoolExecutor(1) as thread:
         assert [fit(), fit()] == [True, True]
-        third = pool.submit(fit)
-        time.sleep(3 * queues.WAIT_S)
+        third = thread.submit(fit)
+        time.sleep(3 * pool.WAIT_S)
         assert not third.done()
         assert len(list(store.claims.iterdir())) == 2
-        cells.close(cells.complete.get_nowait())
+        complete = cells.complete.get_nowait()
+        assert complete is not None
+        cells.close(complete)
         assert third.result(timeout=60)
         assert len(list(store.claims.iterdir())) == 2
         cells.stop()
@@ -134,22 +140,19 @@ def test_a_run_that_waits_for_another_says_once_for_whom(
     reference: Scenario, plugins: Plugins, new_store: StoreFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plugins("Together")
-    monkeypatch.setattr(queues, "WAIT_S", 0.01)
-    monkeypatch.setattr(queues, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(pool, "WAIT_S", 0.01)
+    monkeypatch.setattr(pool, "PATIENCE_S", 0.05)
     store = new_store()
     planned = planned_cells(reference, 2)
     other = Claims(store.claims)
     assert all(other.take(one.cell.identity) for one in planned)
-    cells = CellQueue([queue_cell(one, store, 1) for one in planned], store)
-    with ThreadPoolExecutor(1) as pool:
-        waiting = pool.submit(cells.take, None)
+    cells = TaskQueue([queue_cell(one, store, Limits()) for one in planned], store.claims)
+    with ThreadPoolExecutor(1) as thread:
+        waiting = thread.submit(cells.take, None)
         said = cells.events.get(timeout=60)
-        assert isinstance(said, Waiting)
-        assert (
-            str(said)
-            == f"waiting for another run on this store (cells left: 2): {other.holder(planned[0].cell.identity)}"
-        )
-        assert str(os.getpid()) in said.holder
+        holder = other.holder(planned[0].cell.identity)
+        assert said == f"waiting for another run on this store (cells left: 2): {holder}"
+        assert str(os.getpid()) in holder
         time.sleep(0.3)
         assert cells.events.empty()
         other.release_all()

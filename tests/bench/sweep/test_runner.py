@@ -16,15 +16,15 @@ from conftest import Plugins, StoreFactory
 
 from bench import InputError, Status
 from bench.entrants.registry import default_settings, load_method, make_method, missing_package
+from bench.run.pool import Limits
+from bench.run.progress import Look
 from bench.scenario.scenario import ForceSpec, Scenario
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.sweep import runner
 from bench.sweep.plan import plan
-from bench.sweep.progress import Look
 from bench.sweep.runner import run_cells
-from bench.sweep.workers import Limits
 
 
 @pytest.fixture(autouse=True)
@@ -145,7 +145,7 @@ def test_a_finished_cell_is_found_and_not_computed_again(
     def never(*arguments: Any, **options: Any) -> Any:
         raise AssertionError("computed again")
 
-    monkeypatch.setattr(runner, "Children", never)
+    monkeypatch.setattr(runner, "processes", never)
     (second,) = run(store, cell)
     assert store.path(cell.identity).stat().st_mtime_ns == stamp
     assert second.rows == first.rows

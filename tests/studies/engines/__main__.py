@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tqdm import tqdm
-
 from bench.commands.fields import flag, read_fields, whole
 from bench.commands.guard import command
 from bench.errors import InputError
 from bench.isolation.processes import single_threaded
+from bench.run.progress import counter
 from bench.store.store import Store
 
 if TYPE_CHECKING:
@@ -121,16 +120,13 @@ def _measured(chosen: Options) -> Study:
     total = len(chosen.rows) + sum(len(curve.sizes) for curve in curves)
     total += (2 + len(RIVALS) * len(STARTS)) if chosen.rivals else 0
     machine, found = floors.rates(), []
-    with tqdm(total=total, unit="measurement", file=sys.stderr, leave=False) as bar:
+    with counter("measurement", total) as advance:
         for name in chosen.rows:
-            bar.set_description(name)
             result = results.measure(rows()[name], chosen.limit_s, chosen.before)
             found.append(replace(result, floor_s=floors.floor(result.row, result.now.evaluations, machine)))
-            bar.update()
-        bar.set_description("growth")
-        growths = [results.grow(curve, chosen.limit_s, bar.update) for curve in curves]
-        bar.set_description("rivals")
-        others = peers.compare(chosen.limit_s, chosen.rival_python, bar.update) if chosen.rivals else []
+            advance()
+        growths = [results.grow(curve, chosen.limit_s, advance) for curve in curves]
+        others = peers.compare(chosen.limit_s, chosen.rival_python, advance) if chosen.rivals else []
     return Study(found, growths, others, machine, chosen.limit_s)
 
 

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from bench.config.online import online_scenario
 from bench.entrants.online import make_online, online_card
 from bench.online.bound import bound_variances
 from bench.online.follow import Followed
-from bench.online.paths import Paths, Task, run
+from bench.online.paths import Tracking, missing_paths, read_paths
 from bench.online.scenario import OnlineScenario, OnlineTruth, Stream
 from bench.online.score import Z95
 from bench.reporting.tables.common import markdown_table
+from bench.run.pool import Limits, run_tasks
+from bench.run.progress import progress_bar
 
 SCENARIO = "constant_multisine"
 QUANTITIES = ("k_over_m", "c_over_m")
@@ -52,13 +52,11 @@ ROWS = (
 
 def constant(records: int, store: Path, workers: int) -> str:
     """Follow the records, and tell errors and alarms; finished records are kept in ``store``."""
-    scenario, paths = online_scenario(SCENARIO), Paths(store)
-    tasks = [Task(scenario, row.method, _settings(row), max(1, round(row.share * records)), 1) for row in ROWS]
-    todo = sum(not paths.holds(task.key(i)) for task in tasks for i in range(task.replicates))
-    with tqdm(total=todo, unit="record", file=sys.stderr) as bar:
-        for _ in run(tasks, paths, workers):
-            bar.update()
-    rows = [_row(row, task, paths) for row, task in zip(ROWS, tasks, strict=True)]
+    scenario = online_scenario(SCENARIO)
+    tasks = [Tracking(scenario, row.method, _settings(row), max(1, round(row.share * records)), 1) for row in ROWS]
+    with progress_bar() as on_look:
+        run_tasks(missing_paths(tasks, store), store, Limits(workers), "record", on_look)
+    rows = [_row(row, task, store) for row, task in zip(ROWS, tasks, strict=True)]
     headers = ["method", "records", "samples used", "k/m excess", "c/m excess", "k/m cov. %", "c/m cov. %",
                "false alarms in 10,000 samples", "at most, stated"]  # fmt: skip
     return f"{HEAD.format(describe=scenario.describe())}\n\n{markdown_table(rows, headers)}"
@@ -76,8 +74,8 @@ def _settings(row: Row) -> dict[str, int]:
     return {"length": row.uses, "every": online_scenario(SCENARIO).samples} if row.uses else {}
 
 
-def _row(row: Row, task: Task, paths: Paths) -> list[str]:
-    kept = {i: path for i in range(task.replicates) if (path := paths.get(task.key(i))) is not None}
+def _row(row: Row, task: Tracking, store: Path) -> list[str]:
+    kept = read_paths(store, task)
     streams = {i: task.scenario.stream(task.seed, i) for i in kept}
     title = online_card(row.method).title
     cells = [title, f"{len(kept)}", f"{row.uses or task.scenario.samples}"]

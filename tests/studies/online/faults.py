@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import sys
 
 import numpy as np
-from tqdm import tqdm
 
 from bench.config.online import online_scenario
 from bench.contract.online import Sample, Standing, Tracker
@@ -15,6 +13,7 @@ from bench.entrants.online import make_online, online_card
 from bench.online.follow import moments
 from bench.online.scenario import Stream
 from bench.reporting.tables.common import markdown_table
+from bench.run.progress import counter
 from bench.twin.state import plain, restored
 
 AT, SAMPLES, BEHIND = 600, 1200, 100
@@ -109,7 +108,7 @@ def faults(replicates: int) -> str:
     """A row a method, a column a fault."""
     scenario = dataclasses.replace(online_scenario("constant_multisine"), samples=SAMPLES)
     pairs: dict[tuple[str, str], list[tuple[float, float]]] = {(n, kind): [] for n in METHODS for kind in FAULTS}
-    with tqdm(total=len(METHODS) * replicates, unit="record", file=sys.stderr) as bar:
+    with counter("record", len(METHODS) * replicates) as advance:
         for i in range(replicates):  # outermost: filters of one stream share what its first samples told
             stream = scenario.stream(2, i)
             for name in METHODS:
@@ -117,7 +116,7 @@ def faults(replicates: int) -> str:
                     plain = followed(name, "none", stream)[0]
                     for kind in FAULTS:
                         pairs[name, kind].append(_late_squares(kind, plain, followed(name, kind, stream)[0]))
-                bar.update()
+                advance()
     rows = [
         [online_card(name).title, f"{len(pairs[name, 'nan'])}", *(_ratio(pairs[name, kind]) for kind in FAULTS)]
         for name in METHODS

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import resource
-import sys
 import time
 
 import numpy as np
-from tqdm import tqdm
+from rich.console import Console
+from rich.progress import track
 
 from bench.config.online import online_scenario
 from bench.entrants.online import make_online, online_card
@@ -28,7 +28,7 @@ def long_record(samples: int = SAMPLES) -> str:
         tracker = make_online(name).start(stream.layout)
         tracker.prepare()
         micros, before, grown = np.empty(samples), 0, 0
-        for i, sample in enumerate(tqdm(stream.samples(), unit="sample", desc=name, file=sys.stderr)):
+        for i, sample in enumerate(track(stream.samples(), name, console=Console(stderr=True))):
             started = time.perf_counter()
             tracker.update(sample)
             micros[i] = 1e6 * (time.perf_counter() - started)

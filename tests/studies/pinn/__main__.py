@@ -15,13 +15,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tabulate import tabulate
-from tqdm import tqdm
 
 from bench.commands.fields import flag, read_fields, whole
 from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.errors import InputError
 from bench.isolation.processes import single_threaded
+from bench.run.progress import counter
 from bench.store.store import Store
 from tests.studies.pinn import pictures
 from tests.studies.pinn.common import Part
@@ -76,23 +76,23 @@ def run(part: str, chosen: dict[str, str]) -> Part:
     replicates = int(chosen["replicates"])
     few = max(1, min(5, replicates))
     peers = Path(chosen["peers"]) if chosen["peers"] else None
-    with tqdm(desc=part, unit="fit", file=sys.stderr, leave=False) as bar:
-        parts: dict[str, tuple[int, Callable[[], Part]]] = {
-            "rivals": (
-                0,
-                lambda: rivals.rivals(peers, chosen["peer_python"] or None, int(chosen["seeds"]), sys.executable, adam),
-            ),
-            "memory": (0, lambda: robustness.memory(adam)),
-            "accuracy": (20 * replicates, lambda: robustness.accuracy(replicates, bar.update)),
-            "systems": (8 * max(1, replicates // 2), lambda: robustness.systems(max(1, replicates // 2), bar.update)),
-            "initialisations": (100, lambda: robustness.initialisations(50, bar.update)),
-            "starting_values": (400, lambda: robustness.starting_values(bar.update)),
-            "loss": (0, lambda: robustness.loss(adam)),
-            "steps": (len(robustness.BUDGETS) * 6, lambda: robustness.steps(adam, bar.update)),
-            "reach": (reach.COUNT, lambda: reach.reach(few, bar.update)),
-            "scaling": (scaling.COUNT, lambda: scaling.scaling(few, bar.update)),
-        }
-        bar.total, compute = parts[part]
+    parts: dict[str, tuple[int, Callable[[], Part]]] = {
+        "rivals": (
+            0,
+            lambda: rivals.rivals(peers, chosen["peer_python"] or None, int(chosen["seeds"]), sys.executable, adam),
+        ),
+        "memory": (0, lambda: robustness.memory(adam)),
+        "accuracy": (20 * replicates, lambda: robustness.accuracy(replicates, advance)),
+        "systems": (8 * max(1, replicates // 2), lambda: robustness.systems(max(1, replicates // 2), advance)),
+        "initialisations": (100, lambda: robustness.initialisations(50, advance)),
+        "starting_values": (400, lambda: robustness.starting_values(advance)),
+        "loss": (0, lambda: robustness.loss(adam)),
+        "steps": (len(robustness.BUDGETS) * 6, lambda: robustness.steps(adam, advance)),
+        "reach": (reach.COUNT, lambda: reach.reach(few, advance)),
+        "scaling": (scaling.COUNT, lambda: scaling.scaling(few, advance)),
+    }
+    number, compute = parts[part]
+    with counter("fit", number) as advance:
         return compute()
 
 

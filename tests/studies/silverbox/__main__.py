@@ -11,8 +11,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
+from rich.progress import track
 from tabulate import tabulate
-from tqdm import tqdm
 
 from bench import (
     Estimate,
@@ -34,10 +35,10 @@ from bench.entrants.registry import make_method, missing_package, registered
 from bench.errors import InputError
 from bench.isolation.processes import single_threaded
 from bench.measured.fit import Outcome, fit_alone
+from bench.run.pool import Limits
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import point_parameters
 from bench.store.store import Store
-from bench.sweep.workers import Limits
 from tests.studies.silverbox.record import (
     ARROW,
     RATE,
@@ -250,7 +251,7 @@ def _main(arguments: Sequence[str]) -> int:
     system = signed(data)
     rows, values = shooting_rows(data, system, int(chosen["samples"]))
     path, windows = out / "silverbox.md", []
-    for name in tqdm(chosen["method"].split(","), unit="method", file=sys.stderr, leave=False):
+    for name in track(chosen["method"].split(","), "method", console=Console(stderr=True)):
         windows.append(window_row(name, data, system, int(chosen["window"]), float(chosen["timeout"])))
         print("  ".join(windows[-1]), flush=True)
         path.write_text(page(rows, values, windows, chosen), encoding="utf-8")

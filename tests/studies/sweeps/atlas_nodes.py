@@ -86,7 +86,7 @@ def _ray(folder: Path, store: Path) -> str:
         "RAY_USAGE_STATS_ENABLED": "0",
         "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
     }
-    _run(_command(store, "engine=ray"))
+    _run(_command(store, "hydra/launcher=ray"))
     return ""
 
 

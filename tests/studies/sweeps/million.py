@@ -25,6 +25,7 @@ from tabulate import tabulate
 
 from bench.config.experiment import expand
 from bench.information.fisher import compute_bound
+from bench.run.pool import Limits
 from bench.store import index as view
 from bench.store.bounds import Replicates, load_bounds
 from bench.store.cell import Cell
@@ -36,7 +37,6 @@ from bench.sweep.job import Job, write_job
 from bench.sweep.launch import Launch
 from bench.sweep.plan import plan
 from bench.sweep.runner import run_cells
-from bench.sweep.workers import Limits
 
 MILLION = 1_000_000
 CORES = 16

@@ -10,14 +10,14 @@ from conftest import Plugins, StoreFactory
 
 from bench import InputError, Status
 from bench.isolation.processes import Children
+from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.bounds import bound_path, load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
-from bench.sweep.bounds_process import make_bounds
+from bench.sweep.bounds import make_bounds
 from bench.sweep.plan import State, plan
 from bench.sweep.runner import run_cells
-from bench.sweep.workers import Limits
 
 
 @pytest.fixture

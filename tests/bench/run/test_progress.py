@@ -5,25 +5,24 @@ from __future__ import annotations
 import heapq
 import io
 import math
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from conftest import Plugins, StoreFactory
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.contract.estimate import Status
 from bench.entrants.registry import default_settings
+from bench.run import progress as bars
+from bench.run.pool import Limits
+from bench.run.progress import Kind, Look, Progress, described, firsts_first, left_text, progress_bar
 from bench.scenario.scenario import Scenario
-from bench.scoring.row import Row
 from bench.store.cell import Cell
-from bench.sweep import progress_bar as bars
 from bench.sweep.plan import plan
-from bench.sweep.progress import BoundsProgress, FitsProgress, Fitted, Look, firsts_first, kind_of
-from bench.sweep.progress_bar import described, left_text, progress_bar
 from bench.sweep.runner import run_cells
-from bench.sweep.workers import Limits
 
 START_S = 0.4
 """What a cell costs before its first fit, in the made-up sweeps."""
@@ -33,28 +32,28 @@ def cell(scenario: Scenario, method: str, seed: int = 0, replicates: int = 10) -
     return Cell(scenario, method, {}, replicates, seed, method)
 
 
-def progress_of(cells: Sequence[Cell], workers: int = 2, together: int = 1) -> FitsProgress:
-    return FitsProgress(
-        left={one.identity: one.replicates for one in cells},
-        kinds={one.identity: kind_of(one) for one in cells},
-        together={kind_of(one): together for one in cells},
-        workers=workers,
-    )
+def progress_of(cells: Sequence[Cell], workers: int = 2, together: int = 1) -> Progress[str]:
+    sizes = {one.identity: one.replicates for one in cells}
+    kinds = {one.identity: kind_of(one) for one in cells}
+    return Progress("fit", sizes, kinds, workers, {kind: together for kind in kinds.values()}, "cell")
 
 
-def course(cells: Sequence[Cell], seconds: dict[str, float], workers: int = 2) -> Iterator[tuple[float, Fitted]]:
+def kind_of(cell: Cell) -> Kind:
+    return cell.label, cell.scenario.label
+
+
+def course(cells: Sequence[Cell], seconds: dict[str, float], workers: int = 2) -> list[tuple[float, Any]]:
     """When what is done, each worker taking the next cell when it has fitted the last, one fit after another."""
     free = [(0.0, n) for n in range(workers)]
     events = []
     for one in cells:
         now, worker = heapq.heappop(free)
         for i in range(one.replicates):
-            takes = seconds[one.method] + (START_S if i == 0 else 0.0)
-            now += takes
-            row = Row(i, Status.OK, wall_s=seconds[one.method])
-            events.append((now, Fitted(one, 1, [row], takes, i == 0)))
+            start = START_S if i == 0 else 0.0
+            now += seconds[one.method] + start
+            events.append((now, {"key": one.identity, "seconds": seconds[one.method], "start_s": start}))
         heapq.heappush(free, (now, worker))
-    yield from sorted(events, key=lambda event: event[0])
+    return sorted(events, key=lambda event: event[0])
 
 
 @pytest.mark.parametrize("order", ["ls first", "mcmc first", "mixed"])
@@ -71,7 +70,7 @@ def test_the_time_left_is_within_a_factor_of_two_of_what_is_left(reference: Scen
     cells = firsts_first(cells, kind_of)
     progress, end = progress_of(cells), max(when for when, _ in course(cells, seconds))
     for when, done in course(cells, seconds):
-        look = progress.fitted(done)
+        look = progress.add(**done)
         if when >= share * end:
             break
     assert not look.at_least
@@ -86,40 +85,38 @@ def test_what_is_unknown_is_not_guessed(reference: Scenario) -> None:
     progress = progress_of(cells, workers=1)
     begin = progress.begin()
     assert (math.isnan(begin.seconds_left), begin.at_least, begin.done, begin.total) == (True, True, 0, 8)
-    look = progress.fitted(Fitted(cells[0], 1, [Row(0, Status.OK, wall_s=3.0)], 5.0, True))
+    look = progress.add(cells[0].identity, 1, 3.0, 2.0)
     assert (look.seconds_left, look.at_least) == (9.0, True)  # three more fits; the start of the cell is paid
-    look = progress.fitted(Fitted(cells[1], 1, [Row(0, Status.OK, wall_s=10.0)], 11.0, True))
+    look = progress.add(cells[1].identity, 1, 10.0, 1.0)
     assert (look.seconds_left, look.at_least) == (39.0, False)
 
 
 def test_a_start_is_paid_once_a_cell(reference: Scenario) -> None:
     cells = [cell(reference, "ls", seed, 2) for seed in range(3)]
-    progress = progress_of(cells, workers=1)
-    look = progress.fitted(Fitted(cells[0], 2, [Row(i, Status.OK, wall_s=1.0) for i in range(2)], 7.0, True))
+    look = progress_of(cells, workers=1).add(cells[0].identity, 2, 2.0, 5.0)
     assert look.seconds_left == 2 * 5.0 + 4 * 1.0
-    assert (look.cells_done, look.cells) == (1, 3)
+    assert (look.tasks_done, look.tasks) == (1, 3)
 
 
 def test_fits_that_one_process_does_together_are_not_shared(reference: Scenario) -> None:
     """Of 10 fits of 6 s that are one task, the second of two workers has none."""
     cells = [cell(reference, "pinn", seed) for seed in range(2)]
-    progress = progress_of(cells, together=10)
-    rows = [Row(i, Status.OK, wall_s=6.0) for i in range(10)]
-    assert progress.fitted(Fitted(cells[0], 10, rows, 60.0, True)).seconds_left == 60.0
+    assert progress_of(cells, together=10).add(cells[0].identity, 10, 60.0).seconds_left == 60.0
 
 
 def test_failures_and_cells_of_another_run_are_counted(reference: Scenario) -> None:
     cells = [cell(reference, "ls", seed, 2) for seed in range(2)]
     progress = progress_of(cells)
-    rows = [Row(0, Status.DIVERGED, wall_s=1.0), Row(1, Status.UNSUPPORTED, wall_s=1.0)]
-    assert progress.fitted(Fitted(cells[0], 2, rows, 2.0, True)).failed == 1
-    look = progress.fitted(Fitted(cells[1], 2))
-    assert (look.done, look.cells_done, look.failed, look.seconds_left) == (4, 2, 1, 0.0)
+    assert progress.add(cells[0].identity, 2, 2.0, failed=1).failed == 1
+    look = progress.add(cells[1].identity, 2)
+    assert (look.done, look.tasks_done, look.failed, look.seconds_left) == (4, 2, 1, 0.0)
 
 
-def test_the_first_bound_of_a_system_is_no_example() -> None:
-    progress = BoundsProgress(["duffing", "sdof", "duffing", "duffing", "sdof"])
-    looks = [progress.begin(), *map(progress.made, (20.0, 1.0, 2.0, 4.0))]
+def test_the_first_of_a_kind_is_no_example_once_there_is_a_second() -> None:
+    """Much is compiled for the first bound of a system."""
+    systems = ["duffing", "sdof", "duffing", "duffing", "sdof"]
+    progress = Progress("bound", dict.fromkeys(range(5), 1), dict(enumerate((name, "") for name in systems)))
+    looks = [progress.begin(), *(progress.add(i, 1, took) for i, took in enumerate((20.0, 1.0, 2.0, 4.0)))]
     shown = [(look.done, None if math.isnan(look.seconds_left) else look.seconds_left, look.at_least) for look in looks]
     assert shown == [(0, None, True), (1, 40.0, True), (2, 41.0, False), (3, 3.0, False), (4, 1.0, False)]
 
@@ -135,7 +132,7 @@ def test_the_first_of_every_kind_comes_first_and_all_else_keeps_its_order(letter
     assert found[n:] == sorted(found[n:])
 
 
-FITS = Look("fit", 9, 40, "ls 20 dB", 100.0, False, 2, 8, 0)
+FITS = Look("fit", 9, 40, "ls 20 dB", 100.0, False, 2, 8, 0, "cell")
 
 
 @pytest.mark.parametrize(
@@ -173,19 +170,19 @@ def shown(stream: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> str:
             Look("bound", 1, 1, "{odd} system", 0.0, False),
             replace(FITS, done=0, total=4),
             replace(FITS, done=2, total=4),
-            replace(FITS, done=4, total=4, cells_done=8),
+            replace(FITS, done=4, total=4, tasks_done=8),
         ):
             on_look(look)
     return stream.getvalue()
 
 
 def test_in_a_terminal_bounds_and_fits_have_bars_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "70")
+    monkeypatch.setenv("COLUMNS", "90")
+    monkeypatch.setenv("TERM", "xterm")
     drawn = shown(Terminal(), monkeypatch)
-    bounds, fits = drawn.rstrip("\n").split("\n")[-2:]
-    assert bounds.rpartition("\r")[2].startswith("bounds 100%|")
-    assert fits.rpartition("\r")[2].startswith("fits 100%|")
-    assert "8/8 cells, 4/4 fits" in fits
+    last = [line.split() for line in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn).splitlines() if "100%" in line][-2:]
+    assert [line[0] for line in last] == ["bounds", "fits"]
+    assert "8/8 cells, 4/4 fits" in " ".join(last[1])
 
 
 def test_elsewhere_it_is_a_line_now_and_then_and_one_at_the_end_of_each_stage(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,4 +208,4 @@ def test_a_run_tells_of_its_bounds_then_of_all_its_fits(
     assert units == sorted(units)  # bounds come before fits
     bound, fit = (next(look for look in reversed(looks) if look.unit == unit) for unit in ("bound", "fit"))
     assert (bound.done, bound.total) == (1, 1)
-    assert (fit.done, fit.total, fit.cells_done, fit.cells, fit.failed, fit.seconds_left) == (7, 7, 2, 2, 3, 0.0)
+    assert (fit.done, fit.total, fit.tasks_done, fit.tasks, fit.failed, fit.seconds_left) == (7, 7, 2, 2, 3, 0.0)

@@ -1,0 +1,46 @@
+"""Results of tasks as files of a folder: one file a task, there whole or not at all, with a checksum.
+
+A file is named by the key of its task. It ends with the SHA-256 of what precedes it, so damage is noticed, and the
+task is computed again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import uuid
+from pathlib import Path
+
+from bench.errors import InputError
+from bench.store.seal import read_regular, write_new
+
+DIGEST_BYTES = 32
+
+
+def result_path(folder: Path, key: str) -> Path:
+    """Return the file of a result."""
+    return folder / f"{key}.result"
+
+
+def read_result(folder: Path, key: str) -> bytes | None:
+    """Return the content of a result; None where there is none, or it is damaged."""
+    try:
+        whole = read_regular(result_path(folder, key))
+    except OSError:
+        return None
+    content, digest = whole[:-DIGEST_BYTES], whole[-DIGEST_BYTES:]
+    return content if hashlib.sha256(content).digest() == digest else None
+
+
+def write_result(folder: Path, key: str, content: bytes) -> None:
+    """Write the content of a result in one step; raises InputError where the folder cannot be written."""
+    part = folder / f"{key}.{uuid.uuid4().hex}.part"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            write_new(part, content + hashlib.sha256(content).digest())
+            os.replace(part, result_path(folder, key))
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError("store", folder, f"cannot be written: {error.strerror}") from None
