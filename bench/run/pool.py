@@ -481,11 +481,10 @@ def processes(preload: Sequence[str] = ()) -> Iterator[Children]:
 
 def affordable(workers: int, parts: int) -> int:
     """Return how many workers there are tasks and open files for; prints a line where files are too few."""
-    wanted = max(1, min(workers, parts))
-    enough = affordable_workers(wanted)
-    if enough < wanted:
-        say(f"{enough} workers instead of {wanted}: more need more open files than the system gives (ulimit -n)")
-    return enough
+    enough = affordable_workers(workers)
+    if enough < workers:
+        say(f"{enough} workers instead of {workers}: more need more open files than the system gives (ulimit -n)")
+    return max(1, min(enough, parts))
 
 
 def run_tasks(

@@ -48,7 +48,7 @@ def _inside(folder: Path) -> int:
         if reason:
             rows.append([name, reason, "", ""])
             continue
-        made = sorted(path.name for path in stores[name].glob("*.npy"))
+        made = sorted(path.name for path in stores[name].glob("*.result"))
         same = sum(_same(stores["processes"] / one, stores[name] / one) for one in made)
         rows.append([name, f"{time.monotonic() - started:.0f}", len(made), same])
         good &= len(made) == same == BLOCKS
