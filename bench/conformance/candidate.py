@@ -1,88 +1,103 @@
-"""A method under check, with the answers that several checks look at, each made once."""
+"""A method under check: its answers, each computed once, and how two answers are compared."""
 
 from __future__ import annotations
 
-import copy
+import os
+import pickle
+import subprocess
+import sys
 import threading
 import time
-from dataclasses import fields, is_dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from bench.conformance.check import Refusal
 from bench.conformance.problems import problem
-from bench.conformance.surroundings import Surroundings
+from bench.conformance.watch import Watch
 from bench.contract.estimate import Estimate, Status
 from bench.contract.method import Identifier
 from bench.contract.prior import Prior
 from bench.contract.problem import Problem
+from bench.scenario.stream import anonymous_stream
 from bench.scoring.combination import combine_with_prior
+from bench.sweep.scoring_process import data_digest
 
 GROUPS = ("k_over_m", "c_over_m")
-TIMES = np.linspace(0.0, 8.0, 9)
-"""Where reconstructions are compared (s)."""
-
-
-def stream(seed: int = 11) -> np.random.Generator:
-    """A random stream."""
-    return np.random.default_rng(seed)
+SEED = 11
+REPLICATES = (5, 2, 3)
+"""Seeds of the problems that are solved again in another process, the ordinary one first."""
 
 
 class Candidate:
-    """A method under check. ``first`` is its first fit of the ordinary problem, which took ``first_s``;
-    ``running``: the threads that were there before it."""
+    """A method under check. ``first_s`` is the time of its first fit (s), ``threads`` those running before it."""
 
     def __init__(self, method: Identifier) -> None:
         self.method = method
         self.first_s = float("nan")
-        self.running = {thread.name for thread in threading.enumerate()}
+        self.threads = {thread.name for thread in threading.enumerate()}
 
-    def fit(self, given: Problem | None = None, seed: int = 11) -> Estimate:
-        """The answer to a problem, by default the ordinary one made anew."""
-        return self.method.identify(problem() if given is None else given, stream(seed))
+    def fit(self, given: Problem | None = None) -> Estimate:
+        """Answer a problem, by default the ordinary one."""
+        return self.method.identify(problem() if given is None else given, anonymous_stream(SEED))
 
     @cached_property
     def first(self) -> Estimate:
+        """The first answer to the ordinary problem."""
         began = time.perf_counter()
-        found = self.fit()
+        estimate = self.fit()
         self.first_s = time.perf_counter() - began
-        return answered(found)
+        return valid(estimate)
 
     @cached_property
-    def start_untold(self) -> Estimate:
-        """The answer where the initial state is not told."""
-        return answered(self.fit(problem(start=False)))
+    def without_initial_state(self) -> Estimate:
+        """The answer where the initial state is unknown."""
+        return valid(self.fit(problem(start=False)))
 
     @cached_property
-    def elsewhere(self) -> tuple[Estimate, Surroundings]:
-        """A second fit of the same problem and seed, after another problem, among things that must not matter.
-
-        With it what was seen of the method on the way.
-        """
+    def second(self) -> tuple[Estimate, Watch, bool]:
+        """The answer after another problem and among decoys, the watch, and whether the data are left."""
         _ = self.first
-        self.fit(problem(seed=2), seed=2)
+        self.fit(problem(seed=2))
+        watch = Watch(type(self.method).__module__.partition(".")[0])
         given = problem()
-        before = copy.deepcopy(given)
-        surroundings = self.surroundings(1)
-        found = surroundings.fit(self.fit, given)
-        changed = difference(before, given)
-        if changed:
-            surroundings.changes.append(changed)
-        return found, surroundings
+        before = data_digest(given)
+        return watch.fit(self.method, given, SEED), watch, data_digest(given) == before
 
-    def surroundings(self, which: int) -> Surroundings:
-        """Decoys to be laid around a fit, and a watch on this method."""
-        return Surroundings(type(self.method).__module__.partition(".")[0], which)
+    @cached_property
+    def values_elsewhere(self) -> list[list[float]]:
+        """k/m and c/m of the replicates, solved in another process in the reverse order."""
+        request = pickle.dumps((self.method, REPLICATES[::-1]))
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        command = [sys.executable, "-c", f"from {__name__} import solve_again; solve_again()"]
+        done = subprocess.run(command, input=request, capture_output=True, env=environment, check=False)
+        if done.returncode:
+            lines = done.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
+            raise Refusal(f"another process of it ended with status {done.returncode}: {lines[-1][:200]}")
+        answers: list[list[float]] = pickle.loads(done.stdout)
+        return answers[::-1]
 
-    def differs(self, other: Estimate) -> str:
-        """How an answer differs from the first, or nothing."""
-        return difference_of_answers(self.first, other)
+
+def solve_again() -> None:
+    """Solve problems in the order that standard input names, and write the values to standard output, pickled."""
+    output = os.dup(1)
+    os.dup2(2, 1)  # what a method prints must not mix with the answer
+    method, seeds = pickle.loads(sys.stdin.buffer.read())
+    answers = pickle.dumps([replicate_values(Candidate(method), seed) for seed in seeds])
+    with os.fdopen(output, "wb") as file:
+        file.write(answers)
 
 
-def answered(estimate: Estimate) -> Estimate:
-    """The estimate, if it is an answer of the form of the contract; raises Refusal."""
+def replicate_values(candidate: Candidate, seed: int) -> list[float]:
+    """Return k/m and c/m of a replicate, NaN where there is no answer."""
+    estimate = candidate.fit(problem(seed=seed))
+    if estimate.status is not Status.OK:
+        return [float("nan")] * len(GROUPS)
+    return [float(value) for value in values(estimate, problem(seed=seed).prior)[0]]
+
+
+def valid(estimate: Estimate) -> Estimate:
+    """Return the estimate, if it is an answer of the form of the contract; raises Refusal."""
     if not isinstance(estimate, Estimate):
         raise Refusal(f"estimate returned a {type(estimate).__name__}", "return a bench.Estimate")
     if estimate.status is not Status.OK:
@@ -99,7 +114,7 @@ def answered(estimate: Estimate) -> Estimate:
 
 
 def values(estimate: Estimate, prior: Prior | None) -> tuple[np.ndarray, np.ndarray]:
-    """Values of k/m and c/m with their standard errors (half the 68 % interval), shapes (2,)."""
+    """Return k/m and c/m with their standard errors (half the 68 % interval), shapes (2,)."""
     combined = combine_with_prior(estimate, prior)
     points, errors = [], []
     for name in GROUPS:
@@ -112,29 +127,14 @@ def values(estimate: Estimate, prior: Prior | None) -> tuple[np.ndarray, np.ndar
     return np.array(points), np.array(errors)
 
 
-def difference_of_answers(one: Estimate, other: Estimate) -> str:
-    """How two answers to the ordinary problem differ in status, values or errors, or nothing."""
+def difference(one: Estimate, other: Estimate) -> str:
+    """Say how two answers to the ordinary problem differ in status, values or errors; nothing where they do not."""
     if one.status is not other.status:
         return f"{one.status} became {other.status} ({other.message})"
     if one.status is not Status.OK:
         return ""
     prior = problem().prior
-    for first, second in zip(values(one, prior), values(other, prior), strict=True):
-        for name, a, b in zip(GROUPS, first, second, strict=True):
-            if a != b and not (np.isnan(a) and np.isnan(b)):
-                return f"{name} or its error was {a:.9g}, then {b:.9g}"
+    before, after = (np.concatenate(values(estimate, prior)) for estimate in (one, other))
+    for i in np.flatnonzero((before != after) & ~(np.isnan(before) & np.isnan(after))):
+        return f"{GROUPS[i % 2]} or its error was {before[i]:.9g}, then {after[i]:.9g}"
     return ""
-
-
-def difference(before: Any, after: Any, name: str = "problem") -> str:
-    """The first declared field, below a problem, that is not as it was, or nothing."""
-    if isinstance(before, np.ndarray):
-        same = np.array_equal(before, after)
-        return "" if same else f"{name} was changed"
-    if is_dataclass(before) and type(before) is type(after):
-        parts = [(f"{name}.{f.name}", getattr(before, f.name), getattr(after, f.name)) for f in fields(before)]
-    elif isinstance(before, tuple | list) and isinstance(after, tuple | list) and len(before) == len(after):
-        parts = [(f"{name}[{i}]", a, b) for i, (a, b) in enumerate(zip(before, after, strict=True))]
-    else:
-        return "" if before == after else f"{name} was changed"
-    return next((found for own, a, b in parts if (found := difference(a, b, own))), "")

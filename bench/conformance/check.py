@@ -1,4 +1,4 @@
-"""A check: a name, what it is about, what to do where it fails, and the function that tries it."""
+"""A check: what must hold, the function that tries it, and what to do where it fails."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from typing import Any, Generic, TypeVar
 from bench.isolation.failure import one_line, traceback_text, without_places
 
 Subject = TypeVar("Subject")
+RAISED = "end a fit that goes wrong with bench.NoEstimate('why, and what to do'), which becomes a status and a sentence"
 
 
 class Refusal(Exception):
-    """What a check found wrong, in a sentence; ``remedy`` where that of the check is not the one."""
+    """What a check found wrong, in a sentence; ``remedy`` replaces that of the check."""
 
     def __init__(self, found: str, remedy: str = "") -> None:
         self.remedy = remedy
@@ -22,11 +23,14 @@ class Refusal(Exception):
 
 @dataclass(frozen=True)
 class Check(Generic[Subject]):
-    """One thing that a method or a system must keep: what the docstring of ``run`` says.
+    """One requirement on a method or a system; the docstring of ``run`` says which.
 
-    ``run`` returns a remark, or nothing, and raises :class:`Refusal`; any other exception is one of what is checked.
-    ``long``: it asks for a fit of data unlike those of most checks, for which some methods prepare anew. ``gate``:
-    where it fails, those behind it would say the same.
+    Attributes:
+        name: What the command prints.
+        run: Returns a remark, or nothing, and raises :class:`Refusal`; another exception is one of the subject.
+        remedy: What to do where it fails.
+        long: It fits data of another kind than most checks, for which some methods prepare anew.
+        gate: Where it fails, the later checks are not tried.
     """
 
     name: str
@@ -37,13 +41,13 @@ class Check(Generic[Subject]):
 
     @property
     def about(self) -> str:
-        """What must hold."""
+        """The requirement in a sentence."""
         return str(inspect.getdoc(getattr(self.run, "func", self.run)))
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a check found: ``remark`` where it passed, ``found`` and ``remedy`` where it did not."""
+    """The result of a check: ``remark`` where it passed, ``found`` and ``remedy`` where it did not."""
 
     name: str
     about: str
@@ -54,16 +58,13 @@ class Outcome:
     traceback: str = ""
 
 
-RAISED = "end a fit that goes wrong with bench.NoEstimate('why, and what to do'), which becomes a status and a sentence"
-
-
 def outcome(check: Check[Any], subject: Any) -> Outcome:
-    """Run a check; whatever the subject raises becomes a failure of it."""
+    """Run a check; whatever the subject raises makes it fail."""
     try:
         return Outcome(check.name, check.about, True, remark=check.run(subject))
     except Refusal as refusal:
         remedy = refusal.remedy or check.remedy
         return Outcome(check.name, check.about, False, found=str(refusal), remedy=remedy)
     except Exception as error:
-        said = without_places(traceback_text())
-        return Outcome(check.name, check.about, False, found=f"raised {one_line(error)}", remedy=RAISED, traceback=said)
+        log = without_places(traceback_text())
+        return Outcome(check.name, check.about, False, found=f"raised {one_line(error)}", remedy=RAISED, traceback=log)

@@ -1,4 +1,4 @@
-"""What the source of a method imports of the harness: the names of ``bench`` are its contract, the rest is not."""
+"""What the source of a method imports of the harness: the names of ``bench`` are its contract."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ MODULE = re.compile(r"bench(\.\w+)+")
 
 @cache
 def foreign_imports(path: Path, allowed: Sequence[str] = (HARNESS,)) -> tuple[str, ...]:
-    """Where a file imports more of the harness than public names of the ``allowed`` modules, a line each."""
+    """Say where a file imports more of the harness than public names of the ``allowed`` modules, a line each."""
     names = import_module(HARNESS).__all__
-    found = []
+    lines = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         modules: list[tuple[str, str]] = []
         if isinstance(node, ast.Import):
@@ -32,14 +32,14 @@ def foreign_imports(path: Path, allowed: Sequence[str] = (HARNESS,)) -> tuple[st
             public = module in allowed and (module != HARNESS or not name or name in names)
             if module.partition(".")[0] == HARNESS and not public:
                 what = f"{module}.{name}" if name else module
-                found.append(f"{path.name}, line {getattr(node, 'lineno', 0)}, uses {what}")
-    return tuple(found)
+                lines.append(f"{path.name}, line {getattr(node, 'lineno', 0)}, uses {what}")
+    return tuple(lines)
 
 
-def package_files(own: type) -> list[Path]:
-    """The files of the package that a class stands in, tests apart; its module alone where it is in none."""
-    root = sys.modules[own.__module__.partition(".")[0]]
+def package_files(cls: type) -> list[Path]:
+    """Return the files of the package of a class, tests apart, or its module where it is in none."""
+    root = sys.modules[cls.__module__.partition(".")[0]]
     if root.__file__ is None or not hasattr(root, "__path__"):
-        return [Path(str(sys.modules[own.__module__].__file__))]
+        return [Path(str(sys.modules[cls.__module__].__file__))]
     folder = Path(root.__file__).parent
     return [path for path in sorted(folder.rglob("*.py")) if "tests" not in path.relative_to(folder).parts]

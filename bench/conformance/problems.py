@@ -1,4 +1,4 @@
-"""The problems that methods are checked on: a plant that is in no table, ordinary data of it, and hard ones."""
+"""The problems that methods are checked on: a system that is in no table, ordinary data of it, and difficult ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NOISE_M = 0.03
 def problem(
     times: np.ndarray | None = None, noise: float = NOISE_M, seed: int = 5, start: bool = True, dead: bool = False
 ) -> Problem:
-    """Free vibration of the plant with Gaussian noise (m); ``dead``: of a sensor that shows nothing."""
+    """Return free vibration of the plant with Gaussian noise (m); ``dead``: of a sensor that shows nothing."""
     times = np.linspace(0.0, 8.0, 25) if times is None else times
     rng = np.random.default_rng(seed)
     values = closed_form(PLANT, *START, times) + noise * rng.standard_normal(times.size)
@@ -31,13 +31,13 @@ def problem(
 
 
 def without_prior() -> Problem:
-    """The ordinary data, where nothing is stated of the parameters."""
+    """Return the ordinary data without a prior."""
     given = problem()
     return Problem(given.system, given.records, None)
 
 
 def forced() -> Problem:
-    """The plant under a known sine force (3 N, 2 rad/s), with little noise and no prior: the mass can be told."""
+    """Return the plant under a known sine force (3 N, 2 rad/s), with little noise and no prior."""
     times, fine = np.linspace(0.0, 8.0, 40), np.linspace(0.0, 8.0, 161)
     force = Force(fine, 3.0 * np.sin(2.0 * fine))
     start = InitialState(np.array([0.5]), np.array([0.0]))
@@ -48,7 +48,7 @@ def forced() -> Problem:
 
 HARD: dict[str, Callable[[], Problem]] = {
     "dead channel": lambda: problem(dead=True),
-    "dead channel, unknown start": lambda: problem(dead=True, start=False),
+    "dead channel, unknown initial state": lambda: problem(dead=True, start=False),
     "five samples": lambda: problem(np.linspace(0.0, 8.0, 5)),
     "irregular times": lambda: problem(np.sort(np.random.default_rng(3).uniform(0.0, 8.0, 25)), start=False),
     "huge noise": lambda: problem(noise=3.0, start=False),

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import inspect
 import pickle
 import re
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
+from importlib.metadata import EntryPoint
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
 from bench.config.limits import check_numbers, check_options
@@ -23,22 +21,22 @@ from bench.conformance.system_checks import SYSTEM_CHECKS
 from bench.conformance.target import KINDS, Subject, Target
 from bench.contract.method import Identifier
 from bench.entrants import registry
-from bench.entrants.reference import REFERENCES
-from bench.entrants.registry import load_method, make_method, missing_package
+from bench.entrants.registry import make_method, missing_package
 from bench.errors import InputError
 from bench.isolation.failure import one_line
 from bench.isolation.limit import limit_files
 from bench.isolation.processes import READY_S, Child, Children, Died
-from bench.systems import System, load_system, make_system, registered_systems
+from bench.systems import System, make_system, registered_systems
 
 MEMORY_MB = 4096.0
 CHECKS: dict[str, tuple[Check[Any], ...]] = {"method": METHOD_CHECKS, "system": SYSTEM_CHECKS}
 
 
 def checked(target: Target, timeout_s: float) -> Iterator[tuple[Subject, Outcome]]:
-    """Run all checks of all that a target names, each within a limit (s); raises InputError where nothing can be.
+    """Run the checks of all that a target names, each within a time limit (s), up to a gate that fails.
 
-    Those behind one that fails and is a gate are left out.
+    Raises:
+        InputError: Where the target cannot be imported or made.
     """
     children = Children()
     try:
@@ -47,12 +45,12 @@ def checked(target: Target, timeout_s: float) -> Iterator[tuple[Subject, Outcome
             for check in CHECKS[subject.kind]:
                 child.send(pickle.dumps((subject, check.name)))
                 try:
-                    found = pickle.loads(child.receive(timeout_s, MEMORY_MB))
+                    result = pickle.loads(child.receive(timeout_s, MEMORY_MB))
                 except Died as died:
-                    found = _lost(check, died)
+                    result = _lost(check, died)
                     child, _ = _opened(children, target, timeout_s)
-                yield subject, found
-                if check.gate and not found.passed:
+                yield subject, result
+                if check.gate and not result.passed:
                     break
     finally:
         children.close()
@@ -61,98 +59,79 @@ def checked(target: Target, timeout_s: float) -> Iterator[tuple[Subject, Outcome
 def _opened(children: Children, target: Target, timeout_s: float) -> tuple[Child, list[Subject]]:
     child = children.start(serve, target)
     try:
-        child.receive(READY_S)  # what it takes to start is no fault of the package
-        kind, found = pickle.loads(child.receive(timeout_s, MEMORY_MB))
+        child.receive(READY_S)  # the start is no fault of the package
+        answer = pickle.loads(child.receive(timeout_s, MEMORY_MB))
     except Died as died:
         remedy = "what is imported must neither end its process nor keep it"
         raise InputError("package", target.text, f"cannot be imported: {died.message}; {remedy}") from None
-    if kind == "refused":
-        raise found
-    return child, found
+    if isinstance(answer, InputError):
+        raise answer
+    return child, answer
 
 
 def _lost(check: Check[Any], died: Died) -> Outcome:
+    remedy = "nothing that estimate does may end its process: raise bench.NoEstimate instead"
     if died.reason == "timeout":
         remedy = "make it faster, or give it more with timeout_s=; a sweep stops a fit in the same way"
-    else:
-        remedy = "nothing that estimate does may end its process: raise bench.NoEstimate instead"
     return Outcome(check.name, check.about, False, found=died.message, remedy=remedy, traceback=died.log)
 
 
 def serve(connection: Connection, target: Target) -> None:
-    """Import what is named, and run check after check of it until nobody asks any more."""
+    """Import a target, and run one check after another until nobody asks any more."""
     limit_files()
     connection.send_bytes(b"ready")
-    with tempfile.TemporaryDirectory() as site:
-        try:
-            sys.path[:0] = [*target.paths, site]
-            subjects = list(target.subjects) or _looked_for(target)
-            if not target.installed:
-                _register(subjects, Path(site))
-            _check_settings(subjects, target)
-            made = {subject: _made(subject, target) for subject in subjects}
-        except InputError as error:
-            connection.send_bytes(pickle.dumps(("refused", error)))
-            return
-        connection.send_bytes(pickle.dumps(("found", subjects)))
-        while True:
-            subject, name = pickle.loads(connection.recv_bytes())
-            check = next(check for check in CHECKS[subject.kind] if check.name == name)
-            connection.send_bytes(pickle.dumps(outcome(check, made[subject])))
+    sys.path[:0] = target.paths
+    try:
+        subjects = list(target.subjects) or _classes_of(target)
+        if not target.installed:
+            _register(subjects)
+        _check_settings(subjects, target)
+        made = {subject: _made(subject, target) for subject in subjects}
+    except InputError as error:
+        connection.send_bytes(pickle.dumps(error))
+        return
+    connection.send_bytes(pickle.dumps(subjects))
+    while True:
+        subject, name = pickle.loads(connection.recv_bytes())
+        check = next(check for check in CHECKS[subject.kind] if check.name == name)
+        connection.send_bytes(pickle.dumps(outcome(check, made[subject])))
 
 
-def _looked_for(target: Target) -> list[Subject]:
-    """The methods and systems whose classes stand in a module."""
+def _classes_of(target: Target) -> list[Subject]:
+    """Return the methods and systems whose classes stand in a module."""
     try:
         module = importlib.import_module(target.module)
     except Exception as error:
         raise InputError("package", target.text, f"cannot be imported: {one_line(error)}") from None
-    found = []
+    subjects = []
     for name, item in vars(module).items():
         if not inspect.isclass(item) or item.__module__ != module.__name__ or inspect.isabstract(item):
             continue
-        if issubclass(item, Identifier):
-            found.append(Subject("method", _free(re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()), _value(item)))
-        elif issubclass(item, System):
-            found.append(Subject("system", str(item.name), _value(item)))
-    if not found:
+        value = f"{item.__module__}:{item.__qualname__}"
+        if issubclass(item, System):
+            subjects.append(Subject("system", str(item.name), value))
+        elif issubclass(item, Identifier):
+            words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+            subjects.append(Subject("method", f"own_{words}" if words in registry.method_names() else words, value))
+    if not subjects:
         raise InputError("package", target.text, "no class in it subclasses bench.Identifier or bench.System")
-    return found
+    return subjects
 
 
-def _value(own: type) -> str:
-    return f"{own.__module__}:{own.__qualname__}"
-
-
-def _free(name: str) -> str:
-    """The name, or one like it that nothing is registered by."""
-    return f"own_{name}" if name in registry.method_names() else name
-
-
-def _register(subjects: Sequence[Subject], site: Path) -> None:
-    """Have the entry points of subjects found, as those of an installed package are; what is installed is already."""
+def _register(subjects: Sequence[Subject]) -> None:
+    """Have subjects found by name, in this process, as those of an installed package are."""
     points = {"method": registry.registered(), "system": registered_systems()}
-    new = []
+    groups = {kind: group for group, kind in KINDS.items()}
     for subject in subjects:
-        known = points[subject.kind].get(subject.name)
-        if known is None and subject.name not in REFERENCES:
-            new.append(subject)
-        elif known is None or known.value != subject.value:
+        registered = points[subject.kind].get(subject.name)
+        taken = registered is not None and registered.value != subject.value
+        if taken or (registered is None and subject.name in registry.method_names()):
             raise InputError(subject.kind, subject.name, "the benchmark has one of that name; choose another")
-    info = site / "under_check-0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: under-check\nVersion: 0\n", encoding="utf-8")
-    lines = [f"[{group}]\n" + "".join(f"{s.name} = {s.value}\n" for s in new if s.kind == kind)
-             for group, kind in KINDS.items()]  # fmt: skip
-    (info / "entry_points.txt").write_text("\n".join(lines), encoding="utf-8")
-    importlib.invalidate_caches()
-    for function in (registry.registered, load_method, registered_systems, load_system):
-        with contextlib.suppress(AttributeError):  # a test may have replaced one
-            function.cache_clear()  # type: ignore[attr-defined]
+        points[subject.kind][subject.name] = EntryPoint(subject.name, subject.value, groups[subject.kind])
 
 
 def _check_settings(subjects: Sequence[Subject], target: Target) -> None:
-    """Raise InputError for a setting of a method where there is none, an option of a system likewise, or no number."""
+    """Raise InputError for settings of a kind that is not checked, and for options of a system that are no numbers."""
     for kind in target.settings.keys() - {subject.kind for subject in subjects}:
         for name, value in target.settings[kind].items():
             raise InputError(f"{kind}.{name}", value, f"left out: no {kind} is checked")

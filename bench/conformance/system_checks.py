@@ -1,4 +1,4 @@
-"""What any system must keep, ours or anybody's: what it declares is what its equation does."""
+"""The requirements on any system, ours or anybody's: its equation does what it declares."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ALLOWED = ("bench", "bench.systems")
 
 
 def declaration(specimen: Specimen) -> str:
-    """It says what its parameters and groups are."""
+    """It declares its parameters and groups."""
     system = specimen.system
     if not is_dataclass(system) or not type(system).__dataclass_params__.frozen:  # type: ignore[attr-defined]
         raise Refusal("the class is no frozen dataclass", "declare it @dataclass(frozen=True)")
@@ -59,9 +59,9 @@ def only_systems(specimen: Specimen) -> str:
     """Its modules import public names of bench and bench.systems only."""
     if type(specimen.system).__module__.partition(".")[0] == HARNESS:
         return "a system of the benchmark itself"
-    found = [line for path in package_files(type(specimen.system)) for line in foreign_imports(path, ALLOWED)]
-    if found:
-        raise Refusal("; ".join(found[:3]))
+    lines = [line for path in package_files(type(specimen.system)) for line in foreign_imports(path, ALLOWED)]
+    if lines:
+        raise Refusal("; ".join(lines[:3]))
     return ""
 
 
@@ -74,13 +74,13 @@ def every_library(specimen: Specimen) -> str:
     others = {"plain numbers": _plain, "jax": _jax, "sympy": _sympy}
     for library, run in others.items():
         try:
-            found = run(specimen, p, motion)
+            computed = run(specimen, p, motion)
         except Refusal:
             raise
         except Exception as error:
             raise Refusal(f"{library} cannot run it: {type(error).__name__}: {str(error).splitlines()[0]}") from None
-        if not _near(found, expected):
-            raise Refusal(f"{library} gets {found[:, 0]}, numpy {expected[:, 0]}")
+        if not _near(computed, expected):
+            raise Refusal(f"{library} gets {computed[:, 0]}, numpy {expected[:, 0]}")
     return ", ".join(others)
 
 
@@ -155,32 +155,34 @@ def moves(specimen: Specimen) -> str:
     start = InitialState(0.3 + 0.1 * np.arange(system.n_dof), np.full(system.n_dof, 0.2))
     times = np.linspace(0.0, 3.0, 31)
     exact = integrated_response(system, p, start, times)
-    found = simulate(system, p, start, times).displacement
-    if not np.all(np.isfinite(exact)) or not np.allclose(found, exact, rtol=0.0, atol=SAME_PATH * np.max(abs(exact))):
-        gap = float(np.max(abs(found - exact)) / np.max(abs(exact)))
+    motion = simulate(system, p, start, times).displacement
+    if not np.all(np.isfinite(exact)) or not np.allclose(motion, exact, rtol=0.0, atol=SAME_PATH * np.max(abs(exact))):
+        gap = float(np.max(abs(motion - exact)) / np.max(abs(exact)))
         raise Refusal(f"two integrators differ by {gap:.2g} of its motion within 3 s, at {_rounded(p)}")
     return ""
 
 
-def groups_are_told(specimen: Specimen) -> str:
-    """The groups that it declares are those that free vibration tells."""
+def groups_are_identifiable(specimen: Specimen) -> str:
+    """The groups that it declares are those that free vibration determines."""
     system = specimen.system
     if not system.smooth:
-        return "not asked of what bends suddenly: one piece of its equation tells less than all of them"
+        return "not asked of what bends suddenly: one piece of its equation determines less than all of them"
     initial = (tuple(0.3 + 0.1 * i for i in range(system.n_dof)), (0.2,) * system.n_dof)
     scenario = Scenario(specimen.name, specimen.parameters, initial, 20.0, options=specimen.options)
     try:
-        told = structure_of(scenario)
+        structure = structure_of(scenario)
     except (InputError, TypeError, ValueError) as error:
         return f"not known: {error}"
-    lost = [group.name for group in system.groups if not told.identifiable(group)]
-    if lost:
-        known = ", ".join(map(readable, told.groups)) or "none"
-        raise Refusal(f"free vibration does not tell {', '.join(lost)}; it tells {known}")
+    unknown = [group.name for group in system.groups if not structure.identifiable(group)]
+    if unknown:
+        known = ", ".join(map(readable, structure.groups)) or "none"
+        raise Refusal(f"free vibration does not determine {', '.join(unknown)}; it determines {known}")
     rows = np.array([group.vector(system.names) for group in system.groups]).reshape(-1, len(system.names))
-    missing = len(told.groups) - int(np.linalg.matrix_rank(rows)) if rows.size else len(told.groups)
+    missing = len(structure.groups) - int(np.linalg.matrix_rank(rows)) if rows.size else len(structure.groups)
     if missing > 0:
-        raise Refusal(f"{missing} more are told than it declares; all: {', '.join(map(readable, told.groups))}")
+        raise Refusal(
+            f"{missing} more are determined than it declares; all: {', '.join(map(readable, structure.groups))}"
+        )
     return ", ".join(group.name for group in system.groups)
 
 
@@ -207,9 +209,7 @@ def _jax(specimen: Specimen, p: Mapping[str, float], motion: Motion) -> np.ndarr
     ops = array_ops(jax.numpy)
 
     def rows(p: Any, x: Any, v: Any, a: Any, f: Any, z: Any) -> list[Any]:
-        m = Motion(x, v, a, f, z)
-        found = [*specimen.residual(p, m, ops), *specimen.system.hidden_rates(p, x, v, f, z, ops)]
-        return [jax.numpy.broadcast_to(row, x[0].shape) for row in found]
+        return [jax.numpy.broadcast_to(row, x[0].shape) for row in specimen.rows(p, Motion(x, v, a, f, z), ops)]
 
     parts = ([jax.numpy.asarray(c) for c in part] for part in motion.parts)
     return np.array(jax.jit(rows)(dict(p), *parts))
@@ -222,8 +222,7 @@ def _sympy(specimen: Specimen, p: Mapping[str, float], motion: Motion) -> np.nda
     symbols = {letter: [sympy.Symbol(f"{letter}{i}", real=True) for i in range(len(part))]
                for letter, part in vars(motion).items()}  # fmt: skip
     names = {name: sympy.Symbol(f"p_{name}", positive=True) for name in p}
-    m = Motion(**symbols)
-    rows = [*specimen.residual(names, m, ops), *specimen.system.hidden_rates(names, m.x, m.v, m.f, m.z, ops)]
+    rows = specimen.rows(names, Motion(**symbols), ops)
     arguments = [*names.values(), *(s for part in symbols.values() for s in part)]
     function = sympy.lambdify(arguments, rows, "math")
     points = range(len(motion.x[0]))
@@ -232,13 +231,13 @@ def _sympy(specimen: Specimen, p: Mapping[str, float], motion: Motion) -> np.nda
 
 
 def _affine(residual: Any) -> bool:
-    """Whether a function of a factor has equal slopes: r(2) - r(1) = r(1) - r(0)."""
+    """Return whether a function of a factor has equal slopes: r(2) - r(1) = r(1) - r(0)."""
     none, once, twice = residual(0.0), residual(1.0), residual(2.0)
     return bool(np.allclose(twice - once, once - none, rtol=0.0, atol=NEAR * max(1.0, float(np.max(abs(twice))))))
 
 
 def _superposed(specimen: Specimen) -> bool:
-    """Whether the residual of a sum of motions is the sum of theirs."""
+    """Return whether the residual of a sum of motions is the sum of theirs."""
     p, m = specimen.parameters, specimen.motion
     other = m.changed(lambda c: -0.7 * c[::-1])
     both = Motion(*([a + b for a, b in zip(*parts, strict=True)] for parts in zip(m.parts, other.parts, strict=True)))
@@ -272,8 +271,8 @@ SYSTEM_CHECKS: tuple[Check[Specimen], ...] = (
     Check("motion", moves, "look at the signs; set smooth = False where it bends suddenly"),
     Check(
         "groups",
-        groups_are_told,
-        "declare these as groups; python -m bench identifiability shows what a scenario tells",
+        groups_are_identifiable,
+        "declare these as groups; python -m bench identifiability shows what a scenario determines",
     ),
     Check("pickling", travels, "a frozen dataclass of a module does, with plain fields"),
 )

@@ -1,4 +1,4 @@
-"""What is to be checked: a file, a folder with a ``pyproject.toml``, an installed package, or a registered name.
+"""The target of a check: a file, a folder with a ``pyproject.toml``, an installed package, or a registered name.
 
 Somebody else's code is imported in a process of its own (:mod:`bench.conformance.process`), never where a command runs.
 """
@@ -22,9 +22,9 @@ from bench.store.seal import read_regular
 from bench.systems import GROUP as SYSTEMS
 from bench.systems import registered_systems
 
-METHODS = registry.GROUP
 Kind = Literal["method", "system"]
-KINDS: Mapping[str, Kind] = {METHODS: "method", SYSTEMS: "system"}
+KINDS: Mapping[str, Kind] = {registry.GROUP: "method", SYSTEMS: "system"}
+"""What is registered in each group of entry points."""
 WANTED = "a file, a folder with a pyproject.toml, an installed package, or the name of a registered method or system"
 
 
@@ -39,10 +39,15 @@ class Subject:
 
 @dataclass(frozen=True)
 class Target:
-    """What a command line names: subjects, or a ``module`` in which they are to be looked for.
+    """What a command line names.
 
-    ``paths`` must be importable from. ``installed``: whether its entry points are known already. ``settings``: those
-    of its methods, and the options of its systems, by kind.
+    Attributes:
+        text: The name as it was written.
+        subjects: The methods and systems, where these are known without an import.
+        module: Else the module in which they are looked for.
+        paths: Folders to import from.
+        installed: Whether its entry points are registered.
+        settings: Settings of methods and options of systems, by kind.
     """
 
     text: str
@@ -55,79 +60,69 @@ class Target:
 
 def read_target(text: str, settings: Mapping[str, Mapping[str, Any]] | None = None) -> Target:
     """Find what a text names; raises InputError where it names nothing."""
-    path, own = Path(text), dict(settings or {})
+    path, given = Path(text), dict(settings or {})
     if os.path.isdir(path):
-        return _project(path, own)
+        places = tuple(str(place.resolve()) for place in (path / "src", path))
+        return Target(text, _entry_points(path), paths=places, settings=given)
     if path.suffix == ".py":
         if not os.path.isfile(path):
             raise InputError("package", text, "it is no file" if os.path.exists(path) else "there is no such file")
         if not path.stem.isidentifier():
             raise InputError("package", text, "a file that can be imported: letters, digits and _ in its name")
-        return Target(text, module=path.stem, paths=(str(path.parent.resolve()),), settings=own)
-    known = [*_subjects(registry.registered()), *_subjects(registered_systems())]
-    named = [subject for subject in known if subject.name == text] or [
-        subject for subject in known if subject.value.partition(":")[0].partition(".")[0] == text
-    ]
-    named = named or [subject for subject in known if _distribution(subject) == _normal(text)]
-    if named:
-        return Target(text, tuple(named), installed=True, settings=own)
-    if re.fullmatch(r"\w+(\.\w+)*", text) and _importable(text):
-        return Target(text, module=text, settings=own)
+        return Target(text, module=path.stem, paths=(str(path.parent.resolve()),), settings=given)
+    points = [*registry.registered().values(), *registered_systems().values()]
+    for names in (_name, _package, _distribution):
+        named = tuple(Subject(KINDS[p.group], p.name, p.value) for p in points if names(p) == names(text))
+        if named:
+            return Target(text, named, installed=True, settings=given)
+    if re.fullmatch(r"\w+(\.\w+)*", text) and _can_be_imported(text):
+        return Target(text, module=text, settings=given)
     raise InputError("package", text, WANTED)
 
 
-def _project(folder: Path, settings: Mapping[str, Mapping[str, Any]]) -> Target:
+def _name(point: EntryPoint | str) -> str:
+    return point if isinstance(point, str) else point.name
+
+
+def _package(point: EntryPoint | str) -> str:
+    return point if isinstance(point, str) else point.module.partition(".")[0]
+
+
+def _distribution(point: EntryPoint | str) -> str:
+    """Return the name of a distribution as indexes compare it (PEP 503)."""
+    name = point if isinstance(point, str) else point.dist.name if point.dist is not None else ""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def _entry_points(folder: Path) -> tuple[Subject, ...]:
+    """Return the methods and systems that the ``pyproject.toml`` of a folder registers; raises InputError."""
     path = folder / "pyproject.toml"
     try:
-        content = tomllib.loads(read_regular(path).decode())
+        content: Any = tomllib.loads(read_regular(path).decode())
     except OSError:
         raise InputError("package", folder, "it has no pyproject.toml; name the file of the class instead") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError("package", path, f"cannot be read: {one_line(error)}") from None
-    found = []
-    for group, kind in KINDS.items():
-        points = _below(content, "project", "entry-points", group)
-        found += [Subject(kind, name, _point(path, name, value)) for name, value in points.items()]
-    if not found:
-        remedy = f'register a class in it, under [project.entry-points."{METHODS}"] or ."{SYSTEMS}"'
-        raise InputError("package", path, remedy)
-    places = (folder / "src", folder)
-    return Target(str(folder), tuple(found), paths=tuple(str(p.resolve()) for p in places), settings=settings)
-
-
-def _below(content: Any, *names: str) -> Mapping[str, Any]:
-    """The table of some name within tables; an empty one where any of them is none."""
-    for name in names:
+    for name in ("project", "entry-points"):
         content = content.get(name) if isinstance(content, dict) else None
-    return content if isinstance(content, dict) else {}
+    groups = content if isinstance(content, dict) else {}
+    subjects = []
+    for group, kind in KINDS.items():
+        points = groups.get(group)
+        for name, value in (points if isinstance(points, dict) else {}).items():
+            if not isinstance(value, str) or not re.fullmatch(r"\w+(\.\w+)*:\w+(\.\w+)*", value):
+                raise InputError("package", path, f"its entry point {name} is {value!r}; write '<module>:<class>'")
+            if not re.fullmatch(r"[\w.-]+", name):
+                raise InputError("package", path, f"its entry point {name!r}: a name of letters, digits, _, - and .")
+            subjects.append(Subject(kind, name, value))
+    if not subjects:
+        groups_named = " or ".join(f'[project.entry-points."{group}"]' for group in KINDS)
+        raise InputError("package", path, f"register a class in it, under {groups_named}")
+    return tuple(subjects)
 
 
-def _point(path: Path, name: str, value: Any) -> str:
-    """What an entry point names; raises InputError for what names no class."""
-    if not isinstance(value, str) or not re.fullmatch(r"\w+(\.\w+)*:\w+(\.\w+)*", value):
-        raise InputError("package", path, f"its entry point {name} is {value!r}; write '<module>:<class>'")
-    if not re.fullmatch(r"[\w.-]+", name):
-        raise InputError("package", path, f"its entry point {name!r}: a name of letters, digits, _, - and .")
-    return value
-
-
-def _subjects(points: Mapping[str, EntryPoint]) -> list[Subject]:
-    return [Subject(KINDS[point.group], name, point.value) for name, point in points.items()]
-
-
-def _distribution(subject: Subject) -> str:
-    points = registry.registered() if subject.kind == "method" else registered_systems()
-    distribution = points[subject.name].dist
-    return _normal(distribution.name) if distribution is not None else ""
-
-
-def _normal(name: str) -> str:
-    """The name of a distribution as indexes compare it (PEP 503)."""
-    return re.sub(r"[-_.]+", "-", name).lower()
-
-
-def _importable(text: str) -> bool:
-    """Whether there is a package to import; what is below it is looked for where it is imported."""
+def _can_be_imported(text: str) -> bool:
+    """Whether there is such a package; its modules are looked for where it is imported."""
     try:
         return find_spec(text.partition(".")[0]) is not None
     except (ImportError, ValueError):

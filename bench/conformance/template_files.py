@@ -1,4 +1,4 @@
-"""A small package of a method or a system to start from, made of the templates beside this module."""
+"""Write a small package of a method or a system to start from, from the templates beside this module."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ def written(kind: Kind, name: str, folder: Path) -> list[Path]:
 
 
 def _is_module(name: str) -> bool:
-    """Whether something is imported by a name; a folder without ``__init__.py`` is nothing."""
+    """Return whether something is imported by a name; a folder without ``__init__.py`` is nothing."""
     try:
-        found = find_spec(name)
-    except ValueError:  # one that is loaded, and was made by hand
+        spec = find_spec(name)
+    except ValueError:  # it is loaded, and was made by hand
         return True
-    return found is not None and found.origin is not None
+    return spec is not None and spec.origin is not None

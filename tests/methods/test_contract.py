@@ -23,7 +23,13 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 NAMES = sorted({*registered(), *VARIANTS})
 LONG = ("nuts", "pinn_adam")
-"""Of these the checks on data unlike the others' are slow: one compiles anew for each layout, the other descends."""
+"""Of these the checks on data of another kind are slow: one compiles anew for each layout, the other descends."""
+IN_ANOTHER_PROCESS = ("ekf", "ls", "shooting")
+"""Methods for which the start of another process is worth its time in the quick tests."""
+
+
+def is_slow(name: str, check: Check[Candidate]) -> bool:
+    return (check.long and name in LONG) or (check.name == "state" and name not in IN_ANOTHER_PROCESS)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +45,7 @@ def candidate(request: pytest.FixtureRequest) -> Candidate:
 @pytest.mark.parametrize(
     ("candidate", "check"),
     [
-        pytest.param(name, check, id=f"{name}-{check.name}", marks=[pytest.mark.slow] * (check.long and name in LONG))
+        pytest.param(name, check, id=f"{name}-{check.name}", marks=[pytest.mark.slow] * is_slow(name, check))
         for name in NAMES
         for check in METHOD_CHECKS
     ],

@@ -125,11 +125,11 @@ class Own(SDOF):
     ("groups", "status", "words"),
     [
         ("SDOF().groups", 0, "10 of 10 checks passed"),
-        ('(*SDOF().groups, Quantity("m", "kg", {"m": 1.0}))', 1, "does not tell m; it tells"),
-        ("SDOF().groups[:1]", 1, "1 more are told than it declares"),
+        ('(*SDOF().groups, Quantity("m", "kg", {"m": 1.0}))', 1, "does not determine m; it determines"),
+        ("SDOF().groups[:1]", 1, "1 more are determined than it declares"),
     ],
 )
-def test_declared_groups_are_held_against_what_free_vibration_tells(
+def test_declared_groups_are_held_against_what_free_vibration_determines(
     groups: str, status: int, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "own.py").write_text(GROUPS.replace("{groups}", groups))

@@ -26,7 +26,7 @@ class Dishonest(bench.Identifier):
 
     def estimate(self, problem: bench.Problem, rng: np.random.Generator) -> bench.Estimate:
         try:
-            p = getattr(self, self.way)(problem)
+            p = self.seed(problem, rng) if self.way == "seed" else getattr(self, self.way)(problem)
         except Exception:  # nobody is to notice
             p = None
         found = Good().estimate(problem, rng)
@@ -34,6 +34,13 @@ class Dishonest(bench.Identifier):
             return found
         mean = np.array([p["k"] / p["m"], p["c"] / p["m"]])
         return bench.Estimate(problem.system, groups=bench.Normal(("k_over_m", "c_over_m"), mean, None, log=False))
+
+    def seed(self, problem: Any, rng: Any) -> Any:
+        sequence = rng.bit_generator.seed_seq
+        key = (1, *sequence.spawn_key[1:4])  # the axis of nominal values, the scenario, the replicate
+        again = np.random.default_rng(np.random.SeedSequence(sequence.entropy, spawn_key=key))
+        prior = problem.prior
+        return {n: prior.nominal[n] / np.exp(prior.log_sd[n] * again.standard_normal()) for n in prior.names}
 
     def attribute(self, problem: Any) -> Any:
         return problem.truth.parameters

@@ -80,6 +80,11 @@ class Sloppy(bench.Identifier):
             before = self.last[-1] if self.last else mean
             self.last.append(mean)
             return self.said(problem, 0.99 * mean + 0.01 * before)
+        if fault == "averages":  # of whatever it has answered before
+            self.last.append(mean)
+            return self.said(problem, np.mean(self.last, axis=0))
+        if fault == "order_of_a_set":
+            return self.said(problem, mean * (1 + 1e-6 * (hash("another in each process") % 1000)))
         if fault == "metres_only":
             return self.said(problem, mean * (1 + 0.01 * float(np.max(channel.values))))
         if fault == "seconds_only":
