@@ -54,7 +54,7 @@ class NoEstimate(Exception):
 
 
 @dataclass(frozen=True)
-class _Rescaled:
+class Rescaled:
     """A reconstruction in other units; picklable."""
 
     original: Reconstruction
@@ -140,8 +140,8 @@ class Estimate:
             system=self.system.rescaled(units.of),
             parameters=self.parameters.expressed_in(scale) if self.parameters is not None else None,
             groups=self.groups.expressed_in(scale) if self.groups is not None else None,
-            reconstructions=tuple(_Rescaled(r, units.time, units.of(LENGTH)) for r in self.reconstructions),
-            bands=tuple(_Rescaled(b, units.time, units.of(LENGTH)) for b in self.bands),
+            reconstructions=tuple(Rescaled(r, units.time, units.of(LENGTH)) for r in self.reconstructions),
+            bands=tuple(Rescaled(b, units.time, units.of(LENGTH)) for b in self.bands),
             initial_states=tuple(s.expressed_in(units) for s in starts) if starts is not None else None,
             traces={**self.traces, **self._traces_in(units)},
         )

@@ -9,6 +9,7 @@ smooth. The truth is never made here (see :mod:`bench.scenario.truth`), nor the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -27,8 +28,8 @@ from bench.systems import System
 
 STEPS_PER_RADIAN = 20
 MAX_STEPS = 200_000
-TOGETHER = 8
-"""Motions of one mass that are simulated at once: so many fit into the cache with all that is computed of them."""
+LONG_GRID = 200
+"""Evenly spaced times from which on free motions of one mass are superposed rather than simulated at each time."""
 FIRST_STEP = 0.5
 """The first step of an integration, in radians of the fastest rate at its start."""
 
@@ -84,37 +85,53 @@ def displacements(
     system: System,
     p: Mapping[str, np.ndarray],
     starts: Sequence[InitialState],
-    times: np.ndarray,
+    grids: Sequence[np.ndarray],
     forces: Sequence[Sequence[Force]],
-) -> np.ndarray:
+) -> list[np.ndarray]:
     """Simulate many motions of one system, each as accurate as :func:`simulate` makes it alone.
 
     Args:
         system: The system of all of them.
         p: Its parameters, each of shape (n,).
         starts: Their states at time 0.
-        times: Where they are wanted (s), shape (n_times,).
+        grids: Where they are wanted (s): times that increase from one grid to the next.
         forces: The forces of each.
 
     Returns:
-        Displacements (m), shape (n, n_dof, n_times). Those that diverge are not finite.
+        Displacements (m) on each grid, shape (n, n_dof, n_times). Those that diverge are not finite.
     """
+    if system.linear and system.n_dof == 1 and not any(forces):
+        state = np.array([s.displacement for s in starts]).T, np.array([s.velocity for s in starts]).T
+        free = [_free_motions(system, p, state, times)[:, None] for times in grids]
+        if all(np.all(np.isfinite(path)) for path in free):  # one that diverges takes the others along
+            return free
+    paths = []
+    for i, (start, own) in enumerate(zip(starts, forces, strict=True)):
+        parameters = {name: values[i] for name, values in p.items()}
+        paths.append(simulate(system, parameters, start, np.concatenate(grids), own).displacement)
+    return np.split(np.stack(paths), np.cumsum([times.size for times in grids])[:-1], axis=2)
 
-    def alone(i: int) -> np.ndarray:
-        own = {name: values[i] for name, values in p.items()}
-        return simulate(system, own, starts[i], times, forces[i]).displacement
 
-    if not system.linear or system.n_dof > 1 or any(forces):
-        return np.stack([alone(i) for i in range(len(starts))])
-    path = np.empty((len(starts), 1, times.size))
-    for first in range(0, len(starts), TOGETHER):
-        block = range(len(starts))[first : first + TOGETHER]
-        own = {name: values[block.start : block.stop] for name, values in p.items()}
-        states = [[starts[i].displacement[0] for i in block]], [[starts[i].velocity[0] for i in block]]
-        response = simulate(system, own, (np.array(states[0]), np.array(states[1])), times).displacement[0]
-        for i, one in zip(block, response, strict=True):  # one that diverges takes its block along
-            path[i] = one if np.all(np.isfinite(response)) else alone(i)
-    return path
+def _free_motions(
+    system: System, p: Mapping[str, np.ndarray], start: tuple[np.ndarray, np.ndarray], times: np.ndarray
+) -> np.ndarray:
+    """Compute displacements of a free linear system of one mass, shape (n, n_times).
+
+    The motion from a state is its displacement and velocity times the motions from a unit of each. So on a long, even
+    grid the states at one time in ``stride`` and these two motions in between give all of it, with few sines.
+    """
+    even = np.linspace(times[0], times[-1], times.size)
+    if times.size < LONG_GRID or np.max(np.abs(times - even)) > 4.0 * np.finfo(float).eps * times[-1]:
+        return simulate(system, p, start, times).displacement[0]
+    stride = math.isqrt(times.size)
+    states = simulate(system, p, start, times[::stride])
+    one, none = np.ones_like(start[0]), np.zeros_like(start[0])
+    by_displacement = simulate(system, p, (one, none), times[:stride] - times[0]).displacement[0]
+    by_velocity = simulate(system, p, (none, one), times[:stride] - times[0]).displacement[0]
+    with np.errstate(all="ignore"):
+        path = states.displacement[0][..., None] * by_displacement[:, None]
+        path += states.velocity[0][..., None] * by_velocity[:, None]
+    return path.reshape(len(path), -1)[:, : times.size]
 
 
 def _spread(value: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -154,35 +154,34 @@ def _simulated_scores(
         else fitted_start(system, {name: float(value[i]) for name, value in p.items()}, record)
         for i, (estimate, record) in enumerate(zip(estimates, records, strict=True))
     ]
-    times = np.concatenate([truths[0].dense_times, truths[0].forecast_times])
-    n = truths[0].dense_times.size
-    response = displacements(records[0].rig(system), p, starts, times, [record.forces for record in records])
-    dense, forecast = (np.stack([getattr(t, f"{part}_displacement") for t in truths]) for part in ("dense", "forecast"))
-    simulated = _rms(truths[0].scored(response[..., :n] - dense))
-    return {
-        "rmse_simulated": simulated,
-        "rmse_forecast": _rms(truths[0].scored(response[..., n:] - forecast)),
-        "rmse": simulated,
+    rig, forces = records[0].rig(system), [record.forces for record in records]
+    response, later = displacements(rig, p, starts, [truths[0].dense_times, truths[0].forecast_times], forces)
+    columns = {
+        "rmse_simulated": _rms(truths, response, [truth.dense_displacement for truth in truths]),
+        "rmse_forecast": _rms(truths, later, [truth.forecast_displacement for truth in truths]),
     }
+    return columns | {"rmse": columns["rmse_simulated"]}
 
 
 def _reconstruction_scores(estimates: Sequence[Estimate], truths: Sequence[Truth], dof: Any) -> dict[str, np.ndarray]:
     """Score the method's own displacement over the record, and its band where it has one."""
-    paths = [estimate.reconstructions[0](truth.dense_times) for estimate, truth in zip(estimates, truths, strict=True)]
-    error = truths[0].scored(np.stack(paths) - np.stack([truth.dense_displacement for truth in truths]))
-    columns = {"rmse": _rms(error)}
+    dense = [truth.dense_displacement for truth in truths]
+    path = np.stack([e.reconstructions[0](truth.dense_times) for e, truth in zip(estimates, truths, strict=True)])
+    columns = {"rmse": _rms(truths, path, dense)}
     if not estimates[0].bands:
         return columns
+    off = np.abs(truths[0].scored(path - np.stack(dense)))
     bands = [estimate.bands[0](truth.dense_times) for estimate, truth in zip(estimates, truths, strict=True)]
-    sd, off = truths[0].scored(np.stack(bands)), np.abs(error)
     for level in LEVELS:
-        half = np.reshape(standard_quantile(0.5 + level / 2, dof), (-1, 1, 1)) * sd
+        half = np.reshape(standard_quantile(0.5 + level / 2, dof), (-1, 1, 1)) * truths[0].scored(np.stack(bands))
         columns[f"band_inside_{round(100 * level)}"] = np.mean(off <= half, axis=(-2, -1))
     return columns
 
 
-def _rms(error: np.ndarray) -> np.ndarray:
-    """Root mean squares of errors (n, ...), shape (n,), infinite where one is not finite."""
+def _rms(truths: Sequence[Truth], paths: np.ndarray, true: Sequence[np.ndarray]) -> np.ndarray:
+    """Compute root mean square errors of displacements (n, n_dof, n_times), (n,); infinite where one is not finite."""
+    same = all(path is true[0] for path in true)  # of replicates that have the truth in common
+    error = truths[0].scored(paths - (true[0] if same else np.stack(true)))
     with np.errstate(over="ignore", invalid="ignore"):
-        values = np.sqrt(np.mean((error**2).reshape(len(error), -1), axis=1))
+        values = np.sqrt(np.mean(np.square(error).reshape(len(error), -1), axis=1))
     return np.where(np.isfinite(values), values, np.inf)

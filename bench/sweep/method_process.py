@@ -32,7 +32,7 @@ from bench.isolation.failure import one_line, traceback_text
 from bench.isolation.limit import LONGEST_FILE, limit_files
 from bench.isolation.processes import READY_S, Child, Children, Died
 from bench.scenario.truth import Truth
-from bench.sweep.wire import pack, plain, unpack
+from bench.sweep.wire import evaluated_together, pack, plain, unpack
 
 CPU_MARGIN_S = 60.0
 LONGEST_ANSWER = 64 << 20
@@ -228,12 +228,11 @@ def _outcomes(task: Task, send: Callable[[bytes], None]) -> list[dict[str, Any]]
     took["peak_memory_mb"] = max(_peak_memory_mb() - before, 0.0)
     if not isinstance(estimates, list | tuple) or len(estimates) != n:
         raise TypeError(f"a list of {n} Estimate objects was expected")
-    found = []
-    for replicate, estimate, times in zip(task.replicates, estimates, task.times, strict=True):
+    for estimate in estimates:
         if not isinstance(estimate, Estimate):
             raise TypeError(f"an Estimate was expected, not {type(estimate).__name__}")
-        found.append({"replicate": replicate, **_answer(estimate, times), **took})
-    return found
+    answered = zip(task.replicates, evaluated_together(estimates, task.times), task.times, strict=True)
+    return [{"replicate": i, **_answer(estimate, times), **took} for i, estimate, times in answered]
 
 
 def _answer(estimate: Estimate, times: np.ndarray) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from scipy.integrate import simpson, solve_ivp
 from scipy.linalg import expm
 
 from bench import Channel, Force, InitialState, Record, acceleration, fitted_start, measurements, numpy_ops, simulate
+from bench.dynamics.simulate import displacements
 from bench.scenario.truth import closed_form, reference_response
 from bench.systems import SDOF, Chain, Duffing
 
@@ -48,6 +49,24 @@ def test_free_vibration_at_any_damping(zeta: float) -> None:
     expected = free_response(p, 0.8, -0.5, TIMES)
     np.testing.assert_allclose(closed_form(p, 0.8, -0.5, TIMES), expected, atol=2e-9)
     np.testing.assert_allclose(simulate(SDOF(), p, START, TIMES).displacement[0], expected, atol=2e-9)
+
+
+def test_many_free_motions_on_long_grids_are_those_of_the_textbook() -> None:
+    """Every kind of damping beside one another, on even grids and one that is not; a motion that grows without limit
+    is not finite and leaves the others as they are."""
+    zetas, rng = [1e-4, 0.07, 1.0, 1.5, -0.01], np.random.default_rng(0)
+    starts = [InitialState(np.array([x]), np.array([v])) for x, v in rng.normal(size=(5, 2))]
+    grids = [np.linspace(0.0, 9.0, 1000), 9.0 + np.linspace(0.0, 5.0, 301)[1:], 14.0 + np.sort(rng.uniform(0, 9, 250))]
+    every = [with_damping(zeta) for zeta in zetas]
+    p = {name: np.array([own[name] for own in every]) for name in ("m", "c", "k")}
+    for times, paths in zip(grids, displacements(SDOF(), p, starts, grids, [()] * 5), strict=True):
+        for own, start, path in zip(every, starts, paths, strict=True):
+            expected = free_response(own, float(start.displacement[0]), float(start.velocity[0]), times)
+            np.testing.assert_allclose(path[0], expected, atol=2e-9)
+    broken = {**p, "c": np.array([*p["c"][:4], -1e4])}
+    paths, _, _ = displacements(SDOF(), broken, starts, grids, [()] * 5)
+    assert not np.all(np.isfinite(paths[4]))
+    np.testing.assert_allclose(paths[:4], displacements(SDOF(), p, starts, grids, [()] * 5)[0][:4], atol=1e-12)
 
 
 @pytest.mark.parametrize("zeta", [0.07, 1.0, 1.5])

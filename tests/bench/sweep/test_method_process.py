@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 from misbehaving import misbehave
 
-from bench import Problem, Status
+from bench import Estimate, InitialState, Problem, SimulatedResponse, Status
+from bench.contract.problem import Units
 from bench.scenario.scenario import Scenario
 from bench.sweep.method_process import Task, perform
-from bench.sweep.wire import pack, rebuilt, unpack
+from bench.sweep.wire import evaluated_together, pack, rebuilt, unpack
+from bench.systems import SDOF
 
 TIMES = np.linspace(0.0, 1.0, 5)
 BAD = {
@@ -88,6 +90,22 @@ def test_what_cannot_be_pickled_or_only_talks_is_no_failure(problem: Problem, ki
         assert function(TIMES).shape == (1, 5)
         with pytest.raises(ValueError, match="asked for"):
             function(TIMES + 1.0)
+
+
+def test_simulated_responses_in_units_of_their_own_are_evaluated_together() -> None:
+    """Each is called by itself for comparison; one of another kind beside them leaves all as they are."""
+    rng, times = np.random.default_rng(0), np.linspace(0.0, 9.0, 400)
+    estimates = []
+    for _ in range(3):
+        p = dict(zip(("m", "c", "k"), rng.uniform(0.5, 2.0, 3), strict=True))
+        response = SimulatedResponse(SDOF(), p, InitialState(rng.normal(size=1), rng.normal(size=1)))
+        units = Units(*rng.uniform(0.5, 2.0, 3))
+        estimates.append(Estimate(SDOF(), reconstructions=(response,)).expressed_in(units))
+    for before, after in zip(estimates, evaluated_together(estimates, [times] * 3), strict=True):
+        assert after is not before
+        np.testing.assert_allclose(after.reconstructions[0](times), before.reconstructions[0](times), atol=1e-12)
+    others = [*estimates, Estimate(SDOF(), reconstructions=(np.atleast_2d,))]
+    assert evaluated_together(others, [times] * 4) is others
 
 
 def test_a_second_try_has_the_random_streams_of_the_first(problem: Problem) -> None:
