@@ -1,14 +1,18 @@
-"""One line that says what a cell's table shows: is the method on the bound, and do its intervals hold?"""
+"""One line that says what a cell's table shows: is the method on the bound, and do its intervals hold?
+
+Errors far below the bound are never called good: no honest method has them.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from scipy.stats import binom, chi2
 
 from bench.reporting.rounding import excess_text, readable
+from bench.scoring.summary import below_chance
 from bench.store.stored import StoredCell
 
 NEAR = 1.2
@@ -32,9 +36,33 @@ def verdict(stored: StoredCell) -> str:
     told = {name: own for name, own in _scored(stored).items() if stored.identifiable.get(name, True)}
     if not told:
         return "no verdict: nothing is identifiable from these data"
-    parts = [_accuracy({name: float(own["excess"]) for name, own in told.items()}, n), _intervals(stored, told, n)]
+    small = suspicious(stored)
+    accuracy = (
+        below([readable(name) for name in small])
+        if small
+        else _accuracy({name: float(own["excess"]) for name, own in told.items()}, n)
+    )
+    parts = [accuracy, _intervals(stored, told, n)]
     parts += [f"{silent} of {len(stored.rows)} fits have no answer"] if silent else []
     return "; ".join(part for part in parts if part)
+
+
+def suspicious(stored: StoredCell) -> list[str]:
+    """Return the quantities whose errors are smaller than the bound allows by chance."""
+    scored = _scored(stored) if stored.n_ok >= FEWEST else {}
+    return [
+        name
+        for name, own in scored.items()
+        if below_chance(float(own["excess"]), float(own.get("bound", math.nan)), stored.n_ok)
+    ]
+
+
+def below(names: Sequence[str]) -> str:
+    """Say that errors are too small to be chance: of quantities, or of methods."""
+    listed = ", ".join(names)
+    return (
+        f"below the bound by more than chance allows ({listed}): check the method for use of the truth or of the prior"
+    )
 
 
 def good(said: str) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+from scipy.special import gammaincinv, ndtri, stdtrit
 
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
@@ -16,6 +16,10 @@ from bench.scoring.row import Row, score_columns
 
 Z95 = float(ndtri(0.975))
 ALWAYS = ("rmse", "rmse_simulated", "rmse_forecast")
+CHANCE = 1e-6
+"""Probability at which a root mean square error is too small to be chance: no published cell is, of 22,000."""
+LARGEST_BOUND_PCT = 50.0
+"""A bound that is larger is no limit: it is of a linearisation, and errors of positive numbers are bounded below."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,22 @@ def metric_bounds(bound: Bound) -> dict[str, float]:
     """The bound on the root mean square of each metric that has one."""
     errors = {f"{name}_error_pct": 100.0 * sd for name, sd in bound.relative_sd.items()}
     return errors | {"rmse": bound.rmse, "rmse_simulated": bound.rmse, "rmse_forecast": bound.rmse_forecast}
+
+
+def below_chance(excess: float, bound_pct: float, n: int) -> bool:
+    """Decide whether the errors of a quantity are smaller than the bound allows by chance.
+
+    Args:
+        excess: Root mean square of the errors over the bound.
+        bound_pct: The bound (%), which includes what the prior says.
+        n: Number of errors. Squares of normal errors at the bound add up to a chi-square variable of n.
+
+    Returns:
+        Whether fewer than one of a million such sets of errors were as small: the method then knows more than the data
+        and the prior tell, as the truth.
+    """
+    least = math.sqrt(2.0 * gammaincinv(n / 2.0, CHANCE) / n) if n > 0 else 0.0
+    return excess < least and bound_pct <= LARGEST_BOUND_PCT
 
 
 def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Summary]:

@@ -20,6 +20,7 @@ from bench.reporting.labels import title
 from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.common import PRIMARY, bold, csv, markdown_table
 from bench.reporting.tables.open_split import Pooled, bounds_of, pooled
+from bench.reporting.verdict import below, suspicious
 from bench.scoring.comparison import GROSS, STEADY, Errors, compare, gross, profile, steadiness
 
 EXPERIMENTS = ("table4", "table5")
@@ -137,6 +138,8 @@ def leaderboard(frames: Sequence[Frame], open_split: Frame | None = None) -> Map
             parts[1] = LEGEND.format(n=n, steady=STEADY, gross=GROSS) + (f"\n\n{OPEN_LEGEND}" if drawn else "")
             rows += [{"initial_state": start, "metric": metric, **line} for line in own]
             parts += [f"## Error of {NAMES[metric]}, initial state {start}", _table(own, bool(drawn))]
+    small = {title(r.label) for r in results if not r.is_reference and r.stored and suspicious(r.stored)}
+    parts += [f"Errors are {below(sorted(small))}."] if small else []
     parts.append("Regenerate: `python -m bench -m experiment=table4,table5 && python -m bench.tables`")
     return {"leaderboard.md": "\n\n".join(parts) + "\n", "leaderboard.csv": csv(rows, 5)}
 

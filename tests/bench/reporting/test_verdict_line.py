@@ -5,12 +5,18 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy import stats
 
-from bench.contract.estimate import Status
+from bench import Estimate, Normal, Status
+from bench.information.fisher import compute_bound
 from bench.reporting.terminal import coloured
 from bench.reporting.verdict import good, verdict
+from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
+from bench.scoring.score import score
+from bench.scoring.summary import summarise
 from bench.store.stored import StoredCell
 
 
@@ -43,6 +49,37 @@ COVER = {"k_over_m": 0.95, "c_over_m": 0.93}
 )
 def test_it_says_what_the_numbers_say(excess: dict[str, float], cover: dict[str, float], said: str) -> None:
     assert verdict(cell(excess, cover)) == said
+
+
+@pytest.mark.parametrize("n", [10, 100])
+def test_errors_too_small_to_be_chance_are_never_called_good(n: int) -> None:
+    """Chi-square of n at a probability of a millionth: 0.197 and 0.680 of the bound (tables of the gamma function)."""
+    least = math.sqrt(stats.gamma.ppf(1e-6, n / 2, scale=2.0) / n)
+    cheat, honest = (cell({"k_over_m": factor * least, "c_over_m": 1.0}, COVER, n) for factor in (0.99, 1.01))
+    for stored in (cheat, honest):
+        for own in (stored.summary["k_over_m_error_pct"], stored.summary["c_over_m_error_pct"]):
+            own["bound"] = 3.0
+    assert verdict(cheat).startswith("below the bound by more than chance allows (k/m): check the method for use of")
+    assert not good(verdict(cheat))
+    assert verdict(honest) == "on the bound; intervals hold"
+    cheat.summary["k_over_m_error_pct"]["bound"] = 80.0  # of a linearisation that does not hold so far
+    assert verdict(cheat) == "on the bound; intervals hold"
+
+
+def test_a_method_that_has_the_truth_is_flagged_and_one_at_the_bound_is_not(reference: Scenario) -> None:
+    """Summaries of real scores: 20 fits that scatter by the bound, and 20 that were given the truth to 5e-11 %."""
+    (problem, truth), bound = reference.replicates(0, 1)[0], compute_bound(reference)
+    rng = np.random.default_rng(1)
+    for width, said in ((1.0, "on the bound"), (1e-9, "below the bound by more than chance allows (k/m, c/m")):
+        sds = np.array([width * bound.relative_sd[name] for name in ("k_over_m", "c_over_m")])
+        groups = truth.parameters["k"] / truth.parameters["m"], truth.parameters["c"] / truth.parameters["m"]
+        means = np.array(groups) * (1.0 + sds * rng.standard_normal((20, 2)))
+        rows = []
+        for i, mean in enumerate(means):
+            belief = Normal(("k_over_m", "c_over_m"), mean, np.diag((sds * groups) ** 2), log=False)
+            rows.append(Row(i, Status.OK, scores=score(Estimate(problem.system, groups=belief), problem, truth)))
+        summary = {name: dict(vars(own)) for name, own in summarise(rows, bound).items()}
+        assert verdict(StoredCell("0" * 20, {}, rows, summary, {}, bound.identifiable, 0.0)).startswith(said)
 
 
 def test_fits_without_an_answer_are_counted_and_few_give_no_verdict() -> None:
