@@ -68,7 +68,6 @@ see also:
   python -m bench.design --help        the cheapest test that tells enough
   python -m bench.expect --help        what each method would do at a test
   python -m bench.check my_method.py   does a method of your own keep the contract
-  python -m bench.tables               the tables, from what is stored
   python -m bench.identifiability system=chain2 snr=10   what data can tell"""
 
 MEASURED_TRACK = "experiment=measured"

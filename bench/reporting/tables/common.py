@@ -81,7 +81,7 @@ def _aligned(rows: Iterable[Sequence[str]], headers: Sequence[str]) -> Iterator[
 def latex_tables(captioned: Iterable[tuple[str, Rows]]) -> str:
     """Tables of Markdown's cells as LaTeX (booktabs), for an article, each under its caption."""
     tables = "".join(_latex_table(caption, *table) for caption, table in captioned)
-    return f"% needs the package booktabs\n% regenerate: python -m bench.tables\n{tables}"
+    return f"% needs the package booktabs\n% regenerate: python -m bench tables\n{tables}"
 
 
 LATEX = str.maketrans(
