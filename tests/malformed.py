@@ -98,10 +98,7 @@ FIELDS = (
     Field("certify", "twins", WHOLE, "data=good.csv"),
     Field("certify", "out", TO_WRITE, "data=good.csv twins=0 method=ls"),
     Field("certify", "method", NAMES, "data=good.csv twins=0"),
-    *(
-        Field("design", name, ("1", "1kg", "1rad", "nan m", "-1mm", "1e999mm"), DECAY)
-        for name in ("noise", "amplitude")
-    ),
+    *(Field("design", name, ("1", "1kg", "1rad", "nan m", "-1mm"), DECAY) for name in ("noise", "amplitude")),
     Field("design", "want", ("c_over_m", "c_over_m:5", "c_over_m:0%", "mass:5%", "c_over_m:nan%"), DECAY),
     Field("design", "given", FILES[1:7]),
     Field("design", "samples", ("7", "501"), FORCE),
@@ -447,7 +444,7 @@ online | system=sdof samples=1e12 dry_run=true | samples | 1e12 |
 online | system=sdof snr=1e300 dry_run=true | snr | 1e300 |
 atlas | zz=1 | argument | zz=1 |
 atlas | test=zz dry_run=true | test | zz |
-check | package=nowhere | package | nowhere | 
+check | package=nowhere | package | nowhere |
 check | package=ls timeout_s=0 | timeout_s | 0 | positive
 check | package=ls format=xml | format | xml | table or json
 check | package=ls method.window={ | method.window | { | a number
@@ -467,7 +464,7 @@ merge | plain.zip | submission | plain.zip |
 merge | good.csv verify=2 | verify | 2 | at most 1
 merge | good.csv workers=0 | workers | 0 | whole number
 merge | pipe | submission | pipe | it is no file
-new | method=../x | method | ../x | 
+new | method=../x | method | ../x |
 new | method=my_method out=file/below | out | file/below | cannot be written
 new | method=class | method | class | small letters
 new | method=a/b | method | a/b | small letters
