@@ -168,7 +168,8 @@ FIELDS = (
 
 WRITTEN = """
 # command | arguments | field | value | a part of what would be right
-bench | method | argument | 'method' | field=value
+bench | method | verb | method | verbs
+bench | certfy | verb | certfy | did you mean certify
 bench | snr=20 | method | | choose one
 bench | method=prior snr = 20 | argument | 'snr' | without spaces
 bench | method=prior --snr=20 | option | --snr=20 | no dashes

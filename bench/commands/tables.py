@@ -139,7 +139,7 @@ def reproduction(store: StoreFolder = OWN, archive: ArchiveFolder = None, out: O
     from bench.reporting.reproduction_page import files
     from bench.reporting.whole_file import check_folder
     from bench.sweep.launch import complete
-    from bench.sweep.workers import Limits
+    from bench.run.pool import Limits
 
     opened = named_store(store, archive, filled=True)
     check_folder(out)
