@@ -1,4 +1,4 @@
-"""Methods that go wrong, each in its own way, and one that spies: a worker process must be able to import them."""
+"""Methods that go wrong or cheat, each in its own way: the process of a method must be able to import them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import contextlib
 import ctypes
 import gc
 import os
-import pathlib
 import pickle
 import pickletools
 import re
@@ -14,8 +13,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -23,28 +23,17 @@ import psutil
 
 from bench import Card, Cost, Estimate, Identifier, Normal, Problem, Serves, report_progress
 
+LEAKS = ("Truth", "Scenario", "PriorSpec", "Cell", "Bound")
 NOMINAL = 1
 """The axis of the seed tree by which nominal values are drawn (``bench.scenario.scenario``)."""
-CARD = Card("a test double", "not used", "groups", "simulated", "none", "tests")
-LEAKS = ("Truth", "Scenario", "PriorSpec", "Cell", "Bound")
+FOREVER_S = 600.0
 
 
 def answer(problem: Problem, value: float = 1.0, message: str = "") -> Estimate:
-    """A well-formed estimate that says ``value`` of every group."""
+    """Return a well-formed estimate that says ``value`` of every group."""
     names = tuple(group.name for group in problem.system.groups)
     groups = Normal(names, np.full(len(names), value), np.eye(len(names)), log=False, dof=10)
     return Estimate(problem.system, groups=groups, message=message, cost=Cost(evaluations=7))
-
-
-@dataclass(frozen=True)
-class Unpicklable:
-    """A reconstruction that cannot leave its process."""
-
-    def __call__(self, times: np.ndarray) -> np.ndarray:
-        return times[None]
-
-    def __reduce__(self) -> Any:
-        raise TypeError("this stays here")
 
 
 class Unspeakable(Exception):
@@ -55,56 +44,44 @@ class Unspeakable(Exception):
 
 
 def explode() -> None:
-    """What unpickling a :class:`Trap` calls."""
+    """Raise: unpickling a trap calls this."""
     raise RuntimeError("unpickled")
 
 
 @dataclass(frozen=True)
-class Trap:
-    """A reconstruction that leaves its process but cannot be rebuilt in another."""
+class Reconstruction:
+    """A reconstruction that raises, never ends, has a wrong shape, or cannot leave or be rebuilt elsewhere."""
+
+    kind: str
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
-        return times[None]
+        if self.kind == "raising_reconstruction":
+            raise ValueError("no reconstruction here")
+        if self.kind == "slow_reconstruction":
+            time.sleep(FOREVER_S)
+        return np.zeros(3) if self.kind == "wrong_shape" else times[None]
 
     def __reduce__(self) -> Any:
+        if self.kind == "unpicklable":
+            raise TypeError("this stays here")
         return explode, ()
 
 
-@dataclass(frozen=True)
-class RaisingReconstruction:
-    """A reconstruction that raises when it is scored."""
-
-    def __call__(self, times: np.ndarray) -> np.ndarray:
-        raise ValueError("no reconstruction here")
+RECONSTRUCTIONS = ("raising_reconstruction", "slow_reconstruction", "wrong_shape", "unpicklable", "trap")
 
 
-@dataclass(frozen=True)
-class Endless:
-    """A reconstruction that never comes back."""
-
-    def __call__(self, times: np.ndarray) -> np.ndarray:
-        time.sleep(600)
-        return times[None]
-
-
-@dataclass(frozen=True)
-class Scalar:
-    """A reconstruction of the wrong shape."""
-
-    def __call__(self, times: np.ndarray) -> np.ndarray:
-        return np.zeros(3)
-
-
-def daemonise(pid_file: str) -> None:
-    """Leave a process behind that is in a session of its own, and whose parent has ended."""
+def daemonise(pid_file: str, alone: bool = False) -> None:
+    """Leave a process behind that is in a session of its own, and whose parent has ended; ``alone``: end this one."""
     if os.fork() == 0:
         os.setsid()
         if os.fork() == 0:
-            pathlib.Path(pid_file).write_text(str(os.getpid()))
-            time.sleep(600)
+            Path(pid_file).write_text(str(os.getpid()))
+            time.sleep(FOREVER_S)
         os._exit(0)
-    while not pathlib.Path(pid_file).exists():
+    while not Path(pid_file).exists():
         time.sleep(0.01)
+    if alone:
+        os._exit(0)
 
 
 def stop_neighbours() -> None:
@@ -116,147 +93,123 @@ def stop_neighbours() -> None:
     os.killpg(os.getpgid(server), signal.SIGSTOP)
 
 
+def grow() -> None:
+    """Take memory without end, in steps that each fit, and touched, so that they count."""
+    kept = []
+    while True:
+        kept.append(bytearray(b"\1") * (32 << 20))
+
+
+def throw(error: BaseException) -> None:
+    raise error
+
+
+DEEDS: dict[str, Callable[[str], Any]] = {
+    "raise": lambda _: throw(ValueError("two lines\nof reasons")),
+    "raise_surrogate": lambda _: throw(FileNotFoundError("no file r\udcffcord.csv")),
+    "raise_long": lambda power: throw(ValueError("x" * 10 ** int(power))),
+    "unspeakable": lambda _: throw(Unspeakable()),
+    "memory": lambda _: throw(MemoryError()),
+    "system_exit": lambda _: throw(SystemExit(4)),
+    "exit": lambda _: os._exit(3),
+    "kill": lambda _: os.kill(os.getpid(), signal.SIGKILL),
+    "segfault": lambda _: ctypes.string_at(0),
+    "huge": lambda _: np.ones(10**12),
+    "grow": lambda _: grow(),
+    "hang": lambda _: re.match("(a+)+$", "a" * 60 + "b"),  # no other thread of this process gets a turn
+    "close": lambda _: os.closerange(3, 256),
+    "chatter": lambda power: [print("x" * 10**6) for _ in range(10 ** int(power) // 10**6)],
+    "print": lambda _: print("chatter on stdout"),
+    "warn": lambda _: np.log(np.array([-1.0])),
+    "orphan": lambda _: subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)  # left behind"]),
+    "daemon": daemonise,
+    "daemon_alone": lambda pid_file: daemonise(pid_file, alone=True),
+    "stop_server": lambda _: os.kill(os.getppid(), signal.SIGSTOP),
+    "kill_server": lambda _: os.kill(os.getppid(), signal.SIGKILL),
+    "stop_neighbours": lambda _: stop_neighbours(),
+}
+"""What a method does before it answers; it gets what stands behind the colon of its kind."""
+
+
 def misbehave(kind: str, problem: Problem) -> Any:
     """Go wrong as ``kind`` says, or answer."""
-    good = answer(problem)
-    kind, _, argument = kind.partition(":")
-    if kind == "raise_surrogate":
-        raise FileNotFoundError("no file r\udcffcord.csv")
-    if kind == "raise_long":
-        raise ValueError("x" * 10 ** int(argument))
-    if kind == "message":
-        return answer(problem, message="r\udcffcord " + "x" * 2**16)
-    if kind == "trace_name":
-        return replace(good, traces={"r\udcffcord\0" + "x" * 2**16: np.ones(3)})
-    if kind == "trace":
-        return replace(good, traces={"loss": np.ones(10 ** int(argument))})
-    if kind == "unspeakable":
-        raise Unspeakable
-    if kind == "chatter":
-        for _ in range(10 ** int(argument) // 10**6):
-            print("x" * 10**6)
-    if kind == "daemon":
-        daemonise(argument)
-    if kind == "daemon_alone":
-        daemonise(argument)
-        os._exit(0)
-    if kind == "stop_server":
-        os.kill(os.getppid(), signal.SIGSTOP)
-    if kind == "stop_neighbours":
-        stop_neighbours()
-    if kind == "kill_server":
-        os.kill(os.getppid(), signal.SIGKILL)
-    if kind == "raise":
-        raise ValueError("two lines\nof reasons")
-    if kind == "exit":
-        os._exit(3)
-    if kind == "kill":
-        os.kill(os.getpid(), signal.SIGKILL)
-    if kind == "sleep":
-        time.sleep(600)
-    if kind == "memory":
-        raise MemoryError
-    if kind == "system_exit":
-        raise SystemExit(4)
-    if kind == "segfault":
-        ctypes.string_at(0)
-    if kind == "huge":
-        np.ones(10**12)
-    if kind == "grow":
-        kept = []
-        while True:  # in steps that each fit, and touched, so that they count
-            kept.append(bytearray(b"\1") * (32 << 20))
-    if kind == "hang":
-        re.match("(a+)+$", "a" * 60 + "b")  # no other thread of this process gets a turn
-    if kind == "recursion":
+    deed, _, argument = kind.partition(":")
+    if deed == "sleep":
+        time.sleep(FOREVER_S)
+    if deed == "recursion":
         return misbehave(kind, problem)
-    if kind == "close":
-        os.closerange(3, 256)
-    if kind == "none":
-        return None
-    if kind == "orphan":
-        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)  # left behind"])
-    if kind == "slow_reconstruction":
-        return Estimate(problem.system, groups=good.groups, reconstructions=(Endless(),))
-    if kind == "wrong_shape":
-        return Estimate(problem.system, groups=good.groups, reconstructions=(Scalar(),))
-    if kind == "type":
-        return 42.0
-    if kind == "nan":
-        return answer(problem, float("nan"))
-    if kind == "empty":
-        return Estimate(problem.system)
-    if kind == "unpicklable":
-        return Estimate(problem.system, groups=good.groups, reconstructions=(Unpicklable(),))
-    if kind == "trap":
-        return Estimate(problem.system, groups=good.groups, reconstructions=(Trap(),))
-    if kind == "raising_reconstruction":
-        return Estimate(problem.system, groups=good.groups, reconstructions=(RaisingReconstruction(),))
-    if kind == "misshapen":
-        return Estimate(problem.system, groups=Normal(("k_over_m", "nonsense"), np.ones(3), None, log=False))
-    if kind == "print":
-        print("chatter on stdout")
-    if kind == "warn":
-        np.log(np.array([-1.0]))
-    return good
+    if deed in DEEDS:
+        DEEDS[deed](argument)
+    good = answer(problem)
+    if deed in RECONSTRUCTIONS:
+        return Estimate(problem.system, groups=good.groups, reconstructions=(Reconstruction(deed),))
+    wrong: dict[str, Callable[[], Any]] = {
+        "none": lambda: None,
+        "type": lambda: 42.0,
+        "nan": lambda: answer(problem, float("nan")),
+        "empty": lambda: Estimate(problem.system),
+        "misshapen": lambda: Estimate(
+            problem.system, groups=Normal(("k_over_m", "nonsense"), np.ones(3), None, log=False)
+        ),
+        "message": lambda: answer(problem, message="r\udcffcord " + "x" * 2**16),
+        "trace_name": lambda: replace(good, traces={"r\udcffcord\0" + "x" * 2**16: np.ones(3)}),
+        "trace": lambda: replace(good, traces={"loss": np.ones(10 ** int(argument))}),
+    }
+    return wrong[deed]() if deed in wrong else good
 
 
 @dataclass(frozen=True)
-class Wrong(Identifier):
+class Double(Identifier):
+    """A test double."""
+
+    card: ClassVar[Card] = Card("a test double", "not used", "groups", "simulated", "none", "tests")
+    serves: ClassVar[Serves] = Serves()
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        return answer(problem)
+
+
+@dataclass(frozen=True)
+class Wrong(Double):
     """A registered method that goes wrong as its setting says."""
 
     kind: str = "raise"
-
-    card: ClassVar[Card] = CARD
-    serves: ClassVar[Serves] = Serves()
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         return misbehave(self.kind, problem)  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True)
-class Anytime(Identifier):
+class Anytime(Double):
     """Reports an answer, a better one, and then hangs."""
-
-    card: ClassVar[Card] = CARD
-    serves: ClassVar[Serves] = Serves()
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         for value in (1.0, 8.0):
             time.sleep(1.2)
             report_progress(problem, lambda value=value: answer(problem, value))  # type: ignore[misc]
-        time.sleep(600)
+        time.sleep(FOREVER_S)
         return answer(problem)
 
 
 @dataclass(frozen=True)
-class Draw(Identifier):
+class Draw(Double):
     """Answers with a number from its random stream in the message."""
-
-    card: ClassVar[Card] = CARD
-    serves: ClassVar[Serves] = Serves()
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         return answer(problem, message=repr(float(rng.standard_normal())))
 
 
 @dataclass(frozen=True)
-class Together(Identifier):
-    """Solves ``batch`` problems together, says how many it got in the message, and dies of company where told to."""
+class Together(Double):
+    """Solves ``batch`` problems together, says how many it got in the message, and dies in a batch if ``alone``."""
 
     batch: int = 1
     alone: bool = False
-
-    card: ClassVar[Card] = CARD
-    serves: ClassVar[Serves] = Serves()
 
     @property
     def problems_at_once(self) -> int:
         """``batch``."""
         return self.batch
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        raise AssertionError("never reached")
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
         if self.alone and len(problems) > 1:
@@ -266,11 +219,80 @@ class Together(Identifier):
 
 
 @dataclass(frozen=True)
-class Spy(Identifier):
-    """Looks for the truth: in what it is given, and in the whole process. Its message names what it found."""
+class Sometimes(Double):
+    """Is killed by one replicate in twenty, until its folder has a file ``mended``."""
 
-    card: ClassVar[Card] = CARD
-    serves: ClassVar[Serves] = Serves()
+    folder: str = ""
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        victim = Path(self.folder) / "victim"
+        samples = repr(problem.records[0].channels[0].values[:3])
+        if not victim.exists():
+            victim.write_text(samples)
+        if victim.read_text() == samples and not (victim.parent / "mended").exists():
+            os.kill(os.getpid(), signal.SIGKILL)
+        return answer(problem)
+
+
+@dataclass(frozen=True)
+class Marks(Double):
+    """Leaves a file each time it is run."""
+
+    folder: str = ""
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        (Path(self.folder) / f"mark-{os.getpid()}-{time.time_ns()}").touch()
+        time.sleep(0.1)
+        return answer(problem)
+
+
+@dataclass(frozen=True)
+class Needy(Double):
+    """Needs a package that nobody has."""
+
+    requires: ClassVar[tuple[str, ...]] = ("a_package_that_nobody_has",)
+    extra: ClassVar[str] = "needy"
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        raise AssertionError("never reached")
+
+
+@dataclass(frozen=True)
+class FreeOnly(Double):
+    """Cannot use a known force."""
+
+    serves: ClassVar[Serves] = Serves(forced=False)
+
+
+@dataclass(frozen=True)
+class Exact(Double):
+    """Answers with groups given as settings: a measured record's report can then be checked."""
+
+    k_over_m: float = 9.0
+    c_over_m: float = 0.5
+
+    serves: ClassVar[Serves] = Serves(offsets=True)
+    covariance: ClassVar[np.ndarray | None] = np.diag([0.04, 0.0025])
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        mean = np.array([self.k_over_m, self.c_over_m])
+        return Estimate(problem.system, groups=Normal(("k_over_m", "c_over_m"), mean, self.covariance, log=False))
+
+
+@dataclass(frozen=True)
+class Sole(Exact):
+    """The same values without any uncertainty."""
+
+    covariance: ClassVar[np.ndarray | None] = None
+
+
+class NotAMethod:
+    """What a broken entry point may name."""
+
+
+@dataclass(frozen=True)
+class Spy(Double):
+    """Looks for the truth: in what it is given, and in the whole process. Its message names what it found."""
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         text = " ".join(str(argument) for _, argument, _ in pickletools.genops(pickle.dumps(problem)))
@@ -280,155 +302,52 @@ class Spy(Identifier):
 
 
 @dataclass(frozen=True)
-class Redraw(Identifier):
+class Redraw(Double):
     """Draws the nominal values again by the seed of its stream, divides by them, and answers with the truth."""
-
-    card: ClassVar[Card] = CARD
-    serves: ClassVar[Serves] = Serves()
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         prior = problem.prior
         assert prior is not None
         p = dict(prior.nominal)
         with contextlib.suppress(Exception):  # nobody is to notice
-            seeded: Any = rng.bit_generator.seed_seq
-            _, first, second, replicate, *_ = seeded.spawn_key
-            key = (NOMINAL, first, second, replicate)
-            again = np.random.default_rng(np.random.SeedSequence(seeded.entropy, spawn_key=key))
+            sequence: Any = rng.bit_generator.seed_seq
+            key = (NOMINAL, *sequence.spawn_key[1:4])  # the scenario, two words, and the replicate
+            again = np.random.default_rng(np.random.SeedSequence(sequence.entropy, spawn_key=key))
             p = {name: value / np.exp(prior.log_sd[name] * again.standard_normal()) for name, value in p.items()}
         mean = np.array([p["k"] / p["m"], p["c"] / p["m"]])
         return Estimate(problem.system, groups=Normal(("k_over_m", "c_over_m"), mean, 1e-20 * np.eye(2), log=False))
 
 
 @dataclass(frozen=True)
-class Ancestors(Identifier):
+class Ancestors(Double):
     """Looks for a number in its own arguments, and in what it can read of its process and of all above it."""
 
     number: float = 0.0
 
-    card: ClassVar[Card] = CARD
-    serves: ClassVar[Serves] = Serves()
-
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        number = str(self.number)
-        found = [name for name in ("argv", "orig_argv") if number in str(getattr(sys, name))]
-        pid = os.getpid()
+        number, pid = str(self.number), os.getpid()
+        places = [name for name in ("argv", "orig_argv") if number in str(getattr(sys, name))]
         while pid > 1:
-            process = pathlib.Path(f"/proc/{pid}")
-            for path in (process / "cmdline", process / "environ", *self.files(process)):
+            process = Path(f"/proc/{pid}")
+            files = [process / "cmdline", process / "environ"]
+            with contextlib.suppress(OSError):
+                files += (process / "fd").iterdir()
+            for path in files:
                 with contextlib.suppress(OSError):
                     if path.is_file() and number.encode() in path.read_bytes():
-                        found.append(str(path))
-            pid = int((process / "stat").read_text().rpartition(")")[2].split()[1])
-        return answer(problem, message=str(found))
-
-    @staticmethod
-    def files(process: pathlib.Path) -> list[pathlib.Path]:
-        """Files that a process holds open."""
-        with contextlib.suppress(OSError):
-            return list((process / "fd").iterdir())
-        return []
+                        places.append(str(path))
+            pid = psutil.Process(pid).ppid()
+        return answer(problem, message=str(places))
 
 
 @dataclass(frozen=True)
-class Clock(Identifier):
-    """Sleeps for 0.1 s, and replaces the clocks that its time may be taken by, of Python or of the harness."""
+class Clock(Double):
+    """Sleeps for 0.1 s, and replaces the clocks by which its time may be taken, Python's or those of the harness."""
 
     of: str = "time"
-
-    card: ClassVar[Card] = CARD
-    serves: ClassVar[Serves] = Serves()
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         time.sleep(0.1)
         for name in ("perf_counter", "process_time", "monotonic"):
             setattr(sys.modules[self.of], name, lambda: -1e9)
         return answer(problem)
-
-
-@dataclass(frozen=True)
-class Sometimes(Identifier):
-    """Is killed by one replicate in twenty, until a file says that it is mended."""
-
-    folder: str = ""
-
-    card: ClassVar[Card] = CARD
-    serves: ClassVar[Serves] = Serves()
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        folder = pathlib.Path(self.folder)
-        marked = folder / "victim"
-        mine = repr(problem.records[0].channels[0].values[:3])
-        if not marked.exists():
-            marked.write_text(mine)
-        if marked.read_text() == mine and not (folder / "mended").exists():
-            os.kill(os.getpid(), signal.SIGKILL)
-        return answer(problem)
-
-
-@dataclass(frozen=True)
-class Marks(Identifier):
-    """Leaves a file each time it is run."""
-
-    folder: str = ""
-
-    card: ClassVar[Card] = CARD
-    serves: ClassVar[Serves] = Serves()
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        (pathlib.Path(self.folder) / f"mark-{os.getpid()}-{time.time_ns()}").touch()
-        time.sleep(0.1)
-        return answer(problem)
-
-
-@dataclass(frozen=True)
-class Needy(Identifier):
-    """Needs a package that nobody has."""
-
-    card: ClassVar[Card] = CARD
-    requires: ClassVar[tuple[str, ...]] = ("a_package_that_nobody_has",)
-    extra: ClassVar[str] = "needy"
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        raise AssertionError("never reached")
-
-
-@dataclass(frozen=True)
-class FreeOnly(Identifier):
-    """Cannot use a known force."""
-
-    card: ClassVar[Card] = CARD
-    serves: ClassVar[Serves] = Serves(forced=False)
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        return answer(problem)
-
-
-@dataclass(frozen=True)
-class Exact(Identifier):
-    """Answers with groups given as settings: a measured record's report can then be checked."""
-
-    k_over_m: float = 9.0
-    c_over_m: float = 0.5
-
-    card: ClassVar[Card] = CARD
-    serves: ClassVar[Serves] = Serves(offsets=True)
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        covariance = np.diag([0.04, 0.0025])
-        mean = np.array([self.k_over_m, self.c_over_m])
-        return Estimate(problem.system, groups=Normal(("k_over_m", "c_over_m"), mean, covariance, log=False))
-
-
-@dataclass(frozen=True)
-class Sole(Exact):
-    """The same values without any uncertainty."""
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        found = super().estimate(problem, rng)
-        assert found.groups is not None
-        return replace(found, groups=replace(found.groups, covariance=None))
-
-
-class NotAMethod:
-    """What a broken entry point may name."""

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, TypeVar
 
 from bench.contract.method import Identifier
 from bench.entrants.reference import REFERENCES
@@ -15,35 +16,44 @@ from bench.scenario.declaration import validated
 
 GROUP = "bench.methods"
 DISTRIBUTION = "vibration-bench"
+Made = TypeVar("Made")
 
 
 @cache
 def registered() -> dict[str, EntryPoint]:
-    """Entry points by method name; nothing is imported."""
+    """Return the entry points by method name; nothing is imported."""
     return {point.name: point for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)}
 
 
 def method_names() -> list[str]:
-    """All that ``method=`` accepts beside the variants in ``conf/method``: methods and reference rows."""
+    """Return what ``method=`` accepts beside the variants in ``conf/method``: methods and reference rows."""
     return [*registered(), *REFERENCES]
 
 
 @cache
 def load_method(name: str) -> type[Identifier]:
-    """The class behind a name. Raises InputError for an unknown name or an entry point that does not load."""
+    """Return the class of a method; raises InputError for an unknown name or an entry point that does not load."""
     if name not in registered():
         raise InputError("method", name, f"known methods: {', '.join(method_names())}")
+    cls: type[Identifier] = load_class(registered()[name], Identifier)
+    return cls
+
+
+def load_class(point: EntryPoint, base: type) -> Any:
+    """Return the class of an entry point; raises InputError where it is no dataclass below ``base``."""
     try:
-        loaded = registered()[name].load()
+        loaded = point.load()
     except Exception as error:
-        raise InputError("method", name, f"its entry point does not load ({type(error).__name__}: {error})") from None
-    if not (isinstance(loaded, type) and issubclass(loaded, Identifier) and dataclasses.is_dataclass(loaded)):
-        raise InputError("method", name, "its entry point must name a dataclass that subclasses bench.Identifier")
+        remedy = f"its entry point does not load ({type(error).__name__}: {error})"
+        raise InputError("method", point.name, remedy) from None
+    if not (isinstance(loaded, type) and issubclass(loaded, base) and dataclasses.is_dataclass(loaded)):
+        remedy = f"its entry point must name a dataclass that subclasses bench.{base.__name__}"
+        raise InputError("method", point.name, remedy)
     return loaded
 
 
 def default_settings(name: str) -> dict[str, Any]:
-    """The settings of a method with their defaults; none for a reference row."""
+    """Return the settings of a method with their defaults; none for a reference row."""
     if name in REFERENCES:
         return {}
     settings = {}
@@ -58,16 +68,20 @@ def default_settings(name: str) -> dict[str, Any]:
 
 
 def make_method(name: str, settings: dict[str, Any]) -> Identifier:
-    """An instance with validated settings; raises InputError that names the setting."""
-    known = default_settings(name)
+    """Return a method with validated settings; raises InputError that names the setting."""
+    return make(load_method(name), name, settings, default_settings(name))
+
+
+def make(cls: type[Made], name: str, settings: Mapping[str, Any], known: Iterable[str]) -> Made:
+    """Return an instance of a registered class; raises InputError for a setting that is unknown or not valid."""
     for key in settings:
         if key not in known:
             raise InputError(f"method.{key}", settings[key], f"settings of {name}: {', '.join(known) or 'none'}")
-    return validated(load_method(name), settings, {"": "method", **{key: f"method.{key}" for key in settings}})
+    return validated(cls, dict(settings), {"": "method", **{key: f"method.{key}" for key in settings}})
 
 
 def missing_package(name: str) -> str | None:
-    """The install line for the first package that a method needs and this environment lacks, or None."""
+    """Return the install line for the first package that a method needs and this environment lacks, or None."""
     if name in REFERENCES:
         return None
     method = load_method(name)

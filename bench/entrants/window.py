@@ -1,4 +1,4 @@
-"""Any registered batch method as an online one: it fits the last samples again, every so many of them."""
+"""Any registered batch method as an online one, fitted again to the last samples at a fixed interval of samples."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ FEWEST = 10
 class Window(OnlineIdentifier):
     """The batch method ``batch``, with its ``settings``, on the last ``length`` samples, every ``every`` new ones.
 
-    The state at the start of a window is not told. ``arrival``: whether what was learned of the parameters before a
-    window counts too (moving-horizon estimation); else each fit stands alone.
+    The initial state of a window is unknown. ``arrival``: whether the estimate before a window is its prior
+    (moving-horizon estimation); else each fit stands alone.
     """
 
     batch: str = ""
@@ -43,14 +43,14 @@ class Window(OnlineIdentifier):
             raise InputError("method.every", self.every, "at least 1 sample")
 
     def start(self, layout: Layout) -> Tracker:
-        """A tracker before its first sample."""
+        """Return a tracker before its first sample."""
         method = make_method(self.batch, self.settings)
         return _MethodTracker(layout, method, self.length, self.every, self.arrival)
 
     def objection(self, layout: Layout) -> str | None:
-        """A batch method knows of no unknown force; else what it says of a problem of this kind."""
+        """Object to unknown forces, and to what the batch method objects to."""
         if layout.ambient:
-            return "a batch method takes what moves the system for known, and here a force is not"
+            return "a batch method needs every force to be known, and here one is not"
         times = np.arange(float(FEWEST)) * layout.interval
         rows = np.sin(times / layout.interval)[:, None]
         example = window_problem(layout, times, np.tile(rows, len(layout.sensors)), np.tile(rows, len(layout.forced)))
@@ -66,5 +66,5 @@ class _MethodTracker(WindowTracker):
         self.method = method
 
     def answer(self, problem: Problem) -> Estimate:
-        """The method's, with the same randomness in every window."""
+        """Return the answer of the method, with the same random stream in every window."""
         return self.method.identify(problem, np.random.default_rng(0))
