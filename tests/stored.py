@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,10 +19,12 @@ from bench.reporting.frame import table_experiments
 from bench.scoring.path import MOMENTS
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
+from bench.store.cell_file import FORMAT
 from bench.store.seal import sealed
 from bench.store.store import Store
-from bench.store.stored import FORMAT, StoredCell
+from bench.store.stored import StoredCell
 
+VERSION = {"method": 1, "system": 1, "scoring": 1}
 TRUTH = {"m": 1.0, "c": 0.4, "k": 8.0}
 NOISE = 0.05
 SD_K, SD_C, CORRELATION = 0.005, 0.035, 0.2
@@ -39,6 +42,10 @@ BOUND = Bound(
     0.01,
     (),
 )
+
+
+BODY = ("summary", "rows")
+"""What the second line of a cell's file holds."""
 
 
 def displacement(times: np.ndarray, k: float = 8.0, c: float = 0.4) -> np.ndarray:
@@ -100,10 +107,17 @@ def recorded(rows: Sequence[Row], reconstructs: bool, trained: bool) -> dict[str
     return arrays
 
 
+def content(path: Path) -> dict[str, Any]:
+    """Return what a cell's file holds, both of its lines in one."""
+    head, body = path.read_text(encoding="utf-8").splitlines()
+    return {**json.loads(head), **json.loads(body)}
+
+
 def resealed(content: Mapping[str, Any]) -> bytes:
     """The file of a cell with this content, which a test has taken from another and changed."""
-    text = json.dumps({key: value for key, value in content.items() if key not in ("format", "sha256")})
-    return sealed(FORMAT, text)
+    body = json.dumps({key: content[key] for key in BODY if key in content}).encode()
+    head = {key: value for key, value in content.items() if key not in ("format", "sha256", *BODY)}
+    return sealed(FORMAT, json.dumps({**head, "body": hashlib.sha256(body).hexdigest()})) + b"\n" + body
 
 
 def save(
@@ -116,7 +130,7 @@ def save(
     """Store a cell under the hash of what it says of itself."""
     identity = hashlib.sha256(json.dumps(dict(cell), sort_keys=True).encode()).hexdigest()[:20]
     summary = {name: vars(line) for name, line in summarise(rows, bound).items()}
-    return store.save(StoredCell(identity, dict(cell), tuple(rows), summary, {}, {}, 1.0), arrays)
+    return store.save(StoredCell(identity, dict(cell), tuple(rows), summary, {}, {}, 1.0, {}, dict(VERSION)), arrays)
 
 
 def fill(

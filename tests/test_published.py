@@ -29,7 +29,8 @@ from bench.scenario.scenario import METHOD, Scenario
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.row import Row
 from bench.scoring.score import score
-from bench.store.archive.archive import Archive
+from bench.store.archive import Archive
+from bench.store.version import cell_version
 
 REPOSITORY = Path(__file__).parents[1]
 RUN = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(time.time_ns()))
@@ -74,11 +75,11 @@ class PublishedCell:
 def published_cells() -> Iterator[PublishedCell]:
     """Yield all cells of the archive; everything that depends on its format stands in this function."""
     archive = Archive(REPOSITORY / "results" / "archive")
-    stale = set((REPOSITORY / "tests" / "published_stale.txt").read_text().split())
     for identity in archive.identities():
         cell = archive.load(identity)
         assert cell is not None
-        yield PublishedCell(identity, cell.cell, cell.rows, identity[:8] not in stale)
+        today = cell_version(cell.cell["method"], cell.cell["data"]["system"])
+        yield PublishedCell(identity, cell.cell, cell.rows, today.is_that_of(cell.version))
 
 
 @cache

@@ -12,7 +12,7 @@ import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,21 +23,16 @@ from bench.atlas.statistics import Least, Statistics, columns, one_fit, pooled
 from bench.contract.estimate import Estimate, Status
 from bench.contract.method import Identifier
 from bench.contract.problem import Problem
-from bench.entrants.registry import load_method, make_method
+from bench.entrants.registry import make_method
 from bench.information.fisher import compute_bound
 from bench.isolation.failure import one_line
 from bench.isolation.limit import limited
 from bench.run.progress import Kind
 from bench.run.results import read_result, write_result
 from bench.scenario.scenario import METHOD
-from bench.store.source import digest_of
+from bench.store.version import cell_version
 
 LIMIT_S = 60.0
-HARNESS = (
-    ("bench.atlas.statistics", "pooled"),
-    ("bench.atlas.statistics", "one_fit"),
-    ("bench.information.fisher", "compute_bound"),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +48,11 @@ class Block:
 
     @cached_property
     def key(self) -> str:
-        """Return a digest of points, method with settings and source, seed and replicates."""
+        """Return a digest of points, method with settings, versions, seed and replicates."""
         stated = [point.numbers() for point in self.points]
         parts = [stated, self.method, self.settings, self.replicates, self.seed, columns(self.quantities), LIMIT_S]
-        text = json.dumps([_source(self.method, type(self.points[0])), *parts], sort_keys=True)
+        version = cell_version(self.method, self.points[0].scenario().system).as_json()
+        text = json.dumps([version, *parts], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 
     @property
@@ -87,12 +83,6 @@ class Block:
         """Compute and store the statistics; raises InputError where the folder cannot be written."""
         identifier = make_method(self.method, self.settings)
         write_block(folder, self, [at_point(self, identifier, point) for point in self.points])
-
-
-@cache
-def _source(method: str, kind: type[Point]) -> str:
-    """Return a digest of the definitions that a method, a kind of test and the harness use."""
-    return digest_of([*HARNESS, *((cls.__module__, cls.__name__) for cls in (kind, load_method(method)))])
 
 
 def read_block(folder: Path, block: Block) -> list[Statistics] | None:

@@ -26,23 +26,26 @@ import numpy as np
 
 from bench.commands.fields import file_of, number, path_of, read_fields, whole
 from bench.commands.guard import command
-from bench.commands.recheck import SAME, Check, difference, miss_probability, summarised, widest_limits
-from bench.config.schema import MOST_WORKERS
+from bench.config.schema import MOST_MEMORY_MB, MOST_TIMEOUT_S, MOST_WORKERS
 from bench.contract.estimate import Status
 from bench.entrants.registry import registered
 from bench.errors import InputError
+from bench.exchange.comparison import SAME, difference, miss_probability
+from bench.information.fisher import Bound
 from bench.isolation.cores import usable_cores
 from bench.reporting.terminal import wrapped
 from bench.run.pool import Limits
 from bench.run.progress import progress_bar
 from bench.scoring.path import of_clock
 from bench.scoring.row import Row
+from bench.scoring.summary import summarise
 from bench.store.bounds import load_bounds
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.store.submitted import marked
+from bench.sweep.launch import preloaded
 from bench.sweep.plan import Planned, State
 from bench.sweep.runner import compute_bounds, run_replicates
 
@@ -143,8 +146,8 @@ def _merge_submission(path: Path, into: Store, share: float, seed: int, workers:
         }  # fmt: skip
         bounds = load_bounds([cell for _, cell in pairs], into.bounds)
         cells = []
-        for (stored, cell), bound in zip(pairs, bounds, strict=True):
-            own = replace(summarised(stored, cell, bound), version=stored.version)
+        for (stored, _), bound in zip(pairs, bounds, strict=True):
+            own = summarised(stored, bound)
             cells.append(marked(own, {**facts, "replicates": list(found.compared.get(stored.identity, ()))}))
         _say(merge(cells, theirs, into), into)
     return 0
@@ -176,11 +179,9 @@ def _understood(stored: StoredCell, manifest: Mapping[str, Any], path: Path) -> 
     if manifest.get("class", here) != here:
         remedy = f"computed by {manifest['class']}, and {cell.method} is {here} here; install what computed it"
         raise InputError("submission", path, remedy)
-    then, now = stored.version.get("modules", {}), cell.version.modules
-    changed = [name for name in sorted({*then, *now}) if then.get(name) != now.get(name)]
-    if changed:
-        remedy = "install the method and the benchmark that computed it"
-        raise InputError("submission", path, f"computed by other code ({', '.join(changed[:3])}); {remedy}")
+    if not cell.version.is_that_of(stored.version):
+        remedy = f"{cell.version.changed_since(stored.version)}; install the method and the benchmark that computed it"
+        raise InputError("submission", path, remedy)
     if [row.replicate for row in stored.rows] != list(range(cell.replicates)):
         raise InputError("submission", path, f"cell {stored.identity[:8]} lacks some of its {cell.replicates} rows")
     return cell
@@ -202,16 +203,18 @@ def verify(
 ) -> Verification:
     """Compute some of the rows again, and compare every score that does not hang on the machine's speed."""
     chosen = draw(pairs, share, seed)
-    checks = {stored.identity: Check(_timeless(stored), cell, chosen[stored.identity])
-              for stored, cell in pairs if stored.identity in chosen}  # fmt: skip
+    rows = {stored.identity: list(map(_timeless_row, stored.rows)) for stored, _ in pairs}
     differences: dict[str, float] = {}
 
-    def on_rows(cell: Cell, rows: Sequence[Row]) -> None:
-        differences[cell.identity] = difference(checks[cell.identity], [_timeless_row(row) for row in rows])
+    def on_rows(cell: Cell, again: Sequence[Row]) -> None:
+        own = rows[cell.identity]
+        before = [own[replicate] for replicate in chosen[cell.identity]]
+        differences[cell.identity] = difference(before, list(map(_timeless_row, again)), own)
 
     planned = [
-        (Planned(check.cell, State.STALE, "", True, theirs.stamp(identity)), check.replicates)
-        for identity, check in checks.items()
+        (Planned(cell, State.STALE, "", True, theirs.stamp(cell.identity)), chosen[cell.identity])
+        for _, cell in pairs
+        if cell.identity in chosen
     ]
     with progress_bar() as on_look:
         run_replicates(planned, theirs, limits, on_rows, on_look)
@@ -219,12 +222,24 @@ def verify(
         compared=chosen,
         of=sum(len(stored.rows) for stored, _ in pairs),
         largest=max(differences.values(), default=0.0),
-        different=tuple(_named(checks[name].stored) for name, gap in differences.items() if gap >= SAME),
+        different=tuple(_named(stored) for stored, _ in pairs if differences.get(stored.identity, 0.0) >= SAME),
     )
 
 
-def _timeless(stored: StoredCell) -> StoredCell:
-    return replace(stored, rows=tuple(map(_timeless_row, stored.rows)))
+def summarised(stored: StoredCell, bound: Bound) -> StoredCell:
+    """Return the cell with its summary and bound computed from its rows."""
+    summary = {name: dict(vars(line)) for name, line in summarise(stored.rows, bound).items()}
+    return replace(stored, summary=summary, prior_share=bound.prior_share, identifiable=bound.identifiable)
+
+
+def widest_limits(cells: Sequence[StoredCell], workers: int) -> Limits:
+    """Return so many workers, and the widest limits that any of the cells states and a run accepts."""
+    given = [stored.provenance.get("limits", {}) for stored in cells]
+    widest = {
+        name: max([getattr(Limits(), name), *(own for one in given if (own := float(one.get(name, 0))) <= most)])
+        for name, most in (("timeout_s", MOST_TIMEOUT_S), ("memory_mb", MOST_MEMORY_MB))
+    }
+    return Limits(workers, **widest, preload=preloaded())
 
 
 def _timeless_row(row: Row) -> Row:

@@ -7,42 +7,28 @@ packages and the machine since. ``<cell>`` is an identity, or the start of one; 
 
 from __future__ import annotations
 
-import math
 import re
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from statistics import median
 
 from bench.commands.fields import read_fields
 from bench.commands.guard import command
 from bench.commands.stores import FIELDS, store_of
 from bench.errors import InputError
+from bench.exchange.comparison import Verdict, compare_rows
 from bench.isolation.cores import usable_cores
 from bench.run.pool import Limits
-from bench.scoring.row import Row
 from bench.store.cell import stored_as_cell
 from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store
-from bench.store.stored import DIGITS, StoredCell
-from bench.store.version import Version
+from bench.store.stored import StoredCell
 from bench.sweep.launch import complete
 
 USAGE = f"usage: python -m bench.reproduce <cell> [store={DEFAULT_STORE}] [archive=<folder>|none]\n\n"
-TOLERANCE = 1e-3
-"""Relative difference of a score that no table shows; the stored digits are finer."""
 MOST_NAMED = 5
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """``differences``: worst relative difference by score; ``changed``: what else is not as it was, in words."""
-
-    name: str
-    differences: Mapping[str, float]
-    changed: tuple[str, ...]
 
 
 def compare(old: StoredCell, new: StoredCell) -> Verdict:
@@ -51,55 +37,16 @@ def compare(old: StoredCell, new: StoredCell) -> Verdict:
     return replace(verdict, changed=(*verdict.changed, *_circumstances(old, new)))
 
 
-def compare_rows(old: Sequence[Row], new: Sequence[Row], cell: Sequence[Row] = ()) -> Verdict:
-    """Compare rows with others of the same replicates: statuses, scores, data.
-
-    Differences are relative to a score, or to the median size of that score over the rows of the ``cell`` (by default
-    ``old``) where that is larger: an error that is next to nothing by luck has no digits of its own.
-    """
-    sizes = _sizes(cell or old)
-    differences: dict[str, float] = {}
-    changed = []
-    for before, after in zip(old, new, strict=True):
-        assert before.replicate == after.replicate
-        if before.status is not after.status:
-            changed.append(f"replicate {before.replicate} was {before.status}, now {after.status}")
-        for name in {*before.scores, *after.scores}:
-            values = before.scores.get(name, math.nan), after.scores.get(name, math.nan)
-            gap = _relative(*values, sizes.get(name, 0.0))
-            differences[name] = max(differences.get(name, 0.0), gap)
-    other_data = sum(before.data != after.data for before, after in zip(old, new, strict=True))
-    worst = max(differences.values(), default=0.0)
-    name = "identical"
-    if worst > 0.5 * 10.0 ** (1 - DIGITS):
-        name = "within tolerance"
-    if worst > TOLERANCE or changed:
-        name = "drifted"
-    if other_data:
-        changed.append(f"the data of {other_data} replicate(s) differ in their last digits or more")
-    return Verdict(name, {k: v for k, v in differences.items() if v > 0}, tuple(changed))
-
-
-def _sizes(rows: Sequence[Row]) -> dict[str, float]:
-    """The median size of each score, of those that are finite."""
-    values: dict[str, list[float]] = {}
-    for row in rows:
-        for name, value in row.scores.items():
-            if math.isfinite(value):
-                values.setdefault(name, []).append(abs(value))
-    return {name: median(found) for name, found in values.items()}
-
-
-def _relative(before: float, after: float, size: float) -> float:
-    if before == after or (math.isnan(before) and math.isnan(after)):
-        return 0.0
-    if not (math.isfinite(before) and math.isfinite(after)):
-        return math.inf
-    return abs(before - after) / max(abs(before), abs(after), size)
-
-
 def _circumstances(old: StoredCell, new: StoredCell) -> list[str]:
-    lines = Version(**new.version).changes(old.version)
+    lines = [
+        f"{name} version {old.version.get(name)}, now {number}"
+        for name, number in new.version.items()
+        if old.version.get(name) != number
+    ]
+    then, now = (cell.provenance.get("packages", {}) for cell in (old, new))
+    for name in sorted({*then, *now}):
+        if then.get(name) != now.get(name):
+            lines.append(f"{name} {then.get(name) or 'absent'}, now {now.get(name) or 'absent'}")
     for field in ("python", "system", "processor"):
         before, after = old.provenance.get(field), new.provenance.get(field)
         if before != after:

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 import sys
+from collections import Counter
 from collections.abc import Sequence
-
-import numpy as np
-import pandas as pd
+from dataclasses import dataclass
 
 from bench.commands.fields import number, read_fields
 from bench.commands.guard import command
@@ -23,12 +22,13 @@ from bench.errors import InputError
 from bench.isolation.cores import usable_cores
 from bench.reporting.plan_table import listing
 from bench.reporting.terminal import table, wrapped
-from bench.store import index as view
 from bench.store.cell import Cell
 from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store
+from bench.store.stored import Head
 from bench.store.version import cell_version
-from bench.sweep.plan import Reasons, State, plan, read_retry
+from bench.sweep.plan import State, plan, read_retry, standing
+from bench.systems import registered_systems
 
 USAGE = f"""usage: python -m bench.status [store=<folder>]                         a store
        python -m bench.status experiment=table3 [watch=true]          a sweep
@@ -45,76 +45,73 @@ fields (defaults in brackets):
 """
 OWN_FIELDS = {**FIELDS, "watch": "false"}
 MOST_REASONS = 3
+FOREIGN = "foreign"
+"""The state of a cell whose method or system is not installed."""
 WATCH_S, SHORTEST_S, LONGEST_S = 2.0, 0.1, 3600.0
 
 
-def states(store: Store) -> pd.DataFrame:
-    """One line a stored cell: ``label``, ``replicates``, ``wall_s``, ``state`` and ``why``, indexed by identity."""
-    columns = ("problem", "method", "kind", "disturbance", "label", "statuses", "version", "replicates", "wall_s")
-    found = view.cells(store, columns)
-    reasons = Reasons(store)
-    kinds = found[["problem", "method", "kind", "disturbance", "statuses", "version"]].fillna("").astype(object)
-    state, why = np.empty(len(found), object), np.empty(len(found), object)
-    for kind, places in kinds.groupby(list(kinds.columns)).indices.items():
-        state[places], why[places] = _state(str(found.index[places[0]]), kind, reasons)
-    return found.assign(state=state, why=why)
+@dataclass(frozen=True)
+class Standing:
+    """A stored cell, where it stands and why."""
+
+    head: Head
+    state: str
+    why: str
 
 
-def _state(identity: str, kind: tuple[str, ...], reasons: Reasons) -> tuple[str, str]:
-    problem, method, system, disturbance, statuses, version = kind
-    if problem:
-        return State.DAMAGED.value, problem
+def standings(store: Store) -> list[Standing]:
+    """Say of every stored cell whether it is current, stale, failed, foreign or damaged."""
+    return [Standing(head, *_standing(head)) for head in store.heads()]
+
+
+def _standing(head: Head) -> tuple[str, str]:
+    if head.problem:
+        return State.DAMAGED.value, head.problem
+    method, system = str(head.cell.get("method")), str(head.cell.get("data", {}).get("system"))
     if method not in method_names():
-        return "foreign", f"no method {method} is installed here"
-    now = cell_version(method, system, disturbance or "none")
-    state, why = reasons.standing(identity, method, now, version, statuses)
+        return FOREIGN, f"no method {method} is installed here"
+    if system not in registered_systems():
+        return FOREIGN, f"no system {system} is installed here"
+    state, why = standing(head, method, cell_version(method, system))
     return state.value, why
 
 
 def store_page(store: Store) -> str:
-    """The store by method and state, and the reasons of what is not done."""
-    found = states(store)
-    if found.empty:
+    """Describe the store by method and state, with the reasons of what is not current."""
+    found = standings(store)
+    if not found:
         return f"{store.folder}: no cells yet; python -m bench method=ls computes a first one"
-    labels = found["label"].fillna("?")
-    counts = found.groupby([labels, "state"]).size().unstack(fill_value=0)
-    order = [name for name in (*(s.value for s in State), "foreign") if name in counts]
-    spent = found.groupby(labels)["wall_s"].sum()
-    fits = found.groupby(labels)["replicates"].sum()
-    rows = [
-        [
-            str(label),
-            *(str(int(counts.loc[label, name]) or "") for name in order),
-            str(int(fits[label])),
-            f"{spent[label]:.0f}",
-        ]
-        for label in counts.index
-    ]
-    total = found["state"].value_counts()
-    headers = ["method", *order, "fits", "fit s"]
-    said = f"{len(found)} cells: " + ", ".join(f"{total[s]} {s}" for s in order)
-    lines = [table(rows, headers), "", wrapped(said), *_places(found, store)]
+    total = Counter(one.state for one in found)
+    order = [name for name in (*(s.value for s in State), FOREIGN) if total[name]]
+    rows = []
+    for label in sorted({one.head.label for one in found}):
+        own = [one for one in found if one.head.label == label]
+        counts = Counter(one.state for one in own)
+        fits, spent = sum(one.head.replicates for one in own), sum(one.head.wall_s for one in own)
+        rows.append([label, *(str(counts[name] or "") for name in order), str(fits), f"{spent:.0f}"])
+    said = f"{len(found)} cells: " + ", ".join(f"{total[name]} {name}" for name in order)
+    lines = [table(rows, ["method", *order, "fits", "fit s"]), "", wrapped(said), *_places(found, store)]
     return "\n".join([*lines, *_reasons(found)])
 
 
-def _places(found: pd.DataFrame, store: Store) -> list[str]:
-    """Which folders the cells lie in."""
+def _places(found: Sequence[Standing], store: Store) -> list[str]:
+    """Say which folders the cells lie in."""
     if store.archive is None:
         return [f"store: {store.folder}"]
-    own = sum(map(store.own, found.index))
+    own = sum(one.head.stamp > 0 for one in found)
     return [
         f"store: {store.folder} ({own} cells)",
         f"published archive: {store.archive.folder} ({len(found) - own} cells)",
     ]
 
 
-def _reasons(found: pd.DataFrame) -> list[str]:
+def _reasons(found: Sequence[Standing]) -> list[str]:
     lines = []
-    for state in ("stale", "failed", "foreign", "damaged"):
-        own = found[found["state"] == state]
-        for why, n in own["why"].value_counts().head(MOST_REASONS).items():
-            labels = ", ".join(sorted(set(own.loc[own["why"] == why, "label"].dropna()))[:6])
-            said = f"{state}: {n} x {_short(str(why))}" + (f" ({labels})" if labels else "")
+    for state in (State.STALE.value, State.FAILED.value, FOREIGN, State.DAMAGED.value):
+        reasons = Counter(one.why for one in found if one.state == state)
+        for why, n in reasons.most_common(MOST_REASONS):
+            labels = sorted({one.head.label for one in found if one.state == state and one.why == why} - {"?"})[:6]
+            said = f"{state}: {n} x {_short(why)}" + (f" ({', '.join(labels)})" if labels else "")
             lines.append(wrapped(said, "    ", "  "))
     return lines
 

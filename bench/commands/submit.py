@@ -78,14 +78,14 @@ def chosen(store: Store, method: str, experiment: str) -> list[StoredCell]:
         cell = stored_as_cell(stored)
         if wanted is not None and (cell.scenario.to_dict(), cell.seed) not in wanted:
             continue
-        if cell.version.digest != stored.version.get("digest"):
+        if not cell.version.is_that_of(stored.version):
             stale.append(stored.identity[:8])
         found.append(unmarked_cell(stored))
     if not found:
         of = f" of {experiment}" if experiment else ""
         raise InputError("method", method, f"{store.folder} holds no cell of it{of}; run python -m bench first")
     if stale:
-        remedy = "are of other code or packages than these; run the same sweep again"
+        remedy = "are of another version; run the same sweep again"
         raise InputError("store", store.folder, f"{len(stale)} of {len(found)} cells ({stale[0]}, ...) {remedy}")
     return found
 

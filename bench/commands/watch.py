@@ -17,7 +17,6 @@ from bench.reporting.rounding import number
 from bench.reporting.terminal import clipped
 from bench.reporting.terminal_tables import described
 from bench.run.progress import duration
-from bench.store import index as view
 from bench.store.cell import Cell
 from bench.store.durations import fit_seconds
 from bench.store.locks import under_way
@@ -82,14 +81,13 @@ class Progress:
 
     def __init__(self, cells: Sequence[Cell], store: Store, retry: Collection[Status] = ()) -> None:
         planned = plan(cells, store, retry)
-        wall = view.cells(store, ("wall_s",))["wall_s"]
         self.store, self.seconds = store, fit_seconds(store)
         self.cells = {one.cell.identity: one.cell for one in planned}
         self.left = {one.cell.identity: one.stamp for one in planned if one.run}
         self.failed = {one.cell.identity for one in planned if one.state is State.FAILED and not one.run}
         kept = self.cells.keys() - self.left.keys()
         self.arrivals = {identity: store.stamp(identity) / 1e9 for identity in kept if store.own(identity)}
-        self.spent = {identity: float(wall[identity]) for identity in kept}
+        self.spent = {identity: head.wall_s for identity in kept if (head := store.head(identity))}
 
     def look(self) -> Look:
         """The sweep as it stands now. Raises InputError where a cell's file is damaged."""
@@ -121,11 +119,11 @@ class Progress:
 
     def _note(self, identity: str) -> None:
         """Read a cell that has been stored."""
-        stored, cell = self.store.load(identity), self.cells[identity]
+        stored, cell = self.store.head(identity), self.cells[identity]
         assert stored is not None  # a cell is replaced in one step, and never taken away
         self.arrivals[identity] = self.store.stamp(identity) / 1e9
         self.spent[identity] = stored.wall_s
-        if any(row.status not in (Status.OK, Status.UNSUPPORTED) for row in stored.rows):
+        if not stored.statuses.keys() <= {Status.OK, Status.UNSUPPORTED}:
             self.failed.add(identity)
         if stored.wall_s > 0:
             self.seconds.setdefault(cell.label, stored.wall_s / cell.replicates)

@@ -97,6 +97,7 @@ class Identifier(ABC):
 
     Register by an entry point in the group ``bench.methods``; that alone makes ``method=<name>`` work. A method
     imports heavy packages inside ``estimate``, names them in ``requires``, and the extra that brings them in ``extra``.
+    Raise ``version`` where a change of the method alters its results: stored cells of another version are stale.
     ``works_in``: the units of the problems that ``estimate`` gets, the user's own or :meth:`Problem.natural_units`.
 
     Call ``identify``; it does what every method needs: it answers a problem that the method objects to, or in which no
@@ -105,6 +106,7 @@ class Identifier(ABC):
     :class:`NoEstimate`.
     """
 
+    version: ClassVar[int] = 1
     card: ClassVar[Card]
     serves: ClassVar[Serves] = Serves()
     requires: ClassVar[tuple[str, ...]] = ()

@@ -307,9 +307,11 @@ SENTENCES = {
 class OnlineIdentifier(ABC):
     """An online method: a frozen dataclass whose fields are its settings; ``start`` makes a tracker of a layout.
 
-    Register it by an entry point in the group ``bench.trackers``.
+    Register it by an entry point in the group ``bench.trackers``. Raise ``version`` where a change of the method alters
+    its results: stored runs of another version are computed again.
     """
 
+    version: ClassVar[int] = 1
     card: ClassVar[OnlineCard]
     requires: ClassVar[tuple[str, ...]] = ()
     extra: ClassVar[str] = ""

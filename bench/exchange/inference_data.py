@@ -41,7 +41,7 @@ def inference_data(stored: StoredCell, arrays: Mapping[str, np.ndarray]) -> Any:
         attrs={
             "method": str(what["label"]), "system": str(what["system"]), "snr_db": float(what["snr_db"]),
             "seed": int(what["seed"]), "replicate": 0, "cell": stored.identity,
-            "computed_by": str(stored.version.get("digest")),
+            "version": str(stored.version.get("method")),
         },
     )  # fmt: skip
     return found

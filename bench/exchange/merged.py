@@ -45,7 +45,7 @@ def merge(cells: Iterable[StoredCell], source: Store, into: Store) -> Merged:
 def rank(stored: StoredCell) -> tuple[bool, bool, int]:
     """How good an answer is: one's own, of the present code, and with how many successful fits."""
     try:
-        current = stored_as_cell(stored).version.digest == stored.version.get("digest")
+        current = stored_as_cell(stored).version.is_that_of(stored.version)
     except InputError:  # its method is not installed, or its configuration means something else now
         current = False
     return not is_submitted(stored), current, stored.n_ok

@@ -74,8 +74,8 @@ def _line(stored: StoredCell) -> dict[str, Any]:
         "snr_db": stored.cell["snr_db"],
         "seed": stored.cell["seed"],
         "replicates": stored.cell["replicates"],
-        "computed_by": stored.version.get("digest"),
-        "packages": stored.version.get("packages"),
+        "version": stored.version,
+        "packages": stored.provenance.get("packages"),
         "data": stored.provenance.get("data"),
     }
 

@@ -82,7 +82,7 @@ class Died(Exception):
 def start_server(preload: Sequence[str] = ()) -> None:
     """Start the server that all children are started from; it imports while its starter goes on.
 
-    One that runs without some of the packages is started again, unless it has children.
+    The first call decides what is preloaded; a later one changes nothing.
     """
     _context(preload)
     with without_main():
@@ -94,13 +94,7 @@ def _context(preload: Sequence[str]) -> Any:
     single_threaded()
     raise_limit()
     context = multiprocessing.get_context("forkserver")
-    server, lacking = _server(), set(preload) - Children.preloaded
-    if server is not None and lacking and not Children.known:
-        os.kill(server, signal.SIGKILL)
-        os.waitid(os.P_PID, server, os.WEXITED | os.WNOWAIT)  # multiprocessing finds it ended, and starts another
-    if server is None or lacking:
-        Children.preloaded = frozenset(preload)
-        context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.frozen"])
+    context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.frozen"])
     return context
 
 
@@ -112,10 +106,8 @@ class Children:
 
     _starting = threading.Lock()
     """Held while a child is started, or one that is not known is looked for."""
-    known: ClassVar[set[int]] = set()
+    _known: ClassVar[set[int]] = set()
     """The children of the server that this process has started and not ended."""
-    preloaded: ClassVar[frozenset[str]] = frozenset()
-    """The packages that the server imports."""
 
     def __init__(self, preload: Sequence[str] = ()) -> None:
         self.context = _context(preload)
@@ -141,7 +133,7 @@ class Children:
                 except (OSError, EOFError) as error:  # the server is gone, or there is no descriptor left
                     lacking = error
                     continue
-                self.known.add(child.pid)
+                self._known.add(child.pid)
             with self._lock:
                 self._all.add(child)
             if self._closed.is_set():  # meanwhile: whoever closes may not have seen it
@@ -154,14 +146,14 @@ class Children:
         """Note that a child ends, or has ended."""
         with self._lock:
             self._all.discard(child)
-        self.known.discard(child.pid)
+        self._known.discard(child.pid)
 
     def end_orphans(self) -> None:
         """End what children have left to the server."""
         _continue(_server())  # else a start that is under way is never over
         with self._starting:
             if server := _server():
-                end_orphans(server, self.known)
+                end_orphans(server, self._known)
 
     def close(self) -> None:
         """End every child."""

@@ -18,6 +18,7 @@ import numpy as np
 
 from bench.config.records import primary_method
 from bench.config.schema import Job
+from bench.entrants.registry import load_method
 from bench.errors import InputError
 from bench.measured.find import find
 from bench.measured.finding import Finding
@@ -108,7 +109,8 @@ class MeasuredFit:
         settings = {name: str(value) for name, value in self.job.settings().items()}
         parts = [
             self.name, self.of.definition(), self.request.system, self.sibling, self.recording.sha256,
-            self.job.config.method["name"], settings, self.job.config.seed,
+            self.job.config.method["name"], load_method(self.job.config.method["name"]).version, settings,
+            self.job.config.seed,
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 

@@ -20,10 +20,8 @@ from bench.online.follow import Followed, follow
 from bench.online.scenario import OnlineScenario
 from bench.run.progress import Kind
 from bench.run.results import read_result, write_result
-from bench.store.source import digest_of
+from bench.store.version import bound_version
 
-HARNESS = (("bench.online.scenario", "OnlineScenario"), ("bench.online.follow", "follow"))
-"""What makes the data and drives a tracker."""
 LIMIT_S = 86400.0
 """Limit of a path (s): a window of a slow batch method takes hours."""
 
@@ -40,14 +38,12 @@ class Tracking:
     label: str = ""
 
     @cached_property
-    def source(self) -> str:
-        """Return a digest of the definitions that a path depends on."""
-        cls = type(make_online(self.method, self.settings))
-        roots = [*HARNESS, (cls.__module__, cls.__name__)]
-        if isinstance(batch := getattr(make_online(self.method, self.settings), "batch", None), str):
-            own = load_method(batch)
-            roots.append((own.__module__, own.__name__))
-        return digest_of(roots)
+    def versions(self) -> list[int]:
+        """Return the versions of the method, of a batch method that it repeats, of the system and the scoring."""
+        method = make_online(self.method, self.settings)
+        batch = getattr(method, "batch", None)
+        repeated = [load_method(batch).version] if isinstance(batch, str) else []
+        return [method.version, *repeated, *bound_version(self.scenario.system)]
 
     def paths(self) -> list[OnlinePath]:
         """Return the path of each replicate."""
@@ -65,9 +61,9 @@ class OnlinePath:
 
     @cached_property
     def key(self) -> str:
-        """Return a digest of scenario, method with settings and source, seed and replicate."""
+        """Return a digest of scenario, method with settings, versions, seed and replicate."""
         of = self.of
-        parts = [of.source, of.scenario.identity, of.method, of.settings, of.seed, self.replicate]
+        parts = [of.versions, of.scenario.identity, of.method, of.settings, of.seed, self.replicate]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 
     @property

@@ -218,7 +218,7 @@ class Result:
     @property
     def n(self) -> int:
         """Replicates that are stored."""
-        return len(self.rows)
+        return len(self.stored.columns) if self.stored else 0
 
     @cached_property
     def statuses(self) -> tuple[Status, ...]:
@@ -272,7 +272,7 @@ class Result:
 
     def has(self, score: str) -> bool:
         """Whether any replicate has a score."""
-        return any(score in row.scores for row in self.rows)
+        return bool(np.any(~np.isnan(self.scores(score))))
 
     def scores(self, name: str) -> np.ndarray:
         """A score by replicate (n,), NaN where a replicate has none."""
@@ -297,7 +297,7 @@ class Result:
     @cached_property
     def cpu_s(self) -> np.ndarray:
         """Processor time of each fit (s)."""
-        return self.stored.columns.cpu_s if self.stored else np.empty(0)
+        return self.stored.columns.numbers("cpu_s") if self.stored else np.empty(0)
 
     def arrays(self, store: Store) -> dict[str, np.ndarray]:
         """The arrays kept of replicate 0, as double precision; none where they are missing or damaged."""
@@ -333,7 +333,7 @@ class Frame:
     @property
     def command(self) -> str:
         """What makes the table again."""
-        return f"python -m bench -m experiment={self.experiment} && python -m bench tables"
+        return f"python -m bench -m experiment={self.experiment} && python -m bench.tables"
 
 
 def group(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
@@ -374,11 +374,9 @@ SHOWING_SUBMITTED = ("paper", "systems", "open")
 
 def submitted_results(store: Store) -> list[Result]:
     """The cells of a store that were submitted, as cells of the present code describes them."""
-    from bench.store.index import cells  # loads pyarrow, which a look at an experiment alone does without
-
     found = []
-    for identity, label in cells(store, ("label",))["label"].items():
-        stored = store.load(str(identity)) if str(label).endswith(MARK) else None
+    for head in store.heads():
+        stored = store.load(head.identity) if head.label.endswith(MARK) and not head.problem else None
         if stored is not None:
             with contextlib.suppress(InputError):  # its method is not installed here: the page shows it, no table
                 found.append(Result.of_cell(stored_as_cell(stored), stored))

@@ -111,7 +111,7 @@ class Closing:
     def __init__(self, n: int) -> None:
         self.listed = n <= MOST_LISTED
         self.lines: dict[tuple[str, ...], list[tuple[int, int, list[dict[str, float]]]]] = {}
-        self.kinds: dict[tuple[str, str, str], tuple[int, Path]] = {}
+        self.kinds: dict[tuple[str, str, str], tuple[int, Path | None]] = {}
         self.seen: set[str] = set()
         self.lost = 0
         self.groups: dict[tuple[str, ...], str] = {}
@@ -135,11 +135,12 @@ class Closing:
         )
         key = (*key, cell.identity) if self.listed else key
         self.groups[key] = readable(group)
-        found = [stored.summary.get(metric, {}) for metric in metrics]
+        found = [dict(stored.summary.get(metric, {})) for metric in metrics]
         self.lines.setdefault(key, []).append((stored.n_ok, len(stored.rows), found))
         if self.listed and cell.method not in REFERENCES:
             what = json.dumps([scenario.data_identity(), scenario.told_identity(), cell.seed], default=str)
-            errors = [np.array([row.scores.get(metric, math.inf) for row in stored.rows]) for metric in metrics]
+            scores = [stored.columns.scores(metric) for metric in metrics]
+            errors = [np.where(np.isnan(values), math.inf, values) for values in scores]
             self.contests.setdefault(what, {})[key] = errors
         for (status, message), n in _failures(stored).items():
             kind = (cell.label, status, message)
@@ -195,7 +196,7 @@ class Closing:
         """
         if len(self.lines) > 1:
             for (label, status, message), (n, errors) in self.kinds.items():
-                where = f" (traceback: {errors})" if errors.exists() else ""
+                where = f" (traceback: {errors})" if errors else ""
                 print(f"bench: {label}: {n} x {status}: {message}{where}", file=sys.stderr)
         if self.lost:
             print(f"bench: {self.lost} cells were not computed; the same command computes them", file=sys.stderr)

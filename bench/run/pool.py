@@ -509,7 +509,8 @@ def run_tasks(
     missing = [QueuedTask(task, folder, limits) for task in tasks if not task.stored(folder)]
     if not missing:
         return {}
-    with processes(limits.preload) as children:
+    modules = sorted({type(task).__module__ for task in tasks})
+    with processes((*limits.preload, *modules)) as children:
         return perform_tasks(missing, folder / "claims", children, limits, unit, on_look, task_name)
 
 

@@ -1,4 +1,4 @@
-"""Bounds are computed once and kept, each in a file named by all that it depends on, its code included.
+"""Bounds are computed once and kept, each in a file named by all that it depends on, versions included.
 
 The name decides the number: a file that is not whole is computed anew, without a word.
 """
@@ -52,10 +52,9 @@ class Replicates(NamedTuple):
 def bound_identity(wanted: Bounded) -> str:
     """Hash of everything the bound depends on: the seed only where it draws a force or times."""
     scenario, seed = wanted.scenario, wanted.seed
-    system = type(scenario.make_system())
     drawn = own_times(scenario, seed)
     identity = {
-        "code": bound_version((system.__module__, system.__name__)),
+        "version": bound_version(scenario.system),
         **scenario.undisturbed.data_identity(),
         **scenario.told_identity(),
         "dense": scenario.dense,

@@ -1,8 +1,8 @@
 """A cell: one scenario, one method with its settings, so many replicates of a seed; known by what it computes.
 
 The identity is that of the question: it names the cell's file. A setting at its default has no part in it, so that a
-method which gets a new setting keeps its cells. What answers the question, the code with its defaults and the packages,
-is the cell's version (:mod:`bench.store.version`): a stored answer of another version is stale.
+method which gets a new setting keeps its cells. What answers the question is the cell's version
+(:mod:`bench.store.version`): a stored answer of another version is stale.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from bench.entrants.registry import default_settings
 from bench.errors import InputError
 from bench.isolation.failure import one_line
 from bench.scenario.scenario import Scenario
-from bench.store.shape import DESCRIPTION
+from bench.store.shape import is_description
 from bench.store.stored import StoredCell
 from bench.store.version import Version, cell_version
 
@@ -60,7 +60,7 @@ class Cell:
         A force that was read from a file is stated by the digest of its numbers; ``force_file`` is where they are.
         """
         reason = "this version describes its configuration differently; run it anew"
-        if not DESCRIPTION(stated):
+        if not is_description(stated):
             raise InputError("cell", identity, reason)
         force = stated.get("data", {}).get("force") or {}
         if "file" in force:  # never a path that a description names
@@ -83,8 +83,7 @@ class Cell:
     @property
     def version(self) -> Version:
         """What would compute the cell now."""
-        disturbance = self.scenario.disturbance
-        return cell_version(self.method, self.scenario.system, disturbance.kind if disturbance else "none")
+        return cell_version(self.method, self.scenario.system)
 
     @cached_property
     def identity(self) -> str:

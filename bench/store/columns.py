@@ -1,4 +1,4 @@
-"""Rows that lie as columns: what is wanted of all of them is had without making any row."""
+"""The rows of a cell by column, so that a table reads a score of all replicates without making any row."""
 
 from __future__ import annotations
 
@@ -19,26 +19,28 @@ class Columns(Sequence[Row]):
     @property
     @abstractmethod
     def statuses(self) -> tuple[Status, ...]:
-        """What became of each."""
+        """The status of each replicate."""
+
+    @property
+    @abstractmethod
+    def score_names(self) -> list[str]:
+        """The scores that any replicate has."""
 
     @abstractmethod
     def scores(self, name: str) -> np.ndarray:
-        """A score (n,), NaN where a row has none."""
+        """Return a score (n,), NaN where a replicate has none."""
+
+    @abstractmethod
+    def numbers(self, name: str) -> np.ndarray:
+        """Return a number of each fit, (n,): ``wall_s``, ``cpu_s``, ``peak_memory_mb``, ``evaluations``."""
+
+    @abstractmethod
+    def texts(self, name: str) -> list[str]:
+        """Return the ``message`` or the digest of the ``data`` of each replicate."""
 
     @property
     @abstractmethod
-    def all_scores(self) -> dict[str, list[float | None]]:
-        """Every score by row, None where a row has none."""
-
-    @property
-    @abstractmethod
-    def cpu_s(self) -> np.ndarray:
-        """Processor time of each fit (s), (n,)."""
-
-    @property
-    @abstractmethod
-    def _rows(self) -> tuple[Row, ...]:
-        """The rows themselves."""
+    def _rows(self) -> tuple[Row, ...]: ...
 
     @overload
     def __getitem__(self, place: int) -> Row: ...
@@ -71,14 +73,15 @@ class MadeRows(Columns):
     def statuses(self) -> tuple[Status, ...]:
         return tuple(row.status for row in self._rows)
 
+    @property
+    def score_names(self) -> list[str]:
+        return list(dict.fromkeys(name for row in self._rows for name in row.scores))
+
     def scores(self, name: str) -> np.ndarray:
         return np.array([row.scores.get(name, math.nan) for row in self._rows], float)
 
-    @property
-    def all_scores(self) -> dict[str, list[float | None]]:
-        names = dict.fromkeys(name for row in self._rows for name in row.scores)
-        return {name: [row.scores.get(name) for row in self._rows] for name in names}
+    def numbers(self, name: str) -> np.ndarray:
+        return np.array([getattr(row, name) for row in self._rows], float)
 
-    @property
-    def cpu_s(self) -> np.ndarray:
-        return np.array([row.cpu_s for row in self._rows], float)
+    def texts(self, name: str) -> list[str]:
+        return [getattr(row, name) for row in self._rows]

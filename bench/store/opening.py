@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from bench.errors import InputError
-from bench.store.archive.archive import Archive
+from bench.store.archive import Archive
 from bench.store.store import Store
 
 DEFAULT_STORE = "outputs/rows"

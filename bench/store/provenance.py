@@ -63,11 +63,10 @@ def provenance(
     computed_by: Version, workers: int, timeout_s: float, memory_mb: float, started: float
 ) -> dict[str, Any]:
     """Of one cell; ``started`` in seconds since the epoch. The seeds and the configuration are the cell's own."""
-    installed = {name: _installed(name) or public for name, public in computed_by.packages.items()}
     return {
         **_commit(),
         **_machine(),
-        "packages": {"vibration-bench": _installed("vibration-bench"), **installed},
+        "packages": {"vibration-bench": _installed("vibration-bench"), **computed_by.packages},
         "workers": workers,
         "limits": {"timeout_s": timeout_s, "memory_mb": memory_mb},
         "started": datetime.fromtimestamp(started, UTC).isoformat(timespec="seconds"),

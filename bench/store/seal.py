@@ -14,11 +14,15 @@ import os
 import re
 import stat
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, BinaryIO, NoReturn
 
 HEAD = re.compile(rb'\{"format":(\d{1,6}),"sha256":"([0-9a-f]{64})",')
 FORMAT = re.compile(rb'\s*\{\s*"format"\s*:\s*(\d{1,6})\b')
 """How a file begins that states its format, sealed or not."""
+
+
+LONGEST_LINE = 2**24
+"""Bytes; a description takes some thousand."""
 
 
 class Unsealed(ValueError):
@@ -35,14 +39,22 @@ class OtherFormat(Unsealed):
 
 def read_regular(path: Path) -> bytes:
     """The content of a file; raises OSError, also for what is no file: a pipe would be waited for without end."""
+    with _opened(path) as file:
+        return file.read()
+
+
+def read_first_line(path: Path) -> bytes:
+    """The first line of a file, of at most so many bytes; raises OSError as :func:`read_regular`."""
+    with _opened(path) as file:
+        return file.readline(LONGEST_LINE)
+
+
+def _opened(path: Path) -> BinaryIO:
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
-    try:
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
-            raise OSError(errno.EINVAL, "it is no regular file", str(path))
-        with os.fdopen(handle, "rb", closefd=False) as file:
-            return file.read()
-    finally:
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
+        raise OSError(errno.EINVAL, "it is no regular file", str(path))
+    return os.fdopen(handle, "rb")
 
 
 def write_new(path: Path, content: bytes) -> None:

@@ -2,7 +2,7 @@
 
 Beside it lie, written first, the arrays of one of its replicates (``.npz``) and the tracebacks of those that failed
 (``.errors.txt``). The cell's file carries a checksum of its own content and of that of the files beside it; what does
-not agree with it is damaged, and never read. Nothing in a store is run: it is text, numbers and names.
+not agree with it is damaged, and never read. Nothing in a store is executed: it is text, numbers and names.
 """
 
 from __future__ import annotations
@@ -11,34 +11,35 @@ import contextlib
 import os
 import time
 import uuid
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from bench.errors import InputError
 from bench.store.bound_file import bound_file
-from bench.store.seal import OtherFormat, Unsealed, read_regular, write_new
-from bench.store.stored import (
+from bench.store.cell_file import (
     ARRAYS,
     ERRORS,
     FORMAT,
-    WITHOUT_SEAL,
-    StoredCell,
     arrays_file,
     beside_name,
     cell_file,
     cell_from_file,
     check_beside,
+    head_from_line,
     read_arrays,
 )
+from bench.store.seal import OtherFormat, Unsealed, read_first_line, read_regular, write_new
+from bench.store.stored import Head, StoredCell
 
 if TYPE_CHECKING:
-    from bench.store.archive.archive import Archive
+    from bench.store.archive import Archive
 
 AGAIN = "retry=failed computes it again, or move it away"
+Found = TypeVar("Found", StoredCell, Head)
 ABANDONED_S = 3600.0
 """Age at which a temporary file has no writer any more."""
 
@@ -59,11 +60,6 @@ class Store:
     @property
     def bounds(self) -> Path:
         return self.folder / "bounds"
-
-    @property
-    def view(self) -> Path:
-        """Folder of the collected view (:mod:`bench.store.index`)."""
-        return self.folder / "view"
 
     @property
     def claims(self) -> Path:
@@ -114,10 +110,27 @@ class Store:
         return f"published archive: {self.archive.path(identity)}"
 
     def load(self, identity: str) -> StoredCell | None:
-        """The stored cell, or None; a damaged or foreign file raises InputError and is left alone."""
+        """Return a stored cell, or None; a damaged or foreign file raises InputError and is left alone."""
         if self.own(identity):
             return self._read(self.path(identity))
         return self.archive.load(identity) if self.archive is not None else None
+
+    def head(self, identity: str) -> Head | None:
+        """Return what is known of a stored cell without its rows, or None; raises InputError as :meth:`load`."""
+        stamp = self.stamp(identity)  # before the look: what is written after it is newer
+        if stamp:
+            return self._checked(self.path(identity), lambda path: head_from_line(read_first_line(path), stamp))
+        return self.archive.head(identity) if self.archive is not None else None
+
+    def heads(self) -> Iterator[Head]:
+        """Yield the heads of all stored cells in order; of a damaged file one that states its problem."""
+        for identity in self.identities():
+            try:
+                head = self.head(identity)
+            except InputError as error:
+                head = Head(identity, stamp=self.stamp(identity), problem=str(error))
+            if head is not None:
+                yield head
 
     def save(
         self, cell: StoredCell, arrays: Mapping[str, np.ndarray] | None = None, tracebacks: str = ""
@@ -138,51 +151,32 @@ class Store:
             (self.folder / name).unlink(missing_ok=True)
         return stored
 
-    def restate(self, cell: StoredCell) -> None:
-        """Write what is said of a stored cell anew, and leave its arrays and tracebacks as they are.
-
-        One of the archive is written into the folder with its arrays and tracebacks.
-        """
-        if self.own(cell.identity):
-            self._write(self.path(cell.identity), cell_file(cell))
-        else:
-            self.prepare()
-            self.save(cell, self.arrays(cell), self.tracebacks(cell))
-
     def _beside_before(self, identity: str) -> set[str]:
-        """The names of the files that a cell has beside it, as far as they are known."""
+        """Return the names of the files that a cell has beside it, as far as they are known."""
         with contextlib.suppress(InputError):
             if self.own(identity):
                 cell = self._read(self.path(identity))
-                return {name for name in (cell.arrays, self.errors(cell).name) if name}
-        return {_unnamed_errors(identity)}
+                return {name for name in (cell.arrays, cell.errors) if name}
+        return set()
 
-    def errors(self, cell: StoredCell) -> Path:
-        """Where the tracebacks of a cell's failed replicates are."""
-        return self.folder / (cell.errors or _unnamed_errors(cell.identity))
+    def errors(self, cell: StoredCell) -> Path | None:
+        """Return the file of the tracebacks of a cell's failed replicates, if there is one."""
+        return self.folder / cell.errors if cell.errors and self.own(cell.identity) else None
 
     def tracebacks(self, cell: StoredCell) -> str:
-        """The tracebacks of a cell's failed replicates, or nothing.
+        """Return the tracebacks of a cell's failed replicates, or nothing.
 
         Raises InputError where they are missing, or not the ones that the cell was stored with.
         """
         if self.archive is not None and not self.own(cell.identity):
             return self.archive.tracebacks(cell.identity)
-        path = self.errors(cell)
-        if not cell.errors and not path.exists():
+        if not cell.errors:
             return ""
-        try:
-            content = read_regular(path)
-            if cell.errors:
-                check_beside(cell.errors, content)
-            return content.decode(errors="replace")
-        except OSError as error:
-            raise InputError("store", path, f"cannot be read ({error.strerror}); {AGAIN}") from None
-        except Unsealed as reason:
-            raise InputError("store", path, f"not the tracebacks of its cell ({reason}); {AGAIN}") from None
+        content = self._beside(cell.errors, "tracebacks")
+        return content.decode(errors="replace")
 
     def arrays(self, cell: StoredCell) -> dict[str, np.ndarray]:
-        """The arrays kept of one replicate; none where the cell has none.
+        """Return the arrays kept of one replicate; none where the cell has none.
 
         Raises InputError where they are missing, or not the ones that the cell was stored with.
         """
@@ -190,16 +184,28 @@ class Store:
             return {}
         if self.archive is not None and not self.own(cell.identity):
             return self.archive.arrays(cell.identity)
-        path = self.folder / cell.arrays
+        content = self._beside(cell.arrays, "arrays")
         try:
-            return read_arrays(cell.arrays, read_regular(path))
+            return read_arrays(cell.arrays, content)
+        except Unsealed as reason:
+            raise InputError(
+                "store", self.folder / cell.arrays, f"not the arrays of its cell ({reason}); {AGAIN}"
+            ) from None
+
+    def _beside(self, name: str, what: str) -> bytes:
+        """Return the bytes of a file beside a cell's; raises InputError where its name does not state them."""
+        path = self.folder / name
+        try:
+            content = read_regular(path)
+            check_beside(name, content)
         except OSError as error:
             raise InputError("store", path, f"cannot be read ({error.strerror}); {AGAIN}") from None
         except Unsealed as reason:
-            raise InputError("store", path, f"not the arrays of its cell ({reason}); {AGAIN}") from None
+            raise InputError("store", path, f"not the {what} of its cell ({reason}); {AGAIN}") from None
+        return content
 
     def damage(self, identity: str) -> str:
-        """Why the folder's own files of a cell are not whole; nothing where they are, or none is there."""
+        """Say why the folder's own files of a cell are not whole; nothing where they are, or none is there."""
         try:
             if self.own(identity):
                 cell = self._read(self.path(identity))
@@ -246,12 +252,16 @@ class Store:
                 yield cell
 
     def _read(self, path: Path) -> StoredCell:
+        return self._checked(path, lambda path: cell_from_file(read_regular(path)))
+
+    def _checked(self, path: Path, read: Callable[[Path], Found]) -> Found:
         try:
-            cell = cell_from_file(read_regular(path))
+            cell = read(path)
         except OSError as error:
             raise Unreadable("store", path, f"it cannot be read now ({error.strerror}); run again") from None
         except OtherFormat as other:
-            raise InputError("store", path, _of_format(other.found)) from None
+            remedy = f"a cell of format {other.found}, this version reads {FORMAT}; move it away"
+            raise InputError("store", path, remedy) from None
         except Unsealed as reason:
             raise InputError("store", path, f"not a whole cell of this benchmark ({reason}); {AGAIN}") from None
         if cell.identity != path.stem:
@@ -260,16 +270,6 @@ class Store:
 
 
 def named_by(entry: os.DirEntry[str]) -> str:
-    """The name of the cell whose file this is; nothing for other files, or a name that cannot be printed."""
+    """Return the identity of the cell whose file this is; nothing for other files, or a name that cannot be printed."""
     name = entry.name.removesuffix(".json")
     return name if name != entry.name and name.isprintable() else ""
-
-
-def _unnamed_errors(identity: str) -> str:
-    """The name of the tracebacks of a cell that does not name them: of before they had a checksum."""
-    return f"{identity}.{ERRORS}"
-
-
-def _of_format(found: int) -> str:
-    seal = "it has no checksum: python -m bench.publish seal=true takes it as it is"
-    return f"a cell of format {found}, this version reads {FORMAT}; {seal if found == WITHOUT_SEAL else 'move it away'}"

@@ -130,11 +130,11 @@ class QueuedCell(Queued):
     def stored(self) -> bool:
         if self.store.stamp(self.key) == self.stamp:
             return False
-        stored = self.store.load(self.key)
-        return stored is not None and stored.version.get("digest") == self.cell.version.digest
+        stored = self.store.head(self.key)
+        return stored is not None and self.cell.version.is_that_of(stored.version)
 
     def prepare(self) -> None:
-        _ = self.cell.version  # read off the source once a method
+        return
 
     def take(self) -> tuple[int, ...]:
         if self.alone:

@@ -18,7 +18,7 @@ from bench.errors import InputError
 from bench.run.pool import Limits, run_tasks, say
 from bench.run.progress import OnLook
 from bench.scenario.declaration import STRICT, Positive, validated
-from bench.store.archive.archive import Archive
+from bench.store.archive import Archive
 from bench.store.cell import Cell
 from bench.store.seal import Unsealed, read_regular, sealed, unsealed, write_new
 from bench.store.store import Store

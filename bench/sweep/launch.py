@@ -25,7 +25,7 @@ from bench.isolation.private import make_private_folder
 from bench.isolation.processes import start_server
 from bench.run.pool import Limits, say
 from bench.run.progress import Look, progress_bar
-from bench.store.archive.archive import Archive
+from bench.store.archive import Archive
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.job import CellJob, Job, read_job

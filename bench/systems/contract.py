@@ -98,6 +98,8 @@ class System(ABC):
     """One residual and what it declares. Subclasses are frozen dataclasses without true values."""
 
     name: ClassVar[str]
+    version: ClassVar[int] = 1
+    """Raised where a change of the equations alters results: stored cells of another version are stale."""
     linear: ClassVar[bool] = False
     """Affine in displacement, velocity and acceleration, with coefficients that do not depend on time."""
     affine_in_parameters: ClassVar[bool] = True

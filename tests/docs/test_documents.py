@@ -5,10 +5,13 @@ from __future__ import annotations
 import ast
 import re
 import shlex
+import subprocess
+import sys
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from conftest import REPOSITORY
 from pages import DOCUMENTS, blocks, commands, name
@@ -122,3 +125,19 @@ def test_the_fields_of_a_command_are_known_to_it(
         field = re.match(r"\+?([\w./]+)=", argument)
         if field and re.split(r"[./]", field[1])[0] not in OPEN:
             assert re.search(rf"\b{re.escape(field[1].partition('.')[0])}\b", said), (document, argument)
+
+
+def test_three_questions_are_answered_with_pandas_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The medians that the first question prints are those of the published table 5."""
+    page = REPOSITORY / "docs" / "how_to" / "read_published_results.md"
+    code = "\n".join(block.code for block in blocks(page) if block.language == "python")
+    monkeypatch.chdir(REPOSITORY)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    printed = dict(line.split() for line in done.stdout.splitlines()[1:6])
+    table = pd.read_csv(RESULTS / "table5.csv").query("snr_db == 10 and initial_state == 'unknown'")
+    known = table[table["metric"] == "k_over_m_error_pct"].set_index("method")["median"]
+    assert len(printed) == 5
+    for label, median in printed.items():
+        assert float(median) == pytest.approx(known[label], rel=1e-4)
+    assert re.search(r"^shooting +\d\.\d+ +\d+$", done.stdout, re.MULTILINE)
+    assert re.search(r"^shooting +\d\.\d\d +\d\.\d\d", done.stdout, re.MULTILINE)

@@ -109,12 +109,12 @@ def better_summary(stored: StoredCell) -> StoredCell:
 
 
 def other_code(stored: StoredCell) -> StoredCell:
-    return replace(stored, version={**stored.version, "modules": {"methods.regression.ls": "0123456789ab"}})
+    return replace(stored, version={**stored.version, "method": 2})
 
 
 def other_packages(stored: StoredCell) -> StoredCell:
-    version = {**stored.version, "digest": "0" * 16, "packages": {**stored.version["packages"], "numpy": "1.0"}}
-    return replace(stored, version=version)
+    packages = {**stored.provenance["packages"], "numpy": "1.0"}
+    return replace(stored, provenance={**stored.provenance, "packages": packages})
 
 
 def endless(stored: StoredCell) -> StoredCell:
@@ -139,8 +139,7 @@ def absurd(stored: StoredCell) -> StoredCell:
     changed = {**stored.cell, "data": data, "snr_db": data["snr_db"]}
     scenario = Scenario.from_dict(changed, label=changed["system"])
     cell = Cell(scenario, changed["method"], changed["settings"], changed["replicates"], changed["seed"], "ls")
-    version = {**stored.version, "modules": dict(cell.version.modules)}
-    return replace(stored, identity=cell.identity, cell={**changed, **cell.stated()}, version=version)
+    return replace(stored, identity=cell.identity, cell={**changed, **cell.stated()}, version=cell.version.as_json())
 
 
 def fewer_rows(stored: StoredCell) -> StoredCell:
@@ -154,7 +153,7 @@ def test_what_is_packed_comes_back_as_it_was(computed: Store, tmp_path: Path) ->
     manifest, theirs = unpack(submission(computed, tmp_path / "ls.submission"), tmp_path / "there")
     own = of_method(computed)
     assert [line["identity"] for line in manifest["cells"]] == [stored.identity for stored in own]
-    assert [line["computed_by"] for line in manifest["cells"]] == [stored.version["digest"] for stored in own]
+    assert [line["version"] for line in manifest["cells"]] == [stored.version for stored in own]
     assert all(line["seed"] == 0 and line["data"] for line in manifest["cells"])
     for before, after in zip(own, theirs, strict=True):
         assert same(before, after)
@@ -341,13 +340,13 @@ def test_other_packages_are_no_hindrance_where_the_numbers_are_the_same(
 ) -> None:
     path = submission(computed, tmp_path / "ls.submission", other_packages)
     assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 0
-    assert {stored.version["digest"] for stored in into} == {"0" * 16}
+    assert {stored.provenance["packages"]["numpy"] for stored in into} == {"1.0"}
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (other_code, "computed by other code (bench."),
+        (other_code, "method version 2, today 1; install"),
         (fewer_rows, "lacks some of its 12 rows"),
         (a_reference, "is of oracle, the submission of ls"),
         (another_question, "means nothing here: cell="),
@@ -449,16 +448,16 @@ def test_of_two_answers_the_present_codes_is_kept_and_then_the_one_with_more_fit
     stale, short, into = (Store(tmp_path / name) for name in ("stale", "short", "into"))
     first = of_method(computed)[0]
     for store, stored in (
-        (stale, replace(first, version={**first.version, "digest": "0" * 16})),
+        (stale, replace(first, version={**first.version, "method": 0})),
         (short, replace(first, rows=tuple(replace(row, status=Status.TIMEOUT) for row in first.rows))),
     ):
         store.prepare()
         store.save(stored, computed.arrays(first))
-    for source, expected in ((stale, "0" * 16), (short, first.version["digest"]), (computed, first.version["digest"])):
+    for source, expected in ((stale, 0), (short, 1), (computed, 1)):
         assert merge.main([str(source.folder), f"store={into.folder}"]) == 0
         found = into.load(first.identity)
         assert found is not None
-        assert found.version["digest"] == expected
+        assert found.version["method"] == expected
     assert found.n_ok == N
     assert merge.main([str(stale.folder), f"store={into.folder}"]) == 0
     assert into.load(first.identity) is not None
@@ -541,6 +540,6 @@ def test_stale_cells_are_not_submitted(computed: Store, here: Path, capsys: pyte
     store = Store(here / "stale")
     store.prepare()
     for stored in of_method(computed):
-        store.save(replace(stored, version={**stored.version, "digest": "0" * 16}))
+        store.save(replace(stored, version={**stored.version, "method": 0}))
     assert submit.main(["method=ls", f"store={store.folder}"]) == 2
     assert "2 of 2 cells" in capsys.readouterr().err

@@ -20,7 +20,7 @@ import pytest
 from conftest import REPOSITORY, Python
 from scipy.stats import binom, binomtest
 
-from bench.commands.main import main
+from bench.commands.report import main
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
 from bench.reporting.figures import png
@@ -36,7 +36,6 @@ from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.store import Store
 from bench.store.stored import StoredCell
-from bench.store.version import version_of
 
 pytest.importorskip("jinja2")
 pytest.importorskip("markdown_it")
@@ -149,7 +148,7 @@ class Page(HTMLParser):
 def made(store: Store) -> Path:
     """The site of a store, by the command: its folder."""
     out = store.folder.parent / "site"
-    assert main(["report", f"store={store.folder}", f"results={store.folder.parent}", f"out={out}"]) == 0
+    assert main([f"store={store.folder}", f"results={store.folder.parent}", f"out={out}"]) == 0
     return out
 
 
@@ -182,9 +181,9 @@ def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(
         out.mkdir()
         (out / "mine.txt").write_text("mine", encoding="utf-8")
     before = sorted(path for path in tmp_path.rglob("*") if "rows" not in path.parts)
-    assert main(["report", *arguments]) == 2
+    assert main(arguments) == 2
     error = capsys.readouterr().err
-    assert error.startswith("bench: ")
+    assert error.startswith("bench.report: ")
     assert len(error.splitlines()) == 1
     assert sorted(path for path in tmp_path.rglob("*") if "rows" not in path.parts) == before
 
@@ -502,12 +501,6 @@ def test_a_fit_is_made_again_only_if_its_stored_error_agrees(agrees: bool, cells
     drawn = scenario_data.record(store, panel_of(saved))
     assert drawn is not None
     assert drawn["step"] * drawn["fits"]["LS, finite differences"][0] == pytest.approx(1.0, abs=2e-3)
-
-
-def test_the_command_is_no_part_of_what_computes_a_cell() -> None:
-    modules = version_of((("methods.sampling.mcmc", "MCMC"),)).modules
-    assert "bench.contract.progress" in modules
-    assert not [name for name in modules if name.startswith(("bench.report", "bench.reporting.page"))]
 
 
 def luminance(colour: str) -> float:
@@ -855,7 +848,7 @@ def test_without_scripts_a_scenario_has_its_table(shown: tuple[Any, Path]) -> No
 def test_the_site_of_the_results_is_small_and_names_nothing_beyond_itself(python: Python, tmp_path: Path) -> None:
     out, results = tmp_path / "site", REPOSITORY / "results"
     store = f"store={tmp_path}"
-    done = python("-m", "bench", "report", store, f"archive={results / 'archive'}", f"results={results}", f"out={out}")
+    done = python("-m", "bench.report", store, f"archive={results / 'archive'}", f"results={results}", f"out={out}")
     assert done.returncode == 0, done.stderr
     files = [path for path in out.rglob("*") if path.is_file() and documents.FILES not in path.parts]
     assert sum(path.stat().st_size for path in files) <= 12_000_000

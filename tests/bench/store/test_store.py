@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from stored import content
 
 from bench import InputError, Status
 from bench.scoring.row import Row
+from bench.store.cell_file import cell_file
 from bench.store.store import Store
-from bench.store.stored import StoredCell, cell_file
+from bench.store.stored import StoredCell
 
 NAN, INF = math.nan, math.inf
 ROWS = (
@@ -66,7 +68,7 @@ def test_what_is_saved_is_loaded(store: Store) -> None:
     assert loaded.cell["third"] == 1.0 / 3.0  # the description of what was computed is exact
 
 
-def test_the_file_is_strict_json_one_a_cell_and_nothing_else_remains(store: Store) -> None:
+def test_the_file_is_two_lines_of_strict_json_and_nothing_else_remains(store: Store) -> None:
     store.save(CELL)
     store.save(CELL)
     assert [path.name for path in store.folder.iterdir()] == [f"{CELL.identity}.json"]
@@ -74,9 +76,12 @@ def test_the_file_is_strict_json_one_a_cell_and_nothing_else_remains(store: Stor
     def refuse(constant: str) -> None:
         raise AssertionError(f"{constant} is not JSON")
 
-    content = json.loads(store.path(CELL.identity).read_text(encoding="utf-8"), parse_constant=refuse)
-    assert content["rows"]["status"] == ["ok", "timeout", "ok"]
-    assert content["rows"]["scores"]["only_here"] == [1.0, None, None]
+    for line in store.path(CELL.identity).read_text(encoding="utf-8").splitlines():
+        json.loads(line, parse_constant=refuse)
+    found = content(store.path(CELL.identity))
+    assert found["statuses"] == {"ok": 2, "timeout": 1}
+    assert found["rows"]["status"] == ["ok", "timeout", "ok"]
+    assert found["rows"]["scores"]["only_here"] == [1.0, None, None]
 
 
 def test_the_status_of_a_cell_without_success_is_its_most_frequent_failure() -> None:
@@ -91,12 +96,12 @@ def test_nothing_stored_is_none(store: Store) -> None:
 
 DAMAGED = {
     "empty": b"",
-    "cut": b'{"format": 3, "identity": "01',
+    "cut": b'{"format": 4, "identity": "01',
     "binary": b"\x80\x04\x95\xff\xfe",
     "list": b"[1, 2]",
     "number": b"3",
     "foreign": b'{"name": "package", "version": "1.0"}',
-    "only the format": b'{"format": 3}',
+    "only the format": b'{"format": 4}',
     "another format": b'{"format": 99, "identity": "0123456789abcdef0123"}',
     "another cell's file": cell_file(replace(CELL, identity="another")),
 }

@@ -1,146 +1,71 @@
-"""What computes a cell: everything its method's module imports from here, its packages, and nothing else."""
+"""Versions: a stored cell is current where the numbers of its method, its system and the scoring are today's."""
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from stored import VERSION, described, save, scored
 
-from bench.store import source
-from bench.store.version import Version, cell_version, version_of
-
-SOURCES = {
-    "pkg/__init__.py": "from pkg.shared import VALUE\n",
-    "pkg/one.py": (
-        "import json\nimport numpy as np\nfrom pkg import VALUE, two\n\n"
-        "def f(x: int) -> int:\n    from pkg.lazy import g\n    if x < 0:\n        raise ValueError(f'not {x}')\n"
-        "    return np.abs(VALUE + g() + two.h())\n\n"
-        "def unused():\n    return 1\n"
-    ),
-    "pkg/two.py": "from pkg.other import x\n\ndef h():\n    return 1\n\ndef k():\n    return x\n",
-    "pkg/shared.py": "VALUE = 1  # a comment\nUNUSED = 2\n",
-    "pkg/lazy.py": "def g():\n    '''Says what.'''\n    return 1\n",
-    "pkg/other.py": "x = 1\n",
-    "pkg/patched.py": "from pkg.shared import VALUE\n\ndef f():\n    return 1\n\nprint(VALUE)\n",
-}
+from bench import scoring
+from bench.commands.status import standings, store_page
+from bench.entrants.registry import load_method, method_names
+from bench.store.bounds import bound_version
+from bench.store.store import Store
+from bench.store.version import NUMBERS, cell_version
+from bench.systems import load_system, registered_systems
 
 
-@pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for name, text in SOURCES.items():
-        path = tmp_path / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(text)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    forget()
-    return tmp_path / "pkg"
+@pytest.fixture(autouse=True)
+def _read_anew() -> Iterator[None]:
+    cell_version.cache_clear()
+    yield
+    cell_version.cache_clear()
 
 
-def forget() -> None:
-    for cached in (source.source_file, source._top_level, source._read, source._reached, cell_version):
-        cached.cache_clear()
+def test_every_method_and_system_has_a_whole_number() -> None:
+    for name in method_names():
+        version = cell_version(name, "sdof").as_json()
+        assert list(version) == list(NUMBERS)
+        assert all(type(number) is int and number >= 1 for number in version.values())
+    assert all(type(load_system(name).version) is int for name in registered_systems())
 
 
-def changed(path: Path, text: str, module: str, name: str) -> str:
-    """What is said to have changed in a definition's version when a file is rewritten."""
-    forget()
-    before = version_of([(module, name)])
-    path.write_text(text)
-    forget()
-    now = version_of([(module, name)])
-    said = now.changed_since(before.as_json())
-    assert bool(said) == (now.digest != before.digest)
-    return said
+def test_the_packages_in_use_are_named_by_their_public_version() -> None:
+    assert {"numpy", "scipy"} == set(cell_version("oracle", "sdof").packages)
+    packages = cell_version("pinn", "sdof").packages
+    assert {"numpy", "scipy", "torch"} <= set(packages)
+    assert not any("+" in version for version in packages.values())
 
 
-def test_the_closure_is_what_a_definition_mentions_wherever_it_is_imported_from(package: Path) -> None:
-    found = source.uses([("pkg.one", "f")], {"pkg"})
-    assert set(found.definitions) == {("pkg.one", "f"), ("pkg.shared", "VALUE"), ("pkg.lazy", "g"), ("pkg.two", "h")}
-    assert found.packages == {"numpy"}, "not what the module imports and the definition does not use"
-    assert "pkg.one" not in sys.modules, "nothing is imported to find out"
+@pytest.mark.parametrize("number", NUMBERS)
+def test_each_number_makes_stale_and_is_named(number: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    store = Store(tmp_path / "rows")
+    store.prepare()
+    for method in ("ls", "shooting"):
+        save(store, described(method), scored(method, 3))
+    assert [one.state for one in standings(store)] == ["done", "done"]
+    owner = {"method": load_method("ls"), "system": load_system("sdof"), "scoring": scoring}[number]
+    monkeypatch.setattr(owner, "VERSION" if number == "scoring" else "version", 2, raising=True)
+    cell_version.cache_clear()
+    by_label = {one.head.label: (one.state, one.why) for one in standings(store)}
+    expected = ("stale", f"{number} version 1, today 2")
+    assert by_label["ls"] == expected
+    assert by_label["shooting"] == (("done", "") if number == "method" else expected)
+    assert f"x {number} version 1, today 2" in store_page(store)
+    assert cell_version("ls", "sdof").is_that_of({**VERSION, number: 2})
+    assert (bound_version("sdof") == [1, 1]) == (number == "method")
 
 
-def test_what_a_module_does_when_it_is_imported_belongs_to_each_of_its_definitions(package: Path) -> None:
-    found = set(source.uses([("pkg.patched", "f")], {"pkg"}).definitions)
-    assert found == {("pkg.patched", "f"), ("pkg.patched", source.EFFECTS), ("pkg.shared", "VALUE")}
-
-
-def test_a_change_is_seen_by_what_uses_it_and_named(package: Path) -> None:
-    assert changed(package / "lazy.py", "def g():\n    return 2\n", "pkg.one", "f") == "pkg.lazy changed"
-    assert changed(package / "other.py", "x = 2\n", "pkg.one", "f") == "", "k uses it, f does not use k"
-    assert changed(package / "other.py", "x = 3\n", "pkg.two", "k") == "pkg.other changed"
-    assert changed(package / "shared.py", "VALUE = 1\nUNUSED = 3\n", "pkg.one", "f") == ""
-
-
-def test_comments_docstrings_layout_types_and_sentences_of_errors_do_not_count(package: Path) -> None:
-    assert changed(package / "shared.py", "\n\nVALUE = (1)\n", "pkg.one", "f") == ""
-    assert changed(package / "lazy.py", "# new\ndef g() -> int:\n\n    return 1\n", "pkg.one", "f") == ""
-    text = SOURCES["pkg/one.py"]
-    assert changed(package / "one.py", text.replace("not {x}", "{x} is negative"), "pkg.one", "f") == ""
-    assert changed(package / "one.py", text.replace("ValueError", "TypeError"), "pkg.one", "f") == "pkg.one changed"
-    assert changed(package / "shared.py", "VALUE = 1.0\n", "pkg.one", "f") == "pkg.shared changed"
-
-
-def test_the_card_of_a_method_does_not_count(package: Path) -> None:
-    """What is said of a method, or the colour of its line, changes no number."""
-    method = "from pkg.shared import VALUE, UNUSED\n\nclass M:\n    card: ClassVar[Card] = Card({})\n    step = {}\n"
-    (package / "method.py").write_text(method.format("'grey'", "VALUE"))
-    assert changed(package / "method.py", method.format("'red', UNUSED", "VALUE"), "pkg.method", "M") == ""
-    assert changed(package / "method.py", method.format("'red'", "UNUSED"), "pkg.method", "M") != ""
-
-
-def test_a_definition_that_moves_to_another_file_is_still_the_same(package: Path) -> None:
-    before = version_of([("pkg.one", "f")])
-    (package / "moved.py").write_text(SOURCES["pkg/shared.py"])
-    (package / "__init__.py").write_text("from pkg.moved import VALUE\n")
-    forget()
-    assert version_of([("pkg.one", "f")]).digest == before.digest
-
-
-def test_packages_are_compared_by_their_public_version() -> None:
-    now = Version("", {"a": "1"}, {"numpy": "2.4.6", "torch": "2.13.0"})
-    assert now.changed_since(now.as_json()) == ""
-    stored = {"modules": {"a": "1"}, "packages": {"numpy": "2.3.0", "casadi": "3.7"}}
-    assert now.changed_since(stored) == "casadi 3.7, now absent, numpy 2.3.0, now 2.4.6, torch absent, now 2.13.0"
-    found = version_of([("methods.pinn", "PINN")]).packages
-    assert not any("+" in public for public in found.values())
-    assert {"torch", "numpy", "scipy"} <= set(found)
-
-
-def test_a_method_hangs_on_its_own_code_and_the_systems_not_on_other_methods_or_the_command_line() -> None:
-    forget()
-    shooting, pinn = cell_version("shooting", "sdof"), cell_version("pinn", "sdof")
-    assert "methods.trajectory.shooting" in shooting.modules
-    assert not any(name.startswith("methods.pinn") for name in shooting.modules)
-    assert "methods.trajectory.shooting" not in pinn.modules
-    for module in (
-        "bench.scoring.score",
-        "bench.scenario.scenario",
-        "bench.dynamics.simulate",
-        "bench.information.fisher (summary)",
-        "bench.systems.linear",
-    ):
-        assert module in shooting.modules
-    for module in (
-        "bench.commands.main",
-        "bench.sweep.runner",
-        "bench.store.store",
-        "bench.sweep.scoring_process",
-        "bench.reporting.frame",
-        "bench.systems.nonlinear",
-    ):
-        assert module not in shooting.modules
-    assert "bench.systems.nonlinear" in cell_version("shooting", "duffing").modules
-    assert "bench.entrants.reference" in cell_version("oracle", "sdof").modules
-    assert len({shooting.digest, pinn.digest, cell_version("shooting", "duffing").digest}) == 3
-
-
-def test_a_disturbance_hangs_on_its_own_kind_alone() -> None:
-    forget()
-    roots = [("bench.scenario.disturbance", name) for name in ("Jitter", "Bias")]
-    jitter, bias = (set(source.uses([root], {"bench"}).definitions) for root in roots)
-    assert roots[0] in jitter
-    assert roots[1] not in jitter
-    assert len({cell_version("ls", "sdof", kind).digest for kind in ("none", "jitter", "bias")}) == 3
-    assert len(jitter & bias) > 1
+def test_a_cell_without_numbers_is_stale_and_one_of_a_foreign_method_is_said_to_be(tmp_path: Path) -> None:
+    store = Store(tmp_path / "rows")
+    store.prepare()
+    stored = save(store, described("ls"), scored("ls", 3))
+    store.save(replace(stored, version={}))
+    save(store, described("nobody"), scored("nobody", 3))
+    found = {one.head.label: (one.state, one.why) for one in standings(store)}
+    assert found["ls"][0] == "stale"
+    assert "method version not stated, today 1" in found["ls"][1]
+    assert found["nobody"] == ("foreign", "no method nobody is installed here")

@@ -11,8 +11,8 @@ from stored import resealed
 
 from bench.commands.main import main
 from bench.config.experiment import expand
+from bench.store.cell_file import cell_file
 from bench.store.store import Store
-from bench.store.stored import cell_file
 from bench.sweep.plan import FAILURES, State, plan
 
 DAMAGE: dict[str, Callable[[Path, Path], object]] = {

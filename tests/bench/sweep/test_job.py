@@ -21,7 +21,7 @@ from bench.isolation.limit import limited
 from bench.isolation.private import VARIABLE, make_private_folder
 from bench.run.pool import Limits
 from bench.scenario.force import ForceSpec
-from bench.store.archive.archive import Archive
+from bench.store.archive import Archive
 from bench.store.cell import Cell
 from bench.store.seal import sealed
 from bench.store.store import Store

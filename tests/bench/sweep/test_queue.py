@@ -172,7 +172,7 @@ def test_what_another_run_has_stored_since_the_plan_is_not_computed_again(
         rows_of(store, cell)
         before = store.stamp(cell.identity)
     planned = [Planned(cell, state, "", True, before)]
-    rows_of(store, cell) if state is State.MISSING else store.restate(loaded(store, cell))
+    rows_of(store, cell) if state is State.MISSING else store.save(loaded(store, cell))
     stamp = store.stamp(cell.identity)
     assert stamp != before
     run_cells(planned, store, Limits(1, 30.0, 1000.0))

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pandas as pd
 
-from bench.store import index as view
-from bench.store import line
 from bench.store.store import Store
 
 ROOT = Path(__file__).parents[3]
@@ -51,10 +49,12 @@ def cell_files(store: Path) -> list[str]:
 
 def csv(store: Path) -> str:
     """A table of all that was computed: every metric of every cell, as text."""
-    metrics = " ".join(view.cells(Store(store), ("metrics",))["metrics"]).split()
-    table = view.summaries(Store(store), sorted(set(metrics)))
-    keep = ["identity", "label", "system", "snr_db", "seed", "n_ok", "statuses", "data", "metric", *line.STATISTICS]
-    return str(pd.DataFrame(table[keep]).sort_values(["identity", "metric"]).to_csv(index=False))
+    lines = [
+        {**{name: cell.cell.get(name) for name in ("label", "system", "snr_db", "seed")}, "identity": cell.identity,
+         "n_ok": cell.n_ok, "data": cell.provenance.get("data"), "metric": metric, **statistics}
+        for cell in Store(store) for metric, statistics in cell.summary.items()
+    ]  # fmt: skip
+    return str(pd.DataFrame(lines).sort_values(["identity", "metric"]).to_csv(index=False))
 
 
 def report(title: str, rows: Sequence[tuple[str, object, object]]) -> int:

@@ -43,12 +43,11 @@ READER = """
 import sys, time
 from pathlib import Path
 import psutil
-from bench.store.index import cells
 from bench.contract.estimate import Status
 from bench.store.store import ABANDONED_S, Store
 own, store, rounds = psutil.Process(), Store(Path(sys.argv[1])), 0
 while True:
-    found = len(cells(store))
+    found = sum(not head.problem for head in store.heads())
     rounds += 1
     print(rounds, found, own.num_fds(), own.memory_info().rss // 1024, flush=True)
     time.sleep(0.5)
