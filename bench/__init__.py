@@ -131,7 +131,7 @@ __version__ = "0.1.0"
 __path__ = [
     *__path__,
     *(f"{folder}/commands" for folder in __path__),
-]  # python -m bench.tables is bench/commands/tables.py
+]  # python -m bench tables is bench/commands/tables.py
 
 FACE = {
     "Identification": "identification",

@@ -17,7 +17,7 @@ from mkdocs.structure.nav import Link, Navigation
 
 ROOT = Path(__file__).parents[1]
 SITE = ROOT / "build" / "site"
-"""Where ``python -m bench.report`` writes the site of the results."""
+"""Where ``python -m bench report`` writes the site of the results."""
 PLACE = "<!-- the help of every command, written by docs/hooks.py when the site is built -->"
 README = "readme.md"
 """Where README.md stands in the site, whose first page is docs/index.md."""

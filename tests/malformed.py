@@ -60,7 +60,6 @@ class Field:
     beside: str = ""
 
 
-STORES = ("tables", "figures", "report", "claims", "reproduction", "recheck")
 CELL = "method=prior replicates=2"
 DECAY = "want=c_over_m:5% frequency=2 damping=0.02 noise=0.5mm"
 NOMINAL = "nominal.m=1 nominal.c=1 nominal.k=1"
@@ -79,12 +78,12 @@ FIELDS = (
     Field("bench", "rate", NUMBERS, "method=ls data=good.csv"),
     Field("bench", "decimate", WHOLE, "method=ls data=good.csv"),
     Field("bench", "hold", NAMES, "method=ls data=good.csv"),
-    *(Field(command, "store", TO_READ) for command in STORES),
-    *(Field(command, "archive", TO_READ[1:], "store=store") for command in STORES),
-    *(Field(command, "out", TO_WRITE, "store=store") for command in ("tables", "figures", "reproduction")),
-    Field("report", "out", TO_WRITE, "store=store"),
-    Field("claims", "write", FLAGS),
-    Field("claims", "root", TO_READ, "store=store"),
+    Field("recheck", "store", TO_READ),
+    Field("tables", "store", TO_READ[1:]),
+    Field("tables", "archive", TO_READ[1:], "store=store"),
+    *(Field("tables", "out", TO_WRITE[1:], f"store=store what={what}") for what in ("tables", "figures")),
+    Field("tables", "root", TO_READ[1:], "what=claims store=store"),
+    Field("report", "out", TO_WRITE[1:], "store=store"),
     Field("recheck", "experiment", NAMES, "store=store"),
     Field("recheck", "method", NAMES, "store=store"),
     Field("status", "store", TO_READ),
@@ -99,10 +98,7 @@ FIELDS = (
     Field("certify", "twins", WHOLE, "data=good.csv"),
     Field("certify", "out", TO_WRITE, "data=good.csv twins=0 method=ls"),
     Field("certify", "method", NAMES, "data=good.csv twins=0"),
-    *(
-        Field("design", name, ("1", "1kg", "1rad", "nan m", "-1mm", "1e999mm"), DECAY)
-        for name in ("noise", "amplitude")
-    ),
+    *(Field("design", name, ("1", "1kg", "1rad", "nan m", "-1mm"), DECAY) for name in ("noise", "amplitude")),
     Field("design", "want", ("c_over_m", "c_over_m:5", "c_over_m:0%", "mass:5%", "c_over_m:nan%"), DECAY),
     Field("design", "given", FILES[1:7]),
     Field("design", "samples", ("7", "501"), FORCE),
@@ -172,7 +168,8 @@ FIELDS = (
 
 WRITTEN = """
 # command | arguments | field | value | a part of what would be right
-bench | method | argument | 'method' | field=value
+bench | method | verb | method | verbs
+bench | certfy | verb | certfy | did you mean certify
 bench | snr=20 | method | | choose one
 bench | method=prior snr = 20 | argument | 'snr' | without spaces
 bench | method=prior --snr=20 | option | --snr=20 | no dashes
@@ -377,13 +374,12 @@ status | store=store watch=true | watch | true | follow
 status | store=store store=store | store | store | twice
 status | store=store method=prior snr=interval(0,1) | snr | interval(0,1) | values
 status | status | argument | 'status' | field=value
+tables | what=clams | what | clams | did you mean claims
 tables | store=empty archive=none | store | empty | no cell
-tables | stroe=x | argument | stroe=x | store=
-tables | store=store store=store | store | store | twice
-figures | store=empty archive=none | store | empty | no cell
+tables | what=figures store=empty archive=none | store | empty | no cell
 report | store=empty archive=none | store | empty | no cell
-reproduction | store=empty archive=none | store | empty | no cell
-reproduction | archive=none | store | outputs/rows | no such folder
+tables | what=reproduction store=empty archive=none | store | empty | no cell
+tables | what=reproduction archive=none | store | outputs/rows | folder not found
 reproduce | zz | cell | zz | identity
 reproduce | | cell | | identity
 reproduce | 00 11 | cell | 00 11 | one
@@ -391,8 +387,7 @@ reproduce | store=store | cell | | identity
 reproduce | 00 store=store archive=none | cell | 00 | no such cell
 publish | store=empty archive=out | store | empty | no cell
 recheck | store=store zz=1 | argument | zz=1 | experiment=
-claims | zz=1 | argument | zz=1 | write=
-claims | store=store results=missing | results | missing | folder
+tables | what=claims store=store results=missing | results | missing | folder
 benchmark | zz=1 | zz | 1 | not a field
 benchmark | store=x | store | x |
 benchmark | experiment=table3 | experiment | table3 |
@@ -450,7 +445,7 @@ online | system=sdof samples=1e12 dry_run=true | samples | 1e12 |
 online | system=sdof snr=1e300 dry_run=true | snr | 1e300 |
 atlas | zz=1 | argument | zz=1 |
 atlas | test=zz dry_run=true | test | zz |
-check | package=nowhere | package | nowhere | 
+check | package=nowhere | package | nowhere |
 check | package=ls timeout_s=0 | timeout_s | 0 | positive
 check | package=ls format=xml | format | xml | table or json
 check | package=ls method.window={ | method.window | { | a number
@@ -460,7 +455,7 @@ export | petab replicate=-1 | replicate | -1 | whole number
 export | petab snr=nan | snr | nan | finite
 export | petab system=beam | system | beam | known
 export | arviz zz | cell | zz | identity
-export | arviz 00 store=missing | store | missing | no such folder
+export | arviz 00 store=missing | store | missing | folder not found
 export | notebook snr=20 | method | | choose one
 merge | | submission | | name one
 merge | missing | submission | missing | no such file
@@ -470,7 +465,7 @@ merge | plain.zip | submission | plain.zip |
 merge | good.csv verify=2 | verify | 2 | at most 1
 merge | good.csv workers=0 | workers | 0 | whole number
 merge | pipe | submission | pipe | it is no file
-new | method=../x | method | ../x | 
+new | method=../x | method | ../x |
 new | method=my_method out=file/below | out | file/below | cannot be written
 new | method=class | method | class | small letters
 new | method=a/b | method | a/b | small letters
@@ -618,8 +613,6 @@ merge | odd.submission | submission | odd.submission | means nothing here
 report | store=store out=file | out | file | new, empty
 report | store=store out=store | out | store | new, empty
 report | store=store out=. | out | . | new, empty
-report | store=store out=a out=b | out | b | twice
-report | zz=1 | argument | zz=1 | store=
 submit | | method | | one of
 submit | method=ls method=ls | method | ls | twice
 submit | method=oracle store=store | method | oracle | one of
@@ -635,7 +628,7 @@ atlas | shard=1/2/3 dry_run=true | shard | 1/2/3 | 3/10
 atlas | points=999999999999 dry_run=true | points | 999999999999 | from 1
 atlas | fit=false points=8 part=points method=ls store=folder | store | folder | finished blocks
 submit | method=zz | method | zz | one of
-submit | method=ls store=missing | store | missing | no such folder
+submit | method=ls store=missing | store | missing | folder not found
 submit | method=ls store=store | method | ls | no cell
 submit | method=ls store=store experiment=zz | experiment | zz | known
 atlas | part=points part=points | part | points | twice

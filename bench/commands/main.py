@@ -68,7 +68,6 @@ see also:
   python -m bench.design --help        the cheapest test that tells enough
   python -m bench.expect --help        what each method would do at a test
   python -m bench.check my_method.py   does a method of your own keep the contract
-  python -m bench.tables               the tables, from what is stored
   python -m bench.identifiability system=chain2 snr=10   what data can tell"""
 
 MEASURED_TRACK = "experiment=measured"
@@ -89,10 +88,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         rest = [word for place, word in enumerate(arguments) if place != arguments.index(verb)]
         return guarded("bench", lambda: execute(verb, rest))
     kept = "interrupted; finished cells are kept, the same command goes on from here"
-    return guarded("bench", lambda: _main(arguments), kept)
+    return guarded("bench", lambda: _main(arguments, early=argv is None and usable_cores() > 1), kept)
 
 
-def _main(arguments: list[str]) -> int:
+def _main(arguments: list[str], early: bool = False) -> int:
+    """Run an experiment; ``early``: have processes prepared on another core while this one imports."""
     flags = {argument for argument in arguments if argument.startswith("-")}
     unknown = flags - {"-m", "--multirun", "-h", "--help", "--cfg", "--version"}
     if unknown:
@@ -133,6 +133,10 @@ def _main(arguments: list[str]) -> int:
     launcher = [text for text in arguments if of_launcher(text)]
     check_launcher(launcher)
     overrides = read_overrides([text for text in arguments if text not in {*launcher, *flags}])
+    if early and not launcher and "--cfg" not in flags and "dry_run" not in overrides:
+        from bench.isolation.processes import start_server
+
+        start_server()
     from bench.config.experiment import sweep  # half a second to import: a mistyped name is said before
 
     if any(value is not None for value in overrides.get("data", [])):

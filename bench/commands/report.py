@@ -1,45 +1,38 @@
-"""``python -m bench.report``: the results as a folder of pages that opens from a disk, without network or server.
-
-From stored cells, their arrays and the folder ``results`` (tables, figures) alone; nothing is computed anew but ranks.
-The same store gives the same bytes. Open ``index.html``.
-"""
+"""The verb ``report``: the results as a site."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
 
-from bench.commands.fields import folder_of, path_of, read_fields
-from bench.commands.guard import command
-from bench.commands.stores import FIELDS, filled_store
-from bench.reporting.page.folder import check_folder, write_folder
-from bench.reporting.page.site import site_files
-from bench.store.opening import DEFAULT_STORE
+from bench.commands.declaration import folder
+from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, named_store
+from bench.errors import InputError
 
-RESULTS = "results"
+RESULTS = Path("results")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Write the site; exit status 2 for bad input."""
-    places = f"[results={RESULTS}] [out=build/site]"
-    usage = f"usage: python -m bench.report [store={DEFAULT_STORE}] [archive=<folder>|none] {places}"
-    return command("bench.report", f"{usage}\n\n{__doc__}", argv, _main)
+def report(
+    store: StoreFolder = OWN,
+    archive: ArchiveFolder = None,
+    results: Annotated[Path, "folder of tables and figures"] = RESULTS,
+    out: Annotated[Path, "folder of the site"] = Path("build/site"),
+) -> int:
+    """Build the site: the results as pages that open without a network or server.
 
-
-def _main(arguments: Sequence[str]) -> int:
+    It comes from stored cells, their arrays and the folder of results alone; the same store gives the same bytes. Open
+    index.html.
+    """
     try:
-        fields = read_fields(arguments, {**FIELDS, "results": RESULTS, "out": "build/site"})
-        store, out, results = filled_store(fields), path_of(fields["out"]), path_of(fields["results"])
-        if fields["results"] != RESULTS:  # an installed package has none, and shows what is in the store
-            folder_of("results", fields["results"])
+        from bench.reporting.page.folder import check_folder, write_folder
+        from bench.reporting.page.site import site_files
+
+        opened = named_store(store, archive, filled=True)
+        if results != RESULTS:  # an installed package has none, and shows what is in the store
+            folder("results", str(results))
         check_folder(out)
-        write_folder(out, site_files(store, results))
-        print(out / "index.html")
+        write_folder(out, site_files(opened, results))
     except ImportError as error:
-        print(f"bench.report: {error.name} is missing: pip install 'vibration-bench[report]'", file=sys.stderr)
-        return 2
+        raise InputError("package", error.name, "missing: pip install 'vibration-bench[report]'") from None
+    print(out / "index.html")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,36 +1,47 @@
-"""The store that a command reads: named by ``store=`` and ``archive=``, and there."""
+"""The store that a verb reads: named by ``store=`` and ``archive=``, and there."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from bench.commands.fields import folder_of, path_of
+from bench.commands.declaration import folder
 from bench.errors import InputError
-from bench.store.opening import DEFAULT_STORE, NONE, open_store
-from bench.store.store import Store
 
-FIELDS = {"store": DEFAULT_STORE, "archive": ""}
-"""The fields of every command that reads a store, with their defaults."""
+if TYPE_CHECKING:
+    from bench.store.store import Store
+
+OWN = Path("outputs/rows")
+"""The folder of a user's own cells, which may be absent where there is a published archive."""
+FIELDS = {"store": str(OWN), "archive": ""}
+StoreFolder = Annotated[Path, "folder of stored cells"]
+ArchiveFolder = Annotated[str | None, "published cells: a folder, or none [that of the checkout]"]
+
+
+def named_store(store: Path, archive: str | None, filled: bool = False) -> Store:
+    """Open the store of two fields.
+
+    Raises InputError for a folder that was named and does not exist, since a mistyped name would be an empty store; and
+    for a store without a cell, where it has to be ``filled``.
+    """
+    from bench.store.opening import NONE, open_store
+
+    if archive and archive != NONE:
+        archive = str(folder("archive", archive))
+    opened = open_store(store, archive)
+    if store != OWN or opened.archive is None:
+        folder("store", str(store))
+    if filled and not opened.identities():
+        raise InputError("store", store, "no cell is there; run python -m bench -m experiment=table5 first")
+    return opened
 
 
 def store_of(fields: Mapping[str, str]) -> Store:
-    """The store of the fields; raises InputError for a folder that was named and is not there, or where none is.
-
-    A name with a slip would otherwise be an empty store, in the place of the one that was meant. The usual folder may
-    be absent where there is a published archive.
-    """
-    archive = fields["archive"]
-    if archive and archive != NONE:
-        archive = str(folder_of("archive", archive))
-    store = open_store(path_of(fields["store"]), archive)
-    if fields["store"] != DEFAULT_STORE or store.archive is None:
-        folder_of("store", fields["store"])
-    return store
+    """The store of the fields of a command that is no verb yet."""
+    return named_store(Path(fields["store"]).expanduser(), fields["archive"])
 
 
 def filled_store(fields: Mapping[str, str]) -> Store:
-    """The same, with a cell in it at least; raises InputError."""
-    store = store_of(fields)
-    if not store.identities():
-        raise InputError("store", fields["store"], "no cell is there; run python -m bench -m experiment=table5 first")
-    return store
+    """The same, with a cell in it at least."""
+    return named_store(Path(fields["store"]).expanduser(), fields["archive"], filled=True)

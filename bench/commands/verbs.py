@@ -7,7 +7,7 @@ from importlib import import_module
 
 from bench.errors import InputError
 
-VERBS = ("certify", "design", "track", "identifiability", "check", "new")
+VERBS = ("certify", "design", "track", "identifiability", "tables", "report", "check", "new")
 """Each is the function of its name in the module of its name; a line without one of them is a run."""
 COMMAND = "python -m bench"
 
@@ -61,7 +61,7 @@ def _selected(keys: Collection[str], words: Sequence[str]) -> str:
         name, _, value = word.partition("=")
         choices = [key.partition("=")[2] for key in keys if key.startswith(f"{name}=")]
         if choices and value not in choices:
-            raise InputError(name, value, f"{did_you_mean(value, choices)}{' or '.join(choices)}, or leave it out")
+            raise InputError(name, value, f"{did_you_mean(value, choices)}one of {', '.join(choices)}, or leave it out")
     return next((key for key in keys if key and any(f"{word}=".startswith(f"{key}=") for word in words)), "")
 
 

@@ -82,7 +82,7 @@ class Died(Exception):
 def start_server(preload: Sequence[str] = ()) -> None:
     """Start the server that all children are started from; it imports while its starter goes on.
 
-    The first call decides what is preloaded; a later one changes nothing.
+    One that runs without some of the packages is started again, unless it has children.
     """
     _context(preload)
     with without_main():
@@ -94,7 +94,13 @@ def _context(preload: Sequence[str]) -> Any:
     single_threaded()
     raise_limit()
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.frozen"])
+    server, lacking = _server(), set(preload) - Children.preloaded
+    if server is not None and lacking and not Children.known:
+        os.kill(server, signal.SIGKILL)
+        os.waitid(os.P_PID, server, os.WEXITED | os.WNOWAIT)  # multiprocessing finds it ended, and starts another
+    if server is None or lacking:
+        Children.preloaded = frozenset(preload)
+        context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.frozen"])
     return context
 
 
@@ -106,8 +112,10 @@ class Children:
 
     _starting = threading.Lock()
     """Held while a child is started, or one that is not known is looked for."""
-    _known: ClassVar[set[int]] = set()
+    known: ClassVar[set[int]] = set()
     """The children of the server that this process has started and not ended."""
+    preloaded: ClassVar[frozenset[str]] = frozenset()
+    """The packages that the server imports."""
 
     def __init__(self, preload: Sequence[str] = ()) -> None:
         self.context = _context(preload)
@@ -133,7 +141,7 @@ class Children:
                 except (OSError, EOFError) as error:  # the server is gone, or there is no descriptor left
                     lacking = error
                     continue
-                self._known.add(child.pid)
+                self.known.add(child.pid)
             with self._lock:
                 self._all.add(child)
             if self._closed.is_set():  # meanwhile: whoever closes may not have seen it
@@ -146,14 +154,14 @@ class Children:
         """Note that a child ends, or has ended."""
         with self._lock:
             self._all.discard(child)
-        self._known.discard(child.pid)
+        self.known.discard(child.pid)
 
     def end_orphans(self) -> None:
         """End what children have left to the server."""
         _continue(_server())  # else a start that is under way is never over
         with self._starting:
             if server := _server():
-                end_orphans(server, self._known)
+                end_orphans(server, self.known)
 
     def close(self) -> None:
         """End every child."""

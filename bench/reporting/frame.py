@@ -333,7 +333,7 @@ class Frame:
     @property
     def command(self) -> str:
         """What makes the table again."""
-        return f"python -m bench -m experiment={self.experiment} && python -m bench.tables"
+        return f"python -m bench -m experiment={self.experiment} && python -m bench tables"
 
 
 def group(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:

@@ -62,7 +62,7 @@ def page(data: pd.DataFrame, ratios: pd.DataFrame, base: Mapping[Place, Cell]) -
         "Its PINN at 20 dB on the reference system has a mass error of 1.1, 2.6 and 3.9 % and an RMSE of 0.016 and "
         "0.021 m in its Tables 2, 3 and 5: what it calls one value spreads by a factor of three.",
         *_against_itself(base),
-        "Regenerate: `python -m bench.reproduction`, after the cells of Tables 2 to 5.",
+        "Regenerate: `python -m bench tables what=reproduction`, after the cells of Tables 2 to 5.",
     ]
     return "\n\n".join(parts) + "\n"
 

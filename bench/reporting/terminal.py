@@ -30,7 +30,7 @@ def columns() -> int:
 
 def width(text: str) -> int:
     """Places that one line of text takes on a screen."""
-    return int(wcwidth.width(text))
+    return len(text) if text.isascii() and text.isprintable() else int(wcwidth.width(text))
 
 
 def wrapped(text: str, hanging: str = "  ", start: str = "") -> str:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from scipy.stats import binom, chi2
+from scipy.special import bdtr, chdtri  # scipy.stats takes a quarter of a second to import
 
 from bench.reporting.rounding import excess_text, readable
 from bench.scoring.summary import below_chance
@@ -78,7 +78,7 @@ def _scored(stored: StoredCell) -> dict[str, Mapping[str, Any]]:
 
 
 def _accuracy(excess: Mapping[str, float], n: int) -> str:
-    least = {name: value * math.sqrt(n / float(chi2.ppf(0.975, n))) for name, value in excess.items()}
+    least = {name: value * math.sqrt(n / float(chdtri(n, 0.025))) for name, value in excess.items()}
     worst = max(excess, key=lambda name: excess[name])
     if max(least.values()) <= NEAR:
         return ON_THE_BOUND
@@ -92,5 +92,5 @@ def _intervals(stored: StoredCell, told: Mapping[str, Any], n: int) -> str:
     if not known:
         return "no intervals are told"
     worst = min(known, key=lambda name: known[name])
-    holds = round(known[worst] * n) >= binom.ppf(0.025, n, LEVEL)
+    holds = bool(bdtr(round(known[worst] * n), n, LEVEL) >= 0.025)
     return HOLD if holds else f"95 % intervals of {readable(worst)} hold in {100 * known[worst]:.0f} %"

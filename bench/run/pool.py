@@ -509,8 +509,7 @@ def run_tasks(
     missing = [QueuedTask(task, folder, limits) for task in tasks if not task.stored(folder)]
     if not missing:
         return {}
-    modules = sorted({type(task).__module__ for task in tasks})
-    with processes((*limits.preload, *modules)) as children:
+    with processes(limits.preload) as children:
         return perform_tasks(missing, folder / "claims", children, limits, unit, on_look, task_name)
 
 

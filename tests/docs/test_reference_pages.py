@@ -64,7 +64,7 @@ def test_the_commands_whose_help_is_shown_are_all() -> None:
     ours = {
         path.stem for path in (REPOSITORY / "bench" / "commands").glob("*.py") if "usage" in path.read_text("utf-8")
     }
-    assert set(hooks.commands()) >= {"main", "tables"}
+    assert set(hooks.commands()) >= {"main"}
     assert set(hooks.commands()) <= ours | {"main"}
 
 

@@ -32,7 +32,7 @@ class Evidence:
         if name not in self._tables:
             path = self.folder / f"{name}.csv"
             if not path.is_file():
-                raise InputError("results", path, "there is no such table; python -m bench.tables writes the tables")
+                raise InputError("results", path, "there is no such table; python -m bench tables writes the tables")
             data = pd.read_csv(path)
             self._tables[name] = data[data.metric != "not run"] if "metric" in data else data
         return self._tables[name]

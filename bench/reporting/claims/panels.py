@@ -35,7 +35,7 @@ def with_panels(text: str, results: Path) -> str:
     def panel(found: re.Match[str]) -> str:
         path = results / f"table{found['number']}.md"
         if not path.is_file():
-            raise InputError("results", path, "there is no such table; write it with python -m bench.tables")
+            raise InputError("results", path, "there is no such table; write it with python -m bench tables")
         table = path.read_text(encoding="utf-8")
         shown = chosen(section(table, "unknown")) if found["chosen"] else section(table, "known")
         return f"{found['open']}{shown}\n{found['close']}"

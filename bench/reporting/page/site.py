@@ -1,4 +1,4 @@
-"""``python -m bench.report``: the results as a folder of pages that opens from a disk, without network or server.
+"""``python -m bench report``: the results as a folder of pages that opens from a disk, without network or server.
 
 From stored cells, their arrays and a folder of results (tables, figures) alone, of which it holds copies; nothing is
 computed anew but ranks. The same store gives the same bytes.

@@ -5,14 +5,13 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from csv import writer as csv_writer
 from typing import Any
 
-from tabulate import tabulate
-
 from bench.contract.estimate import Status
 from bench.reporting.frame import Result
+from bench.reporting.terminal import width as width_of
 from bench.scoring.comparison import Standing, standing
 
 PRIMARY = ("k_over_m_error_pct", "c_over_m_error_pct", "rmse")
@@ -54,22 +53,62 @@ def bold(text: str, marked: bool) -> str:
 
 
 def markdown_table(rows: Sequence[Sequence[str]], headers: Sequence[str]) -> str:
-    """A table of texts as Markdown."""
-    return tabulate(rows, headers=headers, tablefmt="github", disable_numparse=True)
+    """Return a table of texts as Markdown."""
+    head, *body = _aligned(rows, headers)
+    rule = ["-" * (width_of(text) + 2) for text in head]
+    return "\n".join([_line(head), f"|{'|'.join(rule)}|", *map(_line, body)])
+
+
+def _line(texts: Iterable[str]) -> str:
+    return f"| {' | '.join(texts)} |"
+
+
+HEADING_GAP = 2
+"""Places by which a column is wider than its heading."""
+
+
+def _aligned(rows: Iterable[Sequence[str]], headers: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """Return the lines of a table, headings first, with every text filled up to the width of its column."""
+    columns = []
+    for column in zip(headers, *rows, strict=True):
+        texts = [text.strip() for text in column]
+        widths = list(map(width_of, texts))
+        whole = max(widths[0] + HEADING_GAP, *widths)
+        columns.append([text + " " * (whole - width) for text, width in zip(texts, widths, strict=True)])
+    return zip(*columns, strict=True)
 
 
 def latex_tables(captioned: Iterable[tuple[str, Rows]]) -> str:
     """Tables of Markdown's cells as LaTeX (booktabs), for an article, each under its caption."""
     tables = "".join(_latex_table(caption, *table) for caption, table in captioned)
-    return f"% needs the package booktabs\n% regenerate: python -m bench.tables\n{tables}"
+    return f"% needs the package booktabs\n% regenerate: python -m bench tables\n{tables}"
+
+
+LATEX = str.maketrans(
+    {
+        **{sign: f"\\{sign}" for sign in "&%$#_{}"}, "^": r"\^{}", "~": r"\textasciitilde{}", "\\": r"\textbackslash{}",
+        "<": r"\ensuremath{<}", ">": r"\ensuremath{>}", "×": r"$\times$", "é": r"\'e",
+    }
+)  # fmt: skip
+"""Signs with a meaning in LaTeX, or that it has no letter for, as LaTeX prints them."""
 
 
 def _latex_table(caption: str, rows: Sequence[Sequence[str]], headers: Sequence[str]) -> str:
-    body = tabulate(rows, headers, tablefmt="latex_booktabs", disable_numparse=True)
-    body = re.sub(r"\*\*(.+?)\*\*", r"\\textbf{\1}", body.replace("×", r"$\times$").replace("é", r"\'e"))
-    for plain, escaped in (("é", r"\'e"), ("%", r"\%"), ("_", r"\_")):
-        caption = caption.replace(plain, escaped)
-    return f"\\begin{{table}}\n\\centering\n\\small\n\\caption{{{caption}}}\n{body}\n\\end{{table}}\n"
+    head, *body = (
+        f" {' & '.join(re.sub(BOLD, TEXTBF, text.translate(LATEX)) for text in line)} \\\\"
+        for line in _aligned(rows, headers)
+    )
+    columns = "l" * len(headers)
+    lines = (
+        r"\begin{table}", r"\centering", r"\small", f"\\caption{{{caption.translate(LATEX)}}}",
+        f"\\begin{{tabular}}{{{columns}}}", r"\toprule", head, r"\midrule", *body, r"\bottomrule", r"\end{tabular}",
+        r"\end{table}",
+    )  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+BOLD, TEXTBF = r"\*\*(.+?)\*\*", r"\\textbf{\1}"
+"""Bold in Markdown and in LaTeX."""
 
 
 def csv(lines: Sequence[Line], digits: int = 6, columns: Sequence[str] | None = None) -> str:

@@ -105,7 +105,7 @@ def markdown(frame: Frame, family: Family) -> str:
         f"# {frame.title}",
         "\n".join(f"- {sentence}" for sentence in sentences(family, PLACE)),
         _legend(family),
-        f"Regenerate: `python -m bench -m experiment={frame.experiment}`, then `python -m bench.tables`.",
+        f"Regenerate: `python -m bench -m experiment={frame.experiment}`, then `python -m bench tables`.",
     ]
     for section in family.every:
         parts += _section(family, section)

@@ -140,7 +140,7 @@ def leaderboard(frames: Sequence[Frame], open_split: Frame | None = None) -> Map
             parts += [f"## Error of {NAMES[metric]}, initial state {start}", _table(own, bool(drawn))]
     small = {title(r.label) for r in results if not r.is_reference and r.stored and suspicious(r.stored)}
     parts += [f"Errors are {below(sorted(small))}."] if small else []
-    parts.append("Regenerate: `python -m bench -m experiment=table4,table5 && python -m bench.tables`")
+    parts.append("Regenerate: `python -m bench -m experiment=table4,table5 && python -m bench tables`")
     return {"leaderboard.md": "\n\n".join(parts) + "\n", "leaderboard.csv": csv(rows, 5)}
 
 

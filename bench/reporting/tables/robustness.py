@@ -116,7 +116,7 @@ def markdown(experiment: str, title: str, data: Sequence[Line]) -> str:
     parts += ["## Coverage of the 95 % interval of k/m, in percent", _panel(own[COVERED], _coverage)]
     missing = sum(line["n"] == 0 for line in own[COVERED])
     parts += [f"{missing} cells were not run."] if missing else []
-    parts.append(f"Regenerate: `python -m bench -m experiment={experiment} && python -m bench.tables`")
+    parts.append(f"Regenerate: `python -m bench -m experiment={experiment} && python -m bench tables`")
     return "\n\n".join(parts) + "\n"
 
 

@@ -122,11 +122,11 @@ time.sleep(60)
 """
 
 
-@pytest.mark.parametrize("command", ["bench", "bench.tables"])
+@pytest.mark.parametrize("command", ["", "tables"])
 def test_ctrl_c_while_modules_are_imported_is_one_line(command: str, shell: Shell, tmp_path: Path) -> None:
     """A package that every command needs is replaced by one that interrupts its import."""
     (tmp_path / "numpy.py").write_text(INTERRUPTED)
-    done = shell(f"{shlex.quote(sys.executable)} -m {command}", PYTHONPATH=f"{tmp_path}{os.pathsep}{REPOSITORY}")
+    done = shell(f"{shlex.quote(sys.executable)} -m bench {command}", PYTHONPATH=f"{tmp_path}{os.pathsep}{REPOSITORY}")
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "\nbench: interrupted\n")
 
 
@@ -135,7 +135,7 @@ def test_importing_the_package_leaves_ctrl_c_to_the_program(shell: Shell) -> Non
     assert shell(f"{shlex.quote(sys.executable)} -c '{script}'").stdout == "True\n"
 
 
-@pytest.mark.parametrize("line", ["figures store=rows", pytest.param(REPORT, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("line", ["tables what=figures store=rows", pytest.param(REPORT, marks=pytest.mark.slow)])
 def test_a_full_disk_leaves_no_file(line: str, store: Path, forked: Forked, tmp_path: Path) -> None:
     """Files may hold 40 bytes here: an empty one can be made, and nothing be written into it."""
     module, *arguments = line.split()
@@ -166,13 +166,13 @@ def test_a_folder_is_tried_without_a_trace(tmp_path: Path) -> None:
 
 DENIED = {
     "tables store=rows out=locked": "out=locked: cannot be written (Permission denied)",
-    "figures store=rows out=locked/deep": "out=locked/deep: cannot be written (Permission denied)",
+    "tables what=figures store=rows out=locked/deep": "out=locked/deep: cannot be written (Permission denied)",
     "report store=rows out=locked/page.html": "out=locked/page.html: cannot be written (Permission denied)",
     "main method=prior store=locked": "store=locked: cannot be written (Permission denied)",
     "main method=ls data=secret.csv": "data=secret.csv: cannot be read: Permission denied",
     "main method=ls system=secret.yaml": "system=secret.yaml: it cannot be read: Permission denied",
-    "status store=hidden/rows": "store=hidden/rows: there is no such folder",
-    "claims store=rows results=rows": "root=README.md: cannot be read: Permission denied",
+    "status store=hidden/rows": "store=hidden/rows: folder not found",
+    "tables what=claims store=rows results=rows": "root=README.md: cannot be read: Permission denied",
     "track from=secret.csv": "from=secret.csv: cannot be read: Permission denied",
     "publish store=rows archive=locked": "archive=locked: cannot be written (Permission denied)",
     "export petab out=locked/petab": "out=locked/petab: cannot be written (Permission denied)",

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
@@ -52,3 +53,30 @@ def test_a_connection_is_closed_once_by_however_many(monkeypatch: pytest.MonkeyP
             ends = [pool.submit(end) for end in (child.retire, child.kill, child.retire, child.kill)]
         assert [end.exception() for end in ends] == [None] * 4
     assert len(closed) == 1
+
+
+RESTARTED = """
+import sys
+from bench.isolation.processes import Children, start_server
+
+
+def serve(connection):
+    connection.send_bytes(repr("colorsys" in sys.modules).encode())
+
+
+def main():
+    start_server()
+    for preload in ((), ("colorsys",), ()):
+        children = Children(preload)
+        print(children.start(serve).receive(60.0).decode())
+        children.close()
+"""
+
+
+def test_a_server_that_lacks_a_package_is_started_again(tmp_path: Path) -> None:
+    """A command starts it before it knows which method it runs."""
+    (tmp_path / "restarted.py").write_text(RESTARTED)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    command = [sys.executable, "-c", "import restarted; restarted.main()"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120, cwd=tmp_path)
+    assert done.stdout.split() == ["False", "True", "True"], done.stderr

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from conftest import REPOSITORY
 
-from bench.commands.claims import main
+from bench.commands.main import main
 from bench.errors import InputError
 from bench.reporting.claims import free_decay, systems
 from bench.reporting.claims.claim import Claim, exceptions, fold, listed, number, said, span
@@ -45,7 +45,7 @@ def command(root: Path, *more: str) -> int:
     """The command on the documents of a folder, with what is published."""
     (root / "rows").mkdir(exist_ok=True)
     places = [f"root={root}", f"results={RESULTS}", f"store={root / 'rows'}"]
-    return main([*places, f"archive={RESULTS / 'archive'}", *more])
+    return main(["tables", "what=claims", *places, f"archive={RESULTS / 'archive'}", *more])
 
 
 def changed(folder: Path, table: str, lines: str, column: str, value: float) -> Evidence:

@@ -325,11 +325,11 @@ def test_the_picture_shows_the_error_over_the_bound_at_every_moment(full: Store)
 
 def test_the_command_draws_it_under_the_family_s_name_and_no_variant_elsewhere(full: Store, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    from bench.commands.figures import main
+    from bench.commands.main import main
     from bench.reporting.figures.gallery import Gallery
 
     fill(full, ["shooting"])
-    assert main([f"store={full.folder}", f"out={tmp_path / 'out'}"]) == 0
+    assert main(["tables", "what=figures", f"store={full.folder}", f"out={tmp_path / 'out'}"]) == 0
     assert (tmp_path / "out" / f"{FAMILY}.png").is_file()
     assert not [one.label for one in Gallery(full).cells if one.method == FAMILY]
 

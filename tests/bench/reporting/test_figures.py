@@ -13,7 +13,7 @@ import pytest
 from conftest import REPOSITORY, Python
 from stored import described, fill, recorded, save, scored
 
-from bench.commands.figures import main
+from bench.commands.main import main
 from bench.reporting.figures.pictures import PICTURES
 from bench.reporting.figures.png import MOST_BYTES, RESOLUTIONS, caption_of, packed, png_file
 from bench.reporting.labels import cards
@@ -42,7 +42,7 @@ def pictures(out: Path) -> set[str]:
 
 def test_every_picture_is_the_same_each_time_and_has_a_caption(store: Store, tmp_path: Path, python: Python) -> None:
     out, again = tmp_path / "out", tmp_path / "again"
-    assert main([f"store={store.folder}", f"out={out}"]) == 0
+    assert main(["tables", "what=figures", f"store={store.folder}", f"out={out}"]) == 0
     first = {path.name: path.read_bytes() for path in out.iterdir()}
     assert pictures(out) == {*ALONE, "profiles"}
     assert set(first) == {f"{name}.png" for name in pictures(out)}
@@ -51,14 +51,14 @@ def test_every_picture_is_the_same_each_time_and_has_a_caption(store: Store, tmp
         assert caption.endswith(".")
         assert len(caption.splitlines()) == 1
         assert "nan" not in caption
-    done = python("-m", "bench.figures", f"store={store.folder}", f"out={again}", env={"PYTHONHASHSEED": "7"})
+    done = python("-m", "bench", "tables", "what=figures", f"store={store.folder}", f"out={again}", env={"PYTHONHASHSEED": "7"})
     assert done.returncode == 0, done.stderr
     assert {path.name: path.read_bytes() for path in again.iterdir()} == first
 
 
 def test_pictures_are_drawn_as_svg_where_a_folder_is_named(store: Store, tmp_path: Path) -> None:
     out, svg = tmp_path / "out", tmp_path / "svg"
-    assert main([f"store={store.folder}", f"out={out}", f"svg={svg}"]) == 0
+    assert main(["tables", "what=figures", f"store={store.folder}", f"out={out}", f"svg={svg}"]) == 0
     assert {path.name for path in svg.iterdir()} == {f"{name}.svg" for name in pictures(out)}
     assert all(ElementTree.parse(path).getroot().tag.endswith("svg") for path in svg.iterdir())
 
@@ -107,7 +107,7 @@ def test_a_store_of_one_method_gives_all_but_comparisons(tmp_path: Path, capsys:
     store = Store(tmp_path / "rows")
     store.prepare()
     fill(store, ["pinn"])
-    assert main([f"store={store.folder}", f"out={tmp_path / 'out'}"]) == 0
+    assert main(["tables", "what=figures", f"store={store.folder}", f"out={tmp_path / 'out'}"]) == 0
     assert pictures(tmp_path / "out") == ALONE
     missing = capsys.readouterr().err.splitlines()
     assert [line.split(": ")[1] for line in missing] == [name for name in PICTURES if name not in ALONE]
@@ -130,7 +130,7 @@ def test_a_store_that_lost_its_arrays_still_gives_what_rows_tell(tmp_path: Path,
     rows = scored("shooting", 30)
     stored = save(store, described("shooting"), rows, recorded(rows, True, True))
     ARRAYS_LOST[how](store.folder / stored.arrays)
-    assert main([f"store={store.folder}", f"out={tmp_path / 'out'}"]) == 0
+    assert main(["tables", "what=figures", f"store={store.folder}", f"out={tmp_path / 'out'}"]) == 0
     assert pictures(tmp_path / "out") == {
         "scatter", "error_against_noise", "displacement_against_noise", "forest", "coverage", "accuracy_against_time"
     }  # fmt: skip
@@ -140,13 +140,13 @@ def test_a_store_that_lost_its_arrays_still_gives_what_rows_tell(tmp_path: Path,
 def test_bad_input_is_one_line(
     bad: list[str], store: Store, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    assert main([*bad, *([f"store={tmp_path}"] if bad == ["out="] else [])]) == 2
+    assert main(["tables", "what=figures", *bad, *([f"store={tmp_path}"] if bad == ["out="] else [])]) == 2
     assert_one_line(capsys)
 
 
 def test_an_empty_store_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Store(tmp_path / "rows").prepare()
-    assert main([f"store={tmp_path / 'rows'}", f"out={tmp_path / 'out'}"]) == 2
+    assert main(["tables", "what=figures", f"store={tmp_path / 'rows'}", f"out={tmp_path / 'out'}"]) == 2
     assert_one_line(capsys)
     assert not (tmp_path / "out").exists()
 
@@ -154,7 +154,7 @@ def test_an_empty_store_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_a_damaged_cell_is_one_line(store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = store.path(store.identities()[0])
     path.write_text(path.read_text()[:1000])
-    assert main([f"store={store.folder}", f"out={tmp_path / 'out'}"]) == 2
+    assert main(["tables", "what=figures", f"store={store.folder}", f"out={tmp_path / 'out'}"]) == 2
     assert_one_line(capsys)
 
 
@@ -163,11 +163,11 @@ def test_a_folder_that_cannot_be_written_is_one_line(
     store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "locked").mkdir(mode=0o500)
-    assert main([f"store={store.folder}", f"out={tmp_path / 'locked' / 'out'}"]) == 2
+    assert main(["tables", "what=figures", f"store={store.folder}", f"out={tmp_path / 'locked' / 'out'}"]) == 2
     assert_one_line(capsys)
 
 
 def assert_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     err = capsys.readouterr().err
-    assert err.startswith("bench.figures: ")
+    assert err.startswith("bench: ")
     assert len(err.splitlines()) == 1

@@ -20,7 +20,7 @@ import pytest
 from conftest import REPOSITORY, Python
 from scipy.stats import binom, binomtest
 
-from bench.commands.report import main
+from bench.commands.main import main
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
 from bench.reporting.figures import png
@@ -148,7 +148,7 @@ class Page(HTMLParser):
 def made(store: Store) -> Path:
     """The site of a store, by the command: its folder."""
     out = store.folder.parent / "site"
-    assert main([f"store={store.folder}", f"results={store.folder.parent}", f"out={out}"]) == 0
+    assert main(["report", f"store={store.folder}", f"results={store.folder.parent}", f"out={out}"]) == 0
     return out
 
 
@@ -181,9 +181,9 @@ def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(
         out.mkdir()
         (out / "mine.txt").write_text("mine", encoding="utf-8")
     before = sorted(path for path in tmp_path.rglob("*") if "rows" not in path.parts)
-    assert main(arguments) == 2
+    assert main(["report", *arguments]) == 2
     error = capsys.readouterr().err
-    assert error.startswith("bench.report: ")
+    assert error.startswith("bench: ")
     assert len(error.splitlines()) == 1
     assert sorted(path for path in tmp_path.rglob("*") if "rows" not in path.parts) == before
 
@@ -848,7 +848,7 @@ def test_without_scripts_a_scenario_has_its_table(shown: tuple[Any, Path]) -> No
 def test_the_site_of_the_results_is_small_and_names_nothing_beyond_itself(python: Python, tmp_path: Path) -> None:
     out, results = tmp_path / "site", REPOSITORY / "results"
     store = f"store={tmp_path}"
-    done = python("-m", "bench.report", store, f"archive={results / 'archive'}", f"results={results}", f"out={out}")
+    done = python("-m", "bench", "report", store, f"archive={results / 'archive'}", f"results={results}", f"out={out}")
     assert done.returncode == 0, done.stderr
     files = [path for path in out.rglob("*") if path.is_file() and documents.FILES not in path.parts]
     assert sum(path.stat().st_size for path in files) <= 12_000_000

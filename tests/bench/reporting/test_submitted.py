@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from stored import BOUND, scored
 
-from bench.commands.tables import main
+from bench.commands.main import main
 from bench.config.experiment import Experiment
 from bench.reporting.frame import experiment_frame, stored_results, submitted_results, with_submitted
 from bench.reporting.labels import in_order, title
@@ -43,7 +43,7 @@ def store(tmp_path: Path) -> Store:
 
 def test_a_method_with_every_scenario_stands_in_the_table_and_is_marked(store: Store, tmp_path: Path) -> None:
     keep(store, cells())
-    assert main([f"store={store.folder}", f"out={tmp_path / 'out'}", f"tex={tmp_path / 'tex'}"]) == 0
+    assert main(["tables", f"store={store.folder}", f"out={tmp_path / 'out'}", f"tex={tmp_path / 'tex'}"]) == 0
     name = title(METHOD) + " (submitted)"
     assert name in (tmp_path / "out" / "table4.md").read_text(encoding="utf-8")
     assert f"{METHOD} (submitted)" in (tmp_path / "out" / "table4.csv").read_text(encoding="utf-8")

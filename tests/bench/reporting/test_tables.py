@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from bench import Status
-from bench.commands.tables import main
+from bench.commands.main import main
 from bench.config.experiment import Experiment
 from bench.information.fisher import Bound
 from bench.reporting.frame import Result
@@ -221,7 +221,7 @@ def test_the_command_writes_every_table_in_three_forms_the_same_each_time(small_
     out, tex = tmp_path / "out", tmp_path / "tex"
 
     def written() -> dict[str, bytes]:
-        assert main([f"store={small_store.folder}", f"out={out}", f"tex={tex}"]) == 0
+        assert main(["tables", f"store={small_store.folder}", f"out={out}", f"tex={tex}"]) == 0
         assert {path.suffix for path in tex.iterdir()} == {".tex"}
         return {path.name: path.read_bytes() for path in (*out.iterdir(), *tex.iterdir())}
 
@@ -235,7 +235,7 @@ def test_the_command_writes_every_table_in_three_forms_the_same_each_time(small_
         assert {len(line) for line in lines} == {len(COLUMNS)}
         text = first[f"table{i}.md"].decode()
         assert text.index("Initial state known") < text.index("Initial state unknown")
-        assert f"python -m bench -m experiment=table{i} && python -m bench.tables" in text
+        assert f"python -m bench -m experiment=table{i} && python -m bench tables" in text
         assert str(tmp_path) not in text
         printed = first[f"table{i}.tex"].decode()
         assert printed.count("\\begin{tabular}") == printed.count("\\end{tabular}") == 2
@@ -254,17 +254,17 @@ def test_the_command_writes_every_table_in_three_forms_the_same_each_time(small_
 @pytest.mark.usefixtures("_short_experiments")
 def test_a_table_without_any_cell_is_not_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "empty").mkdir()
-    assert main([f"store={tmp_path / 'empty'}", f"out={tmp_path / 'out'}", f"tex={tmp_path / 'tex'}"]) == 2
+    assert main(["tables", f"store={tmp_path / 'empty'}", f"out={tmp_path / 'out'}", f"tex={tmp_path / 'tex'}"]) == 2
     assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []
     assert "no cell is there; run python -m bench -m experiment=table5 first" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("bad", ["store=nowhere", "stor=x", "out=", "x"])
 def test_bad_input_is_one_line(bad: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([bad]) == 2
+    assert main(["tables", bad]) == 2
     err = capsys.readouterr().err
     assert len(err.splitlines()) == 1
-    assert err.startswith("bench.tables: ")
+    assert err.startswith("bench: ")
 
 
 def test_one_scenario_at_two_starts_has_two_bounds(reference: Scenario) -> None:
