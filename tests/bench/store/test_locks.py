@@ -74,7 +74,7 @@ def test_the_folder_of_claims_is_for_all_who_may_write_in_the_store(tmp_path: Pa
 
 
 AS_NOBODY = """
-import os, pwd, sys
+import filelock, os, pwd, sys
 from pathlib import Path
 from bench import InputError
 from bench.store.locks import Claims
