@@ -31,7 +31,7 @@ def fit_alone(
     method: Identifier, problem: Problem, times: np.ndarray, rng: np.random.Generator, limits: Limits
 ) -> Outcome:
     """Fit, within the limits; the estimate's functions of time are known at ``times`` (s) afterwards."""
-    fit = pickle.dumps(fitter.MethodFit(method))
+    fit = pickle.dumps(method.identify_many)
     task = fitter.Task(fit, (0,), (problem,), (rng,), (times,), limits.timeout_s)
     children = Children()
     started = time.perf_counter()

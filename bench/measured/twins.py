@@ -255,7 +255,7 @@ def _fitted(name: str, twins: Sequence[Twin], seed: int, pace: Pace, children: C
     if method.objection(twins[0].problem):
         return []
     child = fitter.ready(children, None, method.requires, MEMORY_MB)
-    fit, found, size = pickle.dumps(fitter.MethodFit(method)), list[Estimate | None](), FIRST
+    fit, found, size = pickle.dumps(method.identify_many), list[Estimate | None](), FIRST
     while size > 0 and pace.left > 0:
         own = range(len(found), len(found) + size)
         problems = tuple(twins[i].problem for i in own)

@@ -12,6 +12,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from bench.store.cell import Cell
 from bench.store.provenance import provenance
 from bench.store.store import Store
 from bench.sweep import method_process, scoring_process
-from bench.sweep.method_process import Fit, MethodFit, ReferenceFit
+from bench.sweep.method_process import Fit, reference_fit
 from bench.sweep.plan import FAILURES, Planned, State
 from bench.sweep.scoring_process import Failure, Scored
 
@@ -77,7 +78,7 @@ class QueuedCell(Queued):
         cell: What is computed.
         store: Where it is stored.
         limits: Of a fit, and the number of workers that may share the replicates.
-        fit: A pickled :class:`bench.sweep.method_process.Fit`.
+        fit: A pickled ``Fit`` of :mod:`bench.sweep.method_process`.
         requires: Packages that the method needs.
         n_wanted: Number of rows at which the cell is complete.
         stamp: Time at which its file was written as the plan saw it (ns); 0 where there was none.
@@ -307,9 +308,9 @@ def queue_cell(
 def _fit(cell: Cell) -> tuple[Fit, tuple[str, ...], int]:
     """Return what is run, the packages that it needs, and how many problems it solves together."""
     if cell.method in REFERENCES:
-        return ReferenceFit(cell.method), (), 1
+        return partial(reference_fit, cell.method), (), 1
     method = make_method(cell.method, dict(cell.settings))
-    return MethodFit(method), method.requires, method.problems_at_once
+    return method.identify_many, method.requires, method.problems_at_once
 
 
 def _keep_good(queued: QueuedCell, store: Store) -> None:

@@ -16,15 +16,14 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from time import perf_counter, process_time
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from bench.contract.estimate import Estimate, Status
-from bench.contract.method import Identifier
 from bench.contract.problem import Problem
 from bench.contract.progress import listen
 from bench.entrants.reference import REFERENCES
@@ -36,7 +35,7 @@ from bench.sweep.wire import evaluated_together, pack, plain, unpack
 
 CPU_MARGIN_S = 60.0
 LONGEST_ANSWER = 64 << 20
-"""Of one replicate, packed (bytes)."""
+"""Largest answer of one replicate, packed (bytes)."""
 LEAST_SHARE, SLACK_S = 0.9, 2e-3
 """An attempt may report this share of the time that the process that asks sees, less the slack (s): messages take
 0.1 ms, on a busy machine some milliseconds."""
@@ -44,39 +43,22 @@ REPORT, BEGIN, END, DONE = b"r", b"b", b"e", b"d"
 """First byte of a message from a method's process: an answer so far, begin and end of an attempt, all outcomes."""
 
 
-class Fit(Protocol):
-    """What a method's process runs: payloads and random streams to estimates."""
-
-    def __call__(self, payloads: Sequence[Any], rngs: Sequence[np.random.Generator]) -> list[Estimate]: ...
+Fit = Callable[[Sequence[Any], Sequence[np.random.Generator]], list[Estimate]]
+"""What a method's process runs, payloads and random streams to estimates: ``identify_many`` of a method."""
 
 
-@dataclass(frozen=True)
-class ReferenceFit:
-    """A reference row: its payloads are pairs of problem and truth."""
-
-    name: str
-
-    def __call__(
-        self, payloads: Sequence[tuple[Problem, Truth]], rngs: Sequence[np.random.Generator]
-    ) -> list[Estimate]:
-        return [REFERENCES[self.name](problem, truth) for problem, truth in payloads]
-
-
-@dataclass(frozen=True)
-class MethodFit:
-    """A method; its payloads are problems."""
-
-    method: Identifier
-
-    def __call__(self, payloads: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        return self.method.identify_many(payloads, rngs)
+def reference_fit(
+    name: str, pairs: Sequence[tuple[Problem, Truth]], rngs: Sequence[np.random.Generator]
+) -> list[Estimate]:
+    """Return the estimates of a reference row, whose payloads are pairs of problem and truth."""
+    return [REFERENCES[name](problem, truth) for problem, truth in pairs]
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Replicates to be fitted together; ``times`` (s) are those at which their reconstructions are wanted.
+    """Replicates to be fitted together; ``times`` (s) are those at which their reconstructions are evaluated.
 
-    ``fit`` is a pickled :class:`Fit`, which only the process that runs it rebuilds.
+    ``fit`` is a pickled ``Fit``, which only the process that runs it rebuilds.
     """
 
     fit: bytes
@@ -87,13 +69,13 @@ class Task:
     timeout_s: float
 
     def part(self, i: int) -> Task:
-        """The task of one of the replicates alone."""
-        own = slice(i, i + 1)
-        return Task(self.fit, self.replicates[own], self.payloads[own], self.rngs[own], self.times[own], self.timeout_s)
+        """Return the task of one of the replicates alone."""
+        alone = {name: getattr(self, name)[i : i + 1] for name in ("replicates", "payloads", "rngs", "times")}
+        return replace(self, **alone)
 
 
 def serve(connection: Connection) -> None:
-    """Be told what to import and how much memory there is; then fit task after task until nobody asks any more."""
+    """Import what the method needs, and fit one task after another until nobody asks any more."""
     requires, memory_mb = pickle.loads(connection.recv_bytes())
     for package in requires:  # imported before the clock runs
         with contextlib.suppress(ImportError):
@@ -107,7 +89,7 @@ def serve(connection: Connection) -> None:
 
 
 def ready(children: Children, spare: Child | None, requires: Sequence[str], memory_mb: float | None) -> Child:
-    """A process that has imported what its method needs, made of a spare one where there is one; raises Died."""
+    """Return a process that has imported what its method needs, the spare one where there is one; raises Died."""
     child = spare or children.start(serve)
     child.send(pickle.dumps((tuple(requires), memory_mb)))
     child.receive(READY_S)
@@ -193,7 +175,7 @@ class _Watch:
 
 
 def perform(content: bytes, connection: Connection | None = None) -> list[dict[str, Any]]:
-    """The outcome of each replicate of a pickled task, in plain numbers."""
+    """Return the outcome of each replicate of a pickled task, in plain numbers."""
     task: Task = pickle.loads(content)
     _limit_processor_time(task.timeout_s * len(task.replicates) + CPU_MARGIN_S)
     if connection is not None:
@@ -236,7 +218,7 @@ def _outcomes(task: Task, send: Callable[[bytes], None]) -> list[dict[str, Any]]
 
 
 def _answer(estimate: Estimate, times: np.ndarray) -> dict[str, Any]:
-    """The plain answer, or ``invalid``: an estimate that the contract does not allow costs its own replicate only."""
+    """Return the plain answer, or ``invalid``: an estimate against the contract costs its own replicate only."""
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
@@ -275,13 +257,13 @@ def _limit_memory(memory_mb: float | None) -> None:
 
 
 def _data_bytes() -> int:
-    """Data segment in use now, what RLIMIT_DATA counts."""
+    """Return the size of the data segment, which RLIMIT_DATA counts."""
     with open("/proc/self/status", "rb") as lines:  # as text, it would import a codec in every process
         return next((int(line.split()[1]) * 1024 for line in lines if line.startswith(b"VmData")), 0)
 
 
 def _limit_processor_time(seconds: float) -> None:
-    """The kernel's own end of a fit that hangs where no other process can watch it any more."""
+    """Have the kernel end a fit that hangs where no other process can watch it any more."""
     usage = os.times()
     _, hard = resource.getrlimit(resource.RLIMIT_CPU)
     limit = int(usage.user + usage.system + seconds) + 1
@@ -290,7 +272,7 @@ def _limit_processor_time(seconds: float) -> None:
 
 
 class _Reporter:
-    """Sends the best answer so far of each replicate, so that a fit that is ended can be scored as it stood."""
+    """Sends the best answer so far of each replicate: a fit that is ended is scored by its last one."""
 
     interval_s = 1.0
 
