@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from bench.errors import InputError
-from bench.scoring.resampling import lower_medians, resamples
+from bench.scoring.resampling import counted, counts, lower_medians
 
 RESAMPLES = 1000
 LEVEL = 0.05
@@ -132,11 +132,11 @@ def holm(p_values: Sequence[float]) -> np.ndarray:
 def compare(errors: Errors, pairs: Sequence[tuple[str, str]] | None = None) -> list[Comparison]:
     """Every pair of methods (or the given ones), adjusted together."""
     pairs = list(itertools.combinations(errors.values, 2)) if pairs is None else list(pairs)
-    drawn = _clustered_resamples(errors.scenario)
+    often = _clustered(errors.scenario)
     found = []
     for a, b in pairs:
         p = signed_rank(differences(errors.values[a], errors.values[b], errors.scenario))
-        found.append(_pair(a, b, log_ratios(errors.values[a], errors.values[b]), drawn, p))
+        found.append(_pair(a, b, log_ratios(errors.values[a], errors.values[b]), often, p))
     return adjusted(found)
 
 
@@ -146,8 +146,8 @@ def adjusted(comparisons: Sequence[Comparison]) -> list[Comparison]:
     return [replace(c, adjusted=float(p)) for c, p in zip(comparisons, together, strict=True)]
 
 
-def _pair(a: str, b: str, ratios: np.ndarray, drawn: np.ndarray, p: float) -> Comparison:
-    medians = lower_medians(ratios, drawn)
+def _pair(a: str, b: str, ratios: np.ndarray, often: np.ndarray, p: float) -> Comparison:
+    medians = lower_medians(ratios, often)
     low, high = np.sort(medians)[[math.ceil(level * RESAMPLES) - 1 for level in (0.025, 0.975)]]
     sizes = medians[np.isfinite(medians)]
     error = float(np.std(sizes)) if sizes.size > 1 else np.inf
@@ -262,18 +262,18 @@ def _median(values: np.ndarray) -> np.ndarray:
     return np.asarray(np.partition(values, middle, axis=-1)[..., middle])
 
 
-def _clustered_resamples(scenario: np.ndarray) -> np.ndarray:
-    """Indices of resampled data sets, (RESAMPLES, n): scenarios with replacement, then replicates within each.
+def _clustered(scenario: np.ndarray) -> np.ndarray:
+    """Resample data sets: scenarios with replacement, then replicates within each; how often each is in each resample.
 
-    With one scenario it is the plain bootstrap. All scenarios must have as many data sets.
+    With one scenario it is the plain bootstrap. All scenarios must have as many data sets. The shape is (n, RESAMPLES).
     """
-    labels, counts = np.unique(scenario, return_counts=True)
-    if np.unique(counts).size > 1:
-        raise InputError("replicates", counts.tolist(), "as many of every scenario")
+    labels, sizes = np.unique(scenario, return_counts=True)
+    if np.unique(sizes).size > 1:
+        raise InputError("replicates", sizes.tolist(), "as many of every scenario")
     if labels.size == 1:
-        return resamples(int(counts[0]), RESAMPLES)
+        return counts(int(sizes[0]), RESAMPLES)
     members = np.stack([np.flatnonzero(scenario == label) for label in labels])
-    rng, n = np.random.default_rng(0), int(counts[0])
+    rng, n = np.random.default_rng(0), int(sizes[0])
     chosen = rng.integers(0, labels.size, (RESAMPLES, labels.size))
     within = rng.integers(0, n, (RESAMPLES, labels.size, n))
-    return np.asarray(members[chosen[..., None], within].reshape(RESAMPLES, -1))
+    return counted(members[chosen[..., None], within].reshape(RESAMPLES, -1))

@@ -11,7 +11,7 @@ from scipy.special import gammaincinv, ndtri, stdtrit
 
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
-from bench.scoring.resampling import RESAMPLES, medians, resamples
+from bench.scoring.resampling import RESAMPLES, counts, medians
 from bench.scoring.row import Row, score_columns
 
 Z95 = float(ndtri(0.975))
@@ -65,26 +65,29 @@ def below_chance(excess: float, bound_pct: float, n: int) -> bool:
 def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Summary]:
     """Summarise every metric that any replicate has, and those that every cell has (NaN where none succeeded)."""
     bounds = metric_bounds(bound)
-    ok = np.array([row.status is Status.OK for row in rows])
-    columns = score_columns([row for row in rows if row.status is Status.OK])
+    good = np.array([i for i, row in enumerate(rows) if row.status is Status.OK], int)
+    columns = score_columns([rows[i] for i in good])
     metrics = [name for name in columns if not name.endswith("_ratio")]
     result = {}
-    for name in dict.fromkeys([*metrics, *(bounds if not ok.any() else ()), *ALWAYS]):
-        scored = columns.get(name, np.full(int(ok.sum()), np.nan))
+    for name in dict.fromkeys([*metrics, *(bounds if not good.size else ()), *ALWAYS]):
+        scored, places = columns.get(name, np.full(good.size, np.nan)), good
+        if np.any(np.isnan(scored)):  # without the score, or with one that is not a number
+            has = np.array([name in rows[i].scores for i in good], bool)
+            scored, places = scored[has], good[has]
         if name.endswith("_pit") or name.startswith("band_inside"):
-            result[name] = _share(scored[~np.isnan(scored)])
+            result[name] = _share(scored)
         elif "_coverage_" in name:
-            result[name] = _coverage(scored[~np.isnan(scored)])
+            result[name] = _coverage(scored)
         else:
             values = np.full(len(rows), np.inf)
-            values[ok] = np.where(np.isnan(scored), np.inf, scored)
+            values[places] = scored
             result[name] = _error(values, bounds.get(name, float("nan")))
     return result
 
 
 def _error(values: np.ndarray, bound: float) -> Summary:
     good = values[np.isfinite(values)]
-    resampled = np.sort(medians(values, resamples(values.size)))
+    resampled = np.sort(medians(values, counts(values.size)))
     low, high = resampled[[math.ceil(level * RESAMPLES) - 1 for level in (0.025, 0.975)]]
     excess = float(np.sqrt(np.mean(good**2)) / bound) if good.size and np.isfinite(bound) and bound > 0 else np.nan
     mean = float(np.mean(values)) if good.size == values.size else float("inf")
@@ -93,7 +96,7 @@ def _error(values: np.ndarray, bound: float) -> Summary:
 
 def _median(values: np.ndarray) -> float:
     """Compute a median of values (n,) of which some may be infinite, never NaN."""
-    return float(medians(values, np.arange(values.size)[None])[0])
+    return float(medians(values, np.ones((values.size, 1), np.float32))[0])
 
 
 def _share(values: np.ndarray) -> Summary:
