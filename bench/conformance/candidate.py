@@ -59,8 +59,7 @@ class Candidate:
         """The answer after another problem and among decoys, the watch, and whether the data are left."""
         _ = self.first
         self.fit(problem(seed=2))
-        watch = Watch(type(self.method).__module__.partition(".")[0])
-        given = problem()
+        watch, given = Watch(), problem()
         before = data_digest(given)
         return watch.fit(self.method, given, SEED), watch, data_digest(given) == before
 

@@ -111,7 +111,7 @@ def no_state(candidate: Candidate) -> str:
 
 
 def honest(candidate: Candidate) -> str:
-    """It looks for no truth and no seed, and none within reach changes its answer."""
+    """No truth or seed within reach changes its answer, and it looks into no store and no scenario."""
     among_decoys, watch, _ = candidate.second
     if watch.seen:
         raise Refusal("; ".join(f"it {what}" for what in list(dict.fromkeys(watch.seen))[:3]))
@@ -119,7 +119,7 @@ def honest(candidate: Candidate) -> str:
         one, other = candidate.fit(), candidate.fit()
         changed = difference(one, among_decoys)
         if changed and not difference(one, other):
-            raise Refusal(f"its answer changes with a truth within reach: {changed}")
+            raise Refusal(f"its answer changes with a truth or a seed within reach: {changed}")
     return ""
 
 

@@ -91,7 +91,7 @@ def test_a_fault_is_seen_by_its_check_and_has_a_remedy(fault: str, third_party: 
 
 @pytest.mark.parametrize("way", WAYS)
 def test_who_looks_for_the_truth_is_caught(way: str, third_party: dict[str, ModuleType]) -> None:
-    """By the check of honesty, whether what is found is used or not, and though every exception is swallowed."""
+    """By the check of honesty, though every exception is swallowed."""
     assert list(failures(third_party["dishonest"].Dishonest(way=way), "honesty", "input")) == ["honesty"]
 
 
