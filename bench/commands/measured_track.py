@@ -72,7 +72,7 @@ def _fit(missing: Sequence[MeasuredFit], store: Path) -> None:
     from bench.run.progress import progress_bar
 
     with progress_bar() as on_look:
-        errors = run_tasks(missing, store, Limits(memory_mb=MEMORY_MB), "fit", on_look)
+        errors = run_tasks(missing, store, Limits(memory_mb=MEMORY_MB), ("fit", ""), on_look)
     for task in missing:
         if error := errors.get(task.key):
             print(f"bench: {' '.join(task.kind)}: {error}", file=sys.stderr)

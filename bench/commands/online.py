@@ -155,7 +155,7 @@ def _run(missing: Sequence[OnlinePath], store: Path, workers: int) -> None:
     from bench.run.progress import progress_bar
 
     with progress_bar() as on_look:
-        errors = run_tasks(missing, store, Limits(workers), "run", on_look)
+        errors = run_tasks(missing, store, Limits(workers), ("run", ""), on_look)
     for path in missing:
         if error := errors.get(path.key):
             print(f"{path.of.scenario.label}, {path.of.label}, replicate {path.replicate}: {error}", file=sys.stderr)

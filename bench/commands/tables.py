@@ -138,8 +138,8 @@ def reproduction(store: StoreFolder = OWN, archive: ArchiveFolder = None, out: O
     from bench.reporting.reproduction import all_cells, ratio_verdicts, verdicts
     from bench.reporting.reproduction_page import files
     from bench.reporting.whole_file import check_folder
-    from bench.sweep.launch import complete
     from bench.run.pool import Limits
+    from bench.sweep.launch import complete
 
     opened = named_store(store, archive, filled=True)
     check_folder(out)

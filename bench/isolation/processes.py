@@ -127,6 +127,12 @@ class Children:
         self._closed = threading.Event()
         threading.Thread(target=self._watch, daemon=True).start()
 
+    def __enter__(self) -> Children:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
+
     def start(self, serve: Callable[..., None], *arguments: Any) -> Child:
         """A child that runs ``serve(connection, *arguments)``; raises InputError where the system gives no more."""
         lacking: Exception | None = None

@@ -6,7 +6,6 @@ task whose result is stored is not performed again, and one that another driver 
 
 from __future__ import annotations
 
-import contextlib
 import math
 import multiprocessing
 import pickle
@@ -16,7 +15,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -95,6 +94,8 @@ class Queued(ABC):
     key: str
     kind: Kind
     name: str
+    together: int
+    """Number of parts that a worker performs in one step, at least."""
     started: float = 0.0
     """Time at which it was claimed (seconds since the epoch)."""
 
@@ -128,10 +129,6 @@ class Queued(ABC):
     def add(self, outcome: Any, seconds: float, first: bool) -> Done:
         """Keep the outcome of :meth:`perform`, which took a worker ``seconds``, maybe as the first of the task."""
 
-    def begun_complete(self) -> Done:
-        """Return what is done of a task that has no open parts when it is claimed."""
-        return Done(self, 0)
-
     def prepare(self) -> None:  # noqa: B027
         """Do in advance, while the first tasks are performed, what :meth:`finish` needs."""
 
@@ -148,7 +145,7 @@ class QueuedTask(Queued):
     def __init__(self, task: Task, folder: Path, limits: Limits) -> None:
         self.task, self.folder, self.limits = task, folder, limits
         self.key, self.kind = task.key, task.kind
-        self.name = " ".join(task.kind)
+        self.name, self.together = " ".join(task.kind), task.size
         self._state = "open"
 
     @property
@@ -286,7 +283,7 @@ class TaskQueue:
             if queued.open:
                 return queued
             self.complete.put(queued)
-            self.events.put(queued.begun_complete())
+            self.events.put(Done(queued, 0))
         return None
 
     def put_back(self, queued: Queued, parts: Any) -> None:
@@ -397,44 +394,58 @@ def run_queued(
     queued: Sequence[Queued],
     claims: Path,
     children: Children,
-    progress: Progress[str],
+    workers: int,
+    counted: tuple[str, str],
     on_look: OnLook | None = None,
-    on_done: Callable[[Done], None] | None = None,
     written: bool = False,
-) -> None:
-    """Perform tasks on ``progress.workers`` workers.
+) -> dict[str, str]:
+    """Perform tasks.
 
     Args:
         queued: The tasks.
         claims: Folder of the claims.
         children: The processes of the run; they are ended where anything is raised.
-        progress: Its counts.
+        workers: Number of workers, at most.
+        counted: What parts and tasks are called in the display; an empty name where tasks are not counted.
         on_look: Called with the progress.
-        on_done: Called with what is done.
         written: Whether tasks are finished by writers; else this thread does it.
+
+    Returns:
+        Why a task has no result, by its key.
 
     Raises:
         InputError: where a result cannot be stored. What was stored stays.
     """
-    n_workers = progress.workers
+    n_workers = min(_affordable(workers), sum(max(1, one.open) for one in queued))
     n_writers = -(-n_workers // WORKERS_A_WRITER) if written else 0
-    tasks = TaskQueue(firsts_first(queued, lambda one: one.kind), claims, COMPLETE_A_WRITER * max(1, n_writers))
+    queued = firsts_first(queued, lambda one: one.kind)
+    tasks = TaskQueue(queued, claims, COMPLETE_A_WRITER * max(1, n_writers))
     tasks.claims.prepare()
-    if on_look is not None:
-        on_look(progress.begin())
-    workers = [Worker(tasks, children) for _ in range(n_workers)]
-    running: set[RunThread] = {*workers, *(Writer(tasks, children) for _ in range(n_writers))}
+    sizes, kinds = {one.key: one.open for one in queued}, {one.key: one.kind for one in queued}
+    progress = Progress(counted[0], sizes, kinds, n_workers, {one.kind: one.together for one in queued}, counted[1])
+    show = on_look or (lambda look: None)
+    show(progress.begin())
+    performing = [Worker(tasks, children) for _ in range(n_workers)]
+    running: set[RunThread] = {*performing, *(Writer(tasks, children) for _ in range(n_writers))}
+    errors: dict[str, str] = {}
     try:
         for thread in tuple(running):
             thread.start()
         while running:
             event = tasks.events.get()
+            if isinstance(event, BaseException):
+                raise event
             if isinstance(event, RunThread):
                 running.remove(event)
-                if n_writers and not running.intersection(workers):
+                if n_writers and not running.intersection(performing):
                     tasks.complete.put(None)
-                continue
-            _report(event, progress, on_look, on_done)
+            elif isinstance(event, Done):
+                key = event.queued.key
+                if event.error:
+                    errors[key] = event.error
+                show(progress.add(key, event.n, event.seconds, event.start_s, event.failed, event.queued.name))
+            else:
+                say(event)
             while not n_writers and not tasks.complete.empty():
                 complete = tasks.complete.get()
                 assert complete is not None
@@ -447,21 +458,15 @@ def run_queued(
     finally:
         tasks.stop()
         tasks.claims.release_all()
+    return errors
 
 
-def _report(
-    event: Any, progress: Progress[str], on_look: OnLook | None, on_done: Callable[[Done], None] | None
-) -> None:
-    if isinstance(event, BaseException):
-        raise event
-    if isinstance(event, str):
-        say(event)
-        return
-    if on_done is not None:
-        on_done(event)
-    look = progress.add(event.queued.key, event.n, event.seconds, event.start_s, event.failed, event.queued.name)
-    if on_look is not None:
-        on_look(look)
+def _affordable(workers: int) -> int:
+    """Return how many workers there are open files for; prints a line where files are too few."""
+    enough = affordable_workers(workers)
+    if enough < workers:
+        say(f"{enough} workers instead of {workers}: more need more open files than the system gives (ulimit -n)")
+    return enough
 
 
 def say(line: str) -> None:
@@ -469,26 +474,8 @@ def say(line: str) -> None:
     print(f"bench: {line}", file=sys.stderr)
 
 
-@contextlib.contextmanager
-def processes(preload: Sequence[str] = ()) -> Iterator[Children]:
-    """Yield the processes of a run; at its end all are ended."""
-    children = Children(preload)
-    try:
-        yield children
-    finally:
-        children.close()
-
-
-def affordable(workers: int, parts: int) -> int:
-    """Return how many workers there are tasks and open files for; prints a line where files are too few."""
-    enough = affordable_workers(workers)
-    if enough < workers:
-        say(f"{enough} workers instead of {workers}: more need more open files than the system gives (ulimit -n)")
-    return max(1, min(enough, parts))
-
-
 def run_tasks(
-    tasks: Sequence[Task], folder: Path, limits: Limits, unit: str, on_look: OnLook | None = None, task_name: str = ""
+    tasks: Sequence[Task], folder: Path, limits: Limits, counted: tuple[str, str], on_look: OnLook | None = None
 ) -> dict[str, str]:
     """Compute and store the results of tasks that are not stored yet.
 
@@ -496,9 +483,8 @@ def run_tasks(
         tasks: The tasks.
         folder: Where the results are stored, and the claims.
         limits: Of the run; the limit of time is each task's own.
-        unit: What progress counts.
+        counted: What fits and tasks are called in the display; an empty name where tasks are not counted.
         on_look: Called with the progress.
-        task_name: What a task is called, where progress counts its parts.
 
     Returns:
         Why a task has no result, by its key.
@@ -509,33 +495,5 @@ def run_tasks(
     missing = [QueuedTask(task, folder, limits) for task in tasks if not task.stored(folder)]
     if not missing:
         return {}
-    with processes(limits.preload) as children:
-        return perform_tasks(missing, folder / "claims", children, limits, unit, on_look, task_name)
-
-
-def perform_tasks(
-    queued: Sequence[QueuedTask],
-    claims: Path,
-    children: Children,
-    limits: Limits,
-    unit: str,
-    on_look: OnLook | None = None,
-    task_name: str = "",
-) -> dict[str, str]:
-    """Perform tasks as :func:`run_tasks`, in processes that the caller ends."""
-    errors: dict[str, str] = {}
-
-    def on_done(done: Done) -> None:
-        if done.error:
-            errors[done.queued.key] = done.error
-
-    workers = affordable(limits.workers, len(queued))
-    sizes = {one.key: one.open for one in queued}
-    progress = Progress(unit, sizes, {one.key: one.kind for one in queued}, workers, sizes_together(queued), task_name)
-    run_queued(queued, claims, children, progress, on_look, on_done)
-    return errors
-
-
-def sizes_together(queued: Sequence[Queued]) -> dict[Kind, int]:
-    """Return the number of parts of a kind that one worker performs in one step: a whole task."""
-    return {one.kind: one.open for one in queued}
+    with Children(limits.preload) as children:
+        return run_queued(missing, folder / "claims", children, limits.workers, counted, on_look)

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from bench.isolation.failure import one_line
 from bench.isolation.processes import Children
-from bench.run.pool import Limits, QueuedTask, perform_tasks
+from bench.run.pool import Limits, QueuedTask, run_queued
 from bench.run.progress import Kind, OnLook
 from bench.store.bounds import bound_path, keep_bound, kept_bound
 from bench.store.cell import Cell
@@ -74,8 +74,7 @@ def make_bounds(
     store.fetch_bounds(sharing.keys())
     tasks = [BoundTask(group[0], limits.timeout_s) for group in sharing.values()]
     queued = [QueuedTask(task, store.bounds, limits) for task in tasks if not task.stored(store.bounds)]
-    if queued:
-        alone = replace(limits, workers=1)  # much is compiled once a process
-        for bound, why in perform_tasks(queued, store.claims, children, alone, "bound", on_look).items():
+    if queued:  # by one worker, since much is compiled once a process
+        for bound, why in run_queued(queued, store.claims, children, 1, ("bound", ""), on_look).items():
             lost |= dict.fromkeys((cell.identity for cell in sharing[bound]), why)
     return {identity: f"its bound cannot be computed: {why}" for identity, why in lost.items()}

@@ -121,6 +121,10 @@ class QueuedCell(Queued):
         return f"{self.cell.label} {self.cell.scenario.snr_db:g} dB"
 
     @property
+    def together(self) -> int:  # type: ignore[override]
+        return min(self.size, self.n_wanted)
+
+    @property
     def complete(self) -> bool:
         return len(self.rows) == self.n_wanted
 
@@ -157,9 +161,6 @@ class QueuedCell(Queued):
     def put_back(self, parts: Sequence[int]) -> None:
         self.alone.extend(parts)
 
-    def begun_complete(self) -> Done:
-        return Done(self, 0, failed=_failures(self.rows))
-
     def add(self, outcome: Sequence[Scored], seconds: float, first: bool) -> Done:
         for scored in outcome:
             self.rows.append(scored.row)
@@ -170,7 +171,8 @@ class QueuedCell(Queued):
                 self.tracebacks[scored.row.replicate] = scored.traceback
         rows = [scored.row for scored in outcome]
         fitting = min(float(np.nansum([row.wall_s for row in rows])), seconds) if first else seconds
-        return Done(self, len(rows), fitting, seconds - fitting, _failures(rows))
+        failed = sum(row.status in FAILURES for row in rows)
+        return Done(self, len(rows), fitting, seconds - fitting, failed)
 
     def perform(self, parts: tuple[int, ...], worker: Worker) -> list[Scored] | None:
         """Fit and score replicates; None where they are to be tried again one by one."""
@@ -261,10 +263,6 @@ class QueuedCell(Queued):
         """Return the tracebacks of all failed replicates, in order."""
         parts = [f"replicate {i}\n{text.rstrip()}\n" for i, text in sorted(self.tracebacks.items()) if text.strip()]
         return without_places("\n".join(parts))
-
-
-def _failures(rows: Sequence[Row]) -> int:
-    return sum(row.status in FAILURES for row in rows)
 
 
 def queue_cell(

@@ -183,7 +183,7 @@ class BlockJob(Job):
         return asdict(WrittenBlocks(list(self.atlas), [item.key for item in self.items]))
 
     def run(self, limits: Limits, on_look: OnLook) -> None:
-        for key, error in run_tasks(self.items, self.store, limits, "fit", on_look, "block").items():
+        for key, error in run_tasks(self.items, self.store, limits, ("fit", "block"), on_look).items():
             say(f"block {key}: {error}")
 
 

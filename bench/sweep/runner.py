@@ -8,12 +8,12 @@ from importlib.util import find_spec
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import load_method
 from bench.isolation.processes import Children
-from bench.run.pool import Limits, affordable, processes, run_queued
-from bench.run.progress import OnLook, Progress
+from bench.run.pool import Limits, run_queued
+from bench.run.progress import OnLook
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.bounds import make_bounds
-from bench.sweep.cells import OnRows, QueuedCell, queue_cell
+from bench.sweep.cells import OnRows, queue_cell
 from bench.sweep.plan import Planned
 
 
@@ -25,10 +25,10 @@ def run_cells(planned: Sequence[Planned], store: Store, limits: Limits, on_look:
     wanted = [one for one in planned if one.run]
     if not wanted:
         return
-    with processes(needed(limits.preload, {one.cell.method for one in wanted})) as children:
+    with Children(needed(limits.preload, {one.cell.method for one in wanted})) as children:
         lost = make_bounds([one.cell for one in wanted], store, children, limits, on_look)
         cells = [queue_cell(one, store, limits, unbounded=lost.get(one.cell.identity, "")) for one in wanted]
-        _run(cells, store, children, limits, on_look)
+        run_queued(cells, store.claims, children, limits.workers, ("fit", "cell"), on_look, written=True)
 
 
 def compute_bounds(cells: Sequence[Cell], store: Store, limits: Limits) -> dict[str, str]:
@@ -36,7 +36,7 @@ def compute_bounds(cells: Sequence[Cell], store: Store, limits: Limits) -> dict[
 
     Returns why a cell has none, by its identity. Raises InputError where the store cannot be written.
     """
-    with processes(needed(limits.preload, {cell.method for cell in cells})) as children:
+    with Children(needed(limits.preload, {cell.method for cell in cells})) as children:
         return make_bounds(cells, store, children, limits)
 
 
@@ -56,28 +56,9 @@ def run_replicates(
         on_rows: Gets the rows of a cell as soon as they are complete, while the cell is claimed.
         on_look: Called with the progress.
     """
-    with processes(needed(limits.preload, {one.cell.method for one, _ in planned})) as children:
+    with Children(needed(limits.preload, {one.cell.method for one, _ in planned})) as children:
         cells = [queue_cell(one, store, limits, replicates, on_rows=on_rows) for one, replicates in planned]
-        _run(cells, store, children, limits, on_look, written=False)
-
-
-def _run(
-    cells: Sequence[QueuedCell],
-    store: Store,
-    children: Children,
-    limits: Limits,
-    on_look: OnLook | None,
-    written: bool = True,
-) -> None:
-    progress = Progress(
-        "fit",
-        sizes={one.key: one.open for one in cells},
-        kinds={one.key: one.kind for one in cells},
-        workers=affordable(limits.workers, sum(max(1, one.open) for one in cells)),
-        together={one.kind: min(one.size, one.n_wanted) for one in cells},
-        task="cell",
-    )
-    run_queued(cells, store.claims, children, progress, on_look, written=written)
+        run_queued(cells, store.claims, children, limits.workers, ("fit", "cell"), on_look)
 
 
 def needed(packages: Sequence[str], methods: Collection[str]) -> list[str]:

@@ -30,9 +30,9 @@ class Raising(Identifier):
 
 
 def test_a_block_is_computed_once_and_found_again(tmp_path) -> None:
-    assert run_tasks([BLOCK], tmp_path, Limits(), "fit") == {}
+    assert run_tasks([BLOCK], tmp_path, Limits(), ("fit", "block")) == {}
     written = result_path(tmp_path, BLOCK.key).stat().st_mtime_ns
-    assert run_tasks([BLOCK], tmp_path, Limits(), "fit") == {}
+    assert run_tasks([BLOCK], tmp_path, Limits(), ("fit", "block")) == {}
     assert result_path(tmp_path, BLOCK.key).stat().st_mtime_ns == written
     statistics = read_block(tmp_path, BLOCK)
     assert statistics is not None
@@ -101,7 +101,7 @@ def test_shards_are_all_of_the_blocks_and_none_twice(tmp_path) -> None:
 
 def test_progress_and_hours_are_those_of_the_blocks(tmp_path) -> None:
     tasks = [replace(BLOCK, seed=seed) for seed in range(4)]
-    run_tasks(tasks[:3], tmp_path, Limits(), "fit")
+    run_tasks(tasks[:3], tmp_path, Limits(), ("fit", "block"))
     (line,) = progress(tasks, tmp_path)
     assert (line.done, line.blocks, line.fits_done, line.fits) == (3, 4, 60, 80)
     assert 0 < line.fit_s < 10

@@ -180,7 +180,7 @@ def test_a_finished_cell_is_answered_from_the_store(
     def never(*arguments: Any, **options: Any) -> Any:
         raise AssertionError("computed again")
 
-    for name in ("processes", "make_bounds"):
+    for name in ("Children", "make_bounds"):
         monkeypatch.setattr(runner, name, never)
     assert main([*arguments, "snr=20.0", "workers=2"]) == 0
     assert capsys.readouterr().out == first
@@ -222,7 +222,7 @@ def test_an_interrupt_is_one_line_and_status_130(
     def interrupted(*arguments: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(runner, "processes", interrupted)
+    monkeypatch.setattr(runner, "Children", interrupted)
     assert main(["method=prior", "replicates=2", f"store={store}"]) == 130
     assert "interrupted; finished cells are kept" in capsys.readouterr().err
     assert list(Store(store)) == []

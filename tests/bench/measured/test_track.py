@@ -156,7 +156,7 @@ def test_the_command_fits_once_and_goes_on(tmp_path: Path, monkeypatch: pytest.M
     assert tracked([a.replace("output_error", "ls") for a in asked] + ["fit=false"]) == 0
     assert "1 fits are not made yet" in (tmp_path / "table11.md").read_text(encoding="utf-8")
 
-    monkeypatch.setattr(pool, "processes", lambda preload: pytest.fail("it fits again"))
+    monkeypatch.setattr(pool, "Children", lambda preload: pytest.fail("it fits again"))
     assert tracked(asked) == 0
     assert (tmp_path / "table11.md").read_text(encoding="utf-8") == text
 

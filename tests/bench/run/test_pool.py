@@ -70,16 +70,16 @@ def marks(folder: Path) -> list[str]:
 def test_what_is_stored_is_not_computed_again_and_what_fails_harms_no_other(tmp_path: Path) -> None:
     deeds = [Deed("a"), Deed("b", "raise"), Deed("c", "die"), Deed("d")]
     looks: list[Look] = []
-    errors = run_tasks(deeds, tmp_path, Limits(), "deed", looks.append)
+    errors = run_tasks(deeds, tmp_path, Limits(), ("deed", ""), looks.append)
     assert errors == {"b": "ValueError: two lines of reasons", "c": "its process was ended by SIGKILL"}
     assert [deed.key for deed in deeds if deed.stored(tmp_path)] == ["a", "d"]
     assert (looks[-1].done, looks[-1].total, looks[-1].failed) == (4, 4, 2)
-    run_tasks(deeds, tmp_path, Limits(), "deed")
+    run_tasks(deeds, tmp_path, Limits(), ("deed", ""))
     assert marks(tmp_path) == ["a", "b", "b", "c", "c", "d"]
 
 
 def test_a_task_that_hangs_ends_within_its_limit_with_all_that_it_started(tmp_path: Path) -> None:
-    errors = run_tasks([Deed("a", "hang", limit_s=2.0), Deed("b")], tmp_path, Limits(), "deed")
+    errors = run_tasks([Deed("a", "hang", limit_s=2.0), Deed("b")], tmp_path, Limits(), ("deed", ""))
     assert errors == {"a": "stopped after the limit of 2 s"}
     pid = int((tmp_path / "grandchild").read_text())
     assert not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
@@ -87,19 +87,19 @@ def test_a_task_that_hangs_ends_within_its_limit_with_all_that_it_started(tmp_pa
 
 
 def test_a_task_that_grows_ends_at_its_limit(tmp_path: Path) -> None:
-    errors = run_tasks([Deed("a", "grow"), Deed("b")], tmp_path, Limits(memory_mb=600.0), "deed")
+    errors = run_tasks([Deed("a", "grow"), Deed("b")], tmp_path, Limits(memory_mb=600.0), ("deed", ""))
     assert errors == {"a": "stopped at the memory limit of 600 MB"}
 
 
 def test_a_task_whose_process_is_stopped_by_another_ends_within_its_limit(tmp_path: Path) -> None:
     deeds = [Deed("a", "hang", limit_s=4.0), Deed("b", "stop_neighbours"), Deed("c")]
-    assert run_tasks(deeds, tmp_path, Limits(2), "deed") == {"a": "stopped after the limit of 4 s"}
+    assert run_tasks(deeds, tmp_path, Limits(2), ("deed", "")) == {"a": "stopped after the limit of 4 s"}
     assert Deed("c").stored(tmp_path)
 
 
 def test_two_drivers_share_the_tasks(tmp_path: Path) -> None:
     deeds = [Deed(f"{i:02d}", "slow") for i in range(20)]
-    drivers = [threading.Thread(target=run_tasks, args=(deeds, tmp_path, Limits(), "deed")) for _ in range(2)]
+    drivers = [threading.Thread(target=run_tasks, args=(deeds, tmp_path, Limits(), ("deed", ""))) for _ in range(2)]
     for driver in drivers:
         driver.start()
     for driver in drivers:
@@ -113,7 +113,7 @@ from pathlib import Path
 from bench.run.pool import Limits, run_tasks
 sys.path.insert(0, sys.argv[1])
 from test_pool import Deed
-run_tasks([Deed(f"{i:02d}", "slow") for i in range(60)], Path(sys.argv[2]), Limits(2), "deed")
+run_tasks([Deed(f"{i:02d}", "slow") for i in range(60)], Path(sys.argv[2]), Limits(2), ("deed", ""))
 """
 
 
@@ -155,5 +155,5 @@ def test_every_flipped_bit_of_a_result_is_noticed(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=r"store=.*cannot be") as caught:
-        run_tasks([Deed("a")], tmp_path / "file", Limits(), "deed")
+        run_tasks([Deed("a")], tmp_path / "file", Limits(), ("deed", ""))
     assert len(str(caught.value).splitlines()) == 1

@@ -145,7 +145,7 @@ def test_a_finished_cell_is_found_and_not_computed_again(
     def never(*arguments: Any, **options: Any) -> Any:
         raise AssertionError("computed again")
 
-    monkeypatch.setattr(runner, "processes", never)
+    monkeypatch.setattr(runner, "Children", never)
     (second,) = run(store, cell)
     assert store.path(cell.identity).stat().st_mtime_ns == stamp
     assert second.rows == first.rows
