@@ -258,7 +258,6 @@ bench | method=prior system=open_999 | system | open_999 | known
 bench | method=prior hydra.launcher._target_=os.system | hydra.launcher._target_ | os.system | hydra/launcher=
 bench | method=prior hydra/launcher=os.system | hydra/launcher | os.system | ray
 bench | method=prior hydra/launcher=ray hydra.launcher.x._target_=os.system | hydra.launcher.x._target_ | os.system |
-bench | method=prior hydra.run.dir=/tmp/x | hydra.run.dir | /tmp/x | hydra.launcher
 bench | method=prior hydra/sweeper=optuna | hydra/sweeper | optuna | hydra/launcher
 bench | method=prior hydra.launcher.zz=1 | hydra.launcher.zz | 1 | hydra/launcher
 bench | method=prior hydra.mode=MULTIRUN | hydra.mode | MULTIRUN | hydra.launcher
@@ -268,9 +267,10 @@ bench | method=prior store=${oc.env:HOME} | store | ${oc.env:HOME} |
 bench | method=prior snr=${snr} | snr | ${snr} |
 bench | method=prior system.duration=${system.duration} | system.duration | ${system.duration} |
 bench | method=prior system.label=${oc.env:HOME} | system.label | ${oc.env:HOME} |
-bench | method=prior ++snr=20 | ++snr | 20 | not a field
-bench | method=prior +system.zz=20 | | 20 |
-bench | method=prior ~system | ~system | | not a field
+bench | method=prior +system.zz=20 | system.zz | 20 | no such field
+bench | method=prior ~system | ~system | | can be left out
+bench | -m method=prior workers=1,2 | workers | 1,2 | one value
+bench | -m method=prior dry_run=false,true | dry_run | false,true | one value
 bench | method=prior method@x=ls | method@x | ls | not a field
 bench | method=prior system/zz=1 | system/zz | 1 |
 bench | method=prior =5 | argument | '=5' | field=value
@@ -423,10 +423,10 @@ track | from=random | stream | | lines that read
 track | from=empty | stream | | lines that read
 track | from=zeros | from | zeros | a line of
 track | rate=1e-320 from=good.csv | rate | 1e-320 | positive
-measured | zz=1 | argument | zz=1 | data_root=
+measured | zz=1 | zz | 1 | data_root
 measured | set=airtrack set=airtrack | set | airtrack | twice
-online | zz=1 | argument | zz=1 | scenario=
-online | system=sdof scenario=x | scenario | x | left out
+online | zz=1 | zz | 1 | scenario
+online | system=sdof scenario=ramp | scenario | ramp | left out
 online | system.varying.k=step | system.varying.k | step | system=
 online | system.varying.= | argument | system.varying.= | system.varying.<parameter>
 online | system=sdof system.varying.zz=step dry_run=true | system.varying.zz | step | parameters of
@@ -443,7 +443,7 @@ online | snr=20 | snr | 20 | with system=
 online | system=sdof rate=-1 dry_run=true | rate | -1 | greater than 0
 online | system=sdof samples=1e12 dry_run=true | samples | 1e12 |
 online | system=sdof snr=1e300 dry_run=true | snr | 1e300 |
-atlas | zz=1 | argument | zz=1 |
+atlas | zz=1 | zz | 1 | points
 atlas | test=zz dry_run=true | test | zz |
 check | package=nowhere | package | nowhere |
 check | package=ls timeout_s=0 | timeout_s | 0 | positive
@@ -618,7 +618,7 @@ submit | method=ls method=ls | method | ls | twice
 submit | method=oracle store=store | method | oracle | one of
 submit | method=ls archive=none | argument | archive=none | experiment=
 submit | zz=1 | argument | zz=1 | method=
-atlas | test=free_decay,forced dry_run=true | test | free_decay,forced | one of
+atlas | test=free_decay,forced dry_run=true | test | free_decay,forced | or forced
 atlas | test=forced test=forced | test | forced | twice
 atlas | test=forced part=phase dry_run=true | part | phase | some of
 atlas | test=forced method=shooting dry_run=true | method | shooting | some of

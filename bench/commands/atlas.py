@@ -1,7 +1,4 @@
-"""``python -m bench -m experiment=atlas``: the atlas of free decays, or of tests with a measured force.
-
-Finished blocks are kept in ``store``, and the same command goes on from them. ``fit=false`` writes what is kept.
-"""
+"""The atlas of free decays, or of tests with a measured force: ``python -m bench -m experiment=atlas``."""
 
 from __future__ import annotations
 
@@ -10,11 +7,12 @@ import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from bench.commands.fields import flag, listed, path_of, read_fields, whole
+from bench.commands.declaration import Choice, Others, Whole
 from bench.config.atlas import SAMPLED, TESTS, atlas_methods, atlas_slices, part_names
-from bench.config.schema import MOST_WORKERS
+from bench.config.fields import MOST_WORKERS
+from bench.config.of_hydra import check_of_hydra
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
 from bench.reporting.whole_file import check_folder
@@ -23,56 +21,59 @@ if TYPE_CHECKING:
     from bench.atlas.run import Block
     from bench.sweep.job import BlockJob
 
-FIELDS = {
-    "test": "free_decay", "part": "", "method": "", "points": "", "workers": "", "store": "outputs/atlas",
-    "out": "results", "fit": "true", "dry_run": "false", "shard": "",
-}  # fmt: skip
 COMMAND = "python -m bench -m experiment=atlas"
-USAGE = """usage: python -m bench -m experiment=atlas [field=value ...]
-
-  test      {tests}
-  part      [{parts}] several with commas; test=forced has others
-  method    {methods}
-  points    the first so many points of the sequence or slice
-  workers   [one a core] processes
-  store     [outputs/atlas] where finished blocks are kept and found again
-  out       [results] where the atlas, its tables and maps go
-  fit       [true] false: write what is kept
-  hydra/launcher
-            [local] this machine; ray, submitit_slurm: a cluster, all of whose
-            nodes see the store (options of it: hydra.launcher.<name>=<value>)
-  shard     3/10: every tenth block from the third on, as a job of many that
-            share the store; nothing is written but the blocks. In an array of
-            Slurm each job takes its own
-  dry_run   [false] say how far it is, what it took, and what is left"""
 
 
-def atlas_usage() -> str:
-    """The page of help."""
-    from bench.reporting.terminal import wrapped
-
-    tests = ", ".join(f"[{test}]" if test == FIELDS["test"] else test for test in TESTS)
-    text = USAGE.format(tests=tests, parts=",".join(part_names()), methods=", ".join(atlas_methods()))
-    return "\n".join(wrapped(line, " " * 12) for line in text.splitlines())
+def _every_method() -> list[str]:
+    return list(dict.fromkeys(name for test in TESTS for name in atlas_methods(test)))
 
 
-def made_atlas(arguments: Sequence[str]) -> int:
-    """Compute what is missing and write the atlas; raises InputError."""
+def _shard(field: str, text: str) -> tuple[int, int]:
+    """The number of a shard, from 1, and of all; of no text, this job's in an array of Slurm, or all there is."""
+    if not text and "SLURM_ARRAY_TASK_ID" in os.environ:
+        first = int(os.environ.get("SLURM_ARRAY_TASK_MIN", "1"))
+        return int(os.environ["SLURM_ARRAY_TASK_ID"]) - first + 1, int(os.environ.get("SLURM_ARRAY_TASK_COUNT", "1"))
+    text = text or "1/1"
+    number, _, shards = text.partition("/")
+    if not re.fullmatch(r"[0-9]{1,6}/[0-9]{1,6}", text) or not 1 <= int(number) <= int(shards):
+        raise InputError(field, text, "<number>/<of how many>, as 3/10")
+    return int(number), int(shards)
+
+
+def atlas(
+    test: Annotated[str, Choice(tuple(TESTS)), "kind of test"] = "free_decay",
+    part: Annotated[tuple[str, ...], "empty: all parts of the test, which are points and its slices"] = (),
+    method: Annotated[tuple[str, ...], Choice(_every_method, several=True), "empty: all"] = (),
+    points: Annotated[int | None, Whole(), "the first so many points of the sequence or slice"] = None,
+    workers: Annotated[int | None, Whole(most=MOST_WORKERS), "processes; empty: one a core"] = None,
+    store: Annotated[Path, "folder of finished blocks"] = Path("outputs/atlas"),
+    out: Annotated[Path, "folder of the atlas, its tables and maps"] = Path("results"),
+    fit: Annotated[bool, "false: write what is stored"] = True,
+    shard: Annotated[
+        tuple[int, int] | None,
+        _shard,
+        "3/10: every tenth block from the third on, as one of ten jobs that share the store; they write blocks alone. "
+        "A job of a Slurm array takes its own",
+    ] = None,
+    launcher: Annotated[
+        list[str],
+        Others(("hydra/launcher", "hydra", "+hydra")),
+        "hydra/launcher=ray, submitit_slurm: a cluster, all of whose nodes see the store; hydra.launcher.<option>=",
+    ] = [],  # noqa: B006 - read_arguments gives a list of its own
+    dry_run: Annotated[bool, "say how far it is, what it took, and what is left"] = False,
+) -> int:
+    """Compute the atlas: the error of every method over the space of tests, or what is missing of it.
+
+    Finished blocks are kept in the store, and the same command goes on from them.
+    """
     from bench.run.pool import Limits
     from bench.sweep.job import Atlas, BlockJob
 
-    launcher = tuple(text for text in arguments if text.lstrip("+").startswith(("hydra/launcher=", "hydra.launcher.")))
-    fields = read_fields([text for text in arguments if text not in launcher], FIELDS)
-    fitting, dry_run = flag("fit", fields["fit"]), flag("dry_run", fields["dry_run"])
-    test = fields["test"]
-    parts = listed("part", fields["part"]) if fields["part"] else part_names(test)
-    methods = listed("method", fields["method"]) if fields["method"] else []
-    store, out = path_of(fields["store"]), path_of(fields["out"])
-    most = whole("points", fields["points"]) if fields["points"] else None
-    workers = whole("workers", fields["workers"], most=MOST_WORKERS) if fields["workers"] else usable_cores()
-    number, shards = _shard(fields["shard"])
-    atlas = [Atlas(test, part, methods, most) for part in parts]
-    tasks = {stated.part: stated.blocks() for stated in atlas}
+    check_of_hydra(launcher)
+    number, shards = shard or _shard("shard", "")
+    stated = [Atlas(test, name, method, points) for name in part or part_names(test)]
+    tasks = {one.part: one.blocks() for one in stated}
+    workers = workers or usable_cores()
     if not dry_run:
         check_folder(store, "store")
         if shards == 1:
@@ -80,19 +81,19 @@ def made_atlas(arguments: Sequence[str]) -> int:
             _check_packages()
     every = [task for own in tasks.values() for task in own][number - 1 :: shards]
     left = [block for block in every if not block.stored(store)]
-    if len(left) == len(every) and not fitting and not dry_run:
+    if len(left) == len(every) and not fit and not dry_run:
         raise InputError("store", store, "a folder with finished blocks; without fit=false they are made")
     fits, left_fits = sum(block.size for block in every), sum(block.size for block in left)
     print(f"bench: {fits:,} fits in {len(every):,} blocks, {left_fits:,} in {len(left):,} to do", file=sys.stderr)
     if dry_run:
         print(_progress(every, store, workers))
         return 0
-    if left and fitting:
-        _run(BlockJob(tuple(left), tuple(atlas), store, Limits(workers)), launcher)
+    if left and fit:
+        _run(BlockJob(tuple(left), tuple(stated), store, Limits(workers)), tuple(launcher))
     if shards > 1:
         return 0
-    told = [f"{name}={fields[name]}" for name in ("test", "part", "points") if fields[name] != FIELDS[name]]
-    return _write(test, tasks, store, out, " ".join([COMMAND, *told]))
+    chosen = {"test": test if test != "free_decay" else "", "part": ",".join(part), "points": points or ""}
+    return _write(test, tasks, store, out, " ".join([COMMAND, *(f"{k}={v}" for k, v in chosen.items() if v)]))
 
 
 def _check_packages() -> None:
@@ -104,18 +105,6 @@ def _check_packages() -> None:
         import matplotlib  # noqa: F401
     except ModuleNotFoundError as error:
         raise InputError("package", error.name, "installed: pip install 'vibration-bench[figures]'") from None
-
-
-def _shard(text: str) -> tuple[int, int]:
-    """The number of a shard, from 1, and of all; of no text, this job's in an array of Slurm, or all there is."""
-    if not text and "SLURM_ARRAY_TASK_ID" in os.environ:
-        first = int(os.environ.get("SLURM_ARRAY_TASK_MIN", "1"))
-        return int(os.environ["SLURM_ARRAY_TASK_ID"]) - first + 1, int(os.environ.get("SLURM_ARRAY_TASK_COUNT", "1"))
-    text = text or "1/1"
-    number, _, shards = text.partition("/")
-    if not re.fullmatch(r"[0-9]{1,6}/[0-9]{1,6}", text) or not 1 <= int(number) <= int(shards):
-        raise InputError("shard", text, "<number>/<of how many>, as 3/10")
-    return int(number), int(shards)
 
 
 NODES = (1, 10, 100)

@@ -14,7 +14,8 @@ from pathlib import Path
 from bench.commands.fields import path_of, read_fields, whole
 from bench.commands.guard import command
 from bench.commands.stores import FIELDS, store_of
-from bench.config.schema import MOST_REPLICATES, SCENARIO
+from bench.config.fields import MOST_REPLICATES
+from bench.config.schema import SCENARIO
 from bench.errors import InputError
 from bench.reporting.whole_file import check_file, check_folder, write
 from bench.store.opening import DEFAULT_STORE

@@ -8,8 +8,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from bench.config.fields import Config
 from bench.config.overrides import Overrides
-from bench.config.schema import Config, Job
+from bench.config.schema import Job
 from bench.errors import InputError, line_of
 from bench.reporting.whole_file import check_file, write
 
@@ -19,16 +20,13 @@ FOLDER = "fits"
 NO_MATPLOTLIB = "matplotlib is missing: pip install 'vibration-bench[figures]'"
 
 
-def identify_records(overrides: Overrides, show: bool) -> int:
+def identify_records(overrides: Overrides) -> int:
     """Print what methods find in measured records; 1 where no method's answer is to be trusted."""
     from bench.face.identification import found_by, identified
     from bench.measured.record import read_measured
     from bench.measured.request import request_of
 
     request = request_of(overrides)
-    if show:
-        print(request.job.config.model_dump_json(indent=2, by_alias=True))
-        return 0
     _check_pictures(request.job)
     findings = found_by(request, read_measured(request))
     results = [identified(finding) for finding in findings]

@@ -1,64 +1,64 @@
-"""``python -m bench -m experiment=measured``: the measured track, real records fitted by every method, as Table 11.
-
-The table goes to ``out``, and the same as a page with pictures to ``page``. Small records travel with the package; the
-others are found below ``data_root``, and one that is not there is a row that says so. Finished fits are kept in
-``store``, and the same command goes on from them.
-"""
+"""The measured track: ``python -m bench -m experiment=measured``."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from bench.commands.fields import flag, folder_of, listed, path_of, read_fields, whole
+from bench.commands.declaration import Choice, Whole, folder
 from bench.config.choices import check_choice
+from bench.config.records import track_methods
+from bench.measured.sets import set_names
 from bench.reporting.whole_file import check_file, check_folder, write
 
 if TYPE_CHECKING:
     from bench.measured.track import Fit, MeasuredFit
     from bench.reporting.tables.track_table import FreeRun, Panel, Track
 
-FIELDS = {
-    "data_root": "", "set": "", "method": "", "timeout_s": "120", "store": "outputs/measured", "out": "results",
-    "dry_run": "false", "fit": "true", "page": "build/table11.html",
-}  # fmt: skip
 COMMAND = "python -m bench -m experiment=measured data_root=<folder>"
 MEMORY_MB = 16384.0
 """Limit of a fit with its diagnostics, whose processes have limits of their own."""
 
 
-def tracked(arguments: Sequence[str]) -> int:
-    """Run the track and write its table; raises InputError."""
-    from bench.config.records import track_methods
-    from bench.measured.sets import measured_set, set_names
+def measured(
+    data_root: Annotated[Path | None, folder, "where records lie that do not travel with the package"] = None,
+    set: Annotated[tuple[str, ...], Choice(tuple(set_names()), several=True), "empty: all"] = (),
+    method: Annotated[tuple[str, ...], "methods; empty: those of the track"] = (),
+    timeout_s: Annotated[int, Whole(), "s, limit of a fit"] = 120,
+    store: Annotated[Path, "folder of finished fits"] = Path("outputs/measured"),
+    out: Annotated[Path, "folder of the table"] = Path("results"),
+    page: Annotated[Path, "the same as a page with pictures"] = Path("build/table11.html"),
+    dry_run: Annotated[bool, "count the fits to do"] = False,
+    fit: Annotated[bool, "false: write the table of what is stored"] = True,
+) -> int:
+    """Fit real records by every method: the measured track, Table 11.
+
+    Finished fits are kept in the store, and the same command goes on from them. A record that is not found is a row
+    that says so.
+    """
+    from bench.measured.sets import measured_set
     from bench.measured.track import read_fit, tasks
     from bench.reporting.tables.track_table import Track
 
-    fields = read_fields(arguments, FIELDS)
-    dry_run, fitting = flag("dry_run", fields["dry_run"]), flag("fit", fields["fit"])
-    timeout_s = float(whole("timeout_s", fields["timeout_s"]))
-    root = folder_of("data_root", fields["data_root"]) if fields["data_root"] else None
-    names = listed("set", fields["set"]) if fields["set"] else set_names()
-    methods = listed("method", fields["method"]) if fields["method"] else track_methods()
+    root, names, methods = data_root, set or set_names(), list(method) or track_methods()
     for name in methods:
         check_choice("method", name)
-    store, out, page = path_of(fields["store"]), path_of(fields["out"]), path_of(fields["page"])
     if not dry_run:
         check_file(page, "page")
         check_folder(store, "store")
         check_folder(out)
-    every = {name: list(tasks(name, measured_set(name), methods, root, timeout_s)) for name in names}
+    every = {name: list(tasks(name, measured_set(name), methods, root, float(timeout_s))) for name in names}
     missing = [task for own in every.values() for task in own if not task.stored(store)]
     print(f"bench: {sum(map(len, every.values()))} fits, {len(missing)} to do", file=sys.stderr)
     if dry_run:
         return 0
-    if fitting and missing:
+    if fit and missing:
         _fit(missing, store)
     panels, free_runs = [], []
     for name, own in every.items():
-        fits = [fit for task in own if (fit := read_fit(store, task.key))]
+        fits = [stored for task in own if (stored := read_fit(store, task.key))]
         set_panels = _panels(name, own, fits, root)
         panels += set_panels
         free_runs += [free_run for panel in set_panels for free_run in _free_runs(panel, root)]

@@ -26,7 +26,7 @@ import numpy as np
 
 from bench.commands.fields import file_of, number, path_of, read_fields, whole
 from bench.commands.guard import command
-from bench.config.schema import MOST_MEMORY_MB, MOST_TIMEOUT_S, MOST_WORKERS
+from bench.config.fields import MOST_MEMORY_MB, MOST_TIMEOUT_S, MOST_WORKERS
 from bench.contract.estimate import Status
 from bench.entrants.registry import registered
 from bench.errors import InputError

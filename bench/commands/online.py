@@ -1,22 +1,17 @@
-"""``python -m bench -m experiment=online``: trackers on streams whose parameters change, as Table 10.
-
-Finished runs are kept in ``store``, one file a replicate, and the same command goes on from them. ``fit=false`` makes
-the table of those that are kept. ``system=<name> system.varying.<parameter>=step,ramp`` follows any system instead of
-the scenarios of the track; what is made of it is written to ``out``, which is then ``outputs/online_own``.
-"""
+"""The online track: ``python -m bench -m experiment=online``."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from bench.commands.fields import flag, listed, path_of, read_fields, whole
+from bench.commands.declaration import Choice, Others, Whole
+from bench.config.fields import MOST_WORKERS
 from bench.config.online import VARYING, online_scenario, online_track, own_scenarios, scenario_names
-from bench.config.schema import MOST_WORKERS
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
 from bench.reporting.whole_file import check_folder, write
@@ -27,55 +22,45 @@ if TYPE_CHECKING:
     from bench.online.scenario import OnlineScenario
     from bench.reporting.tables.online_table import Line
 
-FIELDS = {
-    "scenario": "", "method": "", "replicates": "", "seed": "0", "workers": "", "store": "outputs/online",
-    "out": "", "dry_run": "false", "fit": "true", "system": "", "snr": "", "samples": "", "rate": "", "force": "",
-}  # fmt: skip
-OF_SYSTEM = ("snr", "samples", "rate", "force")
-"""Fields of a scenario of one's own."""
-OWN = "outputs/online_own"
-"""Where what is made of a scenario of one's own goes."""
+OWN = Path("outputs/online_own")
+"""Where what is made of a scenario of your own goes."""
 COMMAND = "python -m bench -m experiment=online"
-USAGE = """usage: python -m bench -m experiment=online [field=value ...]
-
-  scenario     {scenarios}
-  method       {methods}
-               or window_<batch method>
-  system       a system of conf/system in place of the scenarios, with
-               system.varying.<parameter>=constant, step, ramp, sinusoid or
-               random_walk, several with commas, or written out:
-               'system.varying.k={{kind: step, change: -0.3, at: 0.5}}'
-  snr, samples, rate, force
-               of that system [20 dB, 2000, 20 a cycle, multisine]; force also
-               white, coloured, impulses or '{{kind: white, told: false}}'
-  replicates   at most so many; without: those of the track
-  seed         [0] of all random streams
-  workers      [one a core] processes
-  store        [outputs/online] where finished runs are kept and found again
-  out          [results] where table and picture go; with system=
-               [outputs/online_own]
-  fit          [true] false: the table of what is kept
-  dry_run      [false] say how much is to do"""
 
 
-def online_usage() -> str:
-    """The page of help."""
-    from bench.reporting.terminal import wrapped
+def online(
+    scenario: Annotated[
+        tuple[str, ...], Choice(scenario_names, several=True), f"empty: all of {', '.join(scenario_names())}"
+    ] = (),
+    method: Annotated[tuple[str, ...], "trackers, or window_<batch method>; empty: those of the track"] = (),
+    system: Annotated[str, "a system of conf/system in place of the scenarios"] = "",
+    varying: Annotated[
+        list[str],
+        Others(("system",)),
+        "system.varying.<parameter>=constant, step, ramp, sinusoid or random_walk, several with commas, or written "
+        "out: 'system.varying.k={kind: step, change: -0.3, at: 0.5}'",
+    ] = [],  # noqa: B006 - read_arguments gives a list of its own
+    snr: Annotated[str, "dB, of that system; empty: 20"] = "",
+    samples: Annotated[str, "of that system; empty: 2000"] = "",
+    rate: Annotated[str, "samples a second; empty: 20 a cycle"] = "",
+    force: Annotated[str, "multisine, white, coloured, impulses or '{kind: white, told: false}'"] = "",
+    replicates: Annotated[int | None, Whole(), "at most so many; empty: those of the track"] = None,
+    seed: Annotated[int, Whole(0, 2**63 - 1), "of all random streams"] = 0,
+    workers: Annotated[int | None, Whole(most=MOST_WORKERS), "processes; empty: one a core"] = None,
+    store: Annotated[Path, "folder of finished runs"] = Path("outputs/online"),
+    out: Annotated[Path | None, "folder of table and picture; empty: results, with system= outputs/online_own"] = None,
+    fit: Annotated[bool, "false: the table of what is stored"] = True,
+    dry_run: Annotated[bool, "count the runs to do"] = False,
+) -> int:
+    """Follow streams whose parameters change, sample by sample: the online track, Table 10.
 
-    text = USAGE.format(scenarios=", ".join(scenario_names()), methods=", ".join(online_track()["methods"]))
-    return "\n".join(wrapped(line, " " * 15) for line in text.splitlines())
-
-
-def followed_online(arguments: Sequence[str]) -> int:
-    """Run the track and write its table; raises InputError."""
+    Finished runs are kept in the store, and the same command goes on from them.
+    """
     from bench.online.paths import missing_paths
 
-    varying = dict(_varying(text) for text in arguments if text.startswith(VARYING))
-    fields = read_fields([text for text in arguments if not text.startswith(VARYING)], FIELDS)
-    dry_run, fitting = flag("dry_run", fields["dry_run"]), flag("fit", fields["fit"])
-    workers = whole("workers", fields["workers"], most=MOST_WORKERS) if fields["workers"] else usable_cores()
-    every, refused = _tasks(fields, _scenarios(fields, varying))
-    store, out = path_of(fields["store"]), path_of(fields["out"] or (OWN if fields["system"] else "results"))
+    of_system = {"snr": snr, "samples": samples, "rate": rate, "force": force}
+    scenarios = _scenarios(scenario, system, of_system, dict(map(_varying, varying)))
+    every, refused = _tasks(scenarios, method, replicates, seed)
+    out = out or (OWN if system else Path("results"))
     if not dry_run:
         check_folder(store, "store")
         check_folder(out)
@@ -83,8 +68,8 @@ def followed_online(arguments: Sequence[str]) -> int:
     print(f"bench: {sum(of.replicates for of in every)} runs, {len(missing)} to do", file=sys.stderr)
     if dry_run:
         return 0
-    if missing and fitting:
-        _run(missing, store, workers)
+    if missing and fit:
+        _run(missing, store, workers or usable_cores())
     _write(every, refused, store, out)
     return 0
 
@@ -97,48 +82,46 @@ def _varying(text: str) -> tuple[str, str]:
     return key.removeprefix(VARYING), value
 
 
-def _scenarios(fields: Mapping[str, str], varying: Mapping[str, str]) -> list[OnlineScenario]:
-    """Those of the track that are asked for, or those of a system of one's own."""
-    if fields["system"]:
-        if fields["scenario"]:
-            raise InputError("scenario", fields["scenario"], "left out, where system= is said")
-        return own_scenarios(fields["system"], {name: fields[name] for name in OF_SYSTEM}, varying)
-    for name in OF_SYSTEM:
-        if fields[name]:
-            raise InputError(name, fields[name], "with system=<name>; the track's scenarios have their own")
-    if varying:
-        raise InputError(f"{VARYING}{next(iter(varying))}", next(iter(varying.values())), "with system=<name>")
-    named = listed("scenario", fields["scenario"]) if fields["scenario"] else scenario_names()
-    return [online_scenario(name) for name in named]
+def _scenarios(
+    scenario: Sequence[str], system: str, of_system: Mapping[str, str], varying: Mapping[str, str]
+) -> list[OnlineScenario]:
+    """Return the scenarios of the track that are asked for, or those of a system of your own."""
+    if system:
+        if scenario:
+            raise InputError("scenario", ",".join(scenario), "left out, where system= is said")
+        return own_scenarios(system, of_system, varying)
+    for name, value in {**of_system, **{f"{VARYING}{name}": text for name, text in varying.items()}}.items():
+        if value:
+            raise InputError(name, value, "with system=<name>; the track's scenarios have their own")
+    return [online_scenario(name) for name in scenario or scenario_names()]
 
 
-def _tasks(fields: Mapping[str, str], scenarios: Sequence[OnlineScenario]) -> tuple[list[Tracking], list[Line]]:
-    """What is to be there, and a line for each method that cannot take a scenario."""
+def _tasks(
+    scenarios: Sequence[OnlineScenario], method: Sequence[str], most: int | None, seed: int
+) -> tuple[list[Tracking], list[Line]]:
+    """Return what is to be computed, and a line for each method that cannot take a scenario."""
     from bench.entrants.online import make_online
     from bench.online.paths import Tracking
     from bench.reporting.tables.online_table import Line
 
     content = online_track()
-    methods = listed("method", fields["method"]) if fields["method"] else content["methods"]
-    seed = whole("seed", fields["seed"], 0, 2**63 - 1)
-    most = whole("replicates", fields["replicates"]) if fields["replicates"] else None
     settings = {name: dict(own) for name, own in content["variants"].items()}
-    registered = {name: settings.get(name, {}).pop("method", name) for name in methods}
-    made = {name: make_online(registered[name], settings.get(name, {})) for name in methods}
+    registered = {name: settings.get(name, {}).pop("method", name) for name in method or content["methods"]}
+    made = {name: make_online(registered[name], settings.get(name, {})) for name in registered}
     tasks, refused = [], []
     for scenario in scenarios:
         name = scenario.label
         left_out = content["left_out"].get(name, {"methods": [], "why": ""})
-        for method, identifier in made.items():
+        for label, identifier in made.items():
             objection = identifier.objection(scenario.layout())
-            if not objection and method in left_out["methods"] and not fields["method"]:
+            if not objection and label in left_out["methods"] and not method:
                 objection = left_out["why"]
             if objection:
-                refused.append(Line(name, method, _title(method, registered[method]), message=objection))
+                refused.append(Line(name, label, _title(label, registered[label]), message=objection))
                 continue
-            n = content["replicates_by_method"].get(method, content["replicates"])
+            n = content["replicates_by_method"].get(label, content["replicates"])
             n = n if most is None else min(n, most)
-            tasks.append(Tracking(scenario, registered[method], settings.get(method, {}), n, seed, method))
+            tasks.append(Tracking(scenario, registered[label], settings.get(label, {}), n, seed, label))
     return tasks, refused
 
 

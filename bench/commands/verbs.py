@@ -13,8 +13,8 @@ COMMAND = "python -m bench"
 
 
 def named_verb(arguments: Sequence[str]) -> str | None:
-    """Return the verb of a command line: its first word that is no option, where it is a word; None for a run."""
-    first = next((word for word in arguments if not word.startswith("-")), "")
+    """Return the verb of a command line: its first word, which --help or --version may precede; None for a run."""
+    first = next((word for word in arguments if word not in ("-h", "--help", "--version")), "")
     return first if first.isidentifier() else None
 
 

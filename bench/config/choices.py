@@ -1,31 +1,43 @@
-"""What may be chosen by name: the files of ``conf``, registered methods, and a scenario's file of one's own."""
+"""What may be chosen by name, and what each choice says: files of ``conf``, methods, scenarios in files of your own."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 from functools import cache
 from typing import Any
 
+from bench.config import fields
 from bench.config.drawn import drawn_ranges, drawn_scenario
-from bench.config.files import file_names
+from bench.config.files import file_names, read_yaml
+from bench.config.own_file import read_own_system
 from bench.config.suggest import did_you_mean
-from bench.entrants.registry import load_method, method_names, registered
+from bench.entrants.registry import default_settings, load_method, method_names, registered
 from bench.errors import InputError
 
-GROUPS = ("method", "system", "prior", "disturbance", "experiment")
+GROUPS = (*fields.GROUPS, "experiment")
+"""Fields whose value is chosen by name."""
+_OWN: dict[str, dict[str, Any]] = {}
+"""Contents of files of your own by the names under which Hydra gets them."""
 
 
 @cache
 def choices(group: str) -> list[str]:
-    """What may be chosen for a group: the files of ``conf``, and for methods the registered ones too."""
+    """Return what may be chosen for a group: the files of ``conf``, and for methods the registered ones too."""
     return sorted({*file_names(group), *(method_names() if group == "method" else ())})
+
+
+def is_choice(group: str, name: str) -> bool:
+    """Return whether a name stands for a choice, drawn and registered scenarios included."""
+    return name in choices(group) or (group == "system" and (name in _OWN or drawn_scenario(name) is not None))
 
 
 def check_choice(group: str, value: Any) -> None:
     """Raise InputError for what cannot be chosen for a group, which includes a method that does not load."""
-    if own_file(group, value) or (group == "system" and drawn_scenario(str(value))):
+    if own_file(group, value) or (group == "experiment" and value is None):
         return
-    if value not in choices(group) and not (group == "experiment" and value is None):
+    if not is_choice(group, str(value)):
         known = ", ".join([f"known: {', '.join(choices(group))}", *(drawn_ranges() if group == "system" else ())])
         raise InputError(group, value, f"{did_you_mean(value, choices(group))}{known}")
     if group == "method" and value in registered():
@@ -33,8 +45,27 @@ def check_choice(group: str, value: Any) -> None:
 
 
 def own_file(group: str, value: Any) -> bool:
-    """Whether a choice names a file of one's own: ``system=<path>.yaml``; raises InputError if it is not there."""
+    """Return whether a choice is a file of your own: ``system=<path>.yaml``; raises InputError if it does not exist."""
     named = group == "system" and isinstance(value, str) and value.endswith(".yaml")
     if named and not os.path.isfile(os.path.expanduser(value)):
         raise InputError(group, value, "there is no such file; give the path of a file like those of conf/system")
     return named
+
+
+def register_own_file(path: str) -> str:
+    """Make a scenario in a file of your own a choice; return its name. Raises InputError."""
+    stated = read_own_system(os.path.expanduser(path))
+    name = f"file_{hashlib.sha256(json.dumps(stated, default=str).encode()).hexdigest()[:16]}"
+    _OWN[name] = stated
+    return name
+
+
+def content(group: str, name: str) -> dict[str, Any]:
+    """Return what a choice says by itself, before it is composed; raises InputError for a method that does not load."""
+    if group == "system" and name in _OWN:
+        return dict(_OWN[name])
+    if group == "system" and name not in file_names("system") and (drawn := drawn_scenario(name)):
+        return dict(drawn.system)
+    if group == "method" and name not in file_names("method"):
+        return {"name": name, **default_settings(name)}
+    return read_yaml(group, name)

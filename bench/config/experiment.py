@@ -6,21 +6,26 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 from bench.config.choices import GROUPS, check_choice, choices
-from bench.config.composition import composed
+from bench.config.composition import Part, composed, part_of
 from bench.config.drawn import drawn_scenarios
+from bench.config.fields import GROUPS as COMPOSED
+from bench.config.fields import SWEPT
 from bench.config.files import read_yaml
-from bench.config.overrides import OF_EXPERIMENTS, Overrides, check_of_records, read_overrides
+from bench.config.limits import check_names
+from bench.config.overrides import DELETED, Overrides, check_of_records, read_overrides, written
 from bench.config.schema import Job, config_from
 from bench.errors import InputError
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 
 MOST_CELLS = 200_000
-"""Of one sweep."""
+"""Most cells of one sweep."""
+OF_EXPERIMENTS = ("draw", "sweep", "also", "replicates_by_method", "table", "defaults")
+"""Fields that only an experiment sets."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +42,9 @@ class Experiment:
 
     @cached_property
     def content(self) -> Mapping[str, Any]:
-        """What its file says."""
-        return read_yaml("experiment", self.name)
+        """Return its file over the experiments that it starts from."""
+        part = Part("experiment", self.name)
+        return composed([part])[part]
 
     @property
     def table(self) -> Mapping[str, Any]:
@@ -112,10 +118,13 @@ def _check_single(overrides: Overrides) -> None:
     swept = {**(Experiment(names[0]).blocks[0] if names else {}), **overrides}
     for field, values in swept.items():
         if len(values) > 1:
-            raise InputError(field, ",".join(map(str, values)), "several values need -m: python -m bench -m ...")
+            raise InputError(field, written(values), "several values need -m: python -m bench -m ...")
 
 
 def _product(sweep: Overrides, experiment: Mapping[str, Any], explicit: frozenset[str] = frozenset()) -> list[Job]:
+    for field, values in sweep.items():
+        if len(values) > 1 and field.partition(".")[0] not in SWEPT:
+            raise InputError(field, written(values), "one value: it is of the run, not of a cell")
     for group in set(GROUPS) & set(sweep):
         for value in sweep[group]:
             check_choice(group, value)
@@ -126,22 +135,47 @@ def _product(sweep: Overrides, experiment: Mapping[str, Any], explicit: frozense
         widest = max(sweep, key=lambda field: len(sweep[field]))
         remedy = f"{number} cells in all, at most {MOST_CELLS}; sweep over less at a time"
         raise InputError(widest, f"{len(sweep[widest])} values", remedy)
-    every = (dict(zip(sweep, values, strict=True)) for values in itertools.product(*sweep.values()))
-    return [_job(chosen, experiment, explicit) for chosen in every]
+    every = [dict(zip(sweep, values, strict=True)) for values in itertools.product(*sweep.values())]
+    parts = [{group: _part(group, chosen) for group in COMPOSED} for chosen in every]
+    contents = composed([part for own in parts for part in own.values()])
+    for part in {part for own in parts for part in own.values()}:
+        check_names(part.group, contents[part])
+    return [
+        _job(chosen, {group: contents[part] for group, part in own.items()}, experiment, explicit)
+        for chosen, own in zip(every, parts, strict=True)
+    ]
 
 
-def _job(chosen: Mapping[str, Any], experiment: Mapping[str, Any], explicit: frozenset[str]) -> Job:
-    plain = {k: v for k, v in chosen.items() if k not in GROUPS and "." not in k}
-    in_groups = {k: v for k, v in chosen.items() if k not in plain}
-    content = composed(in_groups)
-    default_prior = content["system"].get("default_prior", "nominal")
-    if "prior" not in chosen and default_prior != content["prior"]["name"]:
-        check_choice("prior", default_prior)
-        content = composed({**in_groups, "prior": default_prior})
-    fields = {k: v for k, v in experiment.items() if k not in OF_EXPERIMENTS}
+def _part(group: str, chosen: Mapping[str, Any]) -> Part:
+    below = {k.removeprefix(f"{group}."): value for k, value in chosen.items() if k.startswith(f"{group}.")}
+    return part_of(group, chosen.get(group, default_choices()[group]), below)
+
+
+def _job(
+    chosen: Mapping[str, Any],
+    groups: dict[str, Any],
+    experiment: Mapping[str, Any],
+    explicit: frozenset[str],
+) -> Job:
+    """Return the job of one combination: the fields of its experiment, over them those that are chosen."""
+    if "prior" not in chosen and "default_prior" in groups["system"]:
+        check_choice("prior", groups["system"]["default_prior"])
+        prior = _part("prior", {**chosen, "prior": groups["system"]["default_prior"]})
+        groups["prior"] = composed([prior])[prior]
+    values = {k: v for k, v in experiment.items() if k not in OF_EXPERIMENTS} | groups
     by_method = experiment.get("replicates_by_method", {})
     if chosen["method"] in by_method and "replicates" not in explicit:
-        fields["replicates"] = by_method[chosen["method"]]
-    config = {k: v for k, v in content.items() if k not in OF_EXPERIMENTS}
-    settings = [f"{k.partition('.')[2]}={v}" for k, v in chosen.items() if k.startswith("method.")]
-    return Job(config_from({**config, **fields, **plain}), " ".join([str(chosen["method"]), *settings]), explicit)
+        values["replicates"] = by_method[chosen["method"]]
+    for field, value in chosen.items():
+        name, _, below = field.partition(".")
+        if name not in GROUPS:
+            values[name] = {**values.get(name, {}), below: value} if below else value
+    settings = [f"{k.partition('.')[2]}={v}" for k, v in chosen.items() if k.startswith("method.") and v is not DELETED]
+    return Job(config_from(values), " ".join([str(chosen["method"]), *settings]), explicit)
+
+
+@cache
+def default_choices() -> dict[str, str]:
+    """Return the choice of every group that ``conf/config.yaml`` makes."""
+    named = [entry for entry in read_yaml("", "config")["defaults"] if isinstance(entry, dict)]
+    return {group: name for entry in named for group, name in entry.items()}

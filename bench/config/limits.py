@@ -1,15 +1,20 @@
-"""What no number of a scenario may be: true or false, or so large or small that its square is no number any more."""
+"""What a composed group may not hold: fields that do not exist, and numbers that cannot be computed with."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import Any, get_args
 
+from bench.config.suggest import did_you_mean
+from bench.entrants.registry import default_settings
 from bench.errors import InputError
+from bench.scenario import scenario as declared
 from bench.scenario.declaration import declared_types
-from bench.scenario.scenario import PriorSpec
-from bench.systems import load_system
+from bench.scenario.disturbance import kinds
+from bench.scenario.scenario import PriorSpec, config_path
+from bench.systems import load_system, make_system
+from bench.systems.contract import Kind
 
 LEAST, MOST = 1e-15, 1e15
 """Of every number of a scenario but 0, whatever it measures (SI units): nothing that vibrates is outside."""
@@ -54,13 +59,40 @@ def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield path, value
 
 
-def check_options(system: Mapping[str, Any]) -> None:
-    """Raise InputError for an option of a system that counts something and is no whole number."""
-    options, kind = system.get("options"), system.get("kind")
+def check_names(group: str, content: Mapping[str, Any]) -> None:
+    """Raise InputError for a field of a composed group, or of what lies below it, that does not exist."""
+    if group == "method":
+        _check_known("method", content, ["name", *default_settings(content["name"])])
+    elif group == "system":
+        paths = [config_path(f) for f in fields(declared.Scenario)]
+        _check_known("system", content, [path[7:] for path in paths if path.startswith("system.")] + ["default_prior"])
+        check_system(content.get("kind"), content.get("options") or {}, content.get("parameters"))
+    elif group == "prior":
+        _check_known("prior", content, [f.name for f in fields(PriorSpec)])
+        _check_known("prior.sd_by_kind", content["sd_by_kind"] or {}, get_args(Kind))
+    elif group == "disturbance" and content["kind"] in ("none", *kinds()):
+        own = [] if content["kind"] == "none" else [f.name for f in fields(kinds()[content["kind"]])]
+        _check_known("disturbance", content, ["kind", *own])
+
+
+def check_system(kind: Any, options: Any, parameters: Any = None) -> None:
+    """Raise InputError for an option or a parameter that a system does not have, and for a count that is not whole."""
     if not isinstance(kind, str) or not isinstance(options, Mapping):
-        return  # what is wrong with them is said where they are declared
+        return  # its declaration speaks of these
     of = load_system(kind)
-    types: Mapping[str, Any] = declared_types(of) if is_dataclass(of) else {}
-    for name, value in options.items():
-        if types.get(name) is int and type(value) is not int:
-            raise InputError(f"system.options.{name}", value, "a whole number")
+    if is_dataclass(of):
+        types = declared_types(of)
+        _check_known("system.options", options, [f.name for f in fields(of)])
+        for name, value in options.items():
+            if types[name] is int and type(value) is not int:
+                raise InputError(f"system.options.{name}", value, "a whole number")
+    if isinstance(parameters, Mapping) and set(parameters) > set(names := make_system(kind, options).names):
+        _check_known("system.parameters", parameters, names)
+
+
+def _check_known(group: str, given: Mapping[str, Any], known: Sequence[str]) -> None:
+    for name in given:
+        if name not in known:
+            listed = [name for name in known if name not in ("name", "kind")]
+            remedy = f"there are {', '.join(listed)}" if listed else "there is none"
+            raise InputError(f"{group}.{name}", given[name], f"no such field; {did_you_mean(name, listed)}{remedy}")

@@ -6,13 +6,10 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
-
-from bench.config.limits import check_numbers, check_options
-from bench.contract.problem import Hold
+from bench.config.fields import Config, flags
+from bench.config.limits import check_numbers
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import default_settings, make_method
 from bench.errors import InputError
@@ -22,56 +19,10 @@ from bench.scenario.disturbance import Disturbance, kind_of
 from bench.scenario.scenario import PriorSpec, Scenario, config_path
 from bench.store.cell import Cell
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(allow_inf_nan=False, gt=0)]
-MOST_WORKERS = 1024
-MOST_REPLICATES = 1_000_000
-MOST_TIMEOUT_S, LEAST_MEMORY_MB, MOST_MEMORY_MB = 1e9, 100.0, 1e9
 SCENARIO = ("system", "prior", "disturbance")
-"""The groups that hold the numbers of a scenario."""
-FLAGS = ("dry_run", "detrend")
-"""The fields of a run that are true or false."""
-
-
-class Config(BaseModel):
-    """What a configuration says beside the scenario: the method, how often, from which seed, where, within what limits.
-
-    The groups of the scenario stand here as they are written. Unknown fields are refused.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    method: dict[str, Any]
-    system: dict[str, Any]
-    prior: dict[str, Any]
-    disturbance: dict[str, Any]
-    snr: Any
-    initial_state: Any
-    replicates: Annotated[int, Field(ge=1, le=MOST_REPLICATES)]
-    seed: Annotated[int, Field(ge=0, lt=2**63)]
-    store: Path
-    archive: str | None
-    format: Literal["table", "json"]
-    workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] | None
-    timeout_s: Annotated[float, Field(allow_inf_nan=False, gt=0, le=MOST_TIMEOUT_S)]
-    memory_mb: Annotated[float, Field(allow_inf_nan=False, ge=LEAST_MEMORY_MB, le=MOST_MEMORY_MB)]
-    retry: str
-    dry_run: bool
-    cells_per_job: Annotated[int, Field(ge=1, le=1_000_000)]
-    data: str | None
-    columns: str | None
-    units: str | None
-    rate: Positive | None
-    first: Annotated[Finite | None, Field(alias="from")]
-    last: Annotated[Finite | None, Field(alias="to")]
-    decimate: Annotated[int, Field(ge=1, le=10_000)]
-    detrend: bool
-    force_gain: Finite
-    hold: Hold
-    fixed: dict[str, Annotated[float, Field(allow_inf_nan=False, ge=0)]]
-    nominal: dict[str, Positive]
-    start: list[Finite] | None
-    plot: Literal["auto", "always", "never"]
-    picture: str | None
+"""Groups that hold the numbers of a scenario."""
+WRITTEN = {"from_": "from"}
+"""Fields of a run that are written otherwise than their attribute."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +37,8 @@ class Job:
     @cached_property
     def scenario(self) -> Scenario:
         """The scenario; raises InputError where it does not make sense."""
-        stated = self.config.model_dump(include={config_path(f).partition(".")[0] for f in fields(declared.Scenario)})
+        names = {config_path(f).partition(".")[0] for f in fields(declared.Scenario)}
+        stated = {name: getattr(self.config, name) for name in sorted(names)}
         return _shared_scenario(json.dumps(stated, default=str))
 
     def prior_spec(self) -> PriorSpec | None:
@@ -117,15 +69,13 @@ class Job:
 
 
 def config_from(content: Mapping[str, Any]) -> Config:
-    """The validated fields of a composed configuration; raises InputError."""
-    if not str(content["store"] or ""):
-        raise InputError("store", "", "name a folder")
+    """Return the validated fields of a run; raises InputError."""
     for name, value in content.items():
-        if isinstance(value, bool) and name not in FLAGS:
+        if isinstance(value, bool) and name not in flags():
             raise InputError(name, value, "a number or a name, not true or false")
-        if name in FLAGS and not isinstance(value, bool):
+        if name in flags() and not isinstance(value, bool):
             raise InputError(name, value, "true or false")
-    return validated(Config, content)
+    return validated(Config, {"from_" if name == "from" else name: value for name, value in content.items()}, WRITTEN)
 
 
 @lru_cache(maxsize=1024)
@@ -137,11 +87,10 @@ def _shared_scenario(stated: str) -> Scenario:
 def scenario_from(content: Mapping[str, Any]) -> Scenario:
     """The scenario of a composed configuration: each field from where its declaration says; raises InputError."""
     check_numbers({name: content[name] for name in SCENARIO})
-    check_options(content["system"])
     kind = declared.Scenario
+    paths = {f.name: config_path(f) for f in fields(kind)}
     system = {name: value for name, value in content["system"].items() if name != "default_prior"}
     given = {**content, "prior": _prior(content["prior"]), "disturbance": _disturbance(content["disturbance"])}
-    paths = {f.name: config_path(f) for f in fields(kind)}
     values = {}
     for f in fields(kind):
         group, _, name = paths[f.name].partition(".")
@@ -151,8 +100,6 @@ def scenario_from(content: Mapping[str, Any]) -> Scenario:
             values[f.name] = system.pop(name)
         elif f.name == "label" or (f.metadata.get("stated") and "part" not in f.metadata):
             raise InputError(paths[f.name], "", "field required")
-    for name, value in system.items():
-        raise InputError(f"system.{name}", value, "extra inputs are not permitted")
     return validated(kind, values, paths)
 
 

@@ -12,7 +12,7 @@ from importlib.metadata import EntryPoint
 from multiprocessing.connection import Connection
 from typing import Any
 
-from bench.config.limits import check_numbers, check_options
+from bench.config.limits import check_numbers, check_system
 from bench.conformance.candidate import Candidate
 from bench.conformance.check import Check, Outcome, outcome
 from bench.conformance.method_checks import METHOD_CHECKS
@@ -140,7 +140,7 @@ def _check_settings(subjects: Sequence[Subject], target: Target) -> None:
         check_numbers({"system": {"options": options}})
         for subject in subjects:
             if subject.kind == "system":
-                check_options({"kind": subject.name, "options": options})
+                check_system(subject.name, options)
     except InputError as error:
         raise InputError(error.field.replace("system.options.", "system."), error.value, error.remedy) from None
 

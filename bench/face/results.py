@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.config.experiment import Experiment, sweep
+from bench.config.fields import Config
 from bench.config.overrides import overrides_of
-from bench.config.schema import Config
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
 from bench.run.pool import Limits

@@ -61,8 +61,8 @@ def request_of(overrides: Overrides) -> Request:
         _pairs("columns", config.columns),
         _pairs("units", config.units),
         config.rate,
-        config.first,
-        config.last,
+        config.from_,
+        config.to,
         config.decimate,
         config.detrend,
     )

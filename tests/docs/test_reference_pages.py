@@ -16,6 +16,7 @@ import yaml
 from conftest import REPOSITORY, StoreFactory
 
 import bench
+from bench.config.fields import defaults as fields_of_a_run
 from bench.commands.main import main
 from bench.conformance.process import MEMORY_MB
 from bench.contract.estimate import Status
@@ -27,8 +28,6 @@ from bench.sweep.method_process import CPU_MARGIN_S, LONGEST_ANSWER
 
 REFERENCE = REPOSITORY / "docs" / "reference"
 RESULTS = REPOSITORY / "results"
-HYDRA = {"defaults", "sweep", "also", "draw", "replicates_by_method", "table", "experiment"}
-"""What an experiment sets, and what is a group or Hydra's."""
 
 
 def page(name: str) -> str:
@@ -81,9 +80,7 @@ def defaults() -> dict[str, str]:
 def test_every_field_of_a_cell_is_there_with_its_default() -> None:
     config = yaml.safe_load((REPOSITORY / "conf" / "config.yaml").read_text(encoding="utf-8"))
     shown = defaults()
-    for name, value in config.items():
-        if name in HYDRA:
-            continue
+    for name, value in fields_of_a_run().items():
         assert name in shown, name
         if isinstance(value, bool | int | str):
             assert shown[name] == (str(value).lower() if isinstance(value, bool) else str(value)), name

@@ -73,7 +73,7 @@ def test_a_closed_output_is_said_before_anything_is_computed(closed: str, shell:
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
-@pytest.mark.parametrize("line", ["@bench --help", "@bench method=ls --cfg", "@bench.status --help"])
+@pytest.mark.parametrize("line", ["@bench --help", "@bench method=ls --cfg job", "@bench.status --help"])
 def test_a_full_output_is_one_line(line: str, shell: Shell) -> None:
     done = shell(f"{line} > {FULL}")
     assert done.returncode == 2

@@ -1,34 +1,33 @@
-"""What is put together without Hydra is what Hydra composes."""
+"""What a cell is computed from is what Hydra composes in place, and shows by ``--cfg job``."""
 
 import json
 
 import pytest
 
-from bench.config import composition, files
 from bench.config.choices import choices
+from bench.config.experiment import expand
+from bench.config.inspection import compose_in_place
+from bench.config.overrides import read_overrides
 
-CHOICES = [(group, name) for group in ("system", "prior", "disturbance") for name in choices(group)]
-VARIANTS = [("method", name) for name in ("ls", "oracle", "ls_spline", "collocation_bootstrap")]
+ALL = [f"{group}={name}" for group in ("system", "prior", "disturbance") for name in choices(group)]
+VARIANTS = ["method=ls", "method=oracle", "method=ls_spline", "method=collocation_bootstrap"]
+FIELDS = [
+    "system.parameters={m:1,c:0.5,k:9}", "system.parameters.k=9 system.samples=50", "system=open_007 system.samples=33",
+    "method=pinn_adam method.adam_steps=7", "prior.draws=truth", "disturbance=jitter ++disturbance.size=0.1", "~prior",
+    "snr=7 seed=3 workers=2 store=elsewhere", "system=dev_small", "+experiment=sbc", "method=pinn_adam ~method.slack",
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(("group", "name"), [*CHOICES, *VARIANTS])
-def test_whole_files_are_merged_as_hydra_merges_them(group: str, name: str) -> None:
+@pytest.mark.parametrize("line", [*ALL, *VARIANTS, *FIELDS])
+def test_a_cell_is_computed_from_what_hydra_composes(line: str) -> None:
     """In the same order, too: a scenario's parameters stand in it as they are written."""
-    composition.register_method(name if group == "method" else "ls")
-    by_hydra = composition._by_hydra(((group, name),))[group]
-    assert json.dumps(composition._whole_file(group, name)) == json.dumps(by_hydra)
-
-
-def test_nothing_chosen_is_what_hydra_makes_of_nothing() -> None:
-    composition.register_method("ls")
-    assert json.dumps(composition.composed({})) == json.dumps(composition._by_hydra(()))
-
-
-def test_a_file_that_speaks_hydras_language_is_left_to_hydra(monkeypatch: pytest.MonkeyPatch) -> None:
-    texts = {"one": "kind: sdof\nduration: ${snr}\n", "two": "# @package other\nkind: sdof\n", "three": "a: 1\n"}
-    texts |= {"four": "defaults: [_self_, sdof]\n", "five": "defaults:\n  - prior: none\n"}
-    monkeypatch.setattr(composition, "choices", lambda _: list(texts))
-    for module in (composition, files):
-        monkeypatch.setattr(module, "file_text", lambda _, name: texts[name])
-    found = {name: composition._whole_file("system", name) is None for name in texts}
-    assert found == {"one": True, "two": True, "three": False, "four": True, "five": True}
+    texts = line.split()
+    if "method=" not in line:
+        texts = ["method=ls", *texts]
+    shown = compose_in_place(read_overrides(texts))
+    (config,) = {job.config.seed: job.config for job in expand(texts, multirun=True)[:1]}.values()
+    for group in ("method", "system", "prior", "disturbance"):
+        if "experiment" not in line or group in ("system", "disturbance"):
+            assert json.dumps(getattr(config, group)) == json.dumps(shown[group])
+    for name in ("snr", "seed", "workers", "replicates"):
+        assert getattr(config, name) == shown[name]

@@ -198,7 +198,7 @@ def test_several_experiments_are_one_after_the_other(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     ("texts", "field"),
     [
-        (["method=oracle", "system.force.amplitude=1"], "system.force.amplitude"),
+        (["method=oracle", "system.force.amplitude=1"], "system.force"),
         (["method=oracle", "system.initial.displacement=[1,2]"], "system.initial"),
         (["method=oracle", "system=chain2", "system.options.n=3"], "system.parameters"),
         (["method=oracle", "system=sdof_forced", "system.force.hold=quintic"], "system.force.hold"),

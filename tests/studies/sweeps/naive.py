@@ -9,9 +9,9 @@ from typing import Any
 import hydra
 import numpy as np
 
-from bench.config.composition import register_method
 from bench.config.schema import scenario_from
-from bench.entrants.registry import make_method, registered
+from bench.config.sources import register_plugins
+from bench.entrants.registry import make_method
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import score
 
@@ -31,6 +31,5 @@ def main(config: Any) -> None:
 
 
 if __name__ == "__main__":
-    for name in registered():
-        register_method(name)
+    register_plugins()
     main()

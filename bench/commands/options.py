@@ -1,0 +1,63 @@
+"""The options of a run, which are Hydra's; ``--help`` and ``--version`` are answered here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from bench.config.fields import declared
+from bench.errors import InputError
+
+MULTIRUN, RUN, HELP, VERSION = ("-m", "--multirun"), ("-r", "--run"), ("-h", "--help"), ("--version",)
+COMPLETION = ("-sc", "--shell-completion", "--shell_completion")
+CFG, INFO = ("job", "hydra", "all"), ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
+SHOWN = {"--cfg": CFG, "-c": CFG, "--info": INFO, "-i": INFO}
+"""Options by which Hydra shows a configuration, each with its values; the first where none is given."""
+PACKAGE, ALONE = ("-p", "--package"), ("--resolve", "--hydra-help", *COMPLETION)
+
+
+@dataclass
+class Options:
+    """The words of a command line: what is asked of bench, options for Hydra to answer, and ``field=value``."""
+
+    multirun: bool = False
+    help: bool = False
+    version: bool = False
+    shown: list[str] = field(default_factory=list)
+    words: list[str] = field(default_factory=list)
+
+    @property
+    def completes(self) -> bool:
+        """Return whether the shell asks what may follow: the words are Hydra's."""
+        return bool(set(COMPLETION) & set(self.shown))
+
+
+def read_options(arguments: Sequence[str]) -> Options:
+    """Sort the words of a command line; raises InputError for an option that does not exist."""
+    options, rest = Options(), list(arguments)
+    while rest:
+        word = rest.pop(0)
+        name, _, value = word.partition("=") if word.startswith("--") else (word, "", "")
+        if not name.startswith("-"):
+            options.words.append(name)
+        elif name in (*MULTIRUN, *RUN):
+            options.multirun = options.multirun or name in MULTIRUN
+        elif name in HELP:
+            options.help = True
+        elif name in VERSION:
+            options.version = True
+        elif name in SHOWN:
+            options.shown += [name, value or (rest.pop(0) if rest and rest[0] in SHOWN[name] else SHOWN[name][0])]
+        elif name in PACKAGE:
+            options.shown += [name, value or (rest.pop(0) if rest else "")]
+        elif name in ALONE:
+            options.shown.append(name)
+        else:
+            raise InputError("option", word, _no_option(name))
+    return options
+
+
+def _no_option(name: str) -> str:
+    field = name.lstrip("-")
+    written = f"; a field has no dashes: {field}=<value>" if field in declared() else ""
+    return f"options are -m, --cfg, --info, --package, --resolve, -sc, --hydra-help, --version, --help{written}"

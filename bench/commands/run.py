@@ -1,0 +1,164 @@
+"""The run, which has no verb: one cell, a sweep, an experiment, or a measured record."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any
+
+from bench.commands.options import Options
+from bench.errors import InputError
+from bench.isolation.cores import usable_cores
+
+COMMAND = "python -m bench"
+USAGE = """usage: python -m bench method=<name> [field=value ...]        one cell
+       python -m bench -m method=a,b snr=40,20 [...]        a sweep of all of these
+       python -m bench -m experiment=table3                 the cells of a table
+       python -m bench method=<name> data=record.csv        a measured record
+       python -m bench <verb> [field=value ...]             --help for each
+
+{verbs}
+
+fields (defaults in brackets):
+{fields}
+  experiment     a sweep: {experiments}
+  hydra/launcher [local] ray, submitit_slurm (extras ray, slurm), with
+                 cells_per_job= and hydra.launcher.<option>=
+  hydra.run.dir, hydra.sweep.dir, hydra.verbose
+                 folder of the store, of one cell and of a sweep; log of Hydra
+
+options, which are Hydra's:
+  -m, --multirun   a sweep             --cfg job    print the configuration
+  --info           how it is composed  -sc install=bash   completion by the shell
+  --version                            -h, --help   this page"""
+WIDE = 13
+"""Letters of a field's name on the page of help."""
+OF_THEIR_OWN = {"measured": "measured_track", "online": "online", "atlas": "atlas"}
+"""Experiments with fields of their own, each a declared function of the module of bench.commands."""
+
+
+def run(options: Options, early: bool = False) -> int:
+    """Answer the options of a command line, or compute what its fields ask for; returns the exit status.
+
+    ``early``: another core starts the processes that fit while this one imports.
+    """
+    own = next(
+        (name for name in OF_THEIR_OWN if {f"experiment={name}", f"+experiment={name}"} & set(options.words)), ""
+    )
+    if own:
+        return _experiment(own, [word for word in options.words if word.lstrip("+") != f"experiment={own}"], options)
+    if options.help or not (options.words or options.shown or options.version):
+        print(_usage())
+        return 0 if options.help else 2
+    if options.version:
+        from bench import __version__
+
+        print(__version__)
+        return 0
+    if options.completes:
+        from bench.config.inspection import complete
+
+        return complete(options.shown, options.words)
+    from bench.config.of_hydra import check_of_hydra, is_of_hydra, prepared
+    from bench.config.overrides import read_overrides
+
+    of_hydra = [text for text in options.words if is_of_hydra(text)]
+    check_of_hydra(of_hydra)
+    overrides = read_overrides([text for text in options.words if text not in of_hydra])
+    if options.shown:
+        from bench.config.inspection import show
+
+        if options.multirun:
+            raise InputError("option", "-m", f"{options.shown[0]} shows one cell; dry_run=true lists those of a sweep")
+        return show(options.shown, overrides, of_hydra)
+    if early and usable_cores() > 1 and not of_hydra and "dry_run" not in overrides:
+        from bench.isolation.processes import start_server
+
+        start_server()
+    from bench.config.experiment import sweep  # half a second to import: a mistyped name is said before
+
+    overrides = prepared(of_hydra, overrides)
+    if any(value is not None for value in overrides.get("data", [])):
+        from bench.commands.measured_record import identify_records
+
+        return identify_records(overrides)
+    jobs = sweep(overrides, multirun=options.multirun)
+    launcher = [text for text in of_hydra if "launcher" in text.partition("=")[0]]
+    if "cells_per_job" in overrides and not launcher:
+        raise InputError("cells_per_job", overrides["cells_per_job"][0], "with hydra/launcher=, whose jobs it is of")
+    return _run(jobs, launcher)
+
+
+def _experiment(name: str, words: list[str], options: Options) -> int:
+    """Run an experiment with fields of its own, or show its help."""
+    from bench.commands.declaration import help_page, read_arguments
+
+    verb: Callable[..., int] = getattr(import_module(f"bench.commands.{OF_THEIR_OWN[name]}"), name)
+    if options.help:
+        print(help_page(f"{COMMAND} -m experiment={name}", verb))
+        return 0
+    return verb(**read_arguments(verb, words))
+
+
+def _usage() -> str:
+    from bench.commands.verbs import summaries
+    from bench.config.choices import GROUPS, choices
+    from bench.config.experiment import default_choices
+    from bench.config.fields import choices_of, declared, defaults, help_text
+    from bench.reporting.terminal import wrapped
+
+    shown = {**default_choices(), **defaults()}
+    lines = []
+    for name in declared():
+        names = choices(name) if name in GROUPS else choices_of(name)
+        default = "" if shown.get(name) in (None, {}) else f"[{str(shown[name]).lower()}] "
+        lines.append(f"  {name:<{WIDE}}  {default}{help_text(name)}{': ' if names else ''}{', '.join(names)}")
+    experiments = ", ".join([*choices("experiment"), *OF_THEIR_OWN])
+    text = USAGE.format(verbs=summaries(), fields="\n".join(lines), experiments=experiments)
+    return "\n".join(wrapped(line, " " * (WIDE + 4)) for line in text.splitlines())
+
+
+def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
+    config, cells = jobs[0].config, [job.cell() for job in jobs]  # what makes no sense is said before more is loaded
+    from bench.face.results import compute
+    from bench.reporting.plan_table import counted, listing
+    from bench.reporting.terminal_tables import Closing, cell_table
+    from bench.store.opening import open_store
+    from bench.sweep.launch import Launch
+    from bench.sweep.plan import plan, read_retry
+
+    if config.dry_run:
+        store = open_store(config.store, config.archive)
+        planned = plan(cells, store, read_retry(config.retry))
+        print(listing(planned, store, config.workers or usable_cores()))
+        return 0
+
+    def say(planned: Any) -> None:
+        if config.format == "table" and len(jobs) > 1:
+            print(f"bench: {counted(planned)}", file=sys.stderr)
+
+    results = compute(cells, config, Launch(tuple(launcher), config.cells_per_job), say)
+    closing = Closing(len(results))
+    for result in results:
+        if result.cell.identity not in closing.seen:  # a cell may stand in several tables
+            closing.add(result.cell, result.stored, results.store)
+        if config.format == "json":
+            print(json.dumps(result.as_dict(), allow_nan=False))
+        elif len(jobs) == 1 and result.stored is not None:
+            print(cell_table(result.cell, result.stored))
+    if config.format == "table":
+        if len(jobs) > 1:
+            print(closing.table())
+        print(_whereabouts(results.store, results.cells))
+    return closing.said_of_failures()
+
+
+def _whereabouts(store: Any, cells: Sequence[Any]) -> str:
+    """Where the full results lie. A path is never broken, however long."""
+    if len(cells) == 1:
+        return str(store.whereabouts(cells[0].identity))
+    published = sum(not store.own(cell.identity) and store.holds(cell.identity) for cell in cells)
+    also = f"; {published} of the cells: {store.archive.folder}" if published else ""
+    return f"full results: {store.folder}{also} (format=json prints them)"

@@ -1,0 +1,77 @@
+"""Where Hydra finds what is chosen by name: ``conf``, and ``bench://``.
+
+``bench://`` serves what is not a file of its group in ``conf``: registered methods with their default settings,
+development scenarios, drawn scenarios, scenarios in files of your own, and the fields of a run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from hydra import initialize_config_module
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.object_type import ObjectType
+from hydra.core.plugins import Plugins
+from hydra.plugins.config_source import ConfigResult, ConfigSource
+from hydra.plugins.search_path_plugin import SearchPathPlugin
+from omegaconf import OmegaConf
+
+from bench.config.choices import GROUPS, choices, content, is_choice
+from bench.config.fields import defaults
+
+FIELDS = "fields"
+"""The configuration with the default of every field of a run."""
+
+
+class BenchSource(ConfigSource):
+    """Serves choices to Hydra by :func:`content`."""
+
+    @staticmethod
+    def scheme() -> str:
+        return "bench"
+
+    def available(self) -> bool:
+        return True
+
+    def load_config(self, config_path: str) -> ConfigResult:
+        group, _, name = config_path.removesuffix(".yaml").rpartition("/")
+        values = content(group, name) if group else defaults()
+        return ConfigResult(self.provider, self.full_path(), OmegaConf.create(values), {"package": None})
+
+    def is_group(self, config_path: str) -> bool:
+        return config_path in ("", *GROUPS)
+
+    def is_config(self, config_path: str) -> bool:
+        group, _, name = config_path.removesuffix(".yaml").rpartition("/")
+        return is_choice(group, name) if group in GROUPS else (group, name) == ("", FIELDS)
+
+    def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
+        return [] if results_filter == ObjectType.GROUP or config_path not in GROUPS else choices(config_path)
+
+
+class BenchSearchPath(SearchPathPlugin):
+    """Appends ``bench://`` to the places where Hydra searches."""
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        search_path.append("bench", "bench://")
+
+
+def register_plugins() -> None:
+    """Make both plugins known to Hydra."""
+    for plugin in (BenchSource, BenchSearchPath):
+        Plugins.instance().register(plugin)
+
+
+@contextmanager
+def hydra_ready() -> Iterator[None]:
+    """Initialise Hydra on ``conf``; that of a program which calls bench is restored at the end."""
+    register_plugins()
+    outer = GlobalHydra.instance().hydra
+    GlobalHydra.instance().clear()
+    try:
+        with initialize_config_module("conf", version_base="1.3", job_name="bench"):
+            yield
+    finally:
+        GlobalHydra.instance().hydra = outer
