@@ -1,68 +1,125 @@
-"""What the scripts share: an environment with the stand-in methods, and sweeps as child processes."""
+"""What the studies share: stand-in methods, sweeps as child processes, and what a store got, counted by the kernel."""
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import json
 import os
+import re
+import struct
 import subprocess
 import sys
-from collections.abc import Sequence
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar
 
-import pandas as pd
+import numpy as np
 
-from bench.store.store import Store
+from bench import Card, Estimate, Identifier, Normal, Problem
 
 ROOT = Path(__file__).parents[3]
-METHODS = {"empty": "tests.studies.sweeps.doubles:Empty", "busy": "tests.studies.sweeps.doubles:Busy"}
+CELL = re.compile(r"([0-9a-f]{20})\.\w+")
+"""The name of a cell's own file; files beside it have further parts."""
+MOVED_TO = 0x80
+"""IN_MOVED_TO of inotify(7): how a whole file arrives."""
+EVENT = struct.Struct("iIII")
+
+
+@dataclass(frozen=True)
+class StandIn(Identifier):
+    """Uses ``seconds`` of processor time, and answers with numbers from its random stream."""
+
+    seconds: float = 0.0
+    card: ClassVar[Card] = Card("a stand-in", "not used", "groups", "simulated", "none", "studies")
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        burn(self.seconds)
+        names = tuple(group.name for group in problem.system.groups)
+        return Estimate(problem.system, groups=Normal(names, np.exp(rng.normal(2.0, 0.1, len(names))), None, log=False))
+
+
+def burn(seconds: float) -> None:
+    """Use processor time."""
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        sum(range(1000))
 
 
 def environment(folder: Path) -> dict[str, str]:
-    """An environment in which the stand-ins are registered as an installed package's methods are."""
-    info = folder / "site" / "stand_ins-0.dist-info"
+    """Return an environment in which the stand-in is registered as ``stand_in``, as an installed package would do."""
+    info = folder / "site" / "stand_in-0.dist-info"
     info.mkdir(parents=True, exist_ok=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stand-ins\nVersion: 0\n")
-    lines = "".join(f"{name} = {value}\n" for name, value in METHODS.items())
-    (info / "entry_points.txt").write_text(f"[bench.methods]\n{lines}")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stand-in\nVersion: 0\n")
+    (info / "entry_points.txt").write_text("[bench.methods]\nstand_in = tests.studies.sweeps.common:StandIn\n")
     path = os.pathsep.join([str(ROOT), str(info.parent), os.environ.get("PYTHONPATH", "")])
     return {**os.environ, "PYTHONPATH": path.rstrip(os.pathsep), "VIBRATION_BENCH_ARCHIVE": "none"}
 
 
-def bench(folder: Path, *arguments: str, log: str = "bench.log") -> subprocess.Popen[str]:
-    """``python -m bench`` started in a folder; what it says on the error stream goes to a log there."""
+def start(folder: Path, *arguments: str, log: str = "bench.log", **more: str) -> subprocess.Popen[str]:
+    """Start ``python -m bench`` in a folder; its error stream is appended to a log there."""
     command = [sys.executable, "-m", "bench", *arguments]
     with (folder / log).open("a") as errors:
         return subprocess.Popen(
-            command, cwd=folder, env=environment(folder), stdout=subprocess.PIPE, stderr=errors, text=True
+            command, cwd=folder, env=environment(folder) | more, stdout=subprocess.PIPE, stderr=errors, text=True
         )
 
 
 def finish(process: subprocess.Popen[str]) -> tuple[int, str]:
-    """Exit status and standard output, when it ends."""
+    """Wait for a process; return its exit status and standard output."""
     out, _ = process.communicate()
     return process.returncode, out
 
 
-def cell_files(store: Path) -> list[str]:
-    """Names of the stored cells."""
-    return sorted(path.name for path in store.glob("*.json"))
+def stored_cells(store: Path) -> set[str]:
+    """Return the names of the stored cells."""
+    return {found[1] for path in store.iterdir() if (found := CELL.fullmatch(path.name))}
 
 
-def csv(store: Path) -> str:
-    """A table of all that was computed: every metric of every cell, as text."""
-    lines = [
-        {**{name: cell.cell.get(name) for name in ("label", "system", "snr_db", "seed")}, "identity": cell.identity,
-         "n_ok": cell.n_ok, "data": cell.provenance.get("data"), "metric": metric, **statistics}
-        for cell in Store(store) for metric, statistics in cell.summary.items()
-    ]  # fmt: skip
-    return str(pd.DataFrame(lines).sort_values(["identity", "metric"]).to_csv(index=False))
+def results(folder: Path, *sweep: str) -> dict[str, Any]:
+    """Return what a finished sweep printed of every cell, by cell; times apart."""
+    lines = finish(start(folder, *sweep, "format=json"))[1].splitlines()
+    return {one["cell"]: {**one, "wall_s": None} for one in map(json.loads, lines)}
+
+
+class Journal:
+    """How often each cell was stored since the journal was made (Linux: inotify)."""
+
+    def __init__(self, folder: Path) -> None:
+        libc = ctypes.CDLL(None, use_errno=True)
+        self._handle = libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
+        if libc.inotify_add_watch(self._handle, os.fsencode(folder), MOVED_TO) < 0:
+            raise OSError(ctypes.get_errno(), "inotify_add_watch", str(folder))
+        self._stored: Counter[str] = Counter()
+
+    def stored(self) -> Counter[str]:
+        """Return how often each cell was stored so far."""
+        with contextlib.suppress(BlockingIOError):
+            while content := os.read(self._handle, 65536):
+                place = 0
+                while place < len(content):
+                    name_end = place + EVENT.size + EVENT.unpack_from(content, place)[3]
+                    name = content[place + EVENT.size : name_end].rstrip(b"\0").decode()
+                    self._stored.update(found[1] for found in [CELL.fullmatch(name)] if found)
+                    place = name_end
+        return self._stored
+
+
+def wait_for(condition: Callable[[], bool], what: str, limit_s: float) -> None:
+    """Wait until a condition holds; raises TimeoutError naming it where it does not within the limit."""
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{what}: not within {limit_s:g} s")
+        time.sleep(0.2)
 
 
 def report(title: str, rows: Sequence[tuple[str, object, object]]) -> int:
-    """Print measured against wanted; the exit status, 0 where all hold."""
+    """Print measured values beside wanted ones; return the exit status, 0 where all agree."""
     print(title)
-    good = True
-    for what, found, wanted in rows:
-        holds = found == wanted if not isinstance(wanted, bool) else bool(found) is wanted
-        good &= holds
-        print(f"  {'ok ' if holds else 'NOT'} {what}: {found} (wanted {wanted})")
-    return 0 if good else 1
+    for what, measured, wanted in rows:
+        print(f"  {'ok ' if measured == wanted else 'NOT'} {what}: {measured} (wanted {wanted})")
+    return int(any(measured != wanted for _, measured, wanted in rows))

@@ -10,25 +10,21 @@ from __future__ import annotations
 
 import os
 import secrets
-import shutil
 import signal
 import subprocess
 import sys
 import time
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
-from tabulate import tabulate
+from tests.studies.sweeps.apart import run_apart
+from tests.studies.sweeps.common import Journal, finish, report, start, wait_for
 
-from bench.store.store import Store
-from tests.studies.sweeps.apart import run_apart, wait_for, why_not
-from tests.studies.sweeps.journal import Journal
-
-SEEDS = 10
-SWEEP = ("method=ls,shooting", f"seed=range({SEEDS})", "replicates=2", "cells_per_job=2")
-CELLS = 2 * SEEDS
-SLURM = ("hydra/launcher=submitit_slurm", "hydra.launcher.partition=debug", "hydra.launcher.timeout_min=10")
+CELLS = 20
+SWEEP = (
+    "-m", "method=stand_in", "method.seconds=0.2", f"seed=range({CELLS})", "replicates=2", "cells_per_job=2",
+    "hydra/launcher=submitit_slurm", "hydra.launcher.partition=debug", "hydra.launcher.timeout_min=10",
+)  # fmt: skip
 TOOLS = ("munged", "slurmctld", "slurmd", "sbatch", "srun", "squeue", "sinfo")
 CONFIGURATION = """
 ClusterName=bench
@@ -63,30 +59,48 @@ PartitionName=debug Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 def main() -> int:
     """Run, or say in one line why not."""
     os.environ["PATH"] += ":/usr/sbin:/sbin"
-    tool = next((name for name in TOOLS if shutil.which(name) is None), "")
-    reason = f"{tool} is not installed" if tool else why_not()
-    if not reason and find_spec("hydra_plugins.hydra_submitit_launcher") is None:
+    reason = "" if os.geteuid() == 0 else "Slurm's daemons are started as root here"
+    if find_spec("hydra_plugins.hydra_submitit_launcher") is None:
         reason = "hydra-submitit-launcher is not installed (pip install 'vibration-bench[slurm]')"
-    if not reason and os.geteuid() != 0:
-        reason = "Slurm's daemons are started as root here"
-    return run_apart("tests.studies.sweeps.slurm", reason, _inside)
+    return run_apart("tests.studies.sweeps.slurm", TOOLS, reason, _inside)
 
 
 def _inside(folder: Path) -> int:
     daemons: list[subprocess.Popen[bytes]] = []
     try:
-        start(folder, daemons)
-        return _try(folder)
-    except (RuntimeError, TimeoutError) as error:
-        logs = [path.read_text(errors="replace")[-1500:] for path in sorted(folder.glob("*.log"))]
-        print(f"slurm: {error}", *logs, sep="\n", file=sys.stderr)
-        return 1
+        start_daemons(folder, daemons)
+        rows = []
+        for name, sent in (("rows", signal.SIGINT), ("others", signal.SIGKILL)):
+            rows += _try(folder, name, sent)
+        return report(f"{CELLS} cells by Slurm, twice; their driver ended by Ctrl-C, and by kill -9", rows)
     finally:
         for daemon in reversed(daemons):
             daemon.terminate()
 
 
-def start(folder: Path, daemons: list[subprocess.Popen[bytes]]) -> None:
+def _try(folder: Path, name: str, sent: signal.Signals) -> list[tuple[str, object, object]]:
+    """End the driver of a sweep once a third of its cells are stored, wait for its jobs, and run it twice again."""
+    (folder / name).mkdir()
+    journal = Journal(folder / name)
+    line = (*SWEEP, f"store={folder / name}")
+    driver = start(folder, *line)
+    wait_for(lambda: 3 * len(journal.stored()) >= CELLS or driver.poll() is not None, "a third of the cells", 300)
+    driver.send_signal(sent)
+    ended, _ = finish(driver)
+    wait_for(lambda: not asked("squeue", "-h").strip(), "an empty queue", 300)
+    again, _ = finish(start(folder, *line))
+    stored = dict(journal.stored())
+    last, _ = finish(start(folder, *line))
+    more = sum(journal.stored().values()) - sum(stored.values())
+    return [
+        (f"{name}: exit status of the driver", ended, 130 if sent is signal.SIGINT else -9),
+        (f"{name}: run again: exit status, cells stored", (again, len(stored)), (0, CELLS)),
+        (f"{name}: cells stored more than once", sum(n > 1 for n in stored.values()), 0),
+        (f"{name}: a third run: exit status, cells computed", (last, more), (0, 0)),
+    ]
+
+
+def start_daemons(folder: Path, daemons: list[subprocess.Popen[bytes]]) -> None:
     """Start the daemons, added to ``daemons`` as they come, and wait for the node; SLURM_CONF then names them."""
     folder.chmod(0o755)  # munge's clients must reach its socket
     (folder / "munge.key").write_bytes(secrets.token_bytes(128))
@@ -109,46 +123,6 @@ def start(folder: Path, daemons: list[subprocess.Popen[bytes]]) -> None:
 def asked(*command: str) -> bytes:
     """What a command prints."""
     return subprocess.run(command, capture_output=True).stdout
-
-
-def _try(folder: Path) -> int:
-    one, two = Store(folder / "rows"), Store(folder / "others")
-    journals = {}
-    for store in (one, two):
-        store.prepare()
-        journals[store.folder] = Journal(store.folder)
-    rows = [
-        _row("run, Ctrl-C for its driver", one, journals, signal.SIGINT),
-        _row("run again", one, journals),
-        _row("and again", one, journals),
-        _row("another store, kill -9 for the driver", two, journals, signal.SIGKILL),
-        _row("run again", two, journals),
-    ]
-    headers = ["", "exit status", "s", "s until the queue was empty", "cells computed", "cells stored"]
-    print(tabulate(rows, headers=headers))
-    twice = sum(n > 1 for journal in journals.values() for n in journal.stored().values())
-    print(f"of 2 x {CELLS} cells {len(one.identities()) + len(two.identities())} are stored, {twice} more than once")
-    statuses, computed = [row[1] for row in rows], [row[4] for row in rows]
-    good = statuses == [130, 0, 0, -9, 0] and twice == 0 and computed[2] == computed[4] == 0
-    return 0 if good and [row[5] for row in rows[1:]] == [CELLS] * 4 else 1
-
-
-def _row(what: str, store: Store, journals: dict[Path, Journal], sent: signal.Signals | None = None) -> list[Any]:
-    """One run, its driver sent a signal once a third of the cells are stored; the queue then empties by itself."""
-    journal = journals[store.folder]
-    before, started = sum(journal.stored().values()), time.monotonic()
-    command = [sys.executable, "-m", "bench", "-m", *SWEEP, f"store={store.folder}", *SLURM]
-    with (store.folder.parent / "driver.log").open("wb") as file:
-        driver = subprocess.Popen(command, stdout=file, stderr=file)
-    if sent is not None:
-        wait_for(lambda: 3 * len(journal.stored()) >= CELLS or driver.poll() is not None, "a third of the cells", 300)
-        driver.send_signal(sent)
-    status = driver.wait(timeout=600)
-    seconds = time.monotonic() - started
-    wait_for(lambda: not asked("squeue", "-h").strip(), "an empty queue", 300)
-    drained = time.monotonic() - started - seconds
-    stored = journal.stored()
-    return [what, status, f"{seconds:.0f}", f"{drained:.0f}", sum(stored.values()) - before, len(stored)]
 
 
 if __name__ == "__main__":

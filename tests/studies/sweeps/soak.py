@@ -1,20 +1,17 @@
-"""A sweep under faults at random, by two drivers, beside four readers: nothing lost, nothing twice, nothing grows.
+"""A sweep under faults at random, by two drivers, beside two readers: nothing lost, nothing twice, nothing grows.
 
     python -m tests.studies.sweeps.soak [cells=5000] [minutes=20] [seed=...]
 
 Faults: SIGKILL for a driver, for a worker and for the server of method processes; a driver that is stopped for a
-while; a disk that is slow, full or failing (:mod:`tests.studies.sweeps.shim`); a clock that jumps. Each lasts a few
-seconds. Then the faults end, and the sweep is run to its end, with ``retry=failed``: a cell whose process was killed
-from outside, and again when it was tried anew, is a row that says so. Every cell must have been stored once, and no
-reader may have failed; the tables must be those of an undisturbed sweep; memory and descriptors of readers must not
-grow.
+while; a disk that is slow, full or failing. Each lasts a few seconds. Then the faults end, and the sweep is run to its
+end, with ``retry=failed``: a cell whose process was killed from outside, and again when it was tried anew, is a row
+that says so. Its results must be those of an undisturbed sweep; memory and descriptors of readers must not grow.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import os
 import random
 import re
 import secrets
@@ -26,259 +23,147 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import psutil
 
-from bench.store.store import ABANDONED_S, Store
-from tests.studies.sweeps.common import cell_files, csv, environment, report
-from tests.studies.sweeps.journal import Journal
-from tests.studies.sweeps.shim import Shim, why_not
+from tests.studies.sweeps.common import Journal, environment, finish, report, results, start, stored_cells
 
-DRIVERS, READERS = 2, 4
-METHOD_SECONDS = 0.005
+DRIVERS, READERS = 2, 2
 LONGEST_FAULT_S = 4.0
+MOST_GROWTH = 1.2
+"""Of a reader's memory, from the middle of the soak to its end."""
 READER = """
 import sys, time
-from pathlib import Path
 import psutil
-from bench.contract.estimate import Status
-from bench.store.store import ABANDONED_S, Store
-own, store, rounds = psutil.Process(), Store(Path(sys.argv[1])), 0
+from bench.commands.main import main
+own = psutil.Process()
 while True:
-    found = sum(not head.problem for head in store.heads())
-    rounds += 1
-    print(rounds, found, own.num_fds(), own.memory_info().rss // 1024, flush=True)
+    assert main([*sys.argv[1:], "dry_run=true"]) == 0
+    print("held", own.num_fds(), own.memory_info().rss // 1024, file=sys.stderr, flush=True)
     time.sleep(0.5)
 """
-"""Reads the whole store again and again: a line a round, of cells, descriptors and memory (KiB)."""
-REST_S = 30.0
-"""Readers go on so long when all cells are there: what they hold of a cell grows no more."""
-MOST_GROWTH = 1.1
-"""Of a reader's memory in that time, from the first third to the last."""
+"""Plans the sweep, and so reads the whole store, again and again."""
 
 
-@dataclass
 class Soak:
     """A sweep's folder, its drivers and what was done to them."""
 
-    folder: Path
-    sweep: list[str]
-    shim: Shim
-    draw: random.Random
-    drivers: dict[int, subprocess.Popen[bytes]] = field(default_factory=dict)
-    faults: Counter[str] = field(default_factory=Counter)
-    statuses: Counter[int] = field(default_factory=Counter)
-    descriptors: int = 0
+    def __init__(self, folder: Path, sweep: list[str], draw: random.Random) -> None:
+        self.folder, self.sweep, self.draw, self.store = folder, sweep, draw, folder / "outputs/rows"
+        self.drivers: list[subprocess.Popen[str]] = []
+        self.faults: Counter[str] = Counter()
+        source, library = Path(__file__).with_name("shim.c"), folder / "shim.so"
+        subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True)
+        self.shim = {"LD_PRELOAD": library, "SHIM_CONTROL": folder / "control", "SHIM_FOLDER": self.store}
 
-    @property
-    def store(self) -> Path:
-        return self.folder / "outputs/rows"
+    def driver(self, *more: str) -> subprocess.Popen[str]:
+        """Start a driver of the sweep."""
+        return start(self.folder, *self.sweep, *more, **{name: str(value) for name, value in self.shim.items()})
 
-    def keep_drivers(self) -> None:
-        """Start again each driver that has ended."""
-        for place in range(DRIVERS):
-            process = self.drivers.get(place)
-            if process is not None and process.poll() is None:
-                self.descriptors = max(self.descriptors, _descriptors(process.pid))
-                continue
-            if process is not None:
-                self.statuses[process.returncode] += 1
-            self.drivers[place] = self.start(place)
-
-    def start(self, place: int, *more: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "bench", *self.sweep, *more]
-        around = environment(self.folder) | self.shim.environment()
-        with (self.folder / f"driver{place}.log").open("ab") as log:
-            return subprocess.Popen(command, cwd=self.folder, env=around, stdout=log, stderr=log)
-
-    def fault(self) -> None:
-        """One fault, over when this returns."""
-        kinds: dict[str, Callable[[], None]] = {
-            "driver killed": lambda: self._kill("driver"),
-            "worker killed": lambda: self._kill("worker"),
-            "server killed": lambda: self._kill("server"),
-            "driver stopped": self._stop,
+    def disturb(self) -> None:
+        """Start again the drivers that have ended, and make one fault, over when this returns."""
+        self.drivers = [driver for driver in self.drivers if driver.poll() is None]
+        self.drivers += [self.driver() for _ in range(DRIVERS - len(self.drivers))]
+        time.sleep(self.draw.uniform(0.5, 3.0))
+        victim = self.draw.choice(self.drivers)
+        below = psutil.Process(victim.pid).children(recursive=True) if victim.poll() is None else []
+        faults: dict[str, Callable[[], None]] = {
+            "driver killed": victim.kill,
+            "worker killed": lambda: self._kill([child for child in below if not child.children()]),
+            "server killed": lambda: self._kill([child for child in below if child.children()]),
+            "driver stopped": lambda: self._stop(victim),
             "disk slow": lambda: self._disk(50, 0),
             "disk full": lambda: self._disk(0, errno.ENOSPC),
             "disk failing": lambda: self._disk(0, errno.EIO),
         }
-        if self.shim.clock_jumps:
-            kinds["clock jumps"] = self._jump
-        name = self.draw.choice(sorted(kinds))
+        name = self.draw.choice(sorted(faults))
         self.faults[name] += 1
-        kinds[name]()
+        with contextlib.suppress(psutil.Error):
+            faults[name]()
 
-    def _kill(self, what: str) -> None:
-        place = self.draw.randrange(DRIVERS)
-        driver = self.drivers[place]
-        if what == "driver":
-            driver.kill()
-            return
-        servers, workers = _children(driver.pid)
-        victims = servers if what == "server" else workers
-        if victims:
-            _signal(self.draw.choice(victims), signal.SIGKILL)
+    def _kill(self, processes: list[psutil.Process]) -> None:
+        if processes:
+            self.draw.choice(processes).kill()
 
-    def _stop(self) -> None:
-        pid = self.drivers[self.draw.randrange(DRIVERS)].pid
-        _signal(pid, signal.SIGSTOP)
+    def _stop(self, driver: subprocess.Popen[str]) -> None:
+        driver.send_signal(signal.SIGSTOP)
         time.sleep(self.draw.uniform(0.5, LONGEST_FAULT_S))
-        _signal(pid, signal.SIGCONT)
+        driver.send_signal(signal.SIGCONT)
 
     def _disk(self, delay_ms: int, error: int) -> None:
-        self.shim.disk(delay_ms, error)
+        (self.folder / "control").write_text(f"{delay_ms} {error}\n")
         time.sleep(self.draw.uniform(0.5, LONGEST_FAULT_S))
-        self.shim.disk()
-
-    def _jump(self) -> None:
-        self.shim.clock(self.draw.choice([-86400, -60, 60, 86400]))
-        time.sleep(self.draw.uniform(0.5, LONGEST_FAULT_S))
+        (self.folder / "control").write_text("0 0\n")
 
 
-def _signal(pid: int, number: signal.Signals) -> None:
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(pid, number)
-
-
-def _descriptors(pid: int) -> int:
-    try:
-        return psutil.Process(pid).num_fds()
-    except psutil.Error:
-        return 0
-
-
-def _children(pid: int) -> tuple[list[int], list[int]]:
-    """Servers (children that have children) and workers (leaves) of a driver."""
-    servers: list[int] = []
-    workers: list[int] = []
-    with contextlib.suppress(psutil.Error):
-        for child in psutil.Process(pid).children(recursive=True):
-            (servers if child.children() else workers).append(child.pid)
-    return servers, workers
-
-
-@dataclass
-class Reader:
-    """A process that reads the store over and over, and its log."""
-
-    process: subprocess.Popen[bytes]
-    log: Path
-
-    @staticmethod
-    def started(folder: Path, store: Path, place: int) -> Reader:
-        log = folder / f"reader{place}.log"
-        with log.open("wb") as out:
-            command = [sys.executable, "-c", READER, str(store)]
-            return Reader(subprocess.Popen(command, env=environment(folder), stdout=out, stderr=out), log)
-
-    def ended(self) -> tuple[bool, list[tuple[int, int, int]]]:
-        """Whether it was still running, and of every round the cells, descriptors and memory (KiB)."""
-        alive = self.process.poll() is None
-        self.process.kill()
-        self.process.wait()
-        lines = [line.split() for line in self.log.read_text(errors="replace").splitlines()]
-        good = [tuple(map(int, line[1:])) for line in lines if len(line) == 4 and all(p.isdecimal() for p in line)]
-        return alive, [(one[0], one[1], one[2]) for one in good]
-
-
-def _flat(rounds: list[tuple[int, int, int]]) -> bool:
-    """Whether descriptors stay throughout, and memory once all cells are there."""
-    rest = [one for one in rounds if one[0] == rounds[-1][0]]
-    part = max(1, len(rest) // 3)
-    kib = [max(one[2] for one in some) for some in (rest[:part], rest[-part:])]
-    handles = [max(one[1] for one in some) for some in (rounds[: len(rounds) // 2 + 1], rounds[len(rounds) // 2 :])]
-    return handles[1] <= handles[0] + 1 and kib[1] <= MOST_GROWTH * kib[0]
-
-
-def failures(store: Path) -> set[str]:
-    """The stored cells with a replicate that failed."""
-    return {
-        cell.identity
-        for cell in Store(store)
-        if cell.columns.statuses and any(s != "ok" for s in cell.columns.statuses)
-    }
-
-
-def left_over(store: Path) -> int:
-    """The temporary files that a run leaves lying an hour or more after their writer was killed."""
-    for path in store.glob("*.tmp"):
-        os.utime(path, (time.time() - 2 * ABANDONED_S,) * 2)
-    Store(store).prepare()
-    return len(list(store.glob("*.tmp")))
+def grows(log: Path) -> bool:
+    """Decide by its log whether a reader's descriptors or memory grow; one that never read grows, too."""
+    held = [tuple(map(int, numbers)) for numbers in re.findall(r"^held (\d+) (\d+)$", log.read_text(), re.MULTILINE)]
+    middle = held[len(held) // 2 :]
+    return not held or middle[-1][0] > middle[0][0] + 1 or middle[-1][1] > MOST_GROWTH * middle[0][1]
 
 
 def tracebacks(log: str) -> int:
-    """How many a driver has shown; without those of Python's own server, whose driver was killed while it asked."""
-    cut_off = re.findall(r"Traceback(?:(?!Traceback).)*?recvfds\n +raise EOFError\nEOFError", log, re.S)
+    """Count a driver's; without those of Python's own server, whose driver was killed while it asked."""
+    cut_off = re.findall(r"Traceback(?:(?!Traceback).)*?recvfds\n +raise EOFError\nEOFError", log, re.DOTALL)
     return log.count("Traceback") - len(cut_off)
 
 
 def soak(cells: int, minutes: float, seed: int) -> int:
-    """Run it; the exit status."""
-    draw, seeds = random.Random(seed), -(-cells // 4)
-    cells = 4 * seeds
+    """Run the soak; return the exit status."""
+    cells = 4 * -(-cells // 4)
     sweep = [
-        "-m", "method=busy", f"method.seconds={METHOD_SECONDS}", "snr=40,30,20,10", f"seed=range(0,{seeds})",
+        "-m", "method=stand_in", "method.seconds=0.005", "snr=40,30,20,10", f"seed=range(0,{cells // 4})",
         "replicates=1", "workers=1",
     ]  # fmt: skip
     print(f"soak: {cells} cells, {minutes:g} minutes of faults, seed={seed}", flush=True)
     with tempfile.TemporaryDirectory() as name:
         plain, folder = Path(name) / "plain", Path(name) / "soaked"
-        for one in (plain, folder):
-            (one / "outputs/rows").mkdir(parents=True)
-        run = Soak(folder, sweep, Shim.made(folder, folder / "outputs/rows"), draw)
+        for place in (plain, folder):
+            (place / "outputs/rows").mkdir(parents=True)
+        run = Soak(folder, sweep, random.Random(seed))
         journal = Journal(run.store)
-        readers = [Reader.started(folder, run.store, place) for place in range(READERS)]
+        logs = [folder / f"reader{i}.err" for i in range(READERS)]
+        command = [sys.executable, "-c", READER, *sweep]
+        readers = [
+            subprocess.Popen(
+                command, cwd=folder, env=environment(folder), stdout=subprocess.DEVNULL, stderr=log.open("w")
+            )
+            for log in logs
+        ]
         end = time.monotonic() + 60.0 * minutes
-        while time.monotonic() < end and len(cell_files(run.store)) < cells:
-            run.keep_drivers()
-            time.sleep(draw.uniform(0.5, 3.0))
-            run.fault()
-        run.shim.clock(0)
-        under_faults = len(cell_files(run.store))
-        for driver in run.drivers.values():
+        while time.monotonic() < end and len(stored_cells(run.store)) < cells:
+            run.disturb()
+        print(f"  {len(stored_cells(run.store))} cells under {dict(run.faults)}")
+        for driver in run.drivers:
             driver.kill()
             driver.wait()
-        failed = failures(run.store)
-        last = run.start(0, "retry=failed").wait()
-        stored = journal.stored()
-        time.sleep(REST_S)
-        read = [reader.ended() for reader in readers]
-        logs = [path.read_text(errors="replace") for path in folder.glob("driver*.log")]
-        undisturbed = subprocess.run(
-            [sys.executable, "-m", "bench", *sweep], cwd=plain, env=environment(plain), capture_output=True
-        ).returncode
-        print(f"  faults: {', '.join(f'{n} x {what}' for what, n in sorted(run.faults.items()))}")
-        print(f"  drivers ended with {dict(run.statuses)}; at most {run.descriptors} descriptors in one")
-        print(f"  readers hold at most {max(kib for _, rounds in read for *_, kib in rounds) / 1024:.0f} MiB")
-        print(f"  {under_faults} cells were stored while faults were injected, {len(failed)} of them as failures")
+        planned = finish(start(folder, *sweep, "dry_run=true"))[1]
+        failed = set(re.findall(r"^([0-9a-f]{8}) .* failed ", planned, re.MULTILINE))
+        status, _ = finish(run.driver("retry=failed"))
+        stored = dict(journal.stored())
         rows: list[tuple[str, object, object]] = [
-            ("exit status of the undisturbed sweep", undisturbed, 0),
-            ("exit status of the last run", last, 0),
-            ("cells in the store", len(cell_files(run.store)), cells),
-            ("cells stored more than once", sum(n > 1 + (name in failed) for name, n in stored.items()), 0),
-            ("the same cells as undisturbed", cell_files(run.store) == cell_files(plain / "outputs/rows"), True),
-            ("tables of every metric identical", csv(run.store) == csv(plain / "outputs/rows"), True),
-            ("tracebacks of drivers", sum(tracebacks(text) for text in logs), 0),
-            ("readers that failed", sum(not alive for alive, _ in read), 0),
-            ("readers that grew", sum(not (rounds and _flat(rounds)) for _, rounds in read), 0),
-            ("temporary files of writers that were killed, when the next run comes", left_over(run.store), 0),
+            ("exit status of the last run", status, 0),
+            ("cells in the store", len(stored_cells(run.store)), cells),
+            ("cells stored more than once", sum(n > 1 + (one[:8] in failed) for one, n in stored.items()), 0),
+            ("results of an undisturbed sweep", results(folder, *sweep) == results(plain, *sweep), True),
+            ("tracebacks of drivers", tracebacks((folder / "bench.log").read_text()), 0),
+            ("readers that failed", sum(reader.poll() is not None for reader in readers), 0),
         ]
-        status = report("soak", rows)
-        if status:
-            kept = Path(tempfile.mkdtemp(prefix="soak-"))
-            for path in folder.glob("*.log"):
-                shutil.copy(path, kept)
-            print(f"  logs: {kept}")
+        for reader in readers:
+            reader.kill()
+            reader.wait()
+        rows.append(("readers that grew", sum(map(grows, logs)), 0))
+        if status := report("soak", rows):
+            print((folder / "bench.log").read_text()[-3000:])
         return status
 
 
 def main() -> int:
     """Read the arguments and run."""
-    if reason := why_not():
-        print(f"soak: skipped: {reason}")
+    if shutil.which("cc") is None:
+        print("soak: skipped: cc is not installed")
         return 0
     given = dict(argument.partition("=")[::2] for argument in sys.argv[1:])
     seed = int(given.get("seed", secrets.randbelow(10**6)))
