@@ -241,7 +241,7 @@ class Store:
     def identities(self) -> list[str]:
         """The names of all stored cells, in order."""
         found = set(self.archive.identities()) if self.archive is not None else set()
-        if self.folder.is_dir() or self.archive is None:
+        if self.folder.is_dir():
             found |= {name for entry in os.scandir(self.folder) if (name := named_by(entry))}
         return sorted(found)
 
