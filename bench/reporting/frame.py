@@ -299,6 +299,11 @@ class Result:
         """Processor time of each fit (s)."""
         return self.stored.columns.numbers("cpu_s") if self.stored else np.empty(0)
 
+    @property
+    def messages(self) -> Sequence[str]:
+        """The message of each replicate."""
+        return self.stored.columns.texts("message") if self.stored else ()
+
     def arrays(self, store: Store) -> dict[str, np.ndarray]:
         """The arrays kept of replicate 0, as double precision; none where they are missing or damaged."""
         if self.stored:

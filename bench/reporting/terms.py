@@ -57,7 +57,8 @@ def kept_terms(message: str) -> tuple[frozenset[str], ...] | None:
 
 def terms_found(stored: StoredCell, scenario: Scenario) -> str:
     """In words: in how many replicates the right terms were found, and what is found most often instead."""
-    kept = [kept_terms(row.message) for row in stored.rows if row.status is Status.OK]
+    replicates = zip(stored.columns.statuses, stored.columns.texts("message"), strict=True)
+    kept = [kept_terms(message) for status, message in replicates if status is Status.OK]
     models = [model for model in kept if model is not None]
     if not models:
         return "no terms stated"

@@ -6,10 +6,11 @@ versions of the packages are recorded beside them and make nothing stale.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from typing import Any
 
 from bench import scoring
@@ -71,11 +72,16 @@ def bound_version(system: str) -> list[int]:
 
 
 def _installed(names: tuple[str, ...]) -> dict[str, str]:
-    """Return the public versions of the packages that are installed."""
+    """Return the public versions of the packages that are installed, by the name that is imported."""
     found = {}
     for name in names:
-        try:
-            found[name] = version(name).partition("+")[0]
-        except PackageNotFoundError:
-            continue
+        for distribution in (name, *_distributions(name)):
+            with contextlib.suppress(PackageNotFoundError):
+                found[name] = version(distribution).partition("+")[0]
+                break
     return found
+
+
+def _distributions(name: str) -> Iterator[str]:
+    """Yield the distributions that hold a package of another name; looking for them takes a tenth of a second."""
+    yield from packages_distributions().get(name, [])

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
+
+import numpy as np
 
 from bench.contract.estimate import Status
 from bench.reporting.frame import Result
@@ -23,8 +24,8 @@ def origin(results: Sequence[Result]) -> list[tuple[str, str]]:
     moments = sorted(
         str(cell.provenance[key]) for cell in cells for key in ("started", "finished") if cell.provenance.get(key)
     )
-    cpu = sum(row.cpu_s for cell in cells for row in cell.rows if math.isfinite(row.cpu_s))
-    fits = sum(len(cell.rows) for cell in cells)
+    cpu = sum(float(np.nansum(cell.columns.numbers("cpu_s"))) for cell in cells)
+    fits = sum(len(cell.columns) for cell in cells)
     named = [f"{name} {_several(found)}" for name, found in sorted(packages.items())]
     return [
         (
@@ -65,10 +66,10 @@ def _several(found: Counter[str]) -> str:
 def unsupported(results: Sequence[Result]) -> list[tuple[int, str, str]]:
     """What was not tried, since a method cannot take such data: how many fits, method, reason; most frequent first."""
     counts = Counter(
-        (result.title, row.message[:200])
+        (result.title, message[:200])
         for result in results
-        for row in result.rows
-        if row.status is Status.UNSUPPORTED
+        for status, message in zip(result.statuses, result.messages, strict=True)
+        if status is Status.UNSUPPORTED
     )
     return sorted(((n, *key) for key, n in counts.items()), key=lambda line: (-line[0], line[1:]))
 
@@ -82,7 +83,7 @@ def failures(results: Sequence[Result]) -> list[tuple[int, str, str, str, str]]:
     for result in results:
         where = f"{result.system}, {decibels(result.snr_db)} dB"
         where += f", {result.disturbance.replace('_', ' ')}" if result.disturbance else ""
-        for row in result.rows:
-            if row.status not in (Status.OK, Status.UNSUPPORTED):
-                counts[result.title, row.status.value, where, row.message[:200]] += 1
+        for status, message in zip(result.statuses, result.messages, strict=True):
+            if status not in (Status.OK, Status.UNSUPPORTED):
+                counts[result.title, status.value, where, message[:200]] += 1
     return sorted(((n, *key) for key, n in counts.items()), key=lambda line: (-line[0], line[1:]))

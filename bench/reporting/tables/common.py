@@ -38,9 +38,9 @@ def failure_notes(results: Iterable[Result]) -> str:
     missing = 0
     for result in results:
         missing += result.stored is None
-        for row in result.rows if result.n_ok < result.n else ():
-            if row.status is not Status.OK:
-                text = f"{result.title}: {row.status.value}, {row.message}"
+        for status, message in zip(result.statuses, result.messages, strict=True):
+            if status is not Status.OK:
+                text = f"{result.title}: {status.value}, {message}"
                 notes[text] = notes.get(text, 0) + 1
     lines = [f"- {n} × {text}" for text, n in notes.items()]
     lines += [f"- {missing} cells were not run"] if missing else []

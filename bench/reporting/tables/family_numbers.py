@@ -55,7 +55,7 @@ def training(one: Result, oracle: Result | None, n: int | None = None) -> dict[s
     The errors at the minimum are those of the first n replicates.
     """
     share, seconds = arrival(one)
-    memory = np.array([row.peak_memory_mb for row in one.rows])
+    memory = one.stored.columns.numbers("peak_memory_mb") if one.stored else np.empty(0)
     return {
         "loss_over_minimum": one.statistic("loss_over_minimum", "median"),
         "certificate": one.statistic("certificate", "median"),

@@ -39,8 +39,15 @@ def _package_line(member: Member) -> str:
 
 def _versions(package: str, users: Iterable[Member]) -> str:
     """A package with the version that the stored cells were computed with, else with the one that is installed."""
-    stored = [cell.stored.version.get("packages", {}) for m in users for cell in m.cells.values() if cell.stored]
-    found = sorted({str(own[name]) for own in stored for name in (package, package.replace("-", "_")) if name in own})
+    stored = [cell.stored.provenance.get("packages", {}) for m in users for cell in m.cells.values() if cell.stored]
+    found = sorted(
+        {
+            str(own[name]).partition("+")[0]
+            for own in stored
+            for name in (package, package.replace("-", "_"))
+            if name in own
+        }
+    )
     return f"{package} {', '.join(found) or _installed(package)}"
 
 

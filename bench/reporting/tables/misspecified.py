@@ -72,7 +72,7 @@ def _said(result: Result) -> float:
     """The share of the fits that failed or came with a warning; NaN where messages are no warnings."""
     if not result.n or not warns(result.label):
         return math.nan
-    return float(np.mean([not ok or bool(row.message) for ok, row in zip(result.ok, result.rows, strict=True)]))
+    return float(np.mean([not ok or bool(message) for ok, message in zip(result.ok, result.messages, strict=True)]))
 
 
 def _panel(data: Sequence[Line]) -> str:
