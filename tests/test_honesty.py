@@ -13,8 +13,8 @@ import pytest
 from conftest import Plugins, Python, StoreFactory
 
 from bench import Status
+from bench.engine.pool import Limits
 from bench.entrants.registry import default_settings
-from bench.run.pool import Limits
 from bench.scenario.scenario import METHOD, NOMINAL, Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell

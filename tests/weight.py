@@ -37,7 +37,7 @@ def rooms(folder: str, *names: str) -> tuple[str, ...]:
 
 
 ENGINES = (*rooms("bench/atlas", "run", "engine"), "bench/online/paths.py", "bench/measured/track.py")
-OUTSIDE = ("store", "config", "sweep", "run", "isolation", "entrants", "face", "commands", "cli", "conformance", "kit")
+OUTSIDE = ("store", "config", "sweep", "engine", "isolation", "entrants", "face", "commands", "cli", "conformance", "kit")
 LIGHTER = (*rooms("bench", *OUTSIDE, "exchange"), *ENGINES)
 LIGHTER_TESTS = (
     *rooms("tests/bench", *OUTSIDE, "exchange"), "tests/malformed", "tests/misbehaving", "tests/forked",
@@ -52,7 +52,7 @@ GOALS = (
     Goal("  information", 700, rooms("bench", "information")),
     Goal("  scoring", 700, rooms("bench", "scoring")),
     Goal("  store", 600, rooms("bench", "store")),
-    Goal("  run: sweep, isolation", 1_300, rooms("bench", "run", "sweep", "isolation")),
+    Goal("  run: sweep, isolation", 1_300, rooms("bench", "engine", "sweep", "isolation")),
     Goal("  config", 600, rooms("bench", "config")),
     Goal("  records: measured", 2_800, rooms("bench", "records", "measured")),
     Goal("  planning, atlas", 700, rooms("bench", "planning", "atlas")),

@@ -23,12 +23,12 @@ from bench.atlas.statistics import Least, Statistics, columns, one_fit, pooled
 from bench.contract.estimate import Estimate, Status
 from bench.contract.method import Identifier
 from bench.contract.problem import Problem
+from bench.engine.progress import Kind
+from bench.engine.results import read_result, write_result
 from bench.entrants.registry import make_method
 from bench.information.fisher import compute_bound
 from bench.isolation.failure import one_line
 from bench.isolation.limit import limited
-from bench.run.progress import Kind
-from bench.run.results import read_result, write_result
 from bench.scenario.scenario import METHOD
 from bench.store.version import cell_version
 

@@ -66,7 +66,7 @@ def atlas(
 
     Finished blocks are kept in the store, and the same command goes on from them.
     """
-    from bench.run.pool import Limits
+    from bench.engine.pool import Limits
     from bench.sweep.job import Atlas, BlockJob
 
     check_of_hydra(launcher)

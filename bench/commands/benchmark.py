@@ -15,9 +15,9 @@ from pathlib import Path
 from bench.commands.guard import command
 from bench.config.experiment import Experiment
 from bench.config.overrides import Overrides, read_overrides
+from bench.engine.pool import Limits
 from bench.errors import InputError
 from bench.reporting.terminal import table
-from bench.run.pool import Limits
 from bench.store.bounds import Replicates, bound_identity
 from bench.store.cell import Cell
 from bench.store.store import Store

@@ -68,8 +68,8 @@ def measured(
 
 def _fit(missing: Sequence[MeasuredFit], store: Path) -> None:
     """Fit one sibling after another, since the time of a fit is a result."""
-    from bench.run.pool import Limits, run_tasks
-    from bench.run.progress import progress_bar
+    from bench.engine.pool import Limits, run_tasks
+    from bench.engine.progress import progress_bar
 
     with progress_bar() as on_look:
         errors = run_tasks(missing, store, Limits(memory_mb=MEMORY_MB), ("fit", ""), on_look)

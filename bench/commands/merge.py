@@ -28,14 +28,14 @@ from bench.commands.fields import file_of, number, path_of, read_fields, whole
 from bench.commands.guard import command
 from bench.config.fields import MOST_MEMORY_MB, MOST_TIMEOUT_S, MOST_WORKERS
 from bench.contract.estimate import Status
+from bench.engine.pool import Limits
+from bench.engine.progress import progress_bar
 from bench.entrants.registry import registered
 from bench.errors import InputError
 from bench.exchange.comparison import SAME, difference, miss_probability
 from bench.information.fisher import Bound
 from bench.isolation.cores import usable_cores
 from bench.reporting.terminal import wrapped
-from bench.run.pool import Limits
-from bench.run.progress import progress_bar
 from bench.scoring.path import of_clock
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise

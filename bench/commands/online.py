@@ -134,8 +134,8 @@ def _title(label: str, method: str) -> str:
 
 
 def _run(missing: Sequence[OnlinePath], store: Path, workers: int) -> None:
-    from bench.run.pool import Limits, run_tasks
-    from bench.run.progress import progress_bar
+    from bench.engine.pool import Limits, run_tasks
+    from bench.engine.progress import progress_bar
 
     with progress_bar() as on_look:
         errors = run_tasks(missing, store, Limits(workers), ("run", ""), on_look)

@@ -17,10 +17,10 @@ from pathlib import Path
 from bench.commands.fields import read_fields
 from bench.commands.guard import command
 from bench.commands.stores import FIELDS, store_of
+from bench.engine.pool import Limits
 from bench.errors import InputError
 from bench.exchange.comparison import Verdict, compare_rows
 from bench.isolation.cores import usable_cores
-from bench.run.pool import Limits
 from bench.store.cell import stored_as_cell
 from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store

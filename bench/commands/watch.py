@@ -13,10 +13,10 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from bench.contract.estimate import Status
+from bench.engine.progress import duration
 from bench.reporting.rounding import number
 from bench.reporting.terminal import clipped
 from bench.reporting.terminal_tables import described
-from bench.run.progress import duration
 from bench.store.cell import Cell
 from bench.store.durations import fit_seconds
 from bench.store.locks import under_way

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 from bench.config.experiment import Experiment, sweep
 from bench.config.fields import Config
 from bench.config.overrides import overrides_of
+from bench.engine.pool import Limits
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
-from bench.run.pool import Limits
 from bench.store.cell import Cell
 from bench.store.opening import open_store
 from bench.store.store import Store

@@ -14,6 +14,7 @@ from bench.config.records import coloured_settings, robust_method
 from bench.config.schema import Job
 from bench.contract.estimate import Status
 from bench.contract.problem import Problem
+from bench.engine.pool import Limits
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import make_method, missing_package
 from bench.errors import InputError
@@ -26,7 +27,6 @@ from bench.measured.intervals import StatedInterval
 from bench.measured.record import Measured, spare_factor, with_fewer_samples, with_system
 from bench.measured.trust import OUTLIERS, Doubt, Trust
 from bench.measured.zeros import unit_over_mass, without
-from bench.run.pool import Limits
 from bench.systems.sums import Sum
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from bench.contract.estimate import Estimate, Status
 from bench.contract.method import Identifier
 from bench.contract.problem import Problem
+from bench.engine.pool import Limits
 from bench.isolation.processes import Children, Died
-from bench.run.pool import Limits
 from bench.sweep import method_process as fitter
 from bench.sweep.wire import rebuilt
 

@@ -18,6 +18,8 @@ import numpy as np
 
 from bench.config.records import primary_method
 from bench.config.schema import Job
+from bench.engine.progress import Kind
+from bench.engine.results import read_result, write_result
 from bench.entrants.registry import load_method
 from bench.errors import InputError
 from bench.measured.find import find
@@ -29,8 +31,6 @@ from bench.measured.record import Measured, read_measured, with_system
 from bench.measured.request import Request, request_of
 from bench.measured.sets import MeasuredSet
 from bench.measured.siblings import Stated, pieces
-from bench.run.progress import Kind
-from bench.run.results import read_result, write_result
 from bench.systems.sums import Sum
 
 ANALYSES, ANALYSIS_S = 50.0, 3600.0

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from bench.engine.progress import Kind
+from bench.engine.results import read_result, write_result
 from bench.entrants.online import make_online
 from bench.entrants.registry import load_method
 from bench.isolation.processes import compiled_single_threaded
 from bench.online.follow import Followed, follow
 from bench.online.scenario import OnlineScenario
-from bench.run.progress import Kind
-from bench.run.results import read_result, write_result
 from bench.store.version import bound_version
 
 LIMIT_S = 86400.0

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from bench.engine.progress import duration
 from bench.reporting.terminal import table, wrapped
 from bench.reporting.terminal_tables import described
-from bench.run.progress import duration
 from bench.store.durations import fit_seconds
 from bench.store.store import Store
 from bench.sweep.plan import Planned

@@ -10,10 +10,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from bench.engine.pool import Limits, QueuedTask, run_queued
+from bench.engine.progress import Kind, OnLook
 from bench.isolation.failure import one_line
 from bench.isolation.processes import Children
-from bench.run.pool import Limits, QueuedTask, run_queued
-from bench.run.progress import Kind, OnLook
 from bench.store.bounds import bound_path, keep_bound, kept_bound
 from bench.store.cell import Cell
 from bench.store.store import Store

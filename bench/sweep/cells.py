@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from bench.contract.estimate import Status
+from bench.engine.pool import Done, Limits, Queued, RunThread, Worker
+from bench.engine.progress import Kind
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import make_method, missing_package
 from bench.errors import InputError
 from bench.isolation.failure import without_places
 from bench.isolation.processes import Died
-from bench.run.pool import Done, Limits, Queued, RunThread, Worker
-from bench.run.progress import Kind
 from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.provenance import provenance

@@ -14,9 +14,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from bench.engine.pool import Limits, run_tasks, say
+from bench.engine.progress import OnLook
 from bench.errors import InputError
-from bench.run.pool import Limits, run_tasks, say
-from bench.run.progress import OnLook
 from bench.scenario.declaration import STRICT, Positive, validated
 from bench.store.archive import Archive
 from bench.store.cell import Cell

@@ -19,12 +19,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from bench.engine.pool import Limits, say
+from bench.engine.progress import Look, progress_bar
 from bench.errors import InputError
 from bench.isolation.failure import one_line
 from bench.isolation.private import make_private_folder
 from bench.isolation.processes import start_server
-from bench.run.pool import Limits, say
-from bench.run.progress import Look, progress_bar
 from bench.store.archive import Archive
 from bench.store.cell import Cell
 from bench.store.store import Store

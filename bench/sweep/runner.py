@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from importlib.util import find_spec
 
+from bench.engine.pool import Limits, run_queued
+from bench.engine.progress import OnLook
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import load_method
 from bench.isolation.processes import Children
-from bench.run.pool import Limits, run_queued
-from bench.run.progress import OnLook
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.sweep.bounds import make_bounds

@@ -16,8 +16,8 @@ import yaml
 from conftest import REPOSITORY, StoreFactory
 
 import bench
-from bench.config.fields import defaults as fields_of_a_run
 from bench.commands.main import main
+from bench.config.fields import defaults as fields_of_a_run
 from bench.conformance.process import MEMORY_MB
 from bench.contract.estimate import Status
 from bench.isolation.limit import LONGEST_FILE

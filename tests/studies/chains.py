@@ -25,13 +25,13 @@ from bench.commands.fields import flag, read_fields, whole
 from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.contract.estimate import Status
+from bench.engine.pool import Limits
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import default_settings, method_names
 from bench.errors import InputError
 from bench.reporting import frame, labels
 from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.pooling import pooled_excess
-from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.opening import DEFAULT_STORE, open_store

@@ -23,12 +23,12 @@ from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.config.schema import Job
 from bench.contract.problem import Channel, Problem, Record
+from bench.engine.pool import Limits
 from bench.entrants.registry import default_settings, method_names
 from bench.errors import InputError
 from bench.reporting.labels import title
 from bench.reporting.rounding import excess_text
 from bench.reporting.tables.common import csv, markdown_table
-from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.opening import DEFAULT_STORE, open_store

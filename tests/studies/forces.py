@@ -16,6 +16,7 @@ import numpy as np
 from bench.commands.fields import read_fields, whole
 from bench.commands.guard import command
 from bench.config.atlas import on_the_bound
+from bench.engine.progress import counter
 from bench.entrants.registry import make_method
 from bench.isolation.processes import single_threaded
 from bench.planning.forced import ForcedTest
@@ -23,7 +24,6 @@ from bench.planning.forces import Forces, Told, told_by
 from bench.planning.search import Likely
 from bench.planning.verify import counted, simulated_forced
 from bench.reporting.tables.common import markdown_table
-from bench.run.progress import counter
 
 FIELDS = {"requests": "12", "tests": "20", "out": "results"}
 USAGE = """usage: python -m tests.studies.forces [requests=12] [tests=20] [out=results]

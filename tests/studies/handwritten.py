@@ -26,12 +26,12 @@ from bench import Estimate, Normal, Problem, Status
 from bench.commands.fields import read_fields, whole
 from bench.commands.guard import command
 from bench.config.experiment import expand
+from bench.engine.progress import counter
 from bench.entrants.registry import make_method
 from bench.isolation.failure import one_line
 from bench.isolation.limit import limited
 from bench.isolation.processes import single_threaded
 from bench.reporting.rounding import excess_text, number
-from bench.run.progress import counter
 from bench.scenario.scenario import METHOD, Scenario
 from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior

@@ -17,13 +17,13 @@ from scipy.stats import binom, norm
 from bench.commands.fields import read_fields, whole
 from bench.commands.guard import command
 from bench.config.atlas import on_the_bound
+from bench.engine.progress import counter
 from bench.entrants.registry import make_method
 from bench.isolation.processes import single_threaded
 from bench.planning.free_decay import QUANTITIES, Decay, errors, information
 from bench.planning.search import MOST_SAMPLES, WITHIN, Likely, Proposal, cheapest, not_exceeded
 from bench.planning.verify import reached, simulated
 from bench.reporting.tables.common import markdown_table
-from bench.run.progress import counter
 
 FIELDS = {"requests": "20", "tests": "500", "out": "results"}
 USAGE = """usage: python -m tests.studies.plans [requests=20] [tests=500] [out=results]

@@ -42,8 +42,8 @@ class Request:
 
     def simulated(self, tests: Sequence[Simulation]) -> list[np.ndarray]:
         """Simulate and fit each test; returns its errors."""
+        from bench.engine.progress import counter
         from bench.entrants.registry import make_method
-        from bench.run.progress import counter
 
         method, number = make_method(self.method, {}), self.simulations
         with counter("test", number * len(tests)) as advance:

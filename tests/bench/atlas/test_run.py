@@ -12,9 +12,9 @@ from bench.atlas.point import FreeDecay
 from bench.atlas.run import Block, at_point, read_block, write_block
 from bench.commands.main import main
 from bench.config.atlas import SAMPLED, atlas_blocks, atlas_content, atlas_methods, part_names
+from bench.engine.pool import Limits, run_tasks
+from bench.engine.results import result_path
 from bench.entrants.registry import make_method
-from bench.run.pool import Limits, run_tasks
-from bench.run.results import result_path
 from bench.sweep.job import Atlas, BlockJob, read_job
 
 EASY = FreeDecay(100, 10.0, 0.05, 40.0, 0.4, False)

@@ -9,7 +9,7 @@ import pytest
 from stored import content, resealed
 
 from bench.commands import reproduce, status
-from bench.run.pool import Limits
+from bench.engine.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store

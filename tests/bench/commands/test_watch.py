@@ -17,8 +17,8 @@ from conftest import StoreFactory
 
 from bench.commands import status, watch
 from bench.commands.watch import Look, Progress, block, line, rate, time_left
+from bench.engine.pool import Limits
 from bench.errors import InputError
-from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.locks import Claims, under_way

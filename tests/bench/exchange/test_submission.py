@@ -21,9 +21,9 @@ from bench.commands import merge, submit
 from bench.commands.merge import draw
 from bench.config.experiment import expand
 from bench.contract.estimate import Status
+from bench.engine.pool import Limits
 from bench.errors import InputError
 from bench.exchange.submission import MANIFEST, pack, unpack
-from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.scoring.path import MOMENTS, of_clock
 from bench.scoring.row import Row

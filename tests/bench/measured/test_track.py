@@ -14,6 +14,8 @@ import pytest
 
 from bench import InputError
 from bench.commands.measured_track import tracked
+from bench.engine import pool
+from bench.engine.results import write_result
 from bench.measured.free_run import free_run_error, part_problem
 from bench.measured.reading import Recording, Signal
 from bench.measured.sets import MeasuredSet, measured_set, set_names
@@ -21,8 +23,6 @@ from bench.measured.siblings import Stated, agreement, pieces, total
 from bench.measured.track import Fit, tasks
 from bench.reporting.tables.track_table import Panel, Track, certified_ratio, digits, lines, markdown
 from bench.reporting.track.page import page
-from bench.run import pool
-from bench.run.results import write_result
 
 HALF = 1.959964
 TINY = {"title": "t", "licence": "none", "source": "here", "folder": "x", "files": ["x.csv"], "systems": ["sdof"]}

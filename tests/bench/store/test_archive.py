@@ -19,7 +19,7 @@ from stored import VERSION
 from bench import InputError, Status
 from bench.commands.publish import Described, publish
 from bench.config.experiment import expand
-from bench.run.pool import Limits
+from bench.engine.pool import Limits
 from bench.scoring.row import Row
 from bench.store.archive import STATISTICS, Archive
 from bench.store.bound_file import bound_file, bound_text

@@ -9,8 +9,8 @@ import pytest
 from conftest import Plugins, StoreFactory
 
 from bench import InputError, Status
+from bench.engine.pool import Limits
 from bench.isolation.processes import Children
-from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.bounds import bound_path, load_bounds
 from bench.store.cell import Cell

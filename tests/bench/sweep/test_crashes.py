@@ -10,9 +10,9 @@ import pytest
 from conftest import Plugins, StoreFactory
 
 from bench import Status
+from bench.engine.pool import Limits
 from bench.entrants.registry import default_settings
 from bench.isolation.failure import without_places
-from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.store import Store

@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from misbehaving import answer
 
 from bench import Estimate, Normal, Problem, Status
+from bench.engine.pool import Limits
 from bench.entrants.registry import default_settings
 from bench.isolation.failure import LONGEST, one_line, printable
 from bench.isolation.processes import Died
-from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.store import Store

@@ -9,10 +9,10 @@ import pytest
 from conftest import Plugins, StoreFactory
 
 from bench import Status
+from bench.engine.pool import Limits
 from bench.isolation import processes
 from bench.isolation.limit import LONGEST_FILE
 from bench.isolation.processes import Children
-from bench.run.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.store import Store

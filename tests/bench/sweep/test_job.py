@@ -17,9 +17,9 @@ from conftest import REPOSITORY
 from bench import InputError
 from bench.commands.main import main
 from bench.config.experiment import Experiment, expand
+from bench.engine.pool import Limits
 from bench.isolation.limit import limited
 from bench.isolation.private import VARIABLE, make_private_folder
-from bench.run.pool import Limits
 from bench.scenario.force import ForceSpec
 from bench.store.archive import Archive
 from bench.store.cell import Cell
@@ -234,6 +234,6 @@ def test_pickles_are_rebuilt_from_pipes_alone() -> None:
     assert found == {
         "conformance/candidate.py", "conformance/method_checks.py", "conformance/process.py", "conformance/system_checks.py",
         "measured/apart.py",
-        "run/pool.py", "sweep/cells.py", "sweep/method_process.py", "sweep/scoring_process.py", "sweep/wire.py",
+        "engine/pool.py", "sweep/cells.py", "sweep/method_process.py", "sweep/scoring_process.py", "sweep/wire.py",
     }  # fmt: skip
     assert not any((REPOSITORY / "bench" / name).read_text().count("read_bytes") for name in found)

@@ -15,8 +15,8 @@ import pytest
 from bench import InputError
 from bench.commands.main import main
 from bench.config.experiment import expand
-from bench.run.pool import Limits
-from bench.run.progress import Look
+from bench.engine.pool import Limits
+from bench.engine.progress import Look
 from bench.store.bounds import load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store

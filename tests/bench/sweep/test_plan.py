@@ -10,7 +10,7 @@ import pytest
 from conftest import Plugins, StoreFactory
 
 from bench import InputError
-from bench.run.pool import Limits
+from bench.engine.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.sweep.plan import State, plan

@@ -12,9 +12,9 @@ import pytest
 from conftest import Plugins, StoreFactory
 
 from bench import Status
+from bench.engine import pool
+from bench.engine.pool import Limits, TaskQueue
 from bench.entrants.registry import default_settings, make_method
-from bench.run import pool
-from bench.run.pool import Limits, TaskQueue
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell

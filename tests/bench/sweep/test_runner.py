@@ -15,9 +15,9 @@ import pytest
 from conftest import Plugins, StoreFactory
 
 from bench import InputError, Status
+from bench.engine.pool import Limits
+from bench.engine.progress import Look
 from bench.entrants.registry import default_settings, load_method, make_method, missing_package
-from bench.run.pool import Limits
-from bench.run.progress import Look
 from bench.scenario.scenario import ForceSpec, Scenario
 from bench.store.cell import Cell
 from bench.store.store import Store

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 from bench.commands.fields import flag, read_fields, whole
 from bench.commands.guard import command
+from bench.engine.progress import counter
 from bench.errors import InputError
 from bench.isolation.processes import single_threaded
-from bench.run.progress import counter
 from bench.store.store import Store
 
 if TYPE_CHECKING:

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from bench.config.online import online_scenario
+from bench.engine.pool import Limits, run_tasks
+from bench.engine.progress import progress_bar
 from bench.entrants.online import make_online, online_card
 from bench.online.bound import bound_variances
 from bench.online.follow import Followed
@@ -16,8 +18,6 @@ from bench.online.paths import Tracking, missing_paths, read_paths
 from bench.online.scenario import OnlineScenario, OnlineTruth, Stream
 from bench.online.score import Z95
 from bench.reporting.tables.common import markdown_table
-from bench.run.pool import Limits, run_tasks
-from bench.run.progress import progress_bar
 
 SCENARIO = "constant_multisine"
 QUANTITIES = ("k_over_m", "c_over_m")

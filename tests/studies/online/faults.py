@@ -9,11 +9,11 @@ import numpy as np
 
 from bench.config.online import online_scenario
 from bench.contract.online import Sample, Standing, Tracker
+from bench.engine.progress import counter
 from bench.entrants.online import make_online, online_card
 from bench.online.follow import moments
 from bench.online.scenario import Stream
 from bench.reporting.tables.common import markdown_table
-from bench.run.progress import counter
 from bench.twin.state import plain, restored
 
 AT, SAMPLES, BEHIND = 600, 1200, 100

@@ -31,11 +31,11 @@ from bench.commands.fields import read_fields, whole
 from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.contract.problem import Hold
+from bench.engine.pool import Limits
 from bench.entrants.registry import make_method, missing_package, registered
 from bench.errors import InputError
 from bench.isolation.processes import single_threaded
 from bench.measured.fit import Outcome, fit_alone
-from bench.run.pool import Limits
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import point_parameters
 from bench.store.store import Store

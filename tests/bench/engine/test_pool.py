@@ -17,9 +17,9 @@ import psutil
 import pytest
 
 from bench import InputError
-from bench.run.pool import Limits, run_tasks
-from bench.run.progress import Kind, Look
-from bench.run.results import read_result, result_path, write_result
+from bench.engine.pool import Limits, run_tasks
+from bench.engine.progress import Kind, Look
+from bench.engine.results import read_result, result_path, write_result
 
 HERE = Path(__file__).parent
 
@@ -110,7 +110,7 @@ def test_two_drivers_share_the_tasks(tmp_path: Path) -> None:
 DRIVER = """
 import sys
 from pathlib import Path
-from bench.run.pool import Limits, run_tasks
+from bench.engine.pool import Limits, run_tasks
 sys.path.insert(0, sys.argv[1])
 from test_pool import Deed
 run_tasks([Deed(f"{i:02d}", "slow") for i in range(60)], Path(sys.argv[2]), Limits(2), ("deed", ""))

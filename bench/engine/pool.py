@@ -21,11 +21,11 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Protocol
 
+from bench.engine.progress import Kind, OnLook, Progress, firsts_first
 from bench.errors import InputError
 from bench.isolation.descriptors import affordable_workers
 from bench.isolation.failure import one_line
 from bench.isolation.processes import READY_S, Child, Children, Died
-from bench.run.progress import Kind, OnLook, Progress, firsts_first
 from bench.store.locks import Claims
 
 WORKERS_A_WRITER = 4

@@ -15,10 +15,10 @@ from conftest import Plugins, StoreFactory
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.engine import progress as bars
+from bench.engine.pool import Limits
+from bench.engine.progress import Kind, Look, Progress, described, firsts_first, left_text, progress_bar
 from bench.entrants.registry import default_settings
-from bench.run import progress as bars
-from bench.run.pool import Limits
-from bench.run.progress import Kind, Look, Progress, described, firsts_first, left_text, progress_bar
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.sweep.plan import plan
