@@ -8,6 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 RESAMPLES = 2000
+BLOCK = 100
+"""Resamples that are drawn at once: the numbers of more would not fit into the cache."""
 WINDOW = 3.0
 """Ranks about the middle, over the root of n, in which medians of resamples are looked for first: six standard
 deviations of theirs, so that hardly one lies outside."""
@@ -16,7 +18,11 @@ deviations of theirs, so that hardly one lies outside."""
 @lru_cache(maxsize=16)
 def counts(n: int, resamples: int = RESAMPLES) -> np.ndarray:
     """Draw resamples of n replicates: how often each replicate is in each, shape (n, resamples)."""
-    return counted(np.random.default_rng(0).integers(0, n, (resamples, n)))
+    rng, often = np.random.default_rng(0), np.empty((n, resamples), np.float32)
+    for first in range(0, resamples, BLOCK):
+        block = often[:, first : first + BLOCK]
+        block[:] = counted(rng.integers(0, n, block.shape[::-1]))
+    return often
 
 
 def counted(drawn: np.ndarray) -> np.ndarray:
@@ -71,7 +77,7 @@ def _middle_ranks(order: np.ndarray, often: np.ndarray) -> tuple[np.ndarray, np.
             total += often[replicate]
             np.less_equal(total, middle, out=below[0, place])
             np.less_equal(total, middle + 1, out=below[1, place])
-        lower, upper = (first + np.sum(side.view(np.uint8), axis=0, dtype=np.int32) for side in below)
+        lower, upper = (np.asarray(first + np.sum(side.view(np.uint8), axis=0, dtype=np.int32)) for side in below)
         if max(np.max(lower), np.max(upper) if n % 2 == 0 else 0) < last:
             break
     return lower, upper
