@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Sequence
+from functools import cached_property
 from typing import overload
 
 import numpy as np
 
 from bench.contract.estimate import Status
-from bench.scoring.row import Row
+from bench.scoring.row import Row, score_columns
 
 
 class Columns(Sequence[Row]):
@@ -75,10 +76,14 @@ class MadeRows(Columns):
 
     @property
     def score_names(self) -> list[str]:
-        return list(dict.fromkeys(name for row in self._rows for name in row.scores))
+        return list(self._scores)
 
     def scores(self, name: str) -> np.ndarray:
-        return np.array([row.scores.get(name, math.nan) for row in self._rows], float)
+        return self._scores[name] if name in self._scores else np.full(len(self._made), math.nan)
+
+    @cached_property
+    def _scores(self) -> dict[str, np.ndarray]:
+        return score_columns(self._made)
 
     def numbers(self, name: str) -> np.ndarray:
         return np.array([getattr(row, name) for row in self._rows], float)
