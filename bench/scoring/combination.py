@@ -6,16 +6,19 @@ returns groups (LS, RLS, DDNN, SINDy) gets the same prior here, and from nowhere
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import leastsq
 
 from bench.contract.belief import Normal
 from bench.contract.estimate import Estimate, Status
 from bench.contract.prior import Prior
 from bench.information.fisher import inverse_root
 from bench.systems import System
+
+Vector = Callable[[np.ndarray], np.ndarray]
 
 
 def combine_with_prior(estimate: Estimate, prior: Prior | None) -> Estimate:
@@ -32,21 +35,38 @@ def combine_with_prior(estimate: Estimate, prior: Prior | None) -> Estimate:
     whiten = _whitening(groups)
     exponents = np.array([estimate.system.quantity(name).vector(prior.names) for name in groups.names])
     coefficients = np.array([estimate.system.quantity(name).coefficient for name in groups.names])
+    log_mean, log_sds = prior.log_mean, prior.log_sds  # once: the search asks for them at every step
+    of_prior = np.diag(1.0 / log_sds)
 
     def residuals(logs: np.ndarray) -> np.ndarray:
-        return np.concatenate([whiten @ (coefficients * np.exp(exponents @ logs) - groups.mean), prior.residuals(logs)])
+        misfit = whiten @ (coefficients * np.exp(exponents @ logs) - groups.mean)
+        return np.concatenate([misfit, (logs - log_mean) / log_sds])
 
     def jacobian(logs: np.ndarray) -> np.ndarray:
         values = coefficients * np.exp(exponents @ logs)
-        return np.vstack([whiten @ (values[:, None] * exponents), np.diag(1.0 / prior.log_sds)])
+        return np.concatenate([whiten @ (values[:, None] * exponents), of_prior])
 
-    starts = [prior.log_mean, _start_from_groups(estimate.system, groups, prior)]
-    to_rounding = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-15)  # groups may be known to ten digits
-    fits = [least_squares(residuals, start, jacobian, method="lm", max_nfev=500, **to_rounding) for start in starts]
-    best = min(fits, key=lambda fit: fit.cost)
-    root = inverse_root(jacobian(best.x))
+    def cost(logs: np.ndarray) -> float:
+        return float(np.dot(residuals(logs), residuals(logs)))
+
+    starts = [log_mean, _start_from_groups(estimate.system, groups, prior)]
+    ends = [_minimum(residuals, jacobian, start) for start in starts]
+    best = min(ends, key=cost)
+    root = inverse_root(jacobian(best))
     covariance = root @ root.T
-    return replace(estimate, parameters=Normal(prior.names, best.x, covariance, log=True, dof=groups.dof), groups=None)
+    return replace(estimate, parameters=Normal(prior.names, best, covariance, log=True, dof=groups.dof), groups=None)
+
+
+def _minimum(residuals: Vector, jacobian: Vector, start: np.ndarray) -> np.ndarray:
+    """Minimise a sum of squares by MINPACK, to rounding: groups may be known to ten digits.
+
+    ``least_squares`` takes the same steps, and twice the time.
+    """
+    if not np.all(np.isfinite(residuals(start))):
+        raise ValueError("Residuals are not finite in the initial point.")
+    tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-15)
+    found = leastsq(residuals, start, Dfun=jacobian, full_output=True, maxfev=500, **tight)
+    return np.asarray(found[0])
 
 
 def _whitening(groups: Normal) -> np.ndarray:
