@@ -264,11 +264,6 @@ def _bare(argument: str, fields: dict[str, Field]) -> str:
     return f"write {next(iter([*fitting, *fields]))}={argument}; see --help"
 
 
-def summary(verb: Callable[..., int]) -> str:
-    """Return the first sentence of a verb's description."""
-    return (inspect.getdoc(verb) or "").partition("\n")[0]
-
-
 def help_page(command: str, verb: Callable[..., int]) -> str:
     """Return the page of help: usage, description, fields."""
     from bench.reporting.terminal import help_page as laid_out

@@ -1,12 +1,4 @@
-"""``python -m bench.merge``: bring a submission, or another store, into a store.
-
-Of a submission (``python -m bench.submit``) a tenth of the rows, drawn at random over all its cells, is computed again
-first. Only where every score and status comes out the same is anything added; summaries and bounds are made anew, and
-tables and the page show the cells as submitted. Another store of one's own, named by its folder, is merged as it is.
-
-Of two answers to one question the better is kept: one's own rather than a submitted one, the present code's rather than
-a stale one, the one with more successful fits; else the one that was there.
-"""
+"""A submission, or another store, brought into a store."""
 
 from __future__ import annotations
 
@@ -14,7 +6,6 @@ import hashlib
 import math
 import os
 import secrets
-import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.commands.fields import file_of, number, path_of, read_fields, whole
-from bench.commands.guard import command
-from bench.config.fields import MOST_MEMORY_MB, MOST_TIMEOUT_S, MOST_WORKERS
+from bench.commands.declaration import File
+from bench.config.fields import MOST_MEMORY_MB, MOST_TIMEOUT_S
 from bench.contract.estimate import Status
 from bench.engine.pool import Limits
 from bench.engine.progress import progress_bar
@@ -41,7 +31,6 @@ from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.bounds import load_bounds
 from bench.store.cell import Cell, stored_as_cell
-from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.store.submitted import marked
@@ -49,16 +38,7 @@ from bench.sweep.launch import preloaded
 from bench.sweep.plan import Planned, State
 from bench.sweep.runner import compute_bounds, run_replicates
 
-USAGE = f"""usage: python -m bench.merge <file>.submission [field=value ...]
-       python -m bench.merge <folder> [store={DEFAULT_STORE}]
-
-fields (defaults in brackets):
-  store          [{DEFAULT_STORE}] the store that gets the cells
-  verify         [0.1] which part of a submission's rows is computed again
-  seed           [drawn] which rows these are
-  workers        [one a core] processes that fit\n\n"""
-DEFAULTS = {"store": DEFAULT_STORE, "verify": "0.1", "seed": "", "workers": str(usable_cores())}
-LEAST_SHARE, LEAST_ROWS = 0.1, 5
+LEAST_ROWS = 5
 OF_MACHINE = (Status.TIMEOUT, Status.KILLED, Status.OOM)
 """What becomes of a fit on a slower or smaller machine: rows that are not compared."""
 MOST_NAMED = 5
@@ -78,27 +58,14 @@ class Verification:
         return sum(map(len, self.compared.values()))
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Print what was added; exit status 0, 1 where a submission comes out otherwise, 2 for bad input."""
-    return command("bench.merge", USAGE + str(__doc__), argv, _main, "interrupted; run it again")
-
-
-def _main(arguments: Sequence[str]) -> int:
-    names = [argument for argument in arguments if "=" not in argument]
-    fields = read_fields([argument for argument in arguments if "=" in argument], DEFAULTS)
-    if len(names) != 1:
-        raise InputError("submission", " ".join(names), "name one file or folder")
-    share, seed = _share(fields["verify"]), whole("seed", fields["seed"] or str(secrets.randbits(48)), 0, 2**63 - 1)
-    workers = whole("workers", fields["workers"], most=MOST_WORKERS)
-    source, into = path_of(names[0]), Store(path_of(fields["store"]))
+def merge_source(source: Path, folder: Path, share: float, seed: int | None, workers: int | None) -> int:
+    """Merge a submission or a store; returns 1 where a submission does not agree; raises InputError."""
+    into = Store(folder)
     if os.path.isdir(source):
         return _merge_store(Store(source), into)
-    source = file_of("submission", names[0], "name one that python -m bench.submit has written, or a store's folder")
-    return _merge_submission(source, into, share, seed, workers)
-
-
-def _share(text: str) -> float:
-    return number("verify", text, math.nextafter(LEAST_SHARE, 0.0), 1.0, f"a number from {LEAST_SHARE:g}")
+    File("a submission, or the folder of a store")("submission", str(source))
+    drawn = secrets.randbits(48) if seed is None else seed
+    return _merge_submission(source, into, share, drawn, workers or usable_cores())
 
 
 def _merge_store(source: Store, into: Store) -> int:
@@ -260,7 +227,3 @@ def _verdict(found: Verification) -> str:
         f"{found.n} of {found.of} rows computed again, and all come out the same (to {found.largest:.1g}); "
         f"a change of 5 % of the rows is missed with probability {missed:.2g}"
     )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""``python -m bench.publish``: write the published archive anew from a store and what the archive holds already.
+"""The published archive, written anew from a store and what it holds already.
 
 A cell of the store takes the place of the archive's, and a cell of an experiment that of one that asked the same with
 another number of replicates. A file of the archive holds the cells of one experiment (those of several stand with the
@@ -9,14 +9,11 @@ of them are written; where that is interrupted, restore the folder (``git restor
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bench.commands.fields import path_of, read_fields
-from bench.commands.guard import command
-from bench.commands.stores import filled_store
+from bench.commands.stores import named_store
 from bench.config.choices import choices
 from bench.config.drawn import drawn_scenarios
 from bench.config.experiment import Experiment
@@ -25,12 +22,11 @@ from bench.reporting.whole_file import check_folder
 from bench.store.archive import Archive
 from bench.store.bound_file import bound_text
 from bench.store.cell import stored_as_cell
-from bench.store.opening import DEFAULT_STORE, NONE, default_archive
+from bench.store.opening import NONE, default_archive
 from bench.store.seal import Unsealed, read_regular
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 
-USAGE = f"usage: python -m bench.publish [store={DEFAULT_STORE}] [archive=results/archive]\n\n"
 OTHER = "other"
 
 
@@ -103,17 +99,11 @@ def _bound_text(path: Path) -> str:
     return ""
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Print the files written, and how large the archive is; exit status 2 for bad input."""
-    return command("bench.publish", USAGE + str(__doc__), argv, _main, "interrupted; run it again")
-
-
-def _main(arguments: Sequence[str]) -> int:
+def publish_cells(folder: Path, archive_folder: Path | None) -> int:
+    """Publish the cells of a store, and print the files written and the size of the archive; raises InputError."""
     known = default_archive()
-    usual = "results/archive" if known == NONE else known
-    fields = read_fields(arguments, {"store": DEFAULT_STORE, "archive": usual})
-    archive = Archive(path_of(fields["archive"]))
-    store = filled_store({"store": fields["store"], "archive": NONE})
+    archive = Archive(archive_folder or Path("results/archive" if known == NONE else known))
+    store = named_store(folder, NONE, filled=True)
     check_folder(archive.folder, "archive")
     try:
         changed = publish(store, archive, described())
@@ -130,7 +120,3 @@ def _print_files(changed: Sequence[Path], folder: Path) -> None:
         print(f"{path}: {f'{path.stat().st_size / 1e6:.2f} MB' if path.exists() else 'removed'}")
     sizes = [path.stat().st_size for path in folder.rglob("*.parquet")]
     print(f"{len(changed)} of {len(sizes)} files written; the archive takes {sum(sizes) / 1e6:.2f} MB")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,33 +1,23 @@
-"""``python -m bench.reproduce <cell>``: run a stored cell again, and say how what comes out compares with it.
-
-``identical``: every score of every replicate is the stored one; ``within tolerance``: they differ by less than would
-show in a table; ``drifted``: they do not, and the worst scores are named, with what has changed in the code, the
-packages and the machine since. ``<cell>`` is an identity, or the start of one; the stored cell is left as it is.
-"""
+"""The verb ``reproduce``: a stored cell run again."""
 
 from __future__ import annotations
 
-import re
-import sys
 import tempfile
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
-from bench.commands.fields import read_fields
-from bench.commands.guard import command
-from bench.commands.stores import FIELDS, store_of
+from bench.commands.share import cell_identity
+from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, named_store
 from bench.engine.pool import Limits
 from bench.errors import InputError
 from bench.exchange.comparison import Verdict, compare_rows
 from bench.isolation.cores import usable_cores
 from bench.store.cell import stored_as_cell
-from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.sweep.launch import complete
 
-USAGE = f"usage: python -m bench.reproduce <cell> [store={DEFAULT_STORE}] [archive=<folder>|none]\n\n"
 MOST_NAMED = 5
 
 
@@ -59,7 +49,7 @@ def find(store: Store, text: str) -> StoredCell:
     found = [identity for identity in store.identities() if identity.startswith(text)]
     if len(found) != 1:
         reason = "no such cell" if not found else f"{len(found)} cells start so"
-        raise InputError("cell", text, f"{reason} in {store.folder}; their files are named by them")
+        raise InputError("cell", text, f"{reason} in {store.folder}; python -m bench status lists what is stored")
     stored = store.load(found[0])
     assert stored is not None
     return stored
@@ -92,23 +82,20 @@ def page(stored: StoredCell, verdict: Verdict) -> str:
     return "\n".join([*lines, *(f"  {text}" for text in verdict.changed)])
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Print the verdict; exit status 0, 1 where the cell has drifted, 2 for bad input."""
-    return command("bench.reproduce", USAGE + str(__doc__), argv, _main)
+def reproduce(
+    cell: Annotated[str, cell_identity, "identity of a stored cell, or its start"],
+    store: StoreFolder = OWN,
+    archive: ArchiveFolder = None,
+) -> int:
+    """Run a stored cell again and compare it with the stored one.
 
-
-def _main(arguments: Sequence[str]) -> int:
-    names = [a for a in arguments if "=" not in a]
-    given = read_fields([a for a in arguments if "=" in a], FIELDS)
-    if len(names) != 1 or not re.fullmatch("[0-9a-f]+", names[0]):
-        raise InputError("cell", " ".join(names), "give one identity, or the start of one; see --help")
-    store = store_of(given)
-    stored = find(store, names[0])
+    identical: every score of every replicate agrees; within tolerance: no difference shows in a table; drifted: it
+    does, and the worst scores are named, with changes of code, packages and machine. The stored cell is left as it is.
+    Exit status: 0, 1 where the cell has drifted, 2 for bad input.
+    """
+    opened = named_store(store, archive)
+    stored = find(opened, cell)
     verdict = compare(stored, run_again(stored))
     print(page(stored, verdict))
-    print(store.whereabouts(stored.identity))
+    print(opened.whereabouts(stored.identity))
     return 1 if verdict.name == "drifted" else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

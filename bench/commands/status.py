@@ -1,21 +1,17 @@
-"""``python -m bench.status``: what is stored, failed, stale and missing, and why; reads only, computes nothing.
-
-Alone it describes a store; with the fields of a sweep (``experiment=table3``, ``method=ls,pinn snr=20,10``) it says how
-far that sweep is, and with ``watch=true`` follows it until it is done.
-"""
+"""The verb ``status``: what is stored, failed, stale and missing."""
 
 from __future__ import annotations
 
 import math
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
-from bench.commands.fields import number, read_fields
-from bench.commands.guard import command
-from bench.commands.stores import FIELDS, store_of
+from bench.commands.declaration import Number, Others
+from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, named_store
 from bench.commands.watch import Progress, follow
+from bench.config.overrides import settable
 from bench.contract.estimate import Status
 from bench.entrants.registry import method_names
 from bench.errors import InputError
@@ -23,27 +19,12 @@ from bench.isolation.cores import usable_cores
 from bench.reporting.plan_table import listing
 from bench.reporting.terminal import table, wrapped
 from bench.store.cell import Cell
-from bench.store.opening import DEFAULT_STORE
 from bench.store.store import Store
 from bench.store.stored import Head
 from bench.store.version import cell_version
 from bench.sweep.plan import State, plan, read_retry, standing
 from bench.systems import registered_systems
 
-USAGE = f"""usage: python -m bench.status [store=<folder>]                         a store
-       python -m bench.status experiment=table3 [watch=true]          a sweep
-       python -m bench.status method=ls,pinn snr=40,20 [watch=10]     a sweep
-
-fields (defaults in brackets):
-  store          [{DEFAULT_STORE}] where cells are kept
-  archive        [that of the checkout] published cells; a folder, or none
-  watch          [false] true: follow the sweep while a run computes it, with a
-                 look every 2 s; a number: with a look every so many seconds.
-                 In place on a terminal, else a line a look. It ends when every
-                 cell is stored, or with Ctrl-C (status 130; the run goes on)
-  experiment, method, ...    the sweep, as for python -m bench -m
-"""
-OWN_FIELDS = {**FIELDS, "watch": "false"}
 MOST_REASONS = 3
 FOREIGN = "foreign"
 """The state of a cell whose method or system is not installed."""
@@ -120,34 +101,35 @@ def _short(text: str) -> str:
     return text if len(text) <= 160 else f"{text[:157]}..."
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Print the page; exit status 2 for bad input."""
-    return command("bench.status", USAGE, argv, _main, "no longer watched; a run that is under way goes on")
-
-
-def _main(arguments: Sequence[str]) -> int:
-    fields = [argument for argument in arguments if argument.partition("=")[0] not in OWN_FIELDS]
-    given = read_fields([argument for argument in arguments if argument not in fields], OWN_FIELDS)
-    seconds = read_watch(given["watch"])
-    if seconds and not fields:
-        raise InputError("watch", given["watch"], "say what to follow: experiment=<name>, or the fields of the sweep")
-    sweep = _sweep(fields) if fields else None  # first, so that a misspelt field is said whatever the store is
-    store = store_of(given)
-    if sweep is None:
-        print(store_page(store))
-    elif seconds:
-        follow(Progress(sweep[0], store, sweep[1]), seconds)
-    else:
-        print(listing(plan(sweep[0], store, sweep[1]), store, usable_cores()))
-    return 0
-
-
-def read_watch(text: str) -> float:
-    """Seconds between two looks; 0 for none. Raises InputError."""
+def seconds_of(field: str, text: str) -> float:
+    """Read the seconds between two looks; 0 for none."""
     if text in ("false", "true"):
         return WATCH_S if text == "true" else 0.0
     wanted = f"true, false, or the seconds between two looks, at least {SHORTEST_S:g}"
-    return number("watch", text, math.nextafter(SHORTEST_S, 0.0), LONGEST_S, wanted)
+    return Number(math.nextafter(SHORTEST_S, 0.0), LONGEST_S, wanted)(field, text)
+
+
+def status(
+    sweep: Annotated[Sequence[str], Others(settable), "experiment=, method=, ... as for python -m bench -m: a sweep"],
+    store: StoreFolder = OWN,
+    archive: ArchiveFolder = None,
+    watch: Annotated[float, seconds_of, "true, or seconds between two looks: follow a running sweep until all is stored"] = 0.0,
+) -> int:  # fmt: skip
+    """Show what is stored, failed, stale and missing, and why.
+
+    Without a sweep: the store. With one: its cells, and what a run would compute. Nothing is computed.
+    """
+    if watch and not sweep:
+        raise InputError("watch", f"{watch:g}", "name the sweep: experiment=<name>, or its fields")
+    cells = _sweep(sweep) if sweep else None  # first, so that a misspelt field is named whatever the store is
+    opened = named_store(store, archive)
+    if cells is None:
+        print(store_page(opened))
+    elif watch:
+        follow(Progress(cells[0], opened, cells[1]), watch)
+    else:
+        print(listing(plan(cells[0], opened, cells[1]), opened, usable_cores()))
+    return 0
 
 
 def _sweep(fields: Sequence[str]) -> tuple[list[Cell], frozenset[Status]]:
@@ -156,7 +138,3 @@ def _sweep(fields: Sequence[str]) -> tuple[list[Cell], frozenset[Status]]:
 
     jobs = expand(fields, multirun=True)
     return [job.cell() for job in jobs], read_retry(jobs[0].config.retry)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,61 +1,37 @@
-"""``python -m bench.submit``: pack the stored cells of a method into one file, to be merged elsewhere.
-
-With each cell go its rows, the arrays and tracebacks beside it, the versions of all that computed it, its seed, and
-digests of its data. Cells of older code are refused, since nobody could compute them again. ``python -m bench.merge``
-takes the file.
-"""
+"""A submission: the stored cells of a method in one file."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
-from bench.commands.fields import path_of, read_fields
-from bench.commands.guard import command
-from bench.commands.stores import store_of
+from bench.commands.stores import named_store
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import DISTRIBUTION, registered
 from bench.errors import InputError
 from bench.reporting.whole_file import check_file
 from bench.store.cell import stored_as_cell
-from bench.store.opening import DEFAULT_STORE, NONE
+from bench.store.opening import NONE
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.store.submitted import unmarked_cell
 
-USAGE = f"""usage: python -m bench.submit method=<name> [field=value ...]
 
-fields (defaults in brackets):
-  method         a registered method; its variants go with it
-  experiment     [all] only the cells of this experiment, such as open
-  store          [{DEFAULT_STORE}] where the cells are
-  by             [nobody] who submits them
-  out            [<method>.submission] the file\n\n"""
-DEFAULTS = {"method": "", "experiment": "", "store": DEFAULT_STORE, "by": "", "out": ""}
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Print what was packed; exit status 2 for bad input."""
-    return command("bench.submit", USAGE + str(__doc__), argv, _main)
-
-
-def _main(arguments: Sequence[str]) -> int:
+def submit_cells(method: str, experiment: str, folder: Path, by: str, out: Path | None) -> int:
+    """Write a submission and print what it holds; raises InputError."""
     from bench.exchange.submission import ENDING, LINE, is_line, pack
 
-    fields = read_fields(arguments, DEFAULTS)
-    method = fields["method"]
     if method in REFERENCES or method not in registered():
         raise InputError("method", method, f"one of {', '.join(registered())}")
-    if not is_line(fields["by"]):
-        raise InputError("by", fields["by"], LINE)
-    store = store_of({"store": fields["store"], "archive": NONE})
-    path = path_of(fields["out"] or f"{method}{ENDING}")
+    if not is_line(by):
+        raise InputError("by", by, LINE)
+    store = named_store(folder, NONE)
+    path = out or Path(f"{method}{ENDING}")
     check_file(path)
-    cells = chosen(store, method, fields["experiment"])
-    manifest = pack(path, store, cells, _facts(fields))
+    cells = chosen(store, method, experiment)
+    manifest = pack(path, store, cells, _facts(method, by))
     rows = sum(len(stored.rows) for stored in cells)
     print(f"{path}: {len(cells)} cells of {method}, {rows} rows, {len(manifest['files'])} files")
     return 0
@@ -90,20 +66,16 @@ def chosen(store: Store, method: str, experiment: str) -> list[StoredCell]:
     return found
 
 
-def _facts(fields: dict[str, str]) -> dict[str, Any]:
+def _facts(method: str, by: str) -> dict[str, Any]:
     from bench.config.choices import choices
     from bench.config.files import read_yaml
 
     drawn = {name: read_yaml("experiment", name).get("draw") for name in choices("experiment")}
     return {
-        "method": fields["method"],
-        "class": registered()[fields["method"]].value,
+        "method": method,
+        "class": registered()[method].value,
         "benchmark": version(DISTRIBUTION),
         "releases": {name: str(draw["release"]) for name, draw in drawn.items() if draw},
-        "by": fields["by"],
+        "by": by,
         "made": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,8 +7,20 @@ from importlib import import_module
 
 from bench.errors import InputError
 
-VERBS = ("certify", "design", "track", "identifiability", "tables", "report", "check", "new")
-"""Each is the function of its name in the module of its name; a line without one of them is a run."""
+VERBS = {
+    "certify": "Write the certificate of a measured record, as a page and as JSON.",
+    "design": "Design the smallest free decay that reaches a wanted accuracy.",
+    "track": "Track the parameters of a system in a stream of samples.",
+    "identifiability": "State which quantities the data of a scenario determine.",
+    "tables": "Write the tables of all experiments; what=figures, claims, reproduction, all.",
+    "report": "Build the site: the results as pages for a browser.",
+    "status": "Show what is stored, failed, stale and missing, and why.",
+    "reproduce": "Run a stored cell again and compare it with the stored one.",
+    "check": "Check that a method or a system keeps the contract.",
+    "new": "Write a small package with a method or a system to start from.",
+    "share": "Share results: action=submit, merge, export or publish.",
+}
+"""Each verb, the function of its name in the module of its name, with its line in the list of all, which loads none."""
 COMMAND = "python -m bench"
 
 
@@ -50,23 +62,23 @@ def execute(name: str, words: Sequence[str]) -> int:
         print("\n\n".join(pages.values()))
         return 0
     verb = functions[chosen]
-    return verb(**read_arguments(verb, [word for word in words if word != chosen]))
+    return verb(**read_arguments(verb, [word for word in words if word not in chosen.split()]))
 
 
 def _selected(keys: Collection[str], words: Sequence[str]) -> str:
     """Return the key of the function that the words select; raises InputError for a choice that selects none."""
     from bench.config.suggest import did_you_mean
 
+    parts = [part for key in keys for part in key.split()]
     for word in words:
         name, _, value = word.partition("=")
-        choices = [key.partition("=")[2] for key in keys if key.startswith(f"{name}=")]
+        choices = list(dict.fromkeys(part.partition("=")[2] for part in parts if part.startswith(f"{name}=")))
         if choices and value not in choices:
             raise InputError(name, value, f"{did_you_mean(value, choices)}one of {', '.join(choices)}, or leave it out")
-    return next((key for key in keys if key and any(f"{word}=".startswith(f"{key}=") for word in words)), "")
+    said = {*words, *(word.partition("=")[0] for word in words)}
+    return next((key for key in keys if key and said.issuperset(key.split())), "")
 
 
 def summaries() -> str:
     """Return a line for each verb."""
-    from bench.commands.declaration import summary
-
-    return "\n".join(f"  {name:<16} {summary(variants(name)[''])}" for name in VERBS)
+    return "\n".join(f"  {name:<15} {line}" for name, line in VERBS.items())

@@ -2,7 +2,7 @@
 
 It is a zip of a store, as :class:`bench.store.store.Store` writes one, beside ``manifest.json``: which method,
 versions, hashes and seeds, and the SHA-256 of every other file. The manifest guards against damage; what a cell is
-worth is told by running some of it again (``python -m bench.merge``).
+worth is told by running some of it again (``python -m bench share action=merge``).
 """
 
 from __future__ import annotations

@@ -96,4 +96,4 @@ def again(panel: Panel) -> str:
     """The command that computes a scenario again."""
     if panel.experiments:
         return f"python -m bench -m experiment={panel.experiments[0].name}"
-    return f"python -m bench.reproduce {panel.facts.identity[:8]}"
+    return f"python -m bench reproduce cell={panel.facts.identity[:8]}"

@@ -9,6 +9,7 @@ import pytest
 from stored import content, resealed
 
 from bench.commands import reproduce, status
+from bench.commands.main import main
 from bench.engine.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell, stored_as_cell
@@ -43,7 +44,7 @@ def edit(store: Store, label: str, **changes: object) -> Path:
 def test_a_store_is_described_by_method_and_state(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
     edit(store, "prior", version={"method": 0, "system": 1, "scoring": 1})
     store.path("broken").write_text("{")
-    assert status.main([f"store={store.folder}"]) == 0
+    assert main(["status", f"store={store.folder}"]) == 0
     out = capsys.readouterr().out
     assert "3 cells: 1 done, 1 stale, 1 damaged" in out
     assert "method version 0, today 1" in out
@@ -51,7 +52,7 @@ def test_a_store_is_described_by_method_and_state(store: Store, capsys: pytest.C
 
 
 def test_a_sweep_is_described_cell_by_cell(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
-    assert status.main(["method=prior,oracle", "snr=20,10", "replicates=2", f"store={store.folder}"]) == 0
+    assert main(["status", "method=prior,oracle", "snr=20,10", "replicates=2", f"store={store.folder}"]) == 0
     out = capsys.readouterr().out
     assert "4 cells: 2 done, 2 missing; 2 to run" in out or "4 cells: 2 missing, 2 done; 2 to run" in out
     assert out.count("not computed yet") == 2
@@ -60,13 +61,13 @@ def test_a_sweep_is_described_cell_by_cell(store: Store, capsys: pytest.CaptureF
 @pytest.mark.parametrize("bad", [["store=nowhere"], ["method=pin"], ["experiment=table9"], ["nonsense"]])
 def test_bad_input_is_one_line(bad: list[str], capsys: pytest.CaptureFixture[str], store: Store) -> None:
     arguments = bad if bad == ["store=nowhere"] else [*bad, f"store={store.folder}"]
-    assert status.main(arguments) == 2
+    assert main(["status", *arguments]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
 def test_a_cell_comes_out_again(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
     (oracle,) = (cell for cell in store if cell.cell["label"] == "oracle")
-    assert reproduce.main([oracle.identity[:6], f"store={store.folder}"]) == 0
+    assert main(["reproduce", f"cell={oracle.identity[:6]}", f"store={store.folder}"]) == 0
     assert "run again: identical" in capsys.readouterr().out
 
 
@@ -89,11 +90,11 @@ def test_what_comes_out_differently_is_named(store: Store) -> None:
         assert found.changed == ()
 
 
-@pytest.mark.parametrize("bad", [["zzz"], ["abc", "def"], ["0123456789"]])
-def test_a_cell_that_is_not_there_is_one_line(bad: list[str], store: Store, capsys: pytest.CaptureFixture[str]) -> None:
-    assert reproduce.main([*bad, f"store={store.folder}"]) == 2
+@pytest.mark.parametrize("bad", ["zzz", "0123456789"])
+def test_a_cell_that_is_not_there_is_one_line(bad: str, store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reproduce", f"cell={bad}", f"store={store.folder}"]) == 2
     err = capsys.readouterr().err
-    assert err.startswith("bench.reproduce: cell=")
+    assert err.startswith("bench: cell=")
     assert len(err.splitlines()) == 1
 
 

@@ -30,8 +30,8 @@ def test_a_method_from_the_template_is_run_submitted_and_merged(
     sent = tmp_path / "sent.submission"
     for arguments in (
         ["bench", "method=quarter_car", "replicates=6", "workers=1", f"store={theirs.folder}"],
-        ["bench.submit", "method=quarter_car", f"store={theirs.folder}", f"out={sent}"],
-        ["bench.merge", str(sent), f"store={ours.folder}", "workers=1"],
+        ["bench", "share", "action=submit", "method=quarter_car", f"store={theirs.folder}", f"out={sent}"],
+        ["bench", "share", "action=merge", f"submission={sent}", f"store={ours.folder}", "workers=1"],
     ):
         done = python("-m", *arguments, env=env)
         assert done.returncode == 0, done.stdout + done.stderr
@@ -40,6 +40,6 @@ def test_a_method_from_the_template_is_run_submitted_and_merged(
     assert after.cell == {**before.cell, "label": "quarter_car (submitted)"}
     assert [(row.status, row.scores) for row in after.rows] == [(row.status, row.scores) for row in before.rows]
     assert after.n_ok == 6
-    refused = python("-m", "bench.merge", str(sent), f"store={ours.folder}")  # where the method is not installed
+    refused = python("-m", "bench", "share", "action=merge", f"submission={sent}", f"store={ours.folder}")  # where the method is not installed
     assert refused.returncode == 2
     assert "method=quarter_car: known methods" in refused.stderr
