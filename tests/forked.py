@@ -16,23 +16,24 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bench.commands.verbs import VERBS
+
 REPOSITORY = Path(__file__).parents[1]
-MODULES = (
-    "benchmark", "export", "main",
-    "merge", "publish", "recheck", "reproduce", "status", "submit",
-)  # fmt: skip
+Main = Callable[[Sequence[str]], int]
 WARM = (
     ["method=ls", "snr=nan"], ["method=ls", "data=nowhere.csv"], ["experiment=online", "x=1"],
     ["experiment=atlas", "x=1"], ["experiment=measured", "x=1"], ["method=ls", "system.duration=-1"],
     ["certify", "data=nowhere.csv"], ["track", "from=nowhere.csv"], ["identifiability", "snr=nan"],
     ["check", "package=nowhere.py"], ["new", "method=new", "out=/dev/null"], ["design", "given=nowhere.csv"],
     ["report", "out=/dev/null"], *(["tables", f"what={what}", "archive=nowhere"] for what in ("tables", "claims")),
-    ["tables", "what=figures", "out=/dev/null"],
+    ["tables", "what=figures", "out=/dev/null"], ["status", "method=nobody"], ["reproduce", "cell=00", "store=nowhere"],
+    ["share", "action=submit", "method=nobody"], ["share", "action=merge", "submission=nowhere"],
+    ["share", "action=export", "form=petab", "snr=nan"], ["share", "action=publish", "store=nowhere"],
 )  # fmt: skip
 """Lines of which each ends early, but brings modules."""
 CPU_S, WALL_S, MEMORY = 20, 90.0, 3 * 2**30
@@ -41,9 +42,8 @@ CPU_S, WALL_S, MEMORY = 20, 90.0, 3 * 2**30
 
 @dataclass(frozen=True)
 class Call:
-    """A command by its module, its arguments, and what it finds: folder, environment, standard input, user."""
+    """A command by the words of its line, and what it finds: folder, environment, standard input, user."""
 
-    module: str
     arguments: Sequence[str]
     folder: str
     environment: Mapping[str, str] = field(default_factory=dict)
@@ -87,20 +87,23 @@ class Forked:
 
 
 def _serve() -> None:
-    modules = {name: importlib.import_module(f"bench.commands.{name}") for name in MODULES}
+    from bench.commands.main import main
+
+    for verb in VERBS:
+        importlib.import_module(f"bench.commands.{verb}")
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         for line in WARM:
-            modules["main"].main(line)
+            main(line)
     for text in sys.stdin:
-        print(json.dumps(_ended(modules, json.loads(text))), flush=True)
+        print(json.dumps(_ended(main, json.loads(text))), flush=True)
 
 
-def _ended(modules: Mapping[str, Any], call: dict[str, Any]) -> dict[str, Any]:
+def _ended(main: Main, call: dict[str, Any]) -> dict[str, Any]:
     places = [Path(call["folder"]).with_name(f"{Path(call['folder']).name}.{name}") for name in ("in", "out", "err")]
     places[0].write_text(call["stdin"], encoding="utf-8", errors="surrogateescape")
     child = os.fork()
     if not child:
-        _become(modules, call, places)
+        _become(main, call, places)
     try:
         status, cpu_s = _waited(child)
         out, err = (place.read_text(encoding="utf-8", errors="replace")[:100_000] for place in places[1:])
@@ -125,7 +128,7 @@ def _waited(child: int) -> tuple[int, float]:
     return os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime
 
 
-def _become(modules: Mapping[str, Any], call: dict[str, Any], places: Sequence[Path]) -> None:
+def _become(main: Main, call: dict[str, Any], places: Sequence[Path]) -> None:
     """In the fork: the command; it never comes back."""
     status = 70
     try:
@@ -144,9 +147,7 @@ def _become(modules: Mapping[str, Any], call: dict[str, Any], places: Sequence[P
             os.setgid(call["user"])
             os.setuid(call["user"])
         sys.argv = ["bench", *call["arguments"]]
-        verb = call["module"]
-        module, first = (modules[verb], []) if verb in modules else (modules["main"], [verb])
-        status = module.main([*first, *call["arguments"]])
+        status = main(call["arguments"])
         sys.stdout.flush()
     except BaseException as error:
         import traceback

@@ -113,14 +113,14 @@ def status(
     sweep: Annotated[Sequence[str], Others(settable), "experiment=, method=, ... as for python -m bench -m: a sweep"],
     store: StoreFolder = OWN,
     archive: ArchiveFolder = None,
-    watch: Annotated[float, seconds_of, "true, or seconds between two looks: follow a running sweep until all is stored"] = 0.0,
-) -> int:  # fmt: skip
+    watch: Annotated[float, seconds_of, "true, or seconds between two looks: follow a running sweep"] = 0.0,
+) -> int:
     """Show what is stored, failed, stale and missing, and why.
 
     Without a sweep: the store. With one: its cells, and what a run would compute. Nothing is computed.
     """
     if watch and not sweep:
-        raise InputError("watch", f"{watch:g}", "name the sweep: experiment=<name>, or its fields")
+        raise InputError("watch", "true", "name the sweep: experiment=<name>, or its fields")
     cells = _sweep(sweep) if sweep else None  # first, so that a misspelt field is named whatever the store is
     opened = named_store(store, archive)
     if cells is None:

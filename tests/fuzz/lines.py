@@ -13,7 +13,7 @@ from malformed import TRACKS, all_malformed, entry
 from bench.commands.verbs import VERBS
 from bench.config.overrides import settable
 
-COMMANDS = ("bench", "status", *VERBS, *TRACKS)
+COMMANDS = ("bench", *VERBS, *TRACKS)
 ASKED = {"-h", "--help", "--version"}
 """Where one of these is on a line, the rest of it does not matter."""
 WORDS = [word for case in all_malformed() for word in case.arguments if len(word) < 400]
@@ -48,11 +48,10 @@ LINES = st.tuples(st.sampled_from(COMMANDS), st.lists(ARGUMENTS, max_size=5).map
 
 def check_line(command: str, arguments: list[str], forked: Forked) -> None:
     """Run a line that makes no sense; it ends with status 2, one line, and nothing left behind."""
-    module, first = entry(command)
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder) / "here"
         here.mkdir()
-        ended = forked.run(Call(module, [*first, *arguments], str(here)))
+        ended = forked.run(Call([*entry(command), *arguments], str(here)))
         assert list(here.iterdir()) == [], "left something behind"
     if ASKED & set(arguments):
         return

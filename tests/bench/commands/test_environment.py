@@ -51,7 +51,7 @@ def forked() -> Iterator[Forked]:
 def store(tmp_path_factory: pytest.TempPathFactory, forked: Forked) -> Path:
     """A store with one cell, in a folder that anybody may enter."""
     folder = tmp_path_factory.mktemp("own")
-    assert forked.run(Call("main", CELL.split(), str(folder))).status == 0
+    assert forked.run(Call(CELL.split(), str(folder))).status == 0
     return folder
 
 
@@ -73,7 +73,7 @@ def test_a_closed_output_is_said_before_anything_is_computed(closed: str, shell:
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
-@pytest.mark.parametrize("line", ["@bench --help", "@bench method=ls --cfg job", "@bench.status --help"])
+@pytest.mark.parametrize("line", ["@bench --help", "@bench method=ls --cfg job", "@bench status --help"])
 def test_a_full_output_is_one_line(line: str, shell: Shell) -> None:
     done = shell(f"{line} > {FULL}")
     assert done.returncode == 2
@@ -138,10 +138,9 @@ def test_importing_the_package_leaves_ctrl_c_to_the_program(shell: Shell) -> Non
 @pytest.mark.parametrize("line", ["tables what=figures store=rows", pytest.param(REPORT, marks=pytest.mark.slow)])
 def test_a_full_disk_leaves_no_file(line: str, store: Path, forked: Forked, tmp_path: Path) -> None:
     """Files may hold 40 bytes here: an empty one can be made, and nothing be written into it."""
-    module, *arguments = line.split()
     (tmp_path / "here").mkdir()
     (tmp_path / "here" / "rows").symlink_to(store / "rows")
-    ended = forked.run(Call(module, [*arguments, "archive=none"], str(tmp_path / "here"), largest_file=40))
+    ended = forked.run(Call([*line.split(), "archive=none"], str(tmp_path / "here"), largest_file=40))
     assert ended.status == 2, ended.err
     assert [path for path in (tmp_path / "here").rglob("*") if path.is_file() and "rows" not in path.parts] == []
 
@@ -168,16 +167,16 @@ DENIED = {
     "tables store=rows out=locked": "out=locked: cannot be written (Permission denied)",
     "tables what=figures store=rows out=locked/deep": "out=locked/deep: cannot be written (Permission denied)",
     "report store=rows out=locked/page.html": "out=locked/page.html: cannot be written (Permission denied)",
-    "main method=prior store=locked": "store=locked: cannot be written (Permission denied)",
-    "main method=ls data=secret.csv": "data=secret.csv: cannot be read: Permission denied",
-    "main method=ls system=secret.yaml": "system=secret.yaml: it cannot be read: Permission denied",
+    "method=prior store=locked": "store=locked: cannot be written (Permission denied)",
+    "method=ls data=secret.csv": "data=secret.csv: cannot be read: Permission denied",
+    "method=ls system=secret.yaml": "system=secret.yaml: it cannot be read: Permission denied",
     "status store=hidden/rows": "store=hidden/rows: folder not found",
     "tables what=claims store=rows results=rows": "root=README.md: cannot be read: Permission denied",
     "track from=secret.csv": "from=secret.csv: cannot be read: Permission denied",
-    "publish store=rows archive=locked": "archive=locked: cannot be written (Permission denied)",
-    "export petab out=locked/petab": "out=locked/petab: cannot be written (Permission denied)",
-    "merge secret.csv": "submission=secret.csv: cannot be read (Permission denied)",
-    "merge rows store=locked": "store=locked: cannot be written (Permission denied)",
+    "share action=publish store=rows archive=locked": "archive=locked: cannot be written (Permission denied)",
+    "share action=export form=petab out=locked/petab": "out=locked/petab: cannot be written (Permission denied)",
+    "share action=merge submission=secret.csv": "submission=secret.csv: cannot be read (Permission denied)",
+    "share action=merge submission=rows store=locked": "store=locked: cannot be written (Permission denied)",
 }
 
 
@@ -193,8 +192,7 @@ def test_what_may_not_be_read_or_written_is_one_line(line: str, store: Path, for
     for name in ("secret.csv", "secret.yaml", "README.md"):
         (here / name).write_text("0,1\n")
         (here / name).chmod(0o000)
-    module, *arguments = line.split()
-    ended = forked.run(Call(module, arguments, str(here), user=0 if os.getuid() else NOBODY))
+    ended = forked.run(Call(line.split(), str(here), user=0 if os.getuid() else NOBODY))
     (here / "hidden").chmod(0o755)
     assert (ended.status, len(ended.err.splitlines())) == (2, 1), ended
     assert DENIED[line] in ended.err

@@ -7,10 +7,8 @@ from pathlib import Path
 
 import pytest
 from forked import Call, Ended, Forked
-from malformed import TRACKS, Malformed, all_malformed, entry
+from malformed import Malformed, all_malformed, entry
 from malformed_files import Shelf
-
-from bench.commands.verbs import VERBS
 
 NOTICE = "line(s) left out that do not read"
 """What is said of a stream's lines as they come, before anybody knows how it ends."""
@@ -36,14 +34,13 @@ def store(tmp_path_factory: pytest.TempPathFactory, forked: Forked) -> Path:
     """A store with one cell, of a method that takes no time."""
     folder = tmp_path_factory.mktemp("own")
     line = ["method=prior", "replicates=2", "workers=1", "store=rows"]
-    assert forked.run(Call("main", line, str(folder))).status == 0
+    assert forked.run(Call(line, str(folder))).status == 0
     return folder / "rows"
 
 
 def run(case: Malformed, forked: Forked, place: Path) -> Ended:
     """Run a case in a folder that holds the files it names."""
-    module, first = entry(case.command)
-    return forked.run(Call(module, [*first, *case.arguments], str(place)))
+    return forked.run(Call([*entry(case.command), *case.arguments], str(place)))
 
 
 def everything(folder: Path) -> dict[str, int]:
@@ -64,7 +61,7 @@ def shown(value: str) -> list[str]:
 def objections(case: Malformed, ended: Ended, before: dict[str, int], after: dict[str, int]) -> list[str]:
     """What is not as it is wanted, in words."""
     lines = [line for line in ended.err.splitlines() if NOTICE not in line]
-    program = "bench" if case.command in ("bench", *TRACKS, *VERBS) else f"bench.{case.command}"
+    program = "bench"
     found = [f"status {ended.status}"] if ended.status != 2 else []
     found += [f"{len(lines)} lines on the error stream"] if len(lines) != 1 else []
     line = lines[-1] if lines else ""

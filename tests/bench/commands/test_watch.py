@@ -16,6 +16,7 @@ import pytest
 from conftest import StoreFactory
 
 from bench.commands import status, watch
+from bench.commands.main import main
 from bench.commands.watch import Look, Progress, block, line, rate, time_left
 from bench.engine.pool import Limits
 from bench.errors import InputError
@@ -243,21 +244,21 @@ def test_on_a_terminal_a_look_takes_the_place_of_the_one_before(store: Store) ->
 
 @pytest.mark.parametrize("text", ["maybe", "0", "-1", "nan", "inf", "1e9", "5s", "True"])
 def test_a_watch_that_makes_no_sense_is_one_line(text: str, store: Store, capsys: pytest.CaptureFixture[str]) -> None:
-    assert status.main(["method=prior", f"store={store.folder}", f"watch={text}"]) == 2
+    assert main(["status", "method=prior", f"store={store.folder}", f"watch={text}"]) == 2
     out, err = capsys.readouterr()
     assert (out, len(err.splitlines())) == ("", 1)
-    assert err.startswith(f"bench.status: watch={text}: true, false, or the seconds between two looks")
+    assert err.startswith(f"bench: watch={text}: true, false, or the seconds between two looks")
 
 
 def test_a_watch_says_what_it_needs(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
-    assert status.main([f"store={store.folder}", "watch=true"]) == 2
-    assert "say what to follow: experiment=<name>" in capsys.readouterr().err
+    assert main(["status", f"store={store.folder}", "watch=true"]) == 2
+    assert "name the sweep: experiment=<name>" in capsys.readouterr().err
     with pytest.raises(InputError, match="true, false"):
-        status.read_watch("maybe")
-    assert (status.read_watch("false"), status.read_watch("true"), status.read_watch("7.5")) == (0.0, 2.0, 7.5)
-    assert status.main([f"store={store.folder}", "watch=false"]) == 0
+        status.seconds_of("watch", "maybe")
+    assert tuple(status.seconds_of("watch", text) for text in ("false", "true", "7.5")) == (0.0, 2.0, 7.5)
+    assert main(["status", f"store={store.folder}", "watch=false"]) == 0
 
 
 def test_a_watch_of_what_is_done_ends_at_once(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
-    assert status.main(["method=prior", "replicates=2", f"store={store.folder}", "watch=3600"]) == 0
+    assert main(["status", "method=prior", "replicates=2", f"store={store.folder}", "watch=3600"]) == 0
     assert capsys.readouterr().out.endswith(" 1/1 cells, all stored\n")

@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 from stored import described, save, scored
 
 from bench import Problem
-from bench.commands.export import main
+from bench.commands.main import main
 from bench.config.experiment import expand
 from bench.exchange.petab import formula, petab_files, rates
 from bench.store.store import Store
@@ -136,7 +136,7 @@ def test_petab_finds_nothing_wrong_with_it(words: list[str], tmp_path: Path) -> 
     lint = shutil.which("petablint")
     if lint is None:
         pytest.skip("petablint is not on the path")
-    assert main(["petab", *words, f"out={tmp_path}"]) == 0
+    assert main(["share", "action=export", "form=petab", *words, f"out={tmp_path}"]) == 0
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     done = subprocess.run(
         [lint, "-v", str(tmp_path / "problem.yaml")], env=environment, capture_output=True, text=True, timeout=300
@@ -162,7 +162,7 @@ def test_draws_come_back_from_a_file_that_arviz_reads(tmp_path: Path) -> None:
     store, draws = with_draws(tmp_path / "rows")
     stored = next(one for one in store if one.cell["label"] == "mcmc")
     path = tmp_path / "own.nc"
-    assert main(["arviz", stored.identity[:8], f"store={store.folder}", "archive=none", f"out={path}"]) == 0
+    assert main(["share", "action=export", "form=arviz", f"cell={stored.identity[:8]}", f"store={store.folder}", "archive=none", f"out={path}"]) == 0
     found = arviz.from_netcdf(path)
     assert list(found.posterior.data_vars) == ["m", "c", "k"]
     for i, name in enumerate("mck"):
@@ -176,7 +176,7 @@ def test_draws_come_back_from_a_file_that_arviz_reads(tmp_path: Path) -> None:
 def test_a_cell_without_draws_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     store, _ = with_draws(tmp_path / "rows")
     stored = next(one for one in store if one.cell["label"] == "ls")
-    assert main(["arviz", stored.identity, f"store={store.folder}", "archive=none"]) == 2
+    assert main(["share", "action=export", "form=arviz", f"cell={stored.identity}", f"store={store.folder}", "archive=none"]) == 2
     error = capsys.readouterr().err
     assert "ls states no draws" in error
     assert error.count("\n") == 1
@@ -189,7 +189,7 @@ def test_a_notebook_runs_and_computes_the_cell(
     monkeypatch.setenv("MPLBACKEND", "Agg")
     path, store = tmp_path / "own.ipynb", new_store()
     words = ["method=ls", "snr=20", "replicates=2", "method.derivative=spline", f"store={store.folder}", "workers=1"]
-    assert main(["notebook", *words, f"out={path}"]) == 0
+    assert main(["share", "action=export", "form=notebook", *words, f"out={path}"]) == 0
     found = nbformat.read(path, as_version=4)
     nbformat.validate(found)
     names: dict[str, object] = {}
@@ -207,13 +207,13 @@ def test_a_notebook_runs_and_computes_the_cell(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "export=: one of petab, arviz, notebook"),
-        (["word"], "export=word: one of petab"),
-        (["petab", "system=sdof_forced"], "free vibration"),
-        (["petab", "replicate=first"], "replicate=first: a whole number"),
-        (["petab", "system=nowhere"], "system=nowhere"),
-        (["arviz", "not an identity"], "cell=not an identity"),
-        (["notebook", "method=nobody"], "method=nobody"),
+        ([], "form=: petab, arviz or notebook"),
+        (["form=word"], "form=word: one of petab"),
+        (["form=petab", "system=sdof_forced"], "free vibration"),
+        (["form=petab", "replicate=first"], "replicate=first: a whole number"),
+        (["form=petab", "system=nowhere"], "system=nowhere"),
+        (["form=arviz", "cell=not an identity"], "cell=not an identity"),
+        (["form=notebook", "method=nobody"], "method=nobody"),
     ],
 )
 def test_bad_input_is_one_line(
@@ -224,7 +224,7 @@ def test_bad_input_is_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(arguments) == 2
+    assert main(["share", "action=export", *arguments]) == 2
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1

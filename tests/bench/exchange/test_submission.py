@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from stored import described, recorded, save, scored
 
-from bench.commands import merge, submit
+from bench.commands.main import main
 from bench.commands.merge import draw
 from bench.config.experiment import expand
 from bench.contract.estimate import Status
@@ -300,7 +300,7 @@ def test_a_submission_is_verified_added_and_marked(
     computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = submission(computed, tmp_path / "ls.submission")
-    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 0
+    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 0
     out = capsys.readouterr().out
     assert "5 of 24 rows computed again, and all come out the same" in out
     assert "2 cells added" in out
@@ -320,7 +320,7 @@ def test_rows_made_better_are_found_and_nothing_is_added(
     computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = submission(computed, tmp_path / "ls.submission", better_numbers)
-    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 1
+    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 1
     out = capsys.readouterr().out
     assert "come out otherwise" in out
     assert "ls on sdof" in out
@@ -329,7 +329,7 @@ def test_rows_made_better_are_found_and_nothing_is_added(
 
 def test_a_summary_is_not_believed(computed: Store, into: Store, tmp_path: Path) -> None:
     path = submission(computed, tmp_path / "ls.submission", better_summary)
-    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 0
+    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 0
     name = "k_over_m_error_pct"
     for before, after in zip(of_method(computed), into, strict=True):
         assert after.summary[name]["median"] == pytest.approx(before.summary[name]["median"], rel=1e-4)
@@ -339,7 +339,7 @@ def test_other_packages_are_no_hindrance_where_the_numbers_are_the_same(
     computed: Store, into: Store, tmp_path: Path
 ) -> None:
     path = submission(computed, tmp_path / "ls.submission", other_packages)
-    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 0
+    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 0
     assert {stored.provenance["packages"]["numpy"] for stored in into} == {"1.0"}
 
 
@@ -356,7 +356,7 @@ def test_what_could_not_be_computed_again_is_bad_input(
     change: Change, words: str, computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = submission(computed, tmp_path / "ls.submission", change)
-    assert merge.main([str(path), f"store={into.folder}"]) == 2
+    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}"]) == 2
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
@@ -367,7 +367,7 @@ def test_a_submission_of_another_class_of_that_name_is_bad_input(
     computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = submission(computed, tmp_path / "ls.submission", **{"class": "somebody.methods:LS"})
-    assert merge.main([str(path), f"store={into.folder}"]) == 2
+    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}"]) == 2
     error = capsys.readouterr().err
     assert "computed by somebody.methods:LS, and ls is methods.regression.ls:LS here" in error
     assert error.count("\n") == 1
@@ -386,7 +386,7 @@ def test_limits_that_no_run_takes_do_not_widen_those_of_the_verification(
 
     monkeypatch.setattr(merge, "run_replicates", noted)
     path = submission(computed, tmp_path / "ls.submission", endless)
-    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 0
+    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 0
     assert [(one.timeout_s, one.memory_mb) for one in asked] == [(Limits().timeout_s, Limits().memory_mb)]
 
 
@@ -397,7 +397,7 @@ def test_a_bound_that_cannot_be_computed_within_the_limits_is_bad_input(
     one = of_method(computed)[0]
     path = tmp_path / "ls.submission"
     pack(path, Unnamed(computed), [absurd(one)], {"method": "ls"})
-    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 2
+    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 2
     error = capsys.readouterr().err
     assert "its bound cannot be computed" in error
     assert error.count("\n") == 1
@@ -408,11 +408,11 @@ def test_ones_own_cell_is_not_replaced_by_a_submitted_one_but_replaces_it(
     computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = submission(computed, tmp_path / "ls.submission")
-    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 0
-    assert merge.main([str(computed.folder), f"store={into.folder}"]) == 0
+    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 0
+    assert main(["share", "action=merge", f"submission={computed.folder}", f"store={into.folder}"]) == 0
     assert "1 cells added, 2 in the place of others, 0 kept" in capsys.readouterr().out
     assert not any(map(is_submitted, into))
-    assert merge.main([str(path), f"store={into.folder}", "workers=1"]) == 0
+    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 0
     assert "0 cells added, 0 in the place of others, 2 kept" in capsys.readouterr().out
     assert not any(map(is_submitted, into))
 
@@ -434,7 +434,7 @@ def test_two_stores_merge_and_nothing_is_lost(turned: bool, tmp_path: Path) -> N
     one, other = filled(tmp_path / "one", "a", "b"), filled(tmp_path / "other", "b", "c", "d")
     every = {stored.identity: stored for store in (one, other) for stored in store}
     source, target = (one, other) if turned else (other, one)
-    assert merge.main([str(source.folder), f"store={target.folder}"]) == 0
+    assert main(["share", "action=merge", f"submission={source.folder}", f"store={target.folder}"]) == 0
     assert set(target.identities()) == every.keys()
     for stored in target:
         assert same(stored, every[stored.identity])
@@ -454,12 +454,12 @@ def test_of_two_answers_the_present_codes_is_kept_and_then_the_one_with_more_fit
         store.prepare()
         store.save(stored, computed.arrays(first))
     for source, expected in ((stale, 0), (short, 1), (computed, 1)):
-        assert merge.main([str(source.folder), f"store={into.folder}"]) == 0
+        assert main(["share", "action=merge", f"submission={source.folder}", f"store={into.folder}"]) == 0
         found = into.load(first.identity)
         assert found is not None
         assert found.version["method"] == expected
     assert found.n_ok == N
-    assert merge.main([str(stale.folder), f"store={into.folder}"]) == 0
+    assert main(["share", "action=merge", f"submission={stale.folder}", f"store={into.folder}"]) == 0
     assert into.load(first.identity) is not None
     assert same(found, next(stored for stored in into if stored.identity == first.identity))
 
@@ -467,13 +467,13 @@ def test_of_two_answers_the_present_codes_is_kept_and_then_the_one_with_more_fit
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "name one file or folder"),
-        (["nowhere.submission"], "there is no such file; name one"),
-        (["."], "no cell is stored there"),
-        (["nowhere", "verify=0.01"], "verify=0.01: a number from 0.1, at most 1"),
-        (["nowhere", "verify=all"], "verify=all: a number from 0.1, at most 1"),
-        (["nowhere", "seed=x"], "seed=x: a whole number"),
-        ([".", "store=."], "not merged with itself"),
+        ([], "submission=: needed"),
+        (["submission=nowhere.submission"], "file not found"),
+        (["submission=."], "no cell is stored there"),
+        (["submission=nowhere", "verify=0.01"], "verify=0.01: a number from 0.1, at most 1"),
+        (["submission=nowhere", "verify=all"], "verify=all: a number from 0.1, at most 1"),
+        (["submission=nowhere", "seed=x"], "seed=x: a whole number"),
+        (["submission=.", "store=."], "not merged with itself"),
     ],
 )
 def test_bad_input_to_merge_is_one_line(
@@ -484,7 +484,7 @@ def test_bad_input_to_merge_is_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert merge.main(arguments) == 2
+    assert main(["share", "action=merge", *arguments]) == 2
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
@@ -501,7 +501,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_cells_of_a_method_are_packed(computed: Store, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert submit.main(["method=ls", f"store={computed.folder}", "by=a group"]) == 0
+    assert main(["share", "action=submit", "method=ls", f"store={computed.folder}", "by=a group"]) == 0
     assert "2 cells of ls, 24 rows" in capsys.readouterr().out
     manifest, theirs = unpack(here / "ls.submission", here / "there")
     assert (manifest["method"], manifest["class"], manifest["by"]) == ("ls", "methods.regression.ls:LS", "a group")
@@ -511,7 +511,7 @@ def test_the_cells_of_a_method_are_packed(computed: Store, here: Path, capsys: p
 
 def test_only_the_cells_of_an_experiment_are_packed(computed: Store, here: Path) -> None:
     """Table 3 has 20 dB alone, and 100 replicates: the scenario counts, not how often it was drawn."""
-    assert submit.main(["method=ls", "experiment=table3", f"store={computed.folder}"]) == 0
+    assert main(["share", "action=submit", "method=ls", "experiment=table3", f"store={computed.folder}"]) == 0
     manifest, _ = unpack(here / "ls.submission", here / "there")
     assert [line["snr_db"] for line in manifest["cells"]] == [20.0]
 
@@ -523,13 +523,13 @@ def test_only_the_cells_of_an_experiment_are_packed(computed: Store, here: Path)
         (["method=oracle"], "method=oracle: one of"),
         (["method=ekf"], "holds no cell of it"),
         (["method=ls", "experiment=open"], "holds no cell of it of open"),
-        (["name=ls"], "argument=name=ls"),
+        (["name=ls"], "name=ls: not a field"),
     ],
 )
 def test_bad_input_to_submit_is_one_line_and_writes_nothing(
     arguments: list[str], words: str, computed: Store, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert submit.main([*arguments, f"store={computed.folder}"]) == 2
+    assert main(["share", "action=submit", *arguments, f"store={computed.folder}"]) == 2
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
@@ -541,5 +541,5 @@ def test_stale_cells_are_not_submitted(computed: Store, here: Path, capsys: pyte
     store.prepare()
     for stored in of_method(computed):
         store.save(replace(stored, version={**stored.version, "method": 0}))
-    assert submit.main(["method=ls", f"store={store.folder}"]) == 2
+    assert main(["share", "action=submit", "method=ls", f"store={store.folder}"]) == 2
     assert "2 of 2 cells" in capsys.readouterr().err

@@ -175,14 +175,14 @@ def test_what_is_no_file_is_one_line_at_once(
         assert place.name in str(caught.value)
         assert len(str(caught.value).splitlines()) == 1
     with limited(LONG_S):
-        assert status.main([f"store={store.folder}"]) == 0
+        assert main(["status", f"store={store.folder}"]) == 0
     assert "1 damaged" in capsys.readouterr().out
 
 
 def test_a_name_that_is_not_utf_8_is_no_cell_s(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
     with open(os.fsencode(store.folder) + b"/\xff.json", "wb") as file:
         file.write(b"{}")
-    assert status.main([f"store={store.folder}"]) == 0
+    assert main(["status", f"store={store.folder}"]) == 0
     assert "2 cells" in capsys.readouterr().out
 
 
