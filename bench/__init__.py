@@ -128,10 +128,6 @@ __all__ = [
     "whitened",
 ]
 __version__ = "0.1.0"
-__path__ = [
-    *__path__,
-    *(f"{folder}/commands" for folder in __path__),
-]  # python -m bench tables is bench/commands/tables.py
 
 FACE = {
     "Identification": "identification",

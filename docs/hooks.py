@@ -88,19 +88,18 @@ def _moved(source: str, target: str) -> str:
     return posixpath.relpath(inside, posixpath.dirname(source) or ".")
 
 
-def commands() -> list[str]:
-    """Return the names of the modules that ``python -m bench.<name>`` runs, ``main`` first."""
-    folder = ROOT / "bench" / "commands"
-    named = [path.stem for path in sorted(folder.glob("*.py")) if '__name__ == "__main__"' in path.read_text("utf-8")]
-    return ["main", *(name for name in named if name != "main")]
+def helps() -> dict[str, str]:
+    """Return the page of help of a run, by the empty word, and of every verb by its name."""
+    main, verbs = import_module("bench.commands.main").main, import_module("bench.commands.verbs").VERBS
+    pages = {}
+    for verb in ("", *verbs):
+        page = io.StringIO()
+        with redirect_stdout(page):
+            main([*([verb] if verb else []), "--help"])
+        pages[verb] = page.getvalue().strip()
+    return pages
 
 
 def _helps() -> Iterator[str]:
-    verbs = import_module("bench.commands.verbs").VERBS
-    lines = [("main", "bench", []), *(("main", f"bench {verb}", [verb]) for verb in verbs)]
-    lines += [(name, f"bench.{name}", []) for name in commands() if name != "main"]
-    for module, shown, words in lines:
-        said = io.StringIO()
-        with redirect_stdout(said):
-            import_module(f"bench.commands.{module}").main([*words, "--help"])
-        yield f"## `python -m {shown}`\n\n```text\n{said.getvalue().strip()}\n```"
+    for verb, page in helps().items():
+        yield f"## `python -m bench{f' {verb}' if verb else ''}`\n\n```text\n{page}\n```"

@@ -7,6 +7,7 @@ harms nobody. ``Forked.run`` gives what a shell would see.
 from __future__ import annotations
 
 import contextlib
+import encodings.ascii  # noqa: F401 - another user cannot read this Python
 import importlib
 import io
 import json

@@ -121,18 +121,6 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     assert not arrows
 
 
-@pytest.mark.parametrize("path", [p for p in BENCH if p.parent.name == "commands" and p.stem != "main"], ids=name)
-def test_a_command_runs_when_it_is_asked_for_by_name(path: Path) -> None:
-    """``python -m bench.<verb>`` runs its module as the main one; without this clause it would do nothing.
-
-    ``commands/main.py`` is what ``python -m bench`` runs.
-    """
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    commands = [item for item in tree.body if isinstance(item, ast.FunctionDef) and item.name == "main"]
-    clauses = [item for item in tree.body if isinstance(item, ast.If) and "__name__" in ast.unparse(item.test)]
-    assert len(clauses) == len(commands)
-
-
 @pytest.mark.parametrize("path", BENCH, ids=name)
 def test_jax_is_imported_in_functions_only(path: Path) -> None:
     tree = ast.parse(path.read_text(encoding="utf-8"))

@@ -7,8 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-from bench.commands.share import cell_identity
-from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, named_store
+from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, cell_identity, named_store
 from bench.engine.pool import Limits
 from bench.errors import InputError
 from bench.exchange.comparison import Verdict, compare_rows

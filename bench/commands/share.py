@@ -7,20 +7,13 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from bench.commands.declaration import Number, Others, Whole
-from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, named_store
+from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, cell_identity, named_store
 from bench.errors import InputError
 
 MOST_SEED = 2**63 - 1
 SCENARIO = ("system", "prior", "disturbance", "snr", "initial_state", "seed")
 """Fields, or groups of them, that determine the data of a replicate."""
 CELL = (*SCENARIO, "method", "replicates", "timeout_s", "memory_mb")
-
-
-def cell_identity(field: str, text: str) -> str:
-    """Read the identity of a cell, or its start."""
-    if set(text) - set("0123456789abcdef"):
-        raise InputError(field, text, "an identity of hexadecimal digits, or its start; python -m bench status")
-    return text
 
 
 def share(action: Annotated[Literal["submit", "merge", "export", "publish"], "what to do"]) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +13,6 @@ if TYPE_CHECKING:
 
 OWN = Path("outputs/rows")
 """The folder of a user's own cells, which may be absent where there is a published archive."""
-FIELDS = {"store": str(OWN), "archive": ""}
 StoreFolder = Annotated[Path, "folder of stored cells"]
 ArchiveFolder = Annotated[str | None, "published cells: a folder, or none [that of the checkout]"]
 
@@ -37,11 +35,8 @@ def named_store(store: Path, archive: str | None, filled: bool = False) -> Store
     return opened
 
 
-def store_of(fields: Mapping[str, str]) -> Store:
-    """The store of the fields of a command that is no verb yet."""
-    return named_store(Path(fields["store"]).expanduser(), fields["archive"])
-
-
-def filled_store(fields: Mapping[str, str]) -> Store:
-    """The same, with a cell in it at least."""
-    return named_store(Path(fields["store"]).expanduser(), fields["archive"], filled=True)
+def cell_identity(field: str, text: str) -> str:
+    """Read the identity of a cell, or its start."""
+    if set(text) - set("0123456789abcdef"):
+        raise InputError(field, text, "an identity of hexadecimal digits, or its start; python -m bench status")
+    return text

@@ -304,7 +304,7 @@ def test_workers_and_limits_reach_the_run_and_stand_in_its_provenance(store: Pat
     limits = ["workers=3", "timeout_s=50", "memory_mb=1500"]
     assert main(["method=prior", "replicates=2", *limits, f"store={store}"]) == 0
     (path,) = store.glob("*.json")
-    come = json.loads(path.read_text())["provenance"]
+    come = json.loads(path.read_text().splitlines()[0])["provenance"]
     assert (come["workers"], come["limits"]) == (3, {"timeout_s": 50.0, "memory_mb": 1500.0})
 
 
