@@ -7,10 +7,11 @@ versions of the packages are recorded beside them and make nothing stale.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from importlib.util import find_spec
 from typing import Any
 
 from bench import scoring
@@ -25,12 +26,18 @@ PACKAGES = ("numpy", "scipy")
 
 @dataclass(frozen=True)
 class Version:
-    """The versions of the method, the system and the scoring, and those of the packages in use, by name."""
+    """The versions of the method, the system and the scoring, and the names of the packages in use."""
 
     method: int
     system: int
     scoring: int
-    packages: Mapping[str, str]
+    requires: tuple[str, ...] = PACKAGES
+
+    @property
+    def packages(self) -> Mapping[str, str]:
+        """The public versions of the packages in use that are installed, by the name that is imported."""
+        versions = {name: _installed(name) for name in self.requires}
+        return {name: version for name, version in versions.items() if version}
 
     def as_json(self) -> dict[str, int]:
         """Return what a stored cell states."""
@@ -60,10 +67,9 @@ def cell_version(method: str, system: str) -> Version:
     Raises InputError for an unknown name.
     """
     if method in REFERENCES:
-        return Version(scoring.VERSION, load_system(system).version, scoring.VERSION, _installed(PACKAGES))
+        return Version(scoring.VERSION, load_system(system).version, scoring.VERSION)
     found = load_method(method)
-    packages = _installed((*PACKAGES, *found.requires))
-    return Version(found.version, load_system(system).version, scoring.VERSION, packages)
+    return Version(found.version, load_system(system).version, scoring.VERSION, (*PACKAGES, *found.requires))
 
 
 def bound_version(system: str) -> list[int]:
@@ -71,17 +77,13 @@ def bound_version(system: str) -> list[int]:
     return [load_system(system).version, scoring.VERSION]
 
 
-def _installed(names: tuple[str, ...]) -> dict[str, str]:
-    """Return the public versions of the packages that are installed, by the name that is imported."""
-    found = {}
-    for name in names:
-        for distribution in (name, *_distributions(name)):
-            with contextlib.suppress(PackageNotFoundError):
-                found[name] = version(distribution).partition("+")[0]
-                break
-    return found
-
-
-def _distributions(name: str) -> Iterator[str]:
-    """Yield the distributions that hold a package of another name; looking for them takes a tenth of a second."""
-    yield from packages_distributions().get(name, [])
+@cache
+def _installed(name: str) -> str:
+    """Return the public version of a package, or nothing."""
+    with contextlib.suppress(PackageNotFoundError):
+        return version(name).partition("+")[0]
+    if find_spec(name) is None:
+        return ""
+    for distribution in packages_distributions().get(name, []):  # a package that its distribution calls otherwise
+        return version(distribution).partition("+")[0]
+    return ""
