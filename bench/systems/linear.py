@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import ClassVar
 
 from bench.errors import InputError
@@ -36,6 +37,7 @@ class SDOF(System):
     linear: ClassVar[bool] = True
 
     @property
+    @cache
     def parameters(self) -> tuple[Parameter, ...]:
         return (
             Parameter("m", "kg", "mass", MASS),
@@ -47,6 +49,7 @@ class SDOF(System):
         return [p["m"] * a[0] + p["c"] * v[0] + p["k"] * x[0] - f[0]]
 
     @property
+    @cache
     def groups(self) -> tuple[Quantity, ...]:
         return (
             Quantity("k_over_m", "1/s²", {"k": 1.0, "m": -1.0}),
@@ -54,6 +57,7 @@ class SDOF(System):
         )
 
     @property
+    @cache
     def modal(self) -> tuple[Quantity, ...]:
         """``f_n = sqrt(k/m) / 2π`` and ``ζ = c / (2 sqrt(k m))``."""
         return (
