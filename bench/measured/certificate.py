@@ -172,7 +172,7 @@ def _instead(
 def _found(job: Any, measured: Measured, first: bool) -> Finding | None:
     """The finding of a job, those beside the first within a limit; of a reference row, which needs the truth, none."""
     limit = job.config.timeout_s if first else min(job.config.timeout_s, OTHERS_SECONDS)
-    config = job.config.model_copy(update={"timeout_s": limit})
+    config = replace(job.config, timeout_s=limit)
     try:
         return find(replace(job, config=config), measured)
     except InputError:
