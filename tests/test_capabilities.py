@@ -682,6 +682,7 @@ def test_several_files_of_one_rig(record: Path, tmp_path: Path) -> None:
     assert low < TRUE_RATIO < high
 
 
+@pytest.mark.slow
 def test_the_system_is_chosen(record: Path, tmp_path: Path) -> None:
     """``system=auto``"""
     line = cells("method=shooting", f"data={record}", "system=auto", "picture=none")

@@ -37,7 +37,19 @@ def rooms(folder: str, *names: str) -> tuple[str, ...]:
 
 
 ENGINES = (*rooms("bench/atlas", "run", "engine"), "bench/online/paths.py", "bench/measured/track.py")
-OUTSIDE = ("store", "config", "sweep", "engine", "isolation", "entrants", "face", "commands", "cli", "conformance", "kit")
+OUTSIDE = (
+    "store",
+    "config",
+    "sweep",
+    "engine",
+    "isolation",
+    "entrants",
+    "face",
+    "commands",
+    "cli",
+    "conformance",
+    "kit",
+)
 LIGHTER = (*rooms("bench", *OUTSIDE, "exchange"), *ENGINES)
 LIGHTER_TESTS = (
     *rooms("tests/bench", *OUTSIDE, "exchange"), "tests/malformed", "tests/misbehaving", "tests/forked",
@@ -66,7 +78,7 @@ GOALS = (
     Goal("  tests of what is around the science", 4_500, LIGHTER_TESTS),
     Goal("  studies of sweeps", 500, rooms("tests/studies", "sweeps")),
     Goal("tracked files", 800, ("",), "files"),
-    Goal("results/archive", 25_000, ("results/archive/",), "kB"),
+    Goal("results/archive", 35_000, ("results/archive/",), "kB"),
 )
 REACHED: tuple[str, ...] = ()
 """Names of goals that have been reached: none of them may be missed again."""

@@ -43,9 +43,8 @@ def _inside(folder: Path) -> int:
     store.mkdir()
     journal = Journal(store)
     driver = start(folder, *SWEEP)
-    for share, raylet, whole in ((0.2, head, False), (0.5, other, True)):
-        wanted = share * CELLS
-        wait_for(lambda wanted=wanted: len(journal.stored()) >= wanted or driver.poll() is not None, "cells", 600)
+    for cells, raylet, whole in ((CELLS // 5, head, False), (CELLS // 2, other, True)):
+        _wait_for_cells(journal, cells, driver)
         victims = [raylet, *_workers(raylet)] if whole else _workers(raylet)[:1]
         for pid in victims:
             os.kill(pid, signal.SIGKILL)
@@ -62,6 +61,10 @@ def _inside(folder: Path) -> int:
         ("cells that it computed", sum(journal.stored().values()) - sum(times.values()), 0),
     ]
     return report("two Ray nodes, a worker and a node killed", rows)
+
+
+def _wait_for_cells(journal: Journal, cells: int, driver: subprocess.Popen[str]) -> None:
+    wait_for(lambda: len(journal.stored()) >= cells or driver.poll() is not None, f"{cells} cells", 600)
 
 
 def _workers(raylet: int) -> list[int]:
