@@ -5,33 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from bench.commands.streams import OUTPUT, check_output, drop_output, prepare_streams
 from bench.errors import InputError, line_of
 from bench.isolation.ending import Ended, ended_by_signals
 from bench.isolation.interrupts import interrupts_again
-
-
-def command(
-    name: str,
-    page: str,
-    argv: Sequence[str] | None,
-    body: Callable[[list[str]], int],
-    interrupted: str = "interrupted",
-) -> int:
-    """A command by itself: its arguments, ``page`` for who asks for help, else its body as :func:`guarded` runs it."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-
-    def run() -> int:
-        if {"-h", "--help"} & set(arguments):
-            from bench.reporting.terminal import help_page
-
-            print(help_page(page))
-            return 0
-        return body(arguments)
-
-    return guarded(name, run, interrupted)
 
 
 def guarded(name: str, body: Callable[[], int], interrupted: str = "interrupted") -> int:

@@ -18,10 +18,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # where the tests find what 
 from forked import Forked
 from hypothesis import HealthCheck, given, seed, settings
 
-from bench.commands.fields import listed, one_of, positive, read_fields, whole
-from bench.commands.guard import command
 from fuzz.lines import LINES, check_line
 from fuzz.records import OPTIONS, RECORDS, check_record
+from tests.studies.fields import command, listed, one_of, positive, read_fields, whole
 
 EXAMPLES = 200
 """Of a round; each round has a seed of its own."""

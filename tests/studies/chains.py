@@ -21,8 +21,6 @@ import numpy as np
 import pandas as pd
 from tabulate import tabulate
 
-from bench.commands.fields import flag, read_fields, whole
-from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.contract.estimate import Status
 from bench.engine.pool import Limits
@@ -40,6 +38,7 @@ from bench.store.stored import StoredCell
 from bench.sweep.launch import complete
 from bench.systems import Chain
 from tests.studies.chains_picture import caption, picture
+from tests.studies.fields import command, flag, read_fields, whole
 
 SIZES = (1, 2, 3, 5, 10, 20)
 SEED = 0

@@ -20,11 +20,10 @@ from pathlib import Path
 import numpy as np
 
 from bench import InputError, Layout, Sample, Sensor
-from bench.commands.fields import folder_of, path_of, read_fields
-from bench.commands.guard import command
 from bench.entrants.online import make_online
 from bench.reporting.tables.common import markdown_table
 from bench.systems import make_system
+from tests.studies.fields import command, folder_of, path_of, read_fields
 
 RATE, KEPT_EVERY, HEADER = 5000.0, 20, 9
 BAND = (15.0, 70.0)

@@ -18,8 +18,6 @@ import numpy as np
 import pandas as pd
 
 import bench
-from bench.commands.fields import read_fields, whole
-from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.config.schema import Job
 from bench.contract.problem import Channel, Problem, Record
@@ -35,6 +33,7 @@ from bench.store.opening import DEFAULT_STORE, open_store
 from bench.store.store import Store
 from bench.sweep.launch import complete
 from bench.systems.linear import SDOF
+from tests.studies.fields import command, read_fields, whole
 
 SEED = 987
 PLAIN = {"m": 2.0, "c": 0.5, "k": 30.0}

@@ -13,8 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.commands.fields import read_fields, whole
-from bench.commands.guard import command
 from bench.config.atlas import on_the_bound
 from bench.engine.progress import counter
 from bench.entrants.registry import make_method
@@ -24,6 +22,7 @@ from bench.planning.forces import Forces, Told, told_by
 from bench.planning.search import Likely
 from bench.planning.verify import counted, simulated_forced
 from bench.reporting.tables.common import markdown_table
+from tests.studies.fields import command, read_fields, whole
 
 FIELDS = {"requests": "12", "tests": "20", "out": "results"}
 USAGE = """usage: python -m tests.studies.forces [requests=12] [tests=20] [out=results]

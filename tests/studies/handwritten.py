@@ -23,8 +23,6 @@ from scipy.optimize import least_squares
 from tabulate import tabulate
 
 from bench import Estimate, Normal, Problem, Status
-from bench.commands.fields import read_fields, whole
-from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.engine.progress import counter
 from bench.entrants.registry import make_method
@@ -39,6 +37,7 @@ from bench.scoring.score import score
 from bench.scoring.summary import wilson_interval
 from bench.store.bounds import Replicates, load_bounds
 from bench.store.store import Store
+from tests.studies.fields import command, read_fields, whole
 
 SEED = 4242
 """A seed that nothing was tuned on and no table uses."""

@@ -14,8 +14,6 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import binom, norm
 
-from bench.commands.fields import read_fields, whole
-from bench.commands.guard import command
 from bench.config.atlas import on_the_bound
 from bench.engine.progress import counter
 from bench.entrants.registry import make_method
@@ -24,6 +22,7 @@ from bench.planning.free_decay import QUANTITIES, Decay, errors, information
 from bench.planning.search import MOST_SAMPLES, WITHIN, Likely, Proposal, cheapest, not_exceeded
 from bench.planning.verify import reached, simulated
 from bench.reporting.tables.common import markdown_table
+from tests.studies.fields import command, read_fields, whole
 
 FIELDS = {"requests": "20", "tests": "500", "out": "results"}
 USAGE = """usage: python -m tests.studies.plans [requests=20] [tests=500] [out=results]

@@ -16,8 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.commands.fields import read_fields, whole
-from bench.commands.guard import command
 from bench.contract.estimate import Status
 from bench.contract.problem import Channel, Problem, Record
 from bench.entrants.registry import make_method
@@ -32,6 +30,7 @@ from bench.reporting.tables.common import markdown_table
 from bench.scenario.truth import closed_form
 from bench.scoring.summary import wilson_interval
 from bench.systems.linear import SDOF
+from tests.studies.fields import command, read_fields, whole
 
 METHOD = "output_error"
 RATE, RATIO = 2 * math.pi, 0.02

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.commands.guard import command, guarded
+from bench.commands.guard import guarded
 from bench.commands.main import main
 from bench.commands.verbs import VERBS
 from bench.config.experiment import expand
@@ -343,19 +343,6 @@ def test_letters_that_the_output_cannot_hold_are_no_traceback(python: Callable[.
 
 def test_a_guarded_command_gives_back_its_own_status() -> None:
     assert guarded("x", lambda: 3) == 3
-
-
-def test_a_command_shows_its_page_to_who_asks_and_never_runs_then(capsys: pytest.CaptureFixture[str]) -> None:
-    ran: list[list[str]] = []
-
-    def body(arguments: list[str]) -> int:
-        ran.append(arguments)
-        return 3
-
-    assert command("bench.some", "its page", ["--help", "field=1"], body) == 0
-    assert capsys.readouterr().out == "its page\n"
-    assert command("bench.some", "its page", ["field=1"], body) == 3
-    assert ran == [["field=1"]]
 
 
 @pytest.mark.parametrize("width", [40, 50, 60, 80, 200])

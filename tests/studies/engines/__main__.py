@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.commands.fields import flag, read_fields, whole
-from bench.commands.guard import command
 from bench.engine.progress import counter
 from bench.errors import InputError
 from bench.isolation.processes import single_threaded
 from bench.store.store import Store
+from tests.studies.fields import command, flag, read_fields, whole
 
 if TYPE_CHECKING:
     from tests.studies.engines.page import Study

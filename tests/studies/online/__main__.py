@@ -7,10 +7,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench.commands.fields import read_fields, whole
-from bench.commands.guard import command
 from bench.errors import InputError
 from bench.isolation.processes import compiled_single_threaded, single_threaded
+from tests.studies.fields import command, read_fields, whole
 from tests.studies.online.constant import constant
 from tests.studies.online.faults import faults
 from tests.studies.online.live import live

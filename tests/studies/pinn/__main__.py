@@ -16,13 +16,12 @@ from pathlib import Path
 
 from tabulate import tabulate
 
-from bench.commands.fields import flag, read_fields, whole
-from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.engine.progress import counter
 from bench.errors import InputError
 from bench.isolation.processes import single_threaded
 from bench.store.store import Store
+from tests.studies.fields import command, flag, read_fields, whole
 from tests.studies.pinn import pictures
 from tests.studies.pinn.common import Part
 

@@ -27,8 +27,6 @@ from bench import (
     rk4_step,
     simulate,
 )
-from bench.commands.fields import read_fields, whole
-from bench.commands.guard import command
 from bench.config.experiment import expand
 from bench.contract.problem import Hold
 from bench.engine.pool import Limits
@@ -39,6 +37,7 @@ from bench.measured.fit import Outcome, fit_alone
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import point_parameters
 from bench.store.store import Store
+from tests.studies.fields import command, read_fields, whole
 from tests.studies.silverbox.record import (
     ARROW,
     RATE,

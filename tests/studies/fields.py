@@ -1,13 +1,15 @@
-"""The fields of a command line, ``field=value``: each kind of value is read and refused in one place, here."""
+"""The fields of a study's command line, ``field=value``, and how the study is run."""
 
 from __future__ import annotations
 
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from bench.commands.guard import guarded
 from bench.config.suggest import did_you_mean
 from bench.errors import InputError
 
@@ -106,10 +108,22 @@ def folder_of(field: str, text: str) -> Path:
     return path
 
 
-def file_of(field: str, text: str, wanted: str) -> Path:
-    """A file that is there, and no pipe or device, of which nobody knows where it ends; raises InputError."""
-    path = path_of(text)
-    if not os.path.isfile(path):
-        kind = "it is no file" if os.path.exists(path) else "there is no such file"
-        raise InputError(field, text, f"{kind}; {wanted}")
-    return path
+def command(
+    name: str,
+    page: str,
+    argv: Sequence[str] | None,
+    body: Callable[[list[str]], int],
+    interrupted: str = "interrupted",
+) -> int:
+    """A command by itself: its arguments, ``page`` for who asks for help, else its body as :func:`guarded` runs it."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+
+    def run() -> int:
+        if {"-h", "--help"} & set(arguments):
+            from bench.reporting.terminal import help_page
+
+            print(help_page(page))
+            return 0
+        return body(arguments)
+
+    return guarded(name, run, interrupted)
