@@ -39,6 +39,7 @@ from bench.sweep.plan import Planned, State
 from bench.sweep.runner import compute_bounds, run_replicates
 
 LEAST_ROWS = 5
+AGAIN = "python -m bench share action=merge"
 OF_MACHINE = (Status.TIMEOUT, Status.KILLED, Status.OOM)
 """What becomes of a fit on a slower or smaller machine: rows that are not compared."""
 MOST_NAMED = 5
@@ -102,7 +103,7 @@ def _merge_submission(path: Path, into: Store, share: float, seed: int, workers:
         found = verify(pairs, theirs, share, seed, limits)
         print(wrapped(_verdict(found)))
         if found.different:
-            print(f"nothing was added; python -m bench.merge {path} seed={seed} draws the same rows again")
+            print(f"nothing was added; {AGAIN} submission={path} seed={seed} draws the same rows again")
             return 1
         facts = {
             "by": manifest.get("by", ""), "made": manifest.get("made", ""), "class": manifest.get("class", ""),

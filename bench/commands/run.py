@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -58,8 +59,13 @@ def run(options: Options, early: bool = False) -> int:
         print(__version__)
         return 0
     if options.completes:
+        from bench.commands.verbs import completed
         from bench.config.inspection import complete
 
+        offered = completed(os.environ.get("COMP_LINE", ""))
+        if offered:
+            print(*offered)
+            return 0
         return complete(options.shown, options.words)
     from bench.config.of_hydra import check_of_hydra, is_of_hydra, prepared
     from bench.config.overrides import read_overrides

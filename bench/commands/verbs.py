@@ -79,6 +79,22 @@ def _selected(keys: Collection[str], words: Sequence[str]) -> str:
     return next((key for key in keys if key and said.issuperset(key.split())), "")
 
 
+def completed(line: str) -> list[str]:
+    """Return what may follow the line that a shell has: a verb, or the fields of a verb and their values."""
+    from bench.commands.declaration import completions
+
+    words = line.split()
+    words = words[next((i + 1 for i, word in enumerate(words) if word.endswith("bench")), 0) :]
+    last = words.pop() if words and not line.endswith(" ") else ""
+    if not words:
+        return [name for name in VERBS if last and name.startswith(last)]
+    if words[0] not in VERBS:
+        return []
+    functions = variants(words[0])
+    choices = [part for key in functions for part in key.split() if "=" in part and part.startswith(last)]
+    return list(dict.fromkeys([*choices, *completions(functions[_selected(functions, words)], last)]))
+
+
 def summaries() -> str:
     """Return a line for each verb."""
     return "\n".join(f"  {name:<15} {line}" for name, line in VERBS.items())

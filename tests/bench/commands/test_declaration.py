@@ -26,7 +26,7 @@ from bench.commands.declaration import (
     read_settings,
 )
 from bench.commands.main import main
-from bench.commands.verbs import VERBS, variants
+from bench.commands.verbs import VERBS, completed, variants
 from bench.errors import InputError
 
 
@@ -139,6 +139,21 @@ def test_the_help_shows_every_field_with_its_default_and_its_values() -> None:
 )
 def test_the_shell_completes_fields_and_their_values(word: str, offered: list[str]) -> None:
     assert completions(measure, word) == offered
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("python -m bench ce", ["certify"]),
+        ("vibration-bench tables what=f", ["what=figures"]),
+        ("vibration-bench share action=export form=ar", ["form=arviz"]),
+        ("vibration-bench tables what=figures sv", ["svg="]),
+        ("vibration-bench certify tw", ["twins="]),
+        ("vibration-bench method=sh", []),
+    ],
+)
+def test_the_shell_completes_verbs(line: str, offered: list[str]) -> None:
+    assert completed(line) == offered
 
 
 def test_a_command_line_says_what_is_no_default() -> None:

@@ -171,7 +171,7 @@ def test_a_running_sweep_is_followed_to_its_end(new_store: StoreFactory) -> None
     )
     try:
         done = subprocess.run(
-            command("bench.status", *fields, "watch=0.2"), capture_output=True, text=True, timeout=240, env=ENVIRONMENT
+            command("bench", "status", *fields, "watch=0.2"), capture_output=True, text=True, timeout=240, env=ENVIRONMENT
         )
     finally:
         assert sweep.wait(240) == 0
@@ -203,15 +203,15 @@ def interrupted(arguments: Sequence[str]) -> tuple[int, str, str]:
 
 def test_ctrl_c_ends_a_watch_of_a_sweep_that_nobody_runs(new_store: StoreFactory) -> None:
     store = new_store()
-    code, out, err = interrupted(["bench.status", *SWEEP, f"store={store.folder}", "watch=30"])
+    code, out, err = interrupted(["bench", "status", *SWEEP, f"store={store.folder}", "watch=30"])
     assert code == 130
     assert out.endswith(f" 0/12 cells; {watch.NO_RUN}\n")
-    assert err.strip() == "bench.status: no longer watched; a run that is under way goes on"
+    assert err.strip() == "bench: interrupted"
 
 
 def test_a_reader_of_a_watch_that_goes_away_ends_it(new_store: StoreFactory) -> None:
     store = new_store()
-    watching = command("bench.status", *SWEEP, f"store={store.folder}", "watch=0.2")
+    watching = command("bench", "status", *SWEEP, f"store={store.folder}", "watch=0.2")
     process = subprocess.Popen(watching, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
     assert process.stdout is not None
     assert process.stderr is not None
@@ -226,7 +226,7 @@ def test_on_a_terminal_a_look_takes_the_place_of_the_one_before(store: Store) ->
     """Each look but the first goes up as many lines as the one before it had, and clears from there."""
     ours, theirs = pty.openpty()
     environment = {**ENVIRONMENT, "TERM": "xterm", "NO_COLOR": "1", "COLUMNS": "60"}
-    watching = command("bench.status", "method=prior", "replicates=2,3", f"store={store.folder}", "watch=0.1")
+    watching = command("bench", "status", "method=prior", "replicates=2,3", f"store={store.folder}", "watch=0.1")
     process = subprocess.Popen(watching, stdout=theirs, stderr=theirs, env=environment)
     os.close(theirs)
     text, deadline = "", time.monotonic() + 120
