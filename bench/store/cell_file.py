@@ -20,6 +20,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from bench.scoring.row import Row
+from bench.store.columns import Columns
 from bench.store.digits import DIGITS, decimal
 from bench.store.seal import Unsealed, sealed, unsealed
 from bench.store.shape import BODY, HEAD
@@ -54,7 +55,7 @@ def cell_file(cell: StoredCell) -> bytes:
     rows = {
         "status": [status.value for status in columns.statuses],
         **{key: to_json([getattr(row, key) for row in cell.rows]) for key in PLAIN},
-        "scores": {name: _scores(columns.scores(name)) for name in columns.score_names},
+        "scores": _scores(columns),
     }
     body = _dumped({"summary": to_json(cell.summary), "rows": rows})
     head = {
@@ -70,12 +71,15 @@ def cell_file(cell: StoredCell) -> bytes:
     return sealed(FORMAT, _dumped(head).decode()) + b"\n" + body
 
 
-def _scores(values: np.ndarray) -> list[Any]:
-    """Return a score by replicate, null where a replicate has none."""
-    rounded = decimal(values).tolist()
-    if np.all(np.isfinite(values)):
-        return list(rounded)
-    return [None if math.isnan(value) else value if math.isfinite(value) else str(value) for value in rounded]
+def _scores(columns: Columns) -> dict[str, list[Any]]:
+    """Return every score by replicate, null where a replicate has none."""
+    names = columns.score_names
+    values = decimal(np.array([columns.scores(name) for name in names]))
+    finite = np.all(np.isfinite(values), axis=-1) if names else []
+    return {
+        name: own if plain else [None if math.isnan(v) else v if math.isfinite(v) else str(v) for v in own]
+        for name, own, plain in zip(names, values.tolist(), finite, strict=True)
+    }
 
 
 def _dumped(content: Any) -> bytes:
@@ -130,13 +134,13 @@ def cell_from_file(content: bytes) -> StoredCell:
     )
 
 
-def _number(value: float | None) -> float:
-    return math.nan if value is None else value
+def _number(value: float | str | None) -> float:
+    return math.nan if value is None else float(value)
 
 
 def _rows(columns: Mapping[str, Any]) -> Sequence[Row]:
     names, scores = list(columns["scores"]), zip(*columns["scores"].values(), strict=True)
-    by_row = [{n: v for n, v in zip(names, values, strict=True) if v is not None} for values in scores]
+    by_row = [{n: float(v) for n, v in zip(names, values, strict=True) if v is not None} for values in scores]
     return tuple(
         Row(
             replicate=columns["replicate"][i],

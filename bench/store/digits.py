@@ -19,7 +19,7 @@ def decimal(values: np.ndarray) -> np.ndarray:
     up, down = 10.0 ** np.maximum(places, 0), 10.0 ** np.maximum(-places, 0)
     result = np.where(usual, np.round(values * up / down) / up * down, values)
     for i in np.flatnonzero(~usual & np.isfinite(values) & (values != 0)):
-        result[i] = float(f"{values[i]:.{DIGITS}g}")
+        result.flat[i] = float(f"{values.flat[i]:.{DIGITS}g}")
     return result
 
 

@@ -6,7 +6,7 @@ by every command; keys that are not named here may hold anything.
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from annotated_types import Len
 from pydantic import ConfigDict, Field, StrictBool, StrictStr, TypeAdapter, ValidationError
@@ -15,8 +15,10 @@ from typing_extensions import TypedDict
 from bench.contract.estimate import Status
 
 Whole = Annotated[int, Field(ge=-(2**63), lt=2**63)]
-Number = float | None
+Float = Annotated[float, Field(strict=True)] | Literal["inf", "-inf", "nan"]
 """JSON has no infinity and no NaN: they are the strings ``inf``, ``-inf`` and ``nan``."""
+Number = Float | None
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
 
 class _Open(TypedDict, total=False):
@@ -34,14 +36,14 @@ class Data(_Open, total=False):
 
     system: StrictStr
     options: dict[str, Any]
-    parameters: dict[str, float]
-    initial: Annotated[list[Annotated[list[float], Len(1)]], Len(2, 2)]
-    snr_db: float
-    duration: float
+    parameters: dict[str, Float]
+    initial: Annotated[list[Annotated[list[Finite], Len(1)]], Len(2, 2)]
+    snr_db: Float
+    duration: Float
     samples: Whole
     force: dict[str, Any] | None
     disturbance: Disturbance | None
-    added_mass: list[float] | None
+    added_mass: list[Float] | None
     measured: list[Whole] | None
     truth: StrictStr
 
@@ -50,7 +52,7 @@ class Given(_Open, total=False):
     """What a method is given beside the data."""
 
     initial_state: StrictStr
-    prior: dict[str, StrictBool | float | StrictStr] | None
+    prior: dict[str, StrictBool | Float | StrictStr] | None
 
 
 class Description(_Open, total=False):
@@ -62,12 +64,12 @@ class Description(_Open, total=False):
     settings: dict[str, Any]
     replicates: Whole
     seed: Whole
-    snr_db: float
+    snr_db: Float
     initial_state: StrictStr
     data: Data
-    sigma: list[float]
+    sigma: list[Float]
     told: Given
-    sigma_over_peak: float
+    sigma_over_peak: Float
 
 
 class Provenance(_Open, total=False):
@@ -81,7 +83,7 @@ class Provenance(_Open, total=False):
     processor: StrictStr | None
     data: StrictStr
     packages: dict[str, StrictStr | None]
-    limits: dict[str, float]
+    limits: dict[str, Float]
 
 
 class Version(_Open, total=False):
@@ -98,8 +100,8 @@ class Head(_Open):
     identity: StrictStr
     cell: Description
     statuses: dict[Status, Whole]
-    wall_s: Number
-    prior_share: dict[str, float]
+    wall_s: Float
+    prior_share: dict[str, Float]
     identifiable: dict[str, StrictBool]
     provenance: Provenance
     version: Version

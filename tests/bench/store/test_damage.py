@@ -157,9 +157,7 @@ THINGS: dict[str, Callable[[Path], None]] = {
 
 
 @pytest.mark.parametrize("what", THINGS)
-def test_what_is_no_file_is_one_line_at_once(
-    store: Store, path: Path, what: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_file_is_one_line_at_once(store: Store, path: Path, what: str) -> None:
     cell = store.load(path.stem)
     assert cell is not None
     reads: Mapping[Path, Callable[[], Any]] = {
@@ -175,15 +173,13 @@ def test_what_is_no_file_is_one_line_at_once(
         assert place.name in str(caught.value)
         assert len(str(caught.value).splitlines()) == 1
     with limited(LONG_S):
-        assert main(["status", f"store={store.folder}"]) == 0
-    assert "1 damaged" in capsys.readouterr().out
+        assert "1 damaged" in status.store_page(store)
 
 
-def test_a_name_that_is_not_utf_8_is_no_cell_s(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_name_that_is_not_utf_8_is_no_cell_s(store: Store) -> None:
     with open(os.fsencode(store.folder) + b"/\xff.json", "wb") as file:
         file.write(b"{}")
-    assert main(["status", f"store={store.folder}"]) == 0
-    assert "2 cells" in capsys.readouterr().out
+    assert "2 cells" in status.store_page(store)
 
 
 # ---- whatever another hand has sealed
