@@ -147,14 +147,17 @@ class ArchivedSummary(Mapping[str, Mapping[str, float]]):
 
     def __init__(self, file: ParquetFile, lines: slice) -> None:
         self._file, self._lines = file, lines
+        self._read: dict[str, Mapping[str, float]] = {}
 
     @cached_property
     def _places(self) -> dict[str, int]:
         return {name: self._lines.start + i for i, name in enumerate(self._file.items("metric")[self._lines])}
 
     def __getitem__(self, metric: str) -> Mapping[str, float]:
-        place = self._places[metric]
-        return {name: float(self._file.numbers(name)[place]) for name in STATISTICS}
+        if metric not in self._read:
+            place = self._places[metric]
+            self._read[metric] = {name: float(self._file.numbers(name)[place]) for name in STATISTICS}
+        return self._read[metric]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._places)

@@ -168,7 +168,8 @@ class System(ABC):
     def quantities(self) -> tuple[Quantity, ...]:
         """Everything that is scored, each once: parameters, groups (a parameter may be one) and modal quantities."""
         own = tuple(Quantity(p.name, p.unit, {p.name: 1.0}) for p in self.parameters)
-        return own + tuple(group for group in self.groups if group.name not in self.names) + self.modal
+        names = {q.name for q in own}
+        return own + tuple(group for group in self.groups if group.name not in names) + self.modal
 
     def rescaled(self, scale: Callable[[Dimension], float]) -> Self:
         """The same system in other units, of which ``scale`` says the size; itself unless an option has a dimension."""

@@ -97,10 +97,12 @@ def stated_interval(store: Store, result: Result, quantity: str) -> tuple[float,
     """The first replicate's stated interval of a quantity over its true value: two standard deviations of its logarithm
     to either side, or the middle 95 % of the draws."""
     system = result.known_model
-    if system is None or result.truth_drawn or quantity not in {q.name for q in system.quantities}:
+    if system is None or result.truth_drawn:
+        return None
+    what = next((q for q in system.quantities if q.name == quantity), None)
+    if what is None:
         return None
     arrays = result.arrays(store)
-    what = system.quantity(quantity)
     true = float(what.value(result.parameters))
     draws = arrays.get("draws")
     if draws is not None and draws.shape[1:] == (len(system.names),):
