@@ -71,7 +71,7 @@ def atlas(
 
     check_of_hydra(launcher)
     number, shards = shard or _shard("shard", "")
-    stated = [Atlas(test, name, method, points) for name in part or part_names(test)]
+    stated = [Atlas(test, name, list(method), points) for name in part or part_names(test)]
     tasks = {one.part: one.blocks() for one in stated}
     workers = workers or usable_cores()
     if not dry_run:
