@@ -231,6 +231,7 @@ bench | method=prior system.duration=${system.duration} | system.duration | ${sy
 bench | method=prior system.label=${oc.env:HOME} | system.label | ${oc.env:HOME} |
 bench | method=prior +system.zz=20 | system.zz | 20 | no such field
 bench | method=prior ~system | ~system | | can be left out
+bench | method=ls data=good.csv force_gain=0 | force_gain | 0 | no force
 bench | -m method=prior workers=1,2 | workers | 1,2 | one value
 bench | -m method=prior dry_run=false,true | dry_run | false,true | one value
 bench | method=prior method@x=ls | method@x | ls | not a field

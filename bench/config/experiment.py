@@ -38,6 +38,8 @@ class Experiment:
     name: str
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise InputError("experiment", self.name, f"the name of one: {', '.join(choices('experiment'))}")
         check_choice("experiment", self.name)
 
     @cached_property

@@ -181,7 +181,11 @@ def identify(
         "memory_mb": memory_mb, "rate": rate, "fixed": fixed, "decimate": decimate, "detrend": detrend,
     }  # fmt: skip
     known = {"start": [list(start)], "initial_state": "known"} if start is not None else {}
-    of_file: dict[str, Any] = {"data": ",".join(paths) or None, "columns": _written(columns), "units": _written(units)}
+    of_file: dict[str, Any] = {
+        "data": ",".join(paths) or None,
+        "columns": _written("columns", columns, "{'t': 0, 'x': 3}"),
+        "units": _written("units", units, "{'t': 'ms', 'x': 'mm'}"),
+    }
     if span is not None:
         of_file |= {"from": span[0], "to": span[1]}
     overrides = {**overrides_of(fields, known, of_file, settings or {}), **({"system": [system]} if system else {})}
@@ -192,7 +196,9 @@ def identify(
     return identified(found_by(request, read_measured(request, recordings))[0])
 
 
-def _written(pairs: Mapping[str, Any] | None) -> str | None:
+def _written(field: str, pairs: Mapping[str, Any] | None, example: str) -> str | None:
+    if pairs is not None and not isinstance(pairs, Mapping):
+        raise InputError(field, pairs, f"a mapping, as {example}")
     return None if not pairs else ",".join(f"{role}:{value}" for role, value in pairs.items())
 
 

@@ -58,6 +58,9 @@ def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Mea
     system = _system(request, recordings[0])
     start = _start(job)
     records = tuple(_record(recording, system, start, job) for recording in recordings)
+    for name, value in (("force_gain", job.config.force_gain), ("hold", job.config.hold)):
+        if name in job.explicit and not any(record.forces for record in records):
+            raise InputError(name, value, "there is no force in the record; leave it out, or name its column: columns=")
     names, prior = ", ".join(Path(recording.source).name for recording in recordings), _prior(job, system)
     try:
         problem = Problem(system, records, prior, name=names)
@@ -78,6 +81,10 @@ def of_arrays(times: ArrayLike, displacement: ArrayLike, force: ArrayLike | None
             columns[name] = np.array(values, dtype=float)
         except (TypeError, ValueError):
             raise InputError(name, "array", "numbers are needed") from None
+        if not np.all(np.isfinite(columns[name])):
+            raise InputError(
+                name, "array", f"sample {np.argmin(np.isfinite(columns[name]))} is not finite; leave it out"
+            )
         if columns[name].ndim != 1 or columns[name].size != columns["times"].size:
             remedy = "one-dimensional, with a number for each of the times"
             raise InputError(name, f"array of shape {columns[name].shape}", remedy)

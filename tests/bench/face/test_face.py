@@ -126,6 +126,9 @@ def test_a_record_is_identified_from_a_file_as_from_arrays(tmp_path: Path, capfd
         ({"data": "r.csv", "displacement": DECAY}, "displacement=array: a file has it"),
         ({"data": TIMES, "displacement": DECAY[1:]}, r"displacement=array of shape \(59,\): one-dimensional"),
         ({"data": TIMES, "displacement": ["a"] * 60}, "displacement=array: numbers"),
+        ({"data": TIMES, "displacement": np.where(TIMES[7] == TIMES, np.nan, DECAY)}, "array: sample 7 is not finite"),
+        ({"data": TIMES, "displacement": DECAY, "columns": ["t", "x"]}, "a mapping, as {'t': 0"),
+        ({"data": TIMES, "displacement": DECAY, "settings": {"force_gain": 0}}, "force_gain=0.0: there is no force"),
         ({"data": TIMES[:2], "displacement": DECAY[:2]}, "2 samples; at least 3"),
         ({"data": TIMES[::-1], "displacement": DECAY}, "times must increase"),
         ({"data": TIMES, "displacement": DECAY, "prior": "nominal"}, "nominal values: nominal.m="),
@@ -136,6 +139,12 @@ def test_a_record_is_identified_from_a_file_as_from_arrays(tmp_path: Path, capfd
 def test_a_record_that_makes_no_sense_is_one_sentence(given: dict[str, Any], sentence: str) -> None:
     with pytest.raises(bench.InputError, match=sentence):
         bench.identify(given.pop("data"), method="ls", **given)
+
+
+@pytest.mark.parametrize("name", [None, 3, "table99"])
+def test_an_experiment_that_does_not_exist_is_one_sentence(name: Any) -> None:
+    with pytest.raises(bench.InputError, match=f"experiment={name}: .*table5"):
+        bench.experiment(name)
 
 
 SCRIPT = """
