@@ -226,31 +226,38 @@ def _field(parameter: str, declared: Any, default: Any) -> Field:
 
 def read_arguments(verb: Callable[..., int], arguments: Sequence[str]) -> dict[str, Any]:
     """Read the words of a command line as the arguments of a verb; raises InputError for the first that is wrong."""
-    fields = {field.name: field for field in fields_of(verb)}
-    others = next((field for field in fields.values() if isinstance(field.read, Others)), None)
-    given: dict[str, str] = {}
-    rest: list[str] = []
+    fields, given, rest = {}, {}, []
+    others, parameter, also = Others(()), "", ""
+    for field in fields_of(verb):
+        if isinstance(field.read, Others):
+            others, parameter, also = field.read, field.parameter, f", {field.text}"
+        else:
+            fields[field.name] = field
     for argument in arguments:
         name, equals, text = argument.partition("=")
         if not equals:
             raise InputError("argument", argument, _bare(argument, fields))
-        if others is not None and name not in fields and others.read.take(name):
+        if name not in fields:
+            if not others.take(name):
+                near = did_you_mean(name, list(fields))
+                raise InputError(name, text, f"not a field; {near}fields: {', '.join(fields)}{also}")
             rest.append(argument)
             continue
-        if name not in fields or fields[name] is others:
-            known = [field.name for field in fields.values() if field is not others]
-            also = "" if others is None else f", {others.text}"
-            raise InputError(name, text, f"not a field; {did_you_mean(name, known)}fields: {', '.join(known)}{also}")
         if not text:
             raise InputError(name, text, "give a value, or leave the field out")
         if name in given:
             raise InputError(name, text, "given twice; give it once")
         given[name] = text
-    missing = next((field for field in fields.values() if field.required and field.name not in given), None)
-    if missing is not None and missing is not others:
-        raise InputError(missing.name, "", f"needed: {missing.text}")
-    values = {field.parameter: field.read(name, given[name]) for name, field in fields.items() if name in given}
-    return values if others is None else {**values, others.parameter: rest}
+    for name, field in fields.items():
+        if field.required and name not in given:
+            raise InputError(name, "", f"needed: {field.text}")
+    values = {fields[name].parameter: _read(fields[name], text) for name, text in given.items()}
+    return {**values, parameter: rest} if parameter else values
+
+
+def _read(field: Field, text: str) -> Any:
+    assert not isinstance(field.read, Others)
+    return field.read(field.name, text)
 
 
 def _bare(argument: str, fields: dict[str, Field]) -> str:

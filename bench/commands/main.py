@@ -13,14 +13,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     from bench.commands.guard import guarded
     from bench.commands.options import read_options
     from bench.commands.run import run
-    from bench.commands.verbs import execute, named_verb
+    from bench.commands.verbs import RUN, execute, named_verb
 
     arguments = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
         hide_arguments()
     verb = named_verb(arguments)
     if verb is not None:
-        rest = [word for place, word in enumerate(arguments) if place != arguments.index(verb)]
-        return guarded("bench", lambda: execute(verb, rest))
+        arguments.remove(verb)
+    if verb is not None and verb not in RUN:
+        return guarded("bench", lambda: execute(verb, arguments))
     kept = "interrupted; finished cells are kept, the same command goes on from here"
     return guarded("bench", lambda: run(read_options(arguments), early=argv is None), kept)

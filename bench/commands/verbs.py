@@ -21,6 +21,8 @@ VERBS = {
     "share": "Share results: action=submit, merge, export or publish.",
 }
 """Each verb, the function of its name in the module of its name, with its line in the list of all, which loads none."""
+RUN = ("run", "identify")
+"""Words for what a line without a verb does: a run of cells, or the identification of a measured record (data=)."""
 COMMAND = "python -m bench"
 
 

@@ -182,6 +182,13 @@ def main_version(capsys: pytest.CaptureFixture[str]) -> str:
     return capsys.readouterr().out
 
 
+@pytest.mark.parametrize("word", ["run", "identify"])
+def test_a_run_may_be_called_by_its_name(word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([word, "method=ls", "data=nowhere.csv"]) == main(["method=ls", "data=nowhere.csv"]) == 2
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == second
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

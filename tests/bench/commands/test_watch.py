@@ -171,7 +171,11 @@ def test_a_running_sweep_is_followed_to_its_end(new_store: StoreFactory) -> None
     )
     try:
         done = subprocess.run(
-            command("bench", "status", *fields, "watch=0.2"), capture_output=True, text=True, timeout=240, env=ENVIRONMENT
+            command("bench", "status", *fields, "watch=0.2"),
+            capture_output=True,
+            text=True,
+            timeout=240,
+            env=ENVIRONMENT,
         )
     finally:
         assert sweep.wait(240) == 0

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from stored import described, recorded, save, scored
 
+from bench.commands import merge
 from bench.commands.main import main
 from bench.commands.merge import draw
 from bench.config.experiment import expand
