@@ -110,8 +110,7 @@ def _experiment(name: str, words: list[str], options: Options) -> int:
 
 def _usage() -> str:
     from bench.commands.verbs import summaries
-    from bench.config.choices import GROUPS, choices
-    from bench.config.experiment import default_choices
+    from bench.config.choices import GROUPS, choices, default_choices
     from bench.config.fields import choices_of, declared, defaults, help_text
     from bench.reporting.terminal import wrapped
 

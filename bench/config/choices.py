@@ -28,6 +28,13 @@ def choices(group: str) -> list[str]:
     return sorted({*file_names(group), *(method_names() if group == "method" else ())})
 
 
+@cache
+def default_choices() -> dict[str, str]:
+    """Return the choice of every group that ``conf/config.yaml`` makes."""
+    named = [entry for entry in read_yaml("", "config")["defaults"] if isinstance(entry, dict)]
+    return {group: name for entry in named for group, name in entry.items()}
+
+
 def is_choice(group: str, name: str) -> bool:
     """Return whether a name stands for a choice, drawn and registered scenarios included."""
     return name in choices(group) or (group == "system" and (name in _OWN or drawn_scenario(name) is not None))

@@ -6,15 +6,14 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
-from bench.config.choices import GROUPS, check_choice, choices
+from bench.config.choices import GROUPS, check_choice, choices, default_choices
 from bench.config.composition import Part, composed, part_of
 from bench.config.drawn import drawn_scenarios
 from bench.config.fields import GROUPS as COMPOSED
 from bench.config.fields import SWEPT
-from bench.config.files import read_yaml
 from bench.config.limits import check_names
 from bench.config.overrides import DELETED, Overrides, check_of_records, read_overrides, written
 from bench.config.schema import Job, config_from
@@ -174,10 +173,3 @@ def _job(
             values[name] = {**values.get(name, {}), below: value} if below else value
     settings = [f"{k.partition('.')[2]}={v}" for k, v in chosen.items() if k.startswith("method.") and v is not DELETED]
     return Job(config_from(values), " ".join([str(chosen["method"]), *settings]), explicit)
-
-
-@cache
-def default_choices() -> dict[str, str]:
-    """Return the choice of every group that ``conf/config.yaml`` makes."""
-    named = [entry for entry in read_yaml("", "config")["defaults"] if isinstance(entry, dict)]
-    return {group: name for entry in named for group, name in entry.items()}

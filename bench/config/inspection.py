@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from typing import Any
 from unittest.mock import patch
 
-from bench.config.choices import is_choice, own_file, register_own_file
+from bench.config.choices import default_choices, is_choice, own_file, register_own_file
 from bench.config.composition import composed, literal, part_of
-from bench.config.experiment import default_choices
 from bench.config.overrides import DELETED, Overrides, written
 from bench.config.sources import hydra_ready, register_plugins
 from bench.errors import InputError
