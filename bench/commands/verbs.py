@@ -41,7 +41,7 @@ def variants(name: str) -> dict[str, Callable[..., int]]:
     from bench.config.suggest import did_you_mean
 
     if name not in VERBS:
-        near = f"did you mean method={name}? " if name in choices("method") else did_you_mean(name, VERBS)
+        near = f"did you mean method={name}? " if name in choices("method") else did_you_mean(name, list(VERBS))
         raise InputError("verb", name, f"{near}verbs: {', '.join(VERBS)}; fields are written name=value")
     module = import_module(f"bench.commands.{name}")
     return {"": getattr(module, name), **getattr(module, "VARIANTS", {})}

@@ -40,6 +40,8 @@ def test_a_method_from_the_template_is_run_submitted_and_merged(
     assert after.cell == {**before.cell, "label": "quarter_car (submitted)"}
     assert [(row.status, row.scores) for row in after.rows] == [(row.status, row.scores) for row in before.rows]
     assert after.n_ok == 6
-    refused = python("-m", "bench", "share", "action=merge", f"submission={sent}", f"store={ours.folder}")  # where the method is not installed
+    refused = python(
+        "-m", "bench", "share", "action=merge", f"submission={sent}", f"store={ours.folder}"
+    )  # where the method is not installed
     assert refused.returncode == 2
     assert "method=quarter_car: known methods" in refused.stderr
