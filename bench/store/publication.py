@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 ARRAY_BITS = 17
 """Binary digits behind the first of the numbers of arrays: five decimal ones."""
+TRACE, SINGLE_BITS = "trace_", 23
+"""Traces of a search keep all digits of single precision: pictures show differences of objectives."""
 LARGEST_SINGLE = 3e38
 """A column with a larger finite number is kept in double precision."""
 
@@ -164,10 +166,11 @@ def _arrays_bytes(entries: Iterable[Entry]) -> bytes:
             key = name, hashlib.sha256(values.tobytes()).hexdigest()
             same_as = first.setdefault(key, entry.cell.identity)
             own = same_as == entry.cell.identity
+            bits = SINGLE_BITS if name.startswith(TRACE) else ARRAY_BITS
             lines.append({
                 "identity": entry.cell.identity, "name": name, "shape": list(values.shape),
                 "whole": values.dtype.kind == "i", "same_as": None if own else same_as,
-                "values": _single(values.ravel().astype(float), ARRAY_BITS) if own else np.empty(0, np.float32),
+                "values": _single(values.ravel().astype(float), bits) if own else np.empty(0, np.float32),
             })  # fmt: skip
     return _lines_bytes(lines, lists="values")
 
