@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import ClassVar
 
 from bench.errors import InputError
@@ -26,6 +25,22 @@ GROUP_UNITS: dict[Kind, str] = {"mass": "-", "damping": "1/s", "stiffness": "1/s
 """Units of mass, damping and stiffness over a mass."""
 
 
+SDOF_PARAMETERS = (
+    Parameter("m", "kg", "mass", MASS),
+    Parameter("c", "N·s/m", "damping", DAMPING),
+    Parameter("k", "N/m", "stiffness", STIFFNESS),
+)
+SDOF_GROUPS = (
+    Quantity("k_over_m", "1/s²", {"k": 1.0, "m": -1.0}),
+    Quantity("c_over_m", "1/s", {"c": 1.0, "m": -1.0}),
+)
+SDOF_MODAL = (
+    Quantity("natural_frequency", "Hz", {"k": 0.5, "m": -0.5}, 0.5 / math.pi),
+    Quantity("damping_ratio", "-", {"c": 1.0, "k": -0.5, "m": -0.5}, 0.5),
+)
+"""Made once: scoring asks for them with every replicate."""
+
+
 @dataclass(frozen=True)
 class SDOF(System):
     """Single degree of freedom, ``m x'' + c x' + k x = f(t)`` (the paper's equations 1 and A1).
@@ -37,33 +52,20 @@ class SDOF(System):
     linear: ClassVar[bool] = True
 
     @property
-    @cache
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("m", "kg", "mass", MASS),
-            Parameter("c", "N·s/m", "damping", DAMPING),
-            Parameter("k", "N/m", "stiffness", STIFFNESS),
-        )
+        return SDOF_PARAMETERS
 
     def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
         return [p["m"] * a[0] + p["c"] * v[0] + p["k"] * x[0] - f[0]]
 
     @property
-    @cache
     def groups(self) -> tuple[Quantity, ...]:
-        return (
-            Quantity("k_over_m", "1/s²", {"k": 1.0, "m": -1.0}),
-            Quantity("c_over_m", "1/s", {"c": 1.0, "m": -1.0}),
-        )
+        return SDOF_GROUPS
 
     @property
-    @cache
     def modal(self) -> tuple[Quantity, ...]:
         """``f_n = sqrt(k/m) / 2π`` and ``ζ = c / (2 sqrt(k m))``."""
-        return (
-            Quantity("natural_frequency", "Hz", {"k": 0.5, "m": -0.5}, 0.5 / math.pi),
-            Quantity("damping_ratio", "-", {"c": 1.0, "k": -0.5, "m": -0.5}, 0.5),
-        )
+        return SDOF_MODAL
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,9 @@ def test_every_picture_is_the_same_each_time_and_has_a_caption(store: Store, tmp
         assert caption.endswith(".")
         assert len(caption.splitlines()) == 1
         assert "nan" not in caption
-    done = python("-m", "bench", "tables", "what=figures", f"store={store.folder}", f"out={again}", env={"PYTHONHASHSEED": "7"})
+    done = python(
+        "-m", "bench", "tables", "what=figures", f"store={store.folder}", f"out={again}", env={"PYTHONHASHSEED": "7"}
+    )
     assert done.returncode == 0, done.stderr
     assert {path.name: path.read_bytes() for path in again.iterdir()} == first
 
