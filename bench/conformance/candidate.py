@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
 import subprocess
@@ -73,17 +74,17 @@ class Candidate:
         if done.returncode:
             lines = done.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
             raise Refusal(f"another process of it ended with status {done.returncode}: {lines[-1][:200]}")
-        answers: list[list[float]] = pickle.loads(done.stdout)
+        answers: list[list[float]] = json.loads(done.stdout)
         return answers[::-1]
 
 
 def solve_again() -> None:
-    """Solve problems in the order that standard input names, and write the values to standard output, pickled."""
+    """Solve problems in the order that standard input names, and write the values to standard output as JSON."""
     output = os.dup(1)
     os.dup2(2, 1)  # what a method prints must not mix with the answer
     method, seeds = pickle.loads(sys.stdin.buffer.read())
-    answers = pickle.dumps([replicate_values(Candidate(method), seed) for seed in seeds])
-    with os.fdopen(output, "wb") as file:
+    answers = json.dumps([replicate_values(Candidate(method), seed) for seed in seeds])
+    with os.fdopen(output, "w") as file:
         file.write(answers)
 
 
