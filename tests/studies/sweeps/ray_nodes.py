@@ -7,6 +7,7 @@ Both nodes are on this machine, in namespaces with no network but loopback. Ever
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 import signal
@@ -18,7 +19,7 @@ from pathlib import Path
 import psutil
 
 from tests.studies.sweeps.apart import run_apart
-from tests.studies.sweeps.common import Journal, finish, report, start, stored_cells, wait_for
+from tests.studies.sweeps.common import Journal, environment, finish, report, start, stored_cells, wait_for
 
 CELLS = 200
 SWEEP = (
@@ -26,6 +27,8 @@ SWEEP = (
     "store=rows", "hydra/launcher=ray", "hydra.launcher.ray.init.address=auto",
 )  # fmt: skip
 PORT, SLOTS = 6399, 2
+BUSY = "ray::_run_job"
+"""What Ray calls a worker while it is at the function of Hydra's launcher."""
 
 
 def main() -> int:
@@ -37,17 +40,18 @@ def main() -> int:
 
 def _inside(folder: Path) -> int:
     os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32), "RAY_USAGE_STATS_ENABLED": "0"}
-    head = _node("--head", f"--port={PORT}", "--include-dashboard=false", f"--temp-dir={folder / 'head'}")
-    other = _node(f"--address=127.0.0.1:{PORT}")
+    head = _node(folder, "--head", f"--port={PORT}", "--include-dashboard=false", f"--temp-dir={folder / 'head'}")
+    other = _node(folder, f"--address=127.0.0.1:{PORT}")
     store = folder / "rows"
     store.mkdir()
     journal = Journal(store)
     driver = start(folder, *SWEEP)
     for cells, raylet, whole in ((CELLS // 5, head, False), (CELLS // 2, other, True)):
         _wait_for_cells(journal, cells, driver)
-        victims = [raylet, *_workers(raylet)] if whole else _workers(raylet)[:1]
+        victims = [raylet, *_processes(raylet)] if whole else _busy_workers(raylet)[:1]
         for pid in victims:
-            os.kill(pid, signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):  # it ended with its parent
+                os.kill(pid, signal.SIGKILL)
         print(f"killed {len(victims)} process(es) at {len(journal.stored())} cells")
     status, _ = finish(driver)
     times = dict(journal.stored())
@@ -67,20 +71,23 @@ def _wait_for_cells(journal: Journal, cells: int, driver: subprocess.Popen[str])
     wait_for(lambda: len(journal.stored()) >= cells or driver.poll() is not None, f"{cells} cells", 600)
 
 
-def _workers(raylet: int) -> list[int]:
-    """Return the processes of a node, the busiest first."""
-    children = psutil.Process(raylet).children(recursive=True)
-    return [child.pid for child in sorted(children, key=lambda child: -child.cpu_times().user)]
+def _processes(raylet: int) -> list[int]:
+    """Return the processes of a node below its raylet: its agents and workers, and the processes of methods."""
+    return [child.pid for child in psutil.Process(raylet).children(recursive=True)]
 
 
-def _node(*options: str) -> int:
-    """Start a node; return the process that all its workers are children of."""
+def _busy_workers(raylet: int) -> list[int]:
+    """Return the processes of a node that are at a job; a raylet ends with its agents, which are its children too."""
+    return [child.pid for child in psutil.Process(raylet).children() if child.name() == BUSY]
+
+
+def _node(folder: Path, *options: str) -> int:
+    """Start a node whose workers find the stand-in; return the process that they are all children of."""
     before = _raylets()
     ray = str(Path(sys.executable).with_name("ray"))
     own = ["--node-ip-address=127.0.0.1", f"--num-cpus={SLOTS}", "--object-store-memory=80000000"]
-    subprocess.run(
-        [ray, "start", *options, *own, "--disable-usage-stats"], check=True, capture_output=True, timeout=120
-    )
+    command = [ray, "start", *options, *own, "--disable-usage-stats"]
+    subprocess.run(command, env=environment(folder), check=True, capture_output=True, timeout=120)
     return next(iter(_raylets() - before))
 
 
