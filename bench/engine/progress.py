@@ -265,6 +265,8 @@ def _lines() -> OnLook:
     stages: dict[str, _Stage] = {}
 
     def on_look(look: Look) -> None:
+        if look.unit in stages and look.done == look.total == stages[look.unit].look.done:
+            return  # its last line is printed
         stage = stages.setdefault(look.unit, _Stage(look))
         stage.look, stage.seen = look, time.monotonic()
         if look.total and (look.done == look.total or stage.seen - stage.printed >= LINE_S):
