@@ -88,8 +88,9 @@ def draw_bound(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame, column: s
     """A bound in grey, by its logarithm, with contours in percent."""
     x, y, z = grid(across, up, frame, column)
     axis.pcolormesh(x, y, np.log10(100.0 * z), cmap=SHADES, vmin=-2.0, vmax=3.0, shading="nearest", rasterized=True)
-    lines = axis.contour(x, y, 100.0 * z, levels=LEVELS, colors=LINE, linewidths=0.9)
-    axis.clabel(lines, fmt="%g", inline_spacing=1)
+    if min(z.shape) > 1:  # the first blocks of a slice are not yet two rows
+        lines = axis.contour(x, y, 100.0 * z, levels=LEVELS, colors=LINE, linewidths=0.9)
+        axis.clabel(lines, fmt="%g", inline_spacing=1)
     set_scales(axis, across, up)
 
 
@@ -99,7 +100,7 @@ def _gross(axis: Any, across: Axis, up: Axis, frame: pd.DataFrame) -> Any:
     draw_ambiguous(axis, across, up, frame)
     inside = grid(across, up, frame.assign(near=near(frame).astype(float)), "near")[2]
     inside = majority(inside)
-    if np.nanmin(inside) < 0.5 < np.nanmax(inside):
+    if min(inside.shape) > 1 and np.nanmin(inside) < 0.5 < np.nanmax(inside):
         axis.contour(x, y, inside, levels=[0.5], colors=LINE, linewidths=0.9)
     set_scales(axis, across, up)
     return mesh

@@ -90,6 +90,12 @@ def test_the_command_writes_the_atlas_and_its_maps(tmp_path, capsys) -> None:
     assert "finished blocks" in capsys.readouterr().err
 
 
+def test_a_slice_is_drawn_from_its_first_row_on(tmp_path) -> None:
+    given = ["part=cycles_snr", "method=frequency", "points=3", f"store={tmp_path / 'store'}", f"out={tmp_path}"]
+    assert main(["-m", "experiment=atlas", *given, "workers=1"]) == 0
+    assert (tmp_path / "figures" / "atlas_cycles_snr.png").exists()
+
+
 def test_shards_are_all_of_the_blocks_and_none_twice(tmp_path) -> None:
     given = ["-m", "experiment=atlas", "part=points", "method=log_decrement", "points=64", f"store={tmp_path}"]
     for number in (1, 2, 3):
