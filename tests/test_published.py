@@ -42,6 +42,8 @@ LOOSER = {"ddnn": 10.0}
 """How many times the tolerance a method has whose training ends elsewhere by rounding."""
 LOOSER_WITHOUT_SCALE = 10.0
 """The same for single parameters, whose scale the prior sets by a search; their ratios are compared as they are."""
+UNDERFLOW = 1e-37
+"""Of the single precision that published scores have: a motion that has died out is 0."""
 LEAST_SIZE = 0.01
 """An error (%) below this is small by luck and has no digits of its own."""
 LOST = 1e6
@@ -178,7 +180,7 @@ def differences(cell: PublishedCell, row: Row) -> list[str]:
             error = name.removesuffix("_ratio") + "_error_pct"
             gap, allowed = 100 * gap, tolerance * _size(error, cell, row) + ROUNDING_PCT * abs(row.scores[name])
         lost = min(abs(scores[name]), abs(row.scores[name])) > (LOST / 100 if name.endswith("_ratio") else LOST)
-        if scores[name] != row.scores[name] and not gap <= allowed and not lost:
+        if scores[name] != row.scores[name] and not gap <= max(allowed, UNDERFLOW) and not lost:
             wrong.append(f"{name}: {row.scores[name]:.6g} is published, {scores[name]:.6g} computed")
     return wrong
 

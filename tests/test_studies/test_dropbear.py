@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from bench.reporting.figures.png import KEYWORD
 from tests.studies.dropbear import REFERENCE, caption, draw, followed, main, read, stays
 
 PLACES = [os.environ.get("BENCH_SHARED_DATA"), Path(__file__).parents[2].parent / "shared" / "data"]
@@ -36,8 +38,8 @@ def test_stays_and_frequencies_of_a_made_record(tmp_path) -> None:
         assert np.nanmedian(found[late]) == pytest.approx(stay.reference, rel=0.01)
         assert np.nanmin(sds[late]) > 0
     draw(record, found, sds, tmp_path / "figures")
-    said = (tmp_path / "figures" / "online_dropbear.txt").read_text(encoding="utf-8")
-    assert said.startswith(caption(record, found))
+    with Image.open(tmp_path / "figures" / "online_dropbear.png") as picture:
+        assert picture.info[KEYWORD] == caption(record, found)
     assert caption(record, np.full(found.shape, 1.5) * found).startswith(
         "The tracker follows the moving support to within 5"
     )

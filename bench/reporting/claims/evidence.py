@@ -122,17 +122,12 @@ class Evidence:
     @cached_property
     def archived(self) -> int:
         """Cells of the published archive, each once."""
-        cells = (path for path in self._archive if path.stem != "bounds")
-        return len({one for path in cells for one in pd.read_parquet(path, columns=["identity"]).identity})
+        return pd.read_parquet(self.folder / "archive" / "cells.parquet", columns=["identity"]).identity.nunique()
 
     @cached_property
     def archive_size(self) -> float:
         """Of the published archive (bytes)."""
-        return float(sum(path.stat().st_size for path in self._archive))
-
-    @property
-    def _archive(self) -> list[Path]:
-        return sorted((self.folder / "archive").glob("*.parquet"))
+        return float(sum(path.stat().st_size for path in (self.folder / "archive").rglob("*.parquet")))
 
 
 def _several(values: Any) -> tuple[Any, ...]:

@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,8 @@ import numpy as np
 import pytest
 
 from bench import InputError
-from bench.commands.measured_track import tracked
+from bench.commands.declaration import read_arguments
+from bench.commands.measured_track import measured
 from bench.engine import pool
 from bench.engine.results import write_result
 from bench.measured.free_run import free_run_error, part_problem
@@ -136,6 +138,11 @@ def test_packaged_records_are_small() -> None:
 def test_an_unknown_set_is_said() -> None:
     with pytest.raises(InputError, match="known sets: airtrack"):
         measured_set("nowhere")
+
+
+def tracked(arguments: Sequence[str]) -> int:
+    """Run the experiment with the fields of a command line."""
+    return measured(**read_arguments(measured, arguments))
 
 
 def test_the_command_fits_once_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

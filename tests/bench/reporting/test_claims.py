@@ -169,7 +169,7 @@ def test_what_is_said_of_finite_differences_beside_an_added_mass_is_in_table_6()
 
 def test_times_are_those_of_the_published_cells() -> None:
     """A median beside the mean, which the archive states as a sum."""
-    cells = pd.read_parquet(RESULTS / "archive" / "regimes.parquet").query("label == 'era' and system == 'close_modes'")
+    cells = pd.read_parquet(RESULTS / "archive" / "cells.parquet").query("label == 'era' and system == 'close_modes'")
     mean = cells.cpu_s.item() / cells.replicates.item()
     assert mean / 2 < evidence().seconds("regimes", label="era", system="close_modes") < 2 * mean
 
