@@ -109,8 +109,9 @@ class MeasuredSet(BaseModel):
             "columns": self.columns, "units": self.units, "rate": self.rate, "from": self.first, "to": self.last,
         }  # fmt: skip
         told = {f"fixed.{name}": value for name, value in self.fixed.items()}
-        shape = {"force_gain": self.force_gain, "hold": self.hold, "timeout_s": timeout_s, **told}
-        given = {"data": str(path), "system": system, **{k: v for k, v in fields.items() if v is not None}, **shape}
+        force = {name: getattr(self, name) for name in ("force_gain", "hold") if name in self.model_fields_set}
+        stated = {name: value for name, value in fields.items() if value is not None}
+        given = {"data": str(path), "system": system, **stated, **force, "timeout_s": timeout_s, **told}
         return {"method": list(methods), **{key: [value] for key, value in given.items()}}
 
 

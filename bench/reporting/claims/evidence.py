@@ -122,7 +122,8 @@ class Evidence:
     @cached_property
     def archived(self) -> int:
         """Cells of the published archive, each once."""
-        return pd.read_parquet(self.folder / "archive" / "cells.parquet", columns=["identity"]).identity.nunique()
+        path = self.folder / "archive" / "cells.parquet"
+        return pd.read_parquet(path, columns=["identity"]).identity.nunique() if path.is_file() else 0
 
     @cached_property
     def archive_size(self) -> float:
