@@ -80,7 +80,7 @@ GOALS = (
     Goal("tracked files", 800, ("",), "files"),
     Goal("results/archive", 35_000, ("results/archive/",), "kB"),
 )
-REACHED: tuple[str, ...] = ()
+REACHED: tuple[str, ...] = ("results/archive",)
 """Names of goals that have been reached: none of them may be missed again."""
 
 
