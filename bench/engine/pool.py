@@ -6,6 +6,7 @@ task whose result is stored is not performed again, and one that another driver 
 
 from __future__ import annotations
 
+import json
 import math
 import multiprocessing
 import pickle
@@ -170,13 +171,13 @@ class QueuedTask(Queued):
         """Perform the task; returns why it has no result, or an empty string."""
         try:
             worker.request(serve_tasks, pickle.dumps((parts, self.folder)))
-            good, answer = pickle.loads(worker.answer(serve_tasks, parts.limit_s, self.limits.memory_mb))
+            answer = json.loads(worker.answer(serve_tasks, parts.limit_s, self.limits.memory_mb))
         except Died as died:
             worker.go_on()
             return died.message
-        if not good:
-            raise answer
-        return str(answer)
+        if "refused" in answer:
+            raise InputError(*map(str, answer["refused"]))
+        return str(answer["error"])
 
     def add(self, outcome: Any, seconds: float, first: bool) -> Done:
         self._state = "complete"
@@ -189,15 +190,15 @@ def serve_tasks(connection: Connection) -> None:
     multiprocessing.current_process().daemon = False  # a measured fit starts processes of its own
     connection.send_bytes(b"ready")
     while True:
-        answer: tuple[bool, Any] = True, ""
+        answer: dict[str, Any] = {"error": ""}
         task, folder = pickle.loads(connection.recv_bytes())
         try:
             task.compute(folder)
         except InputError as error:
-            answer = False, error
+            answer = {"refused": [error.field, str(error.value), error.remedy]}
         except Exception as error:
-            answer = True, one_line(error)
-        connection.send_bytes(pickle.dumps(answer))
+            answer = {"error": one_line(error)}
+        connection.send_bytes(json.dumps(answer).encode())  # a method has run here: its driver rebuilds no pickle of it
 
 
 class TaskQueue:
