@@ -607,7 +607,7 @@ def test_tables_are_regenerated_byte_for_byte(tmp_path: Path) -> None:
     """all regenerated from the archive by one command each, byte for byte"""
     run(verb("tables", f"archive={ARCHIVE}", "out=."), tmp_path)
     written = {path.name for path in tmp_path.glob("*.*")}
-    assert {f"table{i}.md" for i in range(2, 11)} | {"leaderboard.md"} <= written
+    assert {f"table{i}.md" for i in range(2, 10)} | {"leaderboard.md"} <= written
     for name in sorted(written):
         published = REPOSITORY / "results" / name
         if published.exists():
