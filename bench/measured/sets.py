@@ -109,7 +109,8 @@ class MeasuredSet(BaseModel):
             "columns": self.columns, "units": self.units, "rate": self.rate, "from": self.first, "to": self.last,
         }  # fmt: skip
         told = {f"fixed.{name}": value for name, value in self.fixed.items()}
-        force = {name: getattr(self, name) for name in ("force_gain", "hold") if name in self.model_fields_set}
+        of_force = self.model_fields_set & {"force_gain", "hold"}
+        force: dict[str, Any] = {name: getattr(self, name) for name in sorted(of_force)}
         stated = {name: value for name, value in fields.items() if value is not None}
         given = {"data": str(path), "system": system, **stated, **force, "timeout_s": timeout_s, **told}
         return {"method": list(methods), **{key: [value] for key, value in given.items()}}
