@@ -63,7 +63,9 @@ class Soak:
 
     def disturb(self) -> None:
         """Start again the drivers that have ended, and make one fault, over when this returns."""
-        self.drivers = [driver for driver in self.drivers if driver.poll() is None]
+        for driver in [driver for driver in self.drivers if driver.poll() is not None]:
+            finish(driver)
+            self.drivers.remove(driver)
         self.drivers += [self.driver() for _ in range(DRIVERS - len(self.drivers))]
         time.sleep(self.draw.uniform(0.5, 3.0))
         victim = self.draw.choice(self.drivers)
