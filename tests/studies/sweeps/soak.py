@@ -128,19 +128,21 @@ def soak(cells: int, minutes: float, seed: int) -> int:
         journal = Journal(run.store)
         logs = [folder / f"reader{i}.err" for i in range(READERS)]
         command = [sys.executable, "-c", READER, *sweep]
-        readers = [
-            subprocess.Popen(
-                command, cwd=folder, env=environment(folder), stdout=subprocess.DEVNULL, stderr=log.open("w")
-            )
-            for log in logs
-        ]
+        readers = []
+        for log in logs:
+            with log.open("w") as errors:
+                readers.append(
+                    subprocess.Popen(
+                        command, cwd=folder, env=environment(folder), stdout=subprocess.DEVNULL, stderr=errors
+                    )
+                )
         end = time.monotonic() + 60.0 * minutes
         while time.monotonic() < end and len(stored_cells(run.store)) < cells:
             run.disturb()
         print(f"  {len(stored_cells(run.store))} cells under {dict(run.faults)}")
         for driver in run.drivers:
             driver.kill()
-            driver.wait()
+            finish(driver)
         planned = finish(start(folder, *sweep, "dry_run=true"))[1]
         failed = set(re.findall(r"^([0-9a-f]{8}) .* failed ", planned, re.MULTILINE))
         status, _ = finish(run.driver("retry=failed"))
