@@ -183,9 +183,13 @@ class Children:
         self.folder.cleanup()
 
     def _watch(self) -> None:
-        """Have the server go on that a child has stopped: whoever starts another waits for it."""
+        """Continue the server and the children that a child has stopped, be it in the middle of a message."""
         while not self._closed.wait(WATCH_S):
             _continue(_server())
+            with self._lock:
+                children = list(self._all)
+            for child in children:
+                _continue(child.pid)
 
 
 def _server() -> int | None:
