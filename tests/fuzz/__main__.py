@@ -40,7 +40,7 @@ def lines(number: int) -> None:
     """A round over command lines."""
     forked = Forked()
     try:
-        seed(number)(HURRY(given(LINES)(lambda line: check_line(*line, forked))))()
+        seed(number)(HURRY(given(LINES)(lambda line: check_line(line, forked))))()
     finally:
         forked.close()
 

@@ -19,5 +19,5 @@ def forked() -> Iterator[Forked]:
 
 @settings(max_examples=120, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(line=LINES)
-def test_a_line_that_makes_no_sense_is_one_line(line: tuple[str, list[str]], forked: Forked) -> None:
-    check_line(*line, forked)
+def test_a_line_that_makes_no_sense_is_one_line(line: list[str], forked: Forked) -> None:
+    check_line(line, forked)
