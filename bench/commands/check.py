@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from bench.commands.declaration import Number, Others, read_settings
 
 LOG_LINES = 12
-INDENT = " " * 38
 
 
 def check(
@@ -27,33 +26,27 @@ def check(
     """
     from bench.conformance.process import CHECKS, checked
     from bench.conformance.target import read_target
+    from bench.reporting.terminal import wrapped
 
-    target = read_target(package, read_settings(settings))
     subjects, outcomes = [], []
-    for subject, outcome in checked(target, timeout_s):
+    for subject, outcome in checked(read_target(package, read_settings(settings)), timeout_s):
+        if subject not in subjects:
+            subjects.append(subject)
+            if format == "table":
+                print(f"{subject.kind} {subject.name} ({subject.value})")
         outcomes.append(outcome)
         if format == "json":
             print(json.dumps({"kind": subject.kind, "subject": subject.name, **asdict(outcome)}), flush=True)
-            continue
-        if subject not in subjects:
-            subjects.append(subject)
-            print(f"{subject.kind} {subject.name} ({subject.value})")
-        print("\n".join(_lines(outcome)), flush=True)
+        elif outcome.passed:
+            print(wrapped(f"  passed  {outcome.name:<28} {outcome.found}".rstrip(), " " * 38), flush=True)
+        else:
+            print(wrapped(f"  FAILED  {outcome.name:<28} {outcome.about}", " " * 38))
+            print(wrapped(f"{'':10}found:  {outcome.found}", " " * 18))
+            print(wrapped(f"{'':10}remedy: {outcome.remedy}", " " * 18))
+            lines = outcome.traceback.strip().splitlines()[-LOG_LINES:]
+            print("".join(f"{'':10}| {line}\n" for line in lines), end="", flush=True)
     passed = sum(outcome.passed for outcome in outcomes)
     if format == "table":
         skipped = sum(len(CHECKS[subject.kind]) for subject in subjects) - len(outcomes)
         print(f"{passed} of {len(outcomes)} checks passed" + (f"; {skipped} skipped without that" if skipped else ""))
     return int(passed < len(outcomes))
-
-
-def _lines(outcome: Any) -> list[str]:
-    from bench.reporting.terminal import wrapped
-
-    if outcome.passed:
-        return [wrapped(f"  passed  {outcome.name:<28} {outcome.remark}".rstrip(), INDENT)]
-    return [
-        wrapped(f"  FAILED  {outcome.name:<28} {outcome.about}", INDENT),
-        wrapped(f"{'':10}found:  {outcome.found}", " " * 18),
-        wrapped(f"{'':10}remedy: {outcome.remedy}", " " * 18),
-        *(f"{'':10}| {line}" for line in outcome.traceback.strip().splitlines()[-LOG_LINES:]),
-    ]

@@ -18,14 +18,13 @@ def new(
     It has a pyproject.toml with the entry point that registers the name, one module, a README, and a test that runs
     the checks of python -m bench check, which pass.
     """
-    from bench.conformance.template_files import written
+    from bench.conformance.template_files import write_package
 
     name = method or system
     if name is None or (method and system):
         raise InputError("method", method or "", "write method=<name> or system=<name>, one of the two")
     # a folder of the module's own name would hide the module from whoever works beside it
     folder = out or Path(f"bench-{name.replace('_', '-')}")
-    for path in written("method" if method else "system", name, folder):
-        print(path)
+    print(*write_package("method" if method else "system", name, folder), sep="\n")
     print(f"try it: python -m bench check package={folder}")
     return 0

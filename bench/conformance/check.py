@@ -1,70 +1,80 @@
-"""A check: what must hold, the function that tries it, and what to do where it fails."""
+"""A check: a name, a sentence, the function that tries it, and what to do where it fails."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from bench.isolation.failure import one_line, traceback_text, without_places
 
-Subject = TypeVar("Subject")
 RAISED = "end a fit that goes wrong with bench.NoEstimate('why, and what to do'), which becomes a status and a sentence"
 
 
 class Refusal(Exception):
-    """What a check found wrong, in a sentence; ``remedy`` replaces that of the check."""
+    """The reason why a check fails, in a sentence; ``remedy`` replaces that of the check."""
 
-    def __init__(self, found: str, remedy: str = "") -> None:
+    def __init__(self, reason: str, remedy: str = "") -> None:
+        super().__init__(reason)
         self.remedy = remedy
-        super().__init__(found)
-
-
-@dataclass(frozen=True)
-class Check(Generic[Subject]):
-    """One requirement on a method or a system; the docstring of ``run`` says which.
-
-    Attributes:
-        name: What the command prints.
-        run: Returns a remark, or nothing, and raises :class:`Refusal`; another exception is one of the subject.
-        remedy: What to do where it fails.
-        long: It fits data of another kind than most checks, for which some methods prepare anew.
-        gate: Where it fails, the later checks are not tried.
-    """
-
-    name: str
-    run: Callable[[Subject], str]
-    remedy: str
-    long: bool = False
-    gate: bool = False
-
-    @property
-    def about(self) -> str:
-        """The requirement in a sentence."""
-        return str(inspect.getdoc(getattr(self.run, "func", self.run)))
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a check: ``remark`` where it passed, ``found`` and ``remedy`` where it did not."""
+    """The result of a check: a remark or a reason as ``found``, and a remedy where it failed."""
 
     name: str
     about: str
     passed: bool
-    remark: str = ""
     found: str = ""
     remedy: str = ""
     traceback: str = ""
 
 
-def outcome(check: Check[Any], subject: Any) -> Outcome:
-    """Run a check; whatever the subject raises makes it fail."""
-    try:
-        return Outcome(check.name, check.about, True, remark=check.run(subject))
-    except Refusal as refusal:
-        remedy = refusal.remedy or check.remedy
-        return Outcome(check.name, check.about, False, found=str(refusal), remedy=remedy)
-    except Exception as error:
-        log = without_places(traceback_text())
-        return Outcome(check.name, check.about, False, found=f"raised {one_line(error)}", remedy=RAISED, traceback=log)
+@dataclass(frozen=True)
+class Check:
+    """One requirement on a method or a system.
+
+    Attributes:
+        name: The name that the command prints.
+        about: The requirement in a sentence.
+        run: Returns a remark or nothing, and raises :class:`Refusal`; another exception is one of the subject.
+        remedy: What to do where it fails.
+        gate: Where it fails, the later checks are not tried.
+    """
+
+    name: str
+    about: str
+    run: Callable[[Any], str | None]
+    remedy: str
+    gate: bool = False
+
+    def failed(self, found: str, remedy: str = "", traceback: str = "") -> Outcome:
+        """Return the outcome of a failure."""
+        return Outcome(self.name, self.about, False, found, remedy or self.remedy, traceback)
+
+    def outcome(self, subject: Any) -> Outcome:
+        """Run the check; whatever the subject raises makes it fail."""
+        try:
+            return Outcome(self.name, self.about, True, self.run(subject) or "")
+        except Refusal as refusal:
+            return self.failed(str(refusal), refusal.remedy)
+        except Exception as error:
+            return self.failed(f"raised {one_line(error)}", RAISED, without_places(traceback_text()))
+
+
+class Checks(list[Check]):
+    """The checks of one kind of subject, in the order in which they run."""
+
+    def add(self, name: str, remedy: str, gate: bool = False, **arguments: Any) -> Callable[[Any], Any]:
+        """Return a decorator that adds a function; ``arguments`` are given to it, its docstring is the requirement."""
+
+        def decorate(function: Callable[..., str | None]) -> Callable[..., str | None]:
+            def run(subject: Any) -> str | None:
+                return function(subject, **arguments)
+
+            self.append(Check(name, inspect.getdoc(function) or "", run, remedy, gate))
+            return function
+
+        return decorate

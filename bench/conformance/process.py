@@ -7,17 +7,15 @@ import inspect
 import pickle
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from importlib.metadata import EntryPoint
 from multiprocessing.connection import Connection
 from typing import Any
 
 from bench.config.limits import check_numbers, check_system
-from bench.conformance.candidate import Candidate
-from bench.conformance.check import Check, Outcome, outcome
-from bench.conformance.method_checks import METHOD_CHECKS
-from bench.conformance.specimen import Specimen
-from bench.conformance.system_checks import SYSTEM_CHECKS
+from bench.conformance.check import Checks, Outcome
+from bench.conformance.method_checks import METHOD_CHECKS, Candidate
+from bench.conformance.system_checks import SYSTEM_CHECKS, Specimen
 from bench.conformance.target import KINDS, Subject, Target
 from bench.contract.method import Identifier
 from bench.entrants import registry
@@ -29,7 +27,7 @@ from bench.isolation.processes import READY_S, Child, Children, Died
 from bench.systems import System, make_system, registered_systems
 
 MEMORY_MB = 4096.0
-CHECKS: dict[str, tuple[Check[Any], ...]] = {"method": METHOD_CHECKS, "system": SYSTEM_CHECKS}
+CHECKS: Mapping[str, Checks] = {"method": METHOD_CHECKS, "system": SYSTEM_CHECKS}
 
 
 def checked(target: Target, timeout_s: float) -> Iterator[tuple[Subject, Outcome]]:
@@ -38,22 +36,22 @@ def checked(target: Target, timeout_s: float) -> Iterator[tuple[Subject, Outcome
     Raises:
         InputError: Where the target cannot be imported or made.
     """
-    children = Children()
-    try:
+    with Children() as children:
         child, subjects = _opened(children, target, timeout_s)
         for subject in subjects:
             for check in CHECKS[subject.kind]:
                 child.send(pickle.dumps((subject, check.name)))
                 try:
-                    result = pickle.loads(child.receive(timeout_s, MEMORY_MB))
+                    outcome = pickle.loads(child.receive(timeout_s, MEMORY_MB))
                 except Died as died:
-                    result = _lost(check, died)
+                    remedy = "nothing that estimate does may end its process: raise bench.NoEstimate instead"
+                    if died.reason == "timeout":
+                        remedy = "make it faster, or give it more with timeout_s=; a sweep stops a fit in the same way"
+                    outcome = check.failed(died.message, remedy, died.log)
                     child, _ = _opened(children, target, timeout_s)
-                yield subject, result
-                if check.gate and not result.passed:
+                yield subject, outcome
+                if check.gate and not outcome.passed:
                     break
-    finally:
-        children.close()
 
 
 def _opened(children: Children, target: Target, timeout_s: float) -> tuple[Child, list[Subject]]:
@@ -69,23 +67,14 @@ def _opened(children: Children, target: Target, timeout_s: float) -> tuple[Child
     return child, answer
 
 
-def _lost(check: Check[Any], died: Died) -> Outcome:
-    remedy = "nothing that estimate does may end its process: raise bench.NoEstimate instead"
-    if died.reason == "timeout":
-        remedy = "make it faster, or give it more with timeout_s=; a sweep stops a fit in the same way"
-    return Outcome(check.name, check.about, False, found=died.message, remedy=remedy, traceback=died.log)
-
-
 def serve(connection: Connection, target: Target) -> None:
     """Import a target, and run one check after another until nobody asks any more."""
     limit_files()
     connection.send_bytes(b"ready")
     sys.path[:0] = target.paths
     try:
-        subjects = list(target.subjects) or _classes_of(target)
-        if not target.installed:
-            _register(subjects)
-        _check_settings(subjects, target)
+        subjects = list(target.subjects) or _classes(target)
+        _check_settings(subjects, target.settings)
         made = {subject: _made(subject, target) for subject in subjects}
     except InputError as error:
         connection.send_bytes(pickle.dumps(error))
@@ -93,11 +82,11 @@ def serve(connection: Connection, target: Target) -> None:
     connection.send_bytes(pickle.dumps(subjects))
     while True:
         subject, name = pickle.loads(connection.recv_bytes())
-        check = next(check for check in CHECKS[subject.kind] if check.name == name)
-        connection.send_bytes(pickle.dumps(outcome(check, made[subject])))
+        (check,) = (check for check in CHECKS[subject.kind] if check.name == name)
+        connection.send_bytes(pickle.dumps(check.outcome(made[subject])))
 
 
-def _classes_of(target: Target) -> list[Subject]:
+def _classes(target: Target) -> list[Subject]:
     """Return the methods and systems whose classes stand in a module."""
     try:
         module = importlib.import_module(target.module)
@@ -111,45 +100,38 @@ def _classes_of(target: Target) -> list[Subject]:
         if issubclass(item, System):
             subjects.append(Subject("system", str(item.name), value))
         elif issubclass(item, Identifier):
-            words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
-            subjects.append(Subject("method", f"own_{words}" if words in registry.method_names() else words, value))
+            subjects.append(Subject("method", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower(), value))
     if not subjects:
         raise InputError("package", target.text, "no class in it subclasses bench.Identifier or bench.System")
     return subjects
 
 
-def _register(subjects: Sequence[Subject]) -> None:
-    """Have subjects found by name, in this process, as those of an installed package are."""
-    points = {"method": registry.registered(), "system": registered_systems()}
-    groups = {kind: group for group, kind in KINDS.items()}
-    for subject in subjects:
-        registered = points[subject.kind].get(subject.name)
-        taken = registered is not None and registered.value != subject.value
-        if taken or (registered is None and subject.name in registry.method_names()):
-            raise InputError(subject.kind, subject.name, "the benchmark has one of that name; choose another")
-        points[subject.kind][subject.name] = EntryPoint(subject.name, subject.value, groups[subject.kind])
-
-
-def _check_settings(subjects: Sequence[Subject], target: Target) -> None:
+def _check_settings(subjects: list[Subject], settings: Mapping[str, Mapping[str, Any]]) -> None:
     """Raise InputError for settings of a kind that is not checked, and for options of a system that are no numbers."""
-    for kind in target.settings.keys() - {subject.kind for subject in subjects}:
-        for name, value in target.settings[kind].items():
-            raise InputError(f"{kind}.{name}", value, f"left out: no {kind} is checked")
-    options = target.settings.get("system", {})
+    for kind in settings.keys() - {subject.kind for subject in subjects}:
+        raise InputError(kind, dict(settings[kind]), f"left out: no {kind} is checked")
     try:
-        check_numbers({"system": {"options": options}})
-        for subject in subjects:
-            if subject.kind == "system":
-                check_system(subject.name, options)
+        check_numbers({"system": {"options": settings.get("system", {})}})
     except InputError as error:
         raise InputError(error.field.replace("system.options.", "system."), error.value, error.remedy) from None
 
 
 def _made(subject: Subject, target: Target) -> Candidate | Specimen:
+    """Register a subject in this process, as an installed package has it, and make it with its settings."""
+    points, group = {
+        "method": (registry.registered(), registry.GROUP),
+        "system": (registered_systems(), next(group for group, kind in KINDS.items() if kind == "system")),
+    }[subject.kind]
+    if points.get(subject.name, subject).value != subject.value or subject.name in registry.REFERENCES:
+        raise InputError(subject.kind, subject.name, "the benchmark has one of that name; choose another")
+    points[subject.name] = EntryPoint(subject.name, subject.value, group)
     settings = dict(target.settings.get(subject.kind, {}))
-    if subject.kind == "system":
-        return Specimen(subject.name, settings, make_system(subject.name, settings))
-    missing = missing_package(subject.name)
-    if missing:
-        raise InputError("package", target.text, missing)
-    return Candidate(make_method(subject.name, settings))
+    if subject.kind == "method":
+        if missing := missing_package(subject.name):
+            raise InputError("package", target.text, missing)
+        return Candidate(make_method(subject.name, settings))
+    try:
+        check_system(subject.name, settings)
+    except InputError as error:
+        raise InputError(error.field.replace("system.options.", "system."), error.value, error.remedy) from None
+    return Specimen(subject.name, settings, make_system(subject.name, settings))

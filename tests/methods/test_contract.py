@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from bench.conformance.candidate import Candidate
 from bench.conformance.check import Check
-from bench.conformance.method_checks import METHOD_CHECKS
+from bench.conformance.method_checks import METHOD_CHECKS, Candidate
 from bench.entrants.registry import load_method, make_method, registered
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -24,12 +23,18 @@ VARIANTS: dict[str, dict[str, Any]] = {
 NAMES = sorted({*registered(), *VARIANTS})
 LONG = ("nuts", "pinn_adam")
 """Of these the checks on data of another kind are slow: one compiles anew for each layout, the other descends."""
+ORDINARY_DATA = (
+    *("card", "imports", "answer", "seed", "state", "honesty", "input", "batch", "units, mm"),
+    *("units, tenths of a second", "dead channel", "dead channel, unknown initial state", "pickling", "time"),
+)
 IN_ANOTHER_PROCESS = ("ekf", "ls", "shooting")
 """Methods for which the start of another process is worth its time in the quick tests."""
 
 
-def is_slow(name: str, check: Check[Candidate]) -> bool:
-    return (check.long and name in LONG) or (check.name == "state" and name not in IN_ANOTHER_PROCESS)
+def is_slow(name: str, check: Check) -> bool:
+    return (name in LONG and check.name not in ORDINARY_DATA) or (
+        check.name == "state" and name not in IN_ANOTHER_PROCESS
+    )
 
 
 @pytest.fixture(scope="module")
@@ -51,5 +56,5 @@ def candidate(request: pytest.FixtureRequest) -> Candidate:
     ],
     indirect=["candidate"],
 )
-def test_a_method_keeps_the_contract(candidate: Candidate, check: Check[Candidate]) -> None:
+def test_a_method_keeps_the_contract(candidate: Candidate, check: Check) -> None:
     check.run(candidate)

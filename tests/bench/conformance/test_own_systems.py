@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from bench.commands.main import main
-from bench.conformance.check import Check, outcome
-from bench.conformance.specimen import Specimen
-from bench.conformance.system_checks import SYSTEM_CHECKS
+from bench.conformance.check import Check
+from bench.conformance.system_checks import SYSTEM_CHECKS, Specimen
 from bench.systems import (
     DAMPING,
     MASS,
@@ -32,7 +31,7 @@ checks = pytest.mark.parametrize("check", SYSTEM_CHECKS, ids=lambda check: check
 
 @pytest.mark.parametrize("name", registered_systems())
 @checks
-def test_every_system_of_ours_keeps_the_contract(name: str, check: Check[Specimen]) -> None:
+def test_every_system_of_ours_keeps_the_contract(name: str, check: Check) -> None:
     options = OPTIONS.get(name, {})
     check.run(Specimen(name, options, make_system(name, options)))
 
@@ -98,7 +97,7 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_is_seen_by_its_check(fault: str) -> None:
     (check,) = (check for check in SYSTEM_CHECKS if check.name == FAULTS[fault])
-    found = outcome(check, Specimen("faulty", {}, Faulty(fault)))
+    found = check.outcome(Specimen("faulty", {}, Faulty(fault)))
     assert not found.passed
     assert len(found.remedy.split()) >= 4
 

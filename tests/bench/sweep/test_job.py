@@ -232,7 +232,7 @@ def test_pickles_are_rebuilt_from_pipes_alone() -> None:
             if rebuilds and isinstance(node.value, ast.Name) and node.value.id in PICKLERS:
                 found.add(path.relative_to(REPOSITORY / "bench").as_posix())
     assert found == {
-        "conformance/candidate.py", "conformance/method_checks.py", "conformance/process.py",
+        "conformance/method_checks.py", "conformance/process.py",
         "conformance/system_checks.py", "measured/apart.py",
         "engine/pool.py", "sweep/cells.py", "sweep/method_process.py", "sweep/scoring_process.py", "sweep/wire.py",
     }  # fmt: skip

@@ -1,7 +1,6 @@
 """Somebody's method that looks for the truth, by one of several ways, and answers with what it finds."""
 
 import gc
-import inspect
 import json
 import os
 import sys
@@ -45,25 +44,14 @@ class Dishonest(bench.Identifier):
     def attribute(self, problem: Any) -> Any:
         return problem.truth.parameters
 
-    def _above(self, frame: Any) -> Any:
+    def frames(self, problem: Any) -> Any:
+        frame: Any = sys._getframe()
         while frame is not None:
             for value in list(frame.f_locals.values()):
                 if type(value).__name__ == "Truth":
                     return vars(value)["parameters"]
             frame = frame.f_back
         return None
-
-    def frames(self, problem: Any) -> Any:
-        return self._above(sys._getframe())
-
-    def inspect(self, problem: Any) -> Any:
-        return self._above(inspect.stack()[0].frame)
-
-    def traceback(self, problem: Any) -> Any:
-        try:
-            raise ValueError
-        except ValueError as error:
-            return self._above(getattr(error.__traceback__, "tb_frame", None))
 
     def gc(self, problem: Any) -> Any:
         return next((vars(o)["parameters"] for o in gc.get_objects() if type(o).__name__ == "Truth"), None)
