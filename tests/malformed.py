@@ -156,7 +156,7 @@ check package=lines_toml                          | package=lines_toml/pyproject
 check package=ls method.bootstrap=2.5             | method.bootstrap=2.5             |
 new method=true                                   | method=                          |
 new method=../x                                   | method=../x                      | small letters
-new method=numpy                                  | method=numpy                     | Python has a module
+new method=numpy                                  | method=numpy                     | a module of Python
 $EXPORT form=petab snr=10,20                      | snr=10,20                        | several
 $EXPORT form=arviz cell=00 store=store archive=none | cell=00                        | no such cell
 $SUBMIT method=ls store=store                     | method=ls                        | no cell

@@ -6,6 +6,8 @@ Somebody else's code is imported in a process of its own (:mod:`bench.conformanc
 from __future__ import annotations
 
 import contextlib
+import os
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -54,11 +56,11 @@ class Target:
 
 def read_target(text: str, settings: Mapping[str, Mapping[str, Any]]) -> Target:
     """Return what a text names; raises InputError where it names nothing."""
-    path = Path(text).resolve()
-    if path.is_dir():
-        return Target(text, settings, _declared(path), paths=(str(path / "src"), str(path)))
-    if path.suffix == ".py" and path.stem.isidentifier() and path.is_file():
-        return Target(text, settings, module=path.stem, paths=(str(path.parent),))
+    path, place = Path(text), os.path.abspath(text)
+    if os.path.isdir(path):
+        return Target(text, settings, _declared(path), paths=(os.path.join(place, "src"), place))
+    if path.suffix == ".py" and path.stem.isidentifier() and os.path.isfile(path):
+        return Target(text, settings, module=path.stem, paths=(os.path.dirname(place),))
     points = [*registry.registered().values(), *registered_systems().values()]
     named = [p for p in points if p.name == text] or [p for p in points if p.module.partition(".")[0] == text]
     with contextlib.suppress(PackageNotFoundError, ValueError):
@@ -74,17 +76,19 @@ def _declared(folder: Path) -> tuple[Subject, ...]:
     path = folder / "pyproject.toml"
     try:
         groups = tomllib.loads(read_regular(path).decode())["project"]["entry-points"]
-        return tuple(
+        subjects = [
             Subject(kind, str(name), str(value))
             for group, kind in KINDS.items()
             for name, value in groups.get(group, {}).items()
-        )
+        ]
     except OSError:
         raise InputError("package", folder, "it has no pyproject.toml; name the file of the class instead") from None
     except (ValueError, RecursionError) as error:
         raise InputError("package", path, f"cannot be read: {one_line(error)}") from None
     except (KeyError, TypeError, AttributeError):
-        wanted = " or ".join(f'[project.entry-points."{group}"]' for group in KINDS)
-        raise InputError(
-            "package", path, f"register a class in it, <name> = '<module>:<class>' under {wanted}"
-        ) from None
+        subjects = []
+    if not subjects or not all(re.fullmatch(r"[\w.-]+", subject.name) for subject in subjects):
+        groups_named = " or ".join(f'[project.entry-points."{group}"]' for group in KINDS)
+        remedy = f"register a class under {groups_named}, by a name of letters, digits, _, - and ."
+        raise InputError("package", path, f"{remedy}, as '<module>:<class>'")
+    return tuple(subjects)
