@@ -18,7 +18,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "rival_deepxde": {"name": "rival_deepxde", "adam_steps": 40, "second_steps": 20},
     "rival_jinns": {"name": "rival_jinns", "adam_steps": 40, "second_steps": 20},
     "rival_pina": {"name": "rival_pina", "adam_steps": 40, "second_steps": 20},
-    "pinn_adam": {"name": "pinn", "optimizer": "adam_lbfgs", "slack": 0.5, "adam_steps": 200, "lbfgs_steps": 300},
+    "pinn_adam": {"name": "pinn", "optimizer": "adam_lbfgs", "slack": 0.5, "adam_steps": 60, "lbfgs_steps": 60},
 }
 NAMES = sorted({*registered(), *VARIANTS})
 LONG = ("nuts", "pinn_adam")
