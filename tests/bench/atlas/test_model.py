@@ -32,6 +32,11 @@ def atlas(number: int = 512) -> pd.DataFrame:
     return frame
 
 
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return Model(atlas(), "k_over_m")
+
+
 def rule(frame: pd.DataFrame) -> np.ndarray:
     return np.asarray(0.5 * (np.log10(frame.samples.to_numpy(float)) - 1.0))
 
@@ -44,16 +49,12 @@ def test_points_that_were_left_out_are_predicted_to_what_is_random_in_them() -> 
     assert found.points == len(told(atlas(), "k_over_m"))
 
 
-def test_the_model_knows_the_rule() -> None:
+def test_the_model_knows_the_rule(model: Model) -> None:
     frame = atlas()
-    few, many = (
-        Model(frame, "k_over_m").expected(frame[frame.samples.between(*size)]) for size in ((8, 16), (250, 500))
-    )
+    few, many = (model.expected(frame[frame.samples.between(*size)]) for size in ((8, 16), (250, 500)))
     assert np.median([one.excess[1] for one in few]) == pytest.approx(np.exp(0.5 * 0.05), abs=0.1)
     assert np.median([one.excess[1] for one in many]) == pytest.approx(np.exp(0.5 * 1.55), abs=0.25)
-    noisy, quiet = (
-        Model(frame, "k_over_m").expected(frame[frame.snr_db.between(*size)]) for size in ((-5, 5), (20, 60))
-    )
+    noisy, quiet = (model.expected(frame[frame.snr_db.between(*size)]) for size in ((-5, 5), (20, 60)))
     assert np.mean([one.gross for one in noisy]) == pytest.approx(1 / 3, abs=0.07)
     assert np.mean([one.gross for one in quiet]) < 0.06
 
@@ -104,16 +105,16 @@ def test_the_command_names_methods_and_refuses_what_it_cannot_read(tmp_path, cap
     assert "bench: atlas=" in capsys.readouterr().err
 
 
-def test_a_region_is_where_the_model_expects_a_method_near_the_bound(tmp_path) -> None:
+def test_a_region_is_where_the_model_expects_a_method_near_the_bound(model: Model, tmp_path) -> None:
     frame = atlas()
-    own = Slice("samples_snr", FreeDecay(50, 2.0, 0.05, 20.0, 0.5, False), "samples", "snr_db", (12, 10))
+    own = Slice("samples_snr", FreeDecay(50, 2.0, 0.05, 20.0, 0.5, False), "samples", "snr_db", (6, 5))
     points = pd.concat([point_frame(point) for point in own.points()], ignore_index=True)
-    near = near_bound(points, Model(frame, "k_over_m"))
+    near = near_bound(points, model)
     quiet = points.snr_db > 20
     assert near[quiet & (points.samples < 16)].mean() > 0.8  # by the rule the excess is 1.2 at 23 samples
     assert not near[quiet & (points.samples > 60)].any()
     assert not near[points.snr_db < 5].any()
     assert all(path.is_file() for path in draw_regions([own], frame, tmp_path))
     said = caption_of(tmp_path / "figures" / "atlas_map_samples_snr.png")
-    share = 100.0 * near_bound(points, Model(frame, "k_over_m")).mean()  # of the one method that there is
+    share = 100.0 * near.mean()  # of the one method that there is
     assert f"near the bound on {share:.0f} % of this map" in said
