@@ -83,8 +83,9 @@ def _apart(planes: np.ndarray, order: np.ndarray) -> list[int]:
     for i in np.argsort(-order):
         if free[i]:
             kept.append(int(i))
-            shared = np.sum((np.swapaxes(planes, 1, 2) @ planes[i]) ** 2, axis=(1, 2)) / planes.shape[2]
-            free &= shared <= APART
+            rest = np.flatnonzero(free)
+            shared = np.sum((np.swapaxes(planes[rest], 1, 2) @ planes[i]) ** 2, axis=(1, 2)) / planes.shape[2]
+            free[rest] = shared <= APART
     return kept
 
 
