@@ -13,7 +13,7 @@ from bench.errors import InputError
 MOST_SEED = 2**63 - 1
 SCENARIO = ("system", "prior", "disturbance", "snr", "initial_state", "seed")
 """Fields, or groups of them, that determine the data of a replicate."""
-CELL = (*SCENARIO, "method", "replicates", "timeout_s", "memory_mb")
+CELL = (*SCENARIO, "method", "replicates", "timeout_s", "memory_mb", "store", "workers")
 
 
 def share(action: Annotated[Literal["submit", "merge", "export", "publish"], "what to do"]) -> int:

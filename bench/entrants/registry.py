@@ -20,9 +20,14 @@ Made = TypeVar("Made")
 
 
 @cache
+def entries(group: str) -> dict[str, EntryPoint]:
+    """Return the entry points of a group by name; nothing is imported."""
+    return {point.name: point for point in sorted(entry_points(group=group), key=lambda point: point.name)}
+
+
 def registered() -> dict[str, EntryPoint]:
     """Return the entry points by method name; nothing is imported."""
-    return {point.name: point for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)}
+    return entries(GROUP)
 
 
 def method_names() -> list[str]:
@@ -33,22 +38,21 @@ def method_names() -> list[str]:
 @cache
 def load_method(name: str) -> type[Identifier]:
     """Return the class of a method; raises InputError for an unknown name or an entry point that does not load."""
-    if name not in registered():
-        raise InputError("method", name, f"known methods: {', '.join(method_names())}")
-    cls: type[Identifier] = load_class(registered()[name], Identifier)
+    cls: type[Identifier] = load_class(registered(), name, Identifier, method_names())
     return cls
 
 
-def load_class(point: EntryPoint, base: type) -> Any:
-    """Return the class of an entry point; raises InputError where it is no dataclass below ``base``."""
+def load_class(points: Mapping[str, EntryPoint], name: str, base: type, names: Iterable[str]) -> Any:
+    """Return the dataclass below ``base`` that is registered by a name; raises InputError, which lists ``names``."""
+    if name not in points:
+        raise InputError("method", name, f"known methods: {', '.join(names)}")
     try:
-        loaded = point.load()
+        loaded = points[name].load()
     except Exception as error:
         remedy = f"its entry point does not load ({type(error).__name__}: {error})"
-        raise InputError("method", point.name, remedy) from None
+        raise InputError("method", name, remedy) from None
     if not (isinstance(loaded, type) and issubclass(loaded, base) and dataclasses.is_dataclass(loaded)):
-        remedy = f"its entry point must name a dataclass that subclasses bench.{base.__name__}"
-        raise InputError("method", point.name, remedy)
+        raise InputError("method", name, f"its entry point must name a dataclass that subclasses bench.{base.__name__}")
     return loaded
 
 

@@ -10,36 +10,6 @@ from bench.store.cell import Cell
 
 NAMED = ("method", "system", "snr", "initial_state", "prior", "disturbance", "replicates", "seed")
 """Fields that :func:`bench.run` takes by their names; others are its ``settings``."""
-
-
-def notebook(cell: Cell, overrides: Mapping[str, Sequence[Any]]) -> str:
-    """The text of a notebook (nbformat 4) that computes a cell as the overrides describe it; raises InputError."""
-    try:
-        import nbformat
-    except ImportError:
-        raise InputError("export", "notebook", "needs nbformat: pip install 'vibration-bench[exchange]'") from None
-    scenario = cell.scenario
-    heading = (
-        f"# {cell.label} on {scenario.label}, {scenario.snr_db:g} dB\n\n"
-        f"{cell.replicates} replicates of seed {cell.seed}, initial state {scenario.initial_state}. "
-        "What is stored already is not computed again."
-    )
-    v4 = nbformat.v4
-    cells = [
-        v4.new_markdown_cell(heading),
-        v4.new_code_cell(f"import bench\n\nresults = bench.run(\n{_arguments(overrides)})\nresults"),
-        v4.new_markdown_cell("Every metric: median over the replicates with its interval, the bound, and the excess."),
-        v4.new_code_cell("results.frame()"),
-        v4.new_markdown_cell("The first record, the true motion, and what the method makes of it."),
-        v4.new_code_cell(PICTURE),
-    ]
-    for number, one in enumerate(cells):
-        one["id"] = f"cell-{number}"  # the same notebook each time
-    found = v4.new_notebook(cells=cells, metadata={"language_info": {"name": "python"}})
-    nbformat.validate(found)
-    return str(nbformat.writes(found))
-
-
 PICTURE = """import matplotlib.pyplot as plt
 
 arrays = results.store.arrays(results[0].stored)
@@ -53,8 +23,29 @@ axes.set(xlabel="time (s)", ylabel="displacement (m)")
 axes.legend()"""
 
 
-def _arguments(overrides: Mapping[str, Sequence[Any]]) -> str:
-    given = {name: values[-1] for name, values in overrides.items()}
-    lines = [f"    {name}={given[name]!r},\n" for name in NAMED if name in given]
-    settings = {name: value for name, value in given.items() if name not in NAMED}
-    return "".join(lines) + (f"    settings={settings!r},\n" if settings else "")
+def notebook(cell: Cell, overrides: Mapping[str, Sequence[Any]]) -> str:
+    """Return a notebook (nbformat 4) that computes a cell as the overrides describe it; raises InputError."""
+    try:
+        from nbformat import v4, writes
+    except ImportError:
+        raise InputError("export", "notebook", "needs nbformat: pip install 'vibration-bench[exchange]'") from None
+    scenario = cell.scenario
+    values = {name: values[-1] for name, values in overrides.items()}
+    arguments = {name: values.pop(name) for name in NAMED if name in values}
+    arguments |= {"settings": values} if values else {}
+    call = "".join(f"    {name}={value!r},\n" for name, value in arguments.items())
+    cells = [
+        v4.new_markdown_cell(
+            f"# {cell.label} on {scenario.label}, {scenario.snr_db:g} dB\n\n"
+            f"{cell.replicates} replicates of seed {cell.seed}, initial state {scenario.initial_state}. "
+            "What is stored already is not computed again."
+        ),
+        v4.new_code_cell(f"import bench\n\nresults = bench.run(\n{call})\nresults"),
+        v4.new_markdown_cell("Every metric: median over the replicates with its interval, the bound, and the excess."),
+        v4.new_code_cell("results.frame()"),
+        v4.new_markdown_cell("The first record, the true motion, and what the method makes of it."),
+        v4.new_code_cell(PICTURE),
+    ]
+    for number, part in enumerate(cells):
+        part["id"] = f"cell-{number}"  # the same notebook each time
+    return str(writes(v4.new_notebook(cells=cells, metadata={"language_info": {"name": "python"}})))
