@@ -25,9 +25,9 @@ from bench.entrants import registry  # noqa: E402
 from bench.entrants.registry import load_method  # noqa: E402
 from bench.information.fisher import Bound  # noqa: E402
 from bench.scenario.scenario import PriorSpec, Scenario  # noqa: E402
-from bench.store.bound_file import bound_file  # noqa: E402
 from bench.store.bounds import Replicates, bound_identity, load_bounds  # noqa: E402
-from bench.store.store import Store  # noqa: E402
+from bench.store.seal import sealed  # noqa: E402
+from bench.store.store import BOUND_FORMAT, Store  # noqa: E402
 from bench.store.version import cell_version  # noqa: E402
 from bench.sweep import runner  # noqa: E402
 
@@ -103,7 +103,7 @@ def any_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     def write(wanted: Any, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         for one in wanted:
-            (folder / f"{bound_identity(one)}.bound").write_bytes(bound_file(json.dumps(asdict(empty))))
+            (folder / f"{bound_identity(one)}.bound").write_bytes(sealed(BOUND_FORMAT, json.dumps(asdict(empty))))
 
     def make(wanted: Any, store: Store, *_: Any) -> dict[str, str]:
         write(wanted, store.bounds)

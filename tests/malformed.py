@@ -165,10 +165,8 @@ $MERGE submission=good.csv verify=2               | verify=2                    
 $MERGE submission=random                          | submission=random                | not a whole submission
 $MERGE submission=later.submission                | submission=later.submission      | of format 99
 $MERGE submission=lacking.submission              | submission=lacking.submission    | not a whole submission
-$MERGE submission=above.submission                | submission=above.submission      | belongs in none
-$MERGE submission=link.submission                 | submission=link.submission       | damaged
 $MERGE submission=huge.submission                 | submission=huge.submission       | 64 MB
-$MERGE submission=arrays.submission               | submission=arrays.submission     | damaged
+$MERGE submission=arrays.submission               | submission=arrays.submission     | not a whole submission
 """
 
 

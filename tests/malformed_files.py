@@ -1,20 +1,18 @@
-"""The files that malformed input names: records, scenarios, submissions; each is made where a test first asks for it."""
+"""The files that malformed input names: records, scenarios, submissions; each is made where a test first asks."""
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import os
-import stat
 import zipfile
 import zlib
 from collections.abc import Callable
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
-
-from bench.store.seal import sealed
+from stored import resealed
 
 DECAY = [(0.1 * i, np.exp(-0.1 * i) * np.cos(2.0 * i)) for i in range(60)]
 GOOD = "t (s),x (m)\n" + "".join(f"{t:.1f},{x:.6f}\n" for t, x in DECAY)
@@ -61,15 +59,12 @@ def parquet(columns: dict[str, list[object]]) -> bytes:
     return sink.getvalue()
 
 
-def zipped(*members: tuple[str, bytes], link: bool = False) -> bytes:
-    """Return a zip file; ``link``: its members, the manifest apart, say that they are symbolic links."""
+def zipped(*members: tuple[str, bytes]) -> bytes:
+    """Return a zip file."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in members:
-            info = zipfile.ZipInfo(name)
-            info.compress_type = zipfile.ZIP_DEFLATED
-            info.external_attr = (stat.S_IFLNK | 0o777) << 16 if link and name != "manifest.json" else 0
-            archive.writestr(info, content)
+            archive.writestr(name, content)
     return file.getvalue()
 
 
@@ -89,29 +84,23 @@ def zip_bomb(name: str) -> bytes:
     return bytes(data)
 
 
-def submission(*members: tuple[str, bytes], link: bool = False, **stated: object) -> bytes:
-    """Return a submission of files by name, each with its checksum in the manifest."""
-    manifest = {"format": 1, "method": "ls", "files": {name: sha256(data).hexdigest() for name, data in members}}
-    return zipped(("manifest.json", json.dumps({**manifest, **stated}).encode()), *members, link=link)
+def submission(*members: tuple[str, bytes], **stated: object) -> bytes:
+    """Return a submission of files by name, each a cell of the manifest."""
+    cells = [{"identity": name.removeprefix("rows/").removesuffix(".json")} for name, _ in members]
+    manifest = {"format": 2, "method": "ls", "cells": cells, **stated}
+    return zipped(("manifest.json", json.dumps(manifest).encode()), *members)
 
 
-def cell(**changes: object) -> tuple[str, bytes]:
-    """Return a sealed file of a cell that states almost nothing, and what is to be changed of it."""
-    columns = {name: [0] for name in ("replicate", "evaluations", "wall_s", "cpu_s", "peak_memory_mb")}
+def cell(npz: bytes) -> tuple[str, bytes]:
+    """Return a sealed file of a cell that states almost nothing, with these arrays."""
+    rows = {name: [0] for name in ("replicate", "evaluations", "wall_s", "cpu_s", "peak_memory_mb")}
     content: dict[str, object] = {
         "identity": IDENTITY, "cell": {"method": "ls", "label": "ls", "system": "sdof", "snr_db": 20.0},
-        "rows": {**columns, "status": ["ok"], "message": [""], "data": [""], "scores": {"rmse": [0.1]}},
+        "rows": {**rows, "status": ["ok"], "message": [""], "data": [""], "scores": {"rmse": [0.1]}},
         "summary": {}, "prior_share": {}, "identifiable": {}, "wall_s": 0.0, "provenance": {}, "version": {},
-        "arrays": "",
+        "statuses": {"ok": 1}, "tracebacks": "", "npz": base64.b64encode(npz).decode(),
     }  # fmt: skip
-    return f"rows/{IDENTITY}.json", sealed(3, json.dumps({**content, **changes}))
-
-
-def arrays_bomb() -> tuple[tuple[str, bytes], tuple[str, bytes]]:
-    """Return a cell with arrays that unpack to 4 GB."""
-    content = zip_bomb("times.npy")
-    name = f"{IDENTITY}.{sha256(content).hexdigest()[:16]}.npz"
-    return cell(arrays=name), (f"rows/{name}", content)
+    return f"rows/{IDENTITY}.json", resealed(content)
 
 
 def aliases(levels: int) -> bytes:
@@ -142,11 +131,9 @@ FILES: dict[str, Callable[[], bytes]] = {
     "secret.yaml": SDOF.replace("own", "${oc.env:HOME}").encode,
     "wrongprior.yaml": (SDOF + "default_prior: zz\n").encode,
     "later.submission": lambda: submission(format=99),
-    "lacking.submission": lambda: submission(files={cell()[0]: "0" * 64}),
-    "above.submission": lambda: submission(("rows/../../above.json", b"{}")),
-    "link.submission": lambda: submission((cell()[0], b"/etc/passwd"), link=True),
+    "lacking.submission": lambda: submission(cells=[{"identity": IDENTITY}]),
     "huge.submission": lambda: zip_bomb("manifest.json"),
-    "arrays.submission": lambda: submission(*arrays_bomb()),
+    "arrays.submission": lambda: submission(cell(zip_bomb("times.npy"))),
     "looping.py": b"while True:\n    pass\n".__bytes__,
     "dying.py": b"import os\nos.kill(os.getpid(), 9)\n".__bytes__,
     "syntax.py": b"class Own(:\n".__bytes__,

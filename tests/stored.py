@@ -44,10 +44,6 @@ BOUND = Bound(
 )
 
 
-BODY = ("summary", "rows")
-"""What the second line of a cell's file holds."""
-
-
 def displacement(times: np.ndarray, k: float = 8.0, c: float = 0.4) -> np.ndarray:
     """The free response of a unit mass released from 1 m at rest (underdamped), by its closed form."""
     w = np.sqrt(k - c**2 / 4)
@@ -107,17 +103,22 @@ def recorded(rows: Sequence[Row], reconstructs: bool, trained: bool) -> dict[str
     return arrays
 
 
+BODY = ("summary", "rows", "tracebacks")
+"""What the second line of a cell's file holds."""
+
+
 def content(path: Path) -> dict[str, Any]:
-    """Return what a cell's file holds, both of its lines in one."""
-    head, body = path.read_text(encoding="utf-8").splitlines()
-    return {**json.loads(head), **json.loads(body)}
+    """Return what a cell's file holds, the last line under ``npz``."""
+    head, body, npz = path.read_text(encoding="utf-8").split("\n")
+    return {**json.loads(head), **json.loads(body), "npz": npz}
 
 
 def resealed(content: Mapping[str, Any]) -> bytes:
-    """The file of a cell with this content, which a test has taken from another and changed."""
-    body = json.dumps({key: content[key] for key in BODY if key in content}).encode()
-    head = {key: value for key, value in content.items() if key not in ("format", "sha256", *BODY)}
-    return sealed(FORMAT, json.dumps({**head, "body": hashlib.sha256(body).hexdigest()})) + b"\n" + body
+    """Return the file of a cell with this content, which a test has taken from another and changed."""
+    body = json.dumps({key: content[key] for key in BODY if key in content}) + "\n" + str(content.get("npz", ""))
+    head = {key: value for key, value in content.items() if key not in ("format", "sha256", "npz", *BODY)}
+    sealed_head = sealed(FORMAT, json.dumps({**head, "body": hashlib.sha256(body.encode()).hexdigest()}))
+    return sealed_head + b"\n" + body.encode()
 
 
 def save(
@@ -126,11 +127,15 @@ def save(
     rows: Sequence[Row],
     arrays: Mapping[str, np.ndarray] | None = None,
     bound: Bound = BOUND,
+    tracebacks: str = "",
 ) -> StoredCell:
     """Store a cell under the hash of what it says of itself."""
     identity = hashlib.sha256(json.dumps(dict(cell), sort_keys=True).encode()).hexdigest()[:20]
     summary = {name: vars(line) for name, line in summarise(rows, bound).items()}
-    return store.save(StoredCell(identity, dict(cell), tuple(rows), summary, {}, {}, 1.0, {}, dict(VERSION)), arrays)
+    kept = dict(arrays or {})
+    stored = StoredCell(identity, dict(cell), tuple(rows), summary, {}, {}, 1.0, {}, dict(VERSION), kept, tracebacks)
+    store.save(stored)
+    return stored
 
 
 def fill(
@@ -177,5 +182,6 @@ def fill_family(store: Store) -> list[StoredCell]:
         rows = trained(3, partial(_falling, 0.5 + 0.01 * i), 0.02 * 1.15**i)
         summary = {name: vars(line) for name, line in summarise(rows, BOUND).items()}
         what = {**cell.description(), "label": cell.label, "snr_db": 20.0, "initial_state": "known"}
-        kept.append(store.save(StoredCell(cell.identity, what, tuple(rows), summary, {}, {}, 1.0), None))
+        kept.append(StoredCell(cell.identity, what, tuple(rows), summary, {}, {}, 1.0))
+        store.save(kept[-1])
     return kept

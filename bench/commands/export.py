@@ -26,12 +26,12 @@ def export_petab(scenario: Sequence[str], replicate: int, out: Path) -> int:
 
 def export_arviz(identity: str, store: Store, out: Path) -> int:
     """Write the posterior draws of a stored cell as netCDF and print the file; raises InputError."""
-    from bench.commands.reproduce import find
+    from bench.commands.stores import one_cell
     from bench.exchange.inference_data import inference_data
 
-    stored = find(store, identity)
+    stored = one_cell(store, identity)
     check_file(out)
-    draws = inference_data(stored, store.arrays(stored))
+    draws = inference_data(stored)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         draws.to_netcdf(str(out))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from bench.commands.stores import named_store
@@ -18,13 +18,12 @@ from bench.config.choices import choices
 from bench.config.drawn import drawn_scenarios
 from bench.config.experiment import Experiment
 from bench.errors import InputError
+from bench.files import read_regular
 from bench.reporting.whole_file import check_folder
 from bench.store.archive import Archive
-from bench.store.bound_file import bound_text
 from bench.store.cell import stored_as_cell
-from bench.store.opening import NONE, default_archive
-from bench.store.seal import Unsealed, read_regular
-from bench.store.store import Store
+from bench.store.seal import Unsealed, unsealed_text
+from bench.store.store import BOUND_FORMAT, NONE, Store, default_archive
 from bench.store.stored import StoredCell
 
 OTHER = "other"
@@ -72,17 +71,16 @@ def publish(store: Store, archive: Archive, own: Described) -> list[Path]:
 
     Raises InputError for a damaged cell, OSError without room.
     """
-    from bench.store.publication import Entry, write_archive
+    from bench.store.publication import write_archive
 
     both = Store(store.folder, archive)
-    experiments: dict[str, list[Entry]] = {}
+    experiments: dict[str, list[StoredCell]] = {}
     for identity in both.identities():
         name, cell = own.places.get(identity, OTHER), both.load(identity)
         assert cell is not None
         if name == OTHER and superseded(cell, own, both):
             continue
-        arrays = {} if name in own.drawn else both.arrays(cell)
-        experiments.setdefault(name, []).append(Entry(cell, arrays, both.tracebacks(cell)))
+        experiments.setdefault(name, []).append(replace(cell, arrays={}) if name in own.drawn else cell)
     return write_archive(archive.folder, experiments, _bounds(both, archive, own.bounds))
 
 
@@ -95,7 +93,7 @@ def _bounds(both: Store, archive: Archive, used: Collection[str]) -> dict[str, s
 def _bound_text(path: Path) -> str:
     """Return the text of a bound; nothing where its file is not whole: whoever needs that bound computes it anew."""
     with contextlib.suppress(OSError, Unsealed):
-        return bound_text(read_regular(path))
+        return unsealed_text(BOUND_FORMAT, read_regular(path))
     return ""
 
 

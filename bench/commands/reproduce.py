@@ -2,83 +2,19 @@
 
 from __future__ import annotations
 
-import tempfile
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Annotated
 
-from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, cell_identity, named_store
-from bench.engine.pool import Limits
-from bench.errors import InputError
-from bench.exchange.comparison import Verdict, compare_rows
+from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, cell_identity, named_store, one_cell
+from bench.exchange.comparison import SAME_DIGITS, TOLERANCE, score_differences
+from bench.exchange.recomputing import recompute, widest_limits
 from bench.isolation.cores import usable_cores
-from bench.store.cell import stored_as_cell
-from bench.store.store import Store
+from bench.scoring.row import Row
+from bench.store.cell import Cell, stored_as_cell
+from bench.store.provenance import circumstances
 from bench.store.stored import StoredCell
-from bench.sweep.launch import complete
 
 MOST_NAMED = 5
-
-
-def compare(old: StoredCell, new: StoredCell) -> Verdict:
-    """How a cell that was run again compares with the stored one: statuses, scores, data, and what computed them."""
-    verdict = compare_rows(old.rows, new.rows)
-    return replace(verdict, changed=(*verdict.changed, *_circumstances(old, new)))
-
-
-def _circumstances(old: StoredCell, new: StoredCell) -> list[str]:
-    lines = [
-        f"{name} version {old.version.get(name)}, now {number}"
-        for name, number in new.version.items()
-        if old.version.get(name) != number
-    ]
-    then, now = (cell.provenance.get("packages", {}) for cell in (old, new))
-    for name in sorted({*then, *now}):
-        if then.get(name) != now.get(name):
-            lines.append(f"{name} {then.get(name) or 'absent'}, now {now.get(name) or 'absent'}")
-    for field in ("python", "system", "processor"):
-        before, after = old.provenance.get(field), new.provenance.get(field)
-        if before != after:
-            lines.append(f"{field} {before}, now {after}")
-    return lines
-
-
-def find(store: Store, text: str) -> StoredCell:
-    """The stored cell whose identity starts so; raises InputError for none or several."""
-    found = [identity for identity in store.identities() if identity.startswith(text)]
-    if len(found) != 1:
-        reason = "no such cell" if not found else f"{len(found)} cells start so"
-        raise InputError("cell", text, f"{reason} in {store.folder}; python -m bench status lists what is stored")
-    stored = store.load(found[0])
-    assert stored is not None
-    return stored
-
-
-def run_again(stored: StoredCell) -> StoredCell:
-    """Run a stored cell again in a store of its own."""
-    cell = stored_as_cell(stored)
-    limits = stored.provenance.get("limits", {})
-    with tempfile.TemporaryDirectory() as folder:
-        fresh = Store(Path(folder) / "rows")
-        fresh.prepare()
-        complete([cell], fresh, Limits(usable_cores(), limits.get("timeout_s", 600.0)))
-        again = fresh.load(cell.identity)
-    assert again is not None
-    return again
-
-
-def page(stored: StoredCell, verdict: Verdict) -> str:
-    """The verdict in a few lines."""
-    what, come = stored.cell, stored.provenance
-    commit = str(come.get("commit"))[:10] + (" with changes" if come.get("dirty") else "")
-    lines = [
-        f"{what['label']} on {what['system']}, {what['snr_db']:g} dB, initial state {what['initial_state']}, "
-        f"{len(stored.rows)} replicates, computed {come.get('started')} at commit {commit}",
-        f"run again: {verdict.name}",
-    ]
-    worst = sorted(verdict.differences.items(), key=lambda item: -item[1])[:MOST_NAMED]
-    lines += [f"  {name}: relative difference up to {gap:.1g}" for name, gap in worst]
-    return "\n".join([*lines, *(f"  {text}" for text in verdict.changed)])
 
 
 def reproduce(
@@ -93,8 +29,45 @@ def reproduce(
     Exit status: 0, 1 where the cell has drifted, 2 for bad input.
     """
     opened = named_store(store, archive)
-    stored = find(opened, cell)
-    verdict = compare(stored, run_again(stored))
-    print(page(stored, verdict))
+    stored = one_cell(opened, cell)
+    known = stored_as_cell(stored)
+    limits = widest_limits([stored], usable_cores())
+    again = recompute([(known, range(known.replicates))], limits)[known.identity]
+    verdict, lines = compare(stored, again)
+    what, come = stored.cell, stored.provenance
+    commit = str(come.get("commit"))[:10] + (" with changes" if come.get("dirty") else "")
+    print(
+        f"{what['label']} on {what['system']}, {what['snr_db']:g} dB, initial state {what['initial_state']}, "
+        f"{len(stored.rows)} replicates, computed {come.get('started')} at commit {commit}"
+    )
+    print("\n  ".join([f"run again: {verdict}", *lines, *changes(stored, known)]))
     print(opened.whereabouts(stored.identity))
-    return 1 if verdict.name == "drifted" else 0
+    return 1 if verdict == "drifted" else 0
+
+
+def compare(stored: StoredCell, again: Sequence[Row]) -> tuple[str, list[str]]:
+    """Return the verdict on a cell that was run again, and the differences that lead to it."""
+    gaps = score_differences(stored.rows, again, stored.rows)
+    worst = sorted((item for item in gaps.items() if item[1] > 0), key=lambda item: -item[1])[:MOST_NAMED]
+    lines = [f"{name}: relative difference up to {gap:.1g}" for name, gap in worst]
+    pairs = list(zip(stored.rows, again, strict=True))
+    changed = [f"replicate {old.replicate} was {old.status}, now {new.status}" for old, new in pairs
+               if old.status is not new.status]  # fmt: skip
+    largest = max(gaps.values(), default=0.0)
+    verdict = (
+        "drifted" if largest > TOLERANCE or changed else "within tolerance" if largest > SAME_DIGITS else "identical"
+    )
+    if other_data := sum(old.data != new.data for old, new in pairs):
+        changed.append(f"the data of {other_data} replicate(s) differ in their last digits or more")
+    return verdict, lines + changed
+
+
+def changes(stored: StoredCell, cell: Cell) -> list[str]:
+    """Describe what has changed since a cell was computed: versions, packages, machine."""
+    now = circumstances(cell.version)
+    then = {**{key: stored.provenance.get(key) for key in now}, **stored.provenance.get("packages", {})}
+    return cell.version.changes(stored.version) + [
+        f"{name} {then.get(name) or 'absent'}, now {value or 'absent'}"
+        for name, value in now.items()
+        if then.get(name) != value
+    ]

@@ -130,7 +130,7 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
     from bench.face.results import compute
     from bench.reporting.plan_table import counted, listing
     from bench.reporting.terminal_tables import Closing, cell_table
-    from bench.store.opening import open_store
+    from bench.store.store import open_store
     from bench.sweep.launch import Launch
     from bench.sweep.plan import plan, read_retry
 
@@ -148,7 +148,7 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
     closing = Closing(len(results))
     for result in results:
         if result.cell.identity not in closing.seen:  # a cell may stand in several tables
-            closing.add(result.cell, result.stored, results.store)
+            closing.add(result.cell, result.stored)
         if config.format == "json":
             print(json.dumps(result.as_dict(), allow_nan=False))
         elif len(jobs) == 1 and result.stored is not None:

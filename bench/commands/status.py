@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from bench.commands.declaration import Number, Others
-from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, named_store
+from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, cell_identity, named_store, one_cell
 from bench.commands.watch import Progress, follow
 from bench.config.overrides import settable
 from bench.contract.estimate import Status
@@ -18,7 +18,8 @@ from bench.errors import InputError
 from bench.isolation.cores import usable_cores
 from bench.reporting.plan_table import listing
 from bench.reporting.terminal import table, wrapped
-from bench.store.cell import Cell
+from bench.reporting.terminal_tables import cell_table
+from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored import Head
 from bench.store.version import cell_version
@@ -114,11 +115,18 @@ def status(
     store: StoreFolder = OWN,
     archive: ArchiveFolder = None,
     watch: Annotated[float, seconds_of, "true, or seconds between two looks: follow a running sweep"] = 0.0,
+    cell: Annotated[str, cell_identity, "identity of a stored cell, or its start: show it, with its tracebacks"] = "",
 ) -> int:
     """Show what is stored, failed, stale and missing, and why.
 
     Without a sweep: the store. With one: its cells, and what a run would compute. Nothing is computed.
     """
+    if cell:
+        opened = named_store(store, archive)
+        stored = one_cell(opened, cell)
+        print(cell_table(stored_as_cell(stored), stored))
+        print(opened.whereabouts(stored.identity), stored.tracebacks, sep="\n")
+        return 0
     if watch and not sweep:
         raise InputError("watch", "true", "name the sweep: experiment=<name>, or its fields")
     cells = _sweep(sweep) if sweep else None  # first, so that a misspelt field is named whatever the store is

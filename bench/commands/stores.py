@@ -10,6 +10,7 @@ from bench.errors import InputError
 
 if TYPE_CHECKING:
     from bench.store.store import Store
+    from bench.store.stored import StoredCell
 
 OWN = Path("outputs/rows")
 """The folder of a user's own cells, which may be absent where there is a published archive."""
@@ -23,7 +24,7 @@ def named_store(store: Path, archive: str | None, filled: bool = False) -> Store
     Raises InputError for a folder that was named and does not exist, since a mistyped name would be an empty store; and
     for a store without a cell, where it has to be ``filled``.
     """
-    from bench.store.opening import NONE, open_store
+    from bench.store.store import NONE, open_store
 
     if archive and archive != NONE:
         archive = str(folder("archive", archive))
@@ -40,3 +41,13 @@ def cell_identity(field: str, text: str) -> str:
     if set(text) - set("0123456789abcdef"):
         raise InputError(field, text, "an identity of hexadecimal digits, or its start; python -m bench status")
     return text
+
+
+def one_cell(store: Store, text: str) -> StoredCell:
+    """Return the stored cell whose identity starts so; raises InputError for none or several."""
+    found = [identity for identity in store.identities() if identity.startswith(text)]
+    stored = store.load(found[0]) if len(found) == 1 else None
+    if stored is None:
+        reason = "no such cell" if not found else f"{len(found)} cells start so"
+        raise InputError("cell", text, f"{reason} in {store.folder}; python -m bench status lists what is stored")
+    return stored

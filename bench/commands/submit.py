@@ -13,10 +13,8 @@ from bench.entrants.registry import DISTRIBUTION, registered
 from bench.errors import InputError
 from bench.reporting.whole_file import check_file
 from bench.store.cell import stored_as_cell
-from bench.store.opening import NONE
-from bench.store.store import Store
+from bench.store.store import NONE, Store
 from bench.store.stored import StoredCell
-from bench.store.submitted import unmarked_cell
 
 
 def submit_cells(method: str, experiment: str, folder: Path, by: str, out: Path | None) -> int:
@@ -31,9 +29,9 @@ def submit_cells(method: str, experiment: str, folder: Path, by: str, out: Path 
     path = out or Path(f"{method}{ENDING}")
     check_file(path)
     cells = chosen(store, method, experiment)
-    manifest = pack(path, store, cells, _facts(method, by))
+    pack(path, cells, _facts(method, by))
     rows = sum(len(stored.rows) for stored in cells)
-    print(f"{path}: {len(cells)} cells of {method}, {rows} rows, {len(manifest['files'])} files")
+    print(f"{path}: {len(cells)} cells of {method}, {rows} rows")
     return 0
 
 
@@ -56,7 +54,7 @@ def chosen(store: Store, method: str, experiment: str) -> list[StoredCell]:
             continue
         if not cell.version.is_that_of(stored.version):
             stale.append(stored.identity[:8])
-        found.append(unmarked_cell(stored))
+        found.append(stored.without_mark())
     if not found:
         of = f" of {experiment}" if experiment else ""
         raise InputError("method", method, f"{store.folder} holds no cell of it{of}; run python -m bench first")

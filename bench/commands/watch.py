@@ -18,7 +18,6 @@ from bench.reporting.rounding import number
 from bench.reporting.terminal import clipped
 from bench.reporting.terminal_tables import described
 from bench.store.cell import Cell
-from bench.store.durations import fit_seconds
 from bench.store.locks import under_way
 from bench.store.store import Store
 from bench.sweep.plan import State, plan
@@ -81,7 +80,7 @@ class Progress:
 
     def __init__(self, cells: Sequence[Cell], store: Store, retry: Collection[Status] = ()) -> None:
         planned = plan(cells, store, retry)
-        self.store, self.seconds = store, fit_seconds(store)
+        self.store, self.seconds = store, store.fit_seconds()
         self.cells = {one.cell.identity: one.cell for one in planned}
         self.left = {one.cell.identity: one.stamp for one in planned if one.run}
         self.failed = {one.cell.identity for one in planned if one.state is State.FAILED and not one.run}

@@ -25,7 +25,7 @@ from bench.contract.method import Identifier
 from bench.contract.problem import InitialState, Problem
 from bench.scenario.stream import anonymous_stream
 from bench.scenario.truth import Truth
-from bench.store.opening import DEFAULT_STORE, VARIABLE, default_archive
+from bench.store.store import DEFAULT_STORE, VARIABLE, default_archive
 
 PARAMETERS = {"m": 1.7, "c": 0.9, "k": 19.0}
 """Wrong parameters, far from those of the data."""

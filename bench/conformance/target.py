@@ -17,8 +17,8 @@ from typing import Any, Literal, NamedTuple
 
 from bench.entrants import registry
 from bench.errors import InputError
+from bench.files import read_regular
 from bench.isolation.failure import one_line
-from bench.store.seal import read_regular
 from bench.systems import GROUP as SYSTEMS
 from bench.systems import registered_systems
 

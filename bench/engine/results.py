@@ -7,12 +7,10 @@ task is computed again.
 from __future__ import annotations
 
 import hashlib
-import os
-import uuid
 from pathlib import Path
 
 from bench.errors import InputError
-from bench.store.seal import read_regular, write_new
+from bench.files import read_regular, write_whole
 
 DIGEST_BYTES = 32
 
@@ -34,13 +32,8 @@ def read_result(folder: Path, key: str) -> bytes | None:
 
 def write_result(folder: Path, key: str, content: bytes) -> None:
     """Write the content of a result in one step; raises InputError where the folder cannot be written."""
-    part = folder / f"{key}.{uuid.uuid4().hex}.part"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        try:
-            write_new(part, content + hashlib.sha256(content).digest())
-            os.replace(part, result_path(folder, key))
-        finally:
-            part.unlink(missing_ok=True)
+        write_whole(result_path(folder, key), content + hashlib.sha256(content).digest())
     except OSError as error:
         raise InputError("store", folder, f"cannot be written: {error.strerror}") from None

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from statistics import median
+from collections.abc import Sequence
 
-from bench.contract.estimate import Status
-from bench.scoring.row import Row
+import numpy as np
+
+from bench.scoring.path import of_clock
+from bench.scoring.row import Row, Rows
 
 SAME_DIGITS = 1e-5
 """Relative difference below which two scores are the same: the archive keeps five significant digits."""
@@ -23,74 +23,35 @@ NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 """A number in a message, whose last digits depend on the processor."""
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """``differences``: worst relative difference by score; ``changed``: what else is not as it was, in words."""
+def score_differences(before: Sequence[Row], again: Sequence[Row], cell: Sequence[Row]) -> dict[str, float]:
+    """Return the largest relative difference of each score that does not depend on the speed of the machine.
 
-    name: str
-    differences: Mapping[str, float]
-    changed: tuple[str, ...]
-
-
-def compare_rows(old: Sequence[Row], new: Sequence[Row], cell: Sequence[Row] = ()) -> Verdict:
-    """Compare rows with others of the same replicates: statuses, scores, data.
-
-    Differences are relative to a score, or to the median size of that score over the rows of the ``cell`` (by default
-    ``old``) where that is larger: an error that is next to nothing by luck has no digits of its own.
+    Args:
+        before: Stored replicates.
+        again: The same replicates, computed again.
+        cell: All replicates of the stored cell. A difference is relative to the score, or to its median size over these
+            where that is larger: an error that is next to nothing by luck has no digits of its own.
     """
-    sizes = _sizes(cell or old)
-    differences: dict[str, float] = {}
-    changed = []
-    for before, after in zip(old, new, strict=True):
-        assert before.replicate == after.replicate
-        if before.status is not after.status:
-            changed.append(f"replicate {before.replicate} was {before.status}, now {after.status}")
-        for name in {*before.scores, *after.scores}:
-            values = before.scores.get(name, math.nan), after.scores.get(name, math.nan)
-            gap = _relative(*values, sizes.get(name, 0.0))
-            differences[name] = max(differences.get(name, 0.0), gap)
-    other_data = sum(before.data != after.data for before, after in zip(old, new, strict=True))
-    worst = max(differences.values(), default=0.0)
-    name = "identical"
-    if worst > SAME_DIGITS:
-        name = "within tolerance"
-    if worst > TOLERANCE or changed:
-        name = "drifted"
-    if other_data:
-        changed.append(f"the data of {other_data} replicate(s) differ in their last digits or more")
-    return Verdict(name, {k: v for k, v in differences.items() if v > 0}, tuple(changed))
-
-
-def _sizes(rows: Sequence[Row]) -> dict[str, float]:
-    """The median size of each score, of those that are finite."""
-    values: dict[str, list[float]] = {}
-    for row in rows:
-        for name, value in row.scores.items():
-            if math.isfinite(value):
-                values.setdefault(name, []).append(abs(value))
-    return {name: median(found) for name, found in values.items()}
-
-
-def _relative(before: float, after: float, size: float) -> float:
-    if before == after or (math.isnan(before) and math.isnan(after)):
-        return 0.0
-    if not (math.isfinite(before) and math.isfinite(after)):
-        return math.inf
-    return abs(before - after) / max(abs(before), abs(after), size)
+    old, new, whole = map(Rows.of, (before, again, cell))
+    differences = {}
+    for name in dict.fromkeys([*old.score_names, *new.score_names]):
+        if not of_clock(name):
+            a, b, sizes = old.scores(name), new.scores(name), np.abs(whole.scores(name))
+            size = float(np.median(sizes[np.isfinite(sizes)])) if np.any(np.isfinite(sizes)) else 0.0
+            same = (a == b) | (np.isnan(a) & np.isnan(b))
+            with np.errstate(invalid="ignore", divide="ignore"):
+                gaps = np.abs(a - b) / np.maximum(np.maximum(np.abs(a), np.abs(b)), size)
+            differences[name] = float(np.max(np.where(same, 0.0, np.where(np.isfinite(gaps), gaps, np.inf))))
+    return differences
 
 
 def difference(before: Sequence[Row], again: Sequence[Row], cell: Sequence[Row]) -> float:
-    """Return the largest relative difference of replicates that were computed again.
+    """Return the largest of :func:`score_differences`.
 
-    Infinite where one has another status or message; the numbers in a message may differ.
+    Infinite where a replicate has another status or message; the numbers in a message may differ.
     """
-    if [_outcome(row) for row in before] != [_outcome(row) for row in again]:
-        return math.inf
-    return max(compare_rows(before, again, cell).differences.values(), default=0.0)
-
-
-def _outcome(row: Row) -> tuple[Status, str]:
-    return row.status, NUMBER.sub("#", row.message)
+    old, new = ([(row.status, NUMBER.sub("#", row.message)) for row in rows] for rows in (before, again))
+    return max(score_differences(before, again, cell).values(), default=0.0) if old == new else math.inf
 
 
 def miss_probability(n: int, compared: int) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,13 +11,14 @@ from bench.store.stored import StoredCell
 from bench.systems import make_system
 
 
-def inference_data(stored: StoredCell, arrays: Mapping[str, np.ndarray]) -> Any:
+def inference_data(stored: StoredCell) -> Any:
     """Return the draws of the replicate whose arrays are kept, as ``arviz.InferenceData``.
 
     ``posterior``: a variable a parameter, of one chain (draws are thinned, and those of several walkers lie together:
     diagnostics of chains are no use on them). ``observed_data``: the displacements (m) by sample, with ``time`` (s) and
     ``dof`` as coordinates. Raises InputError where the cell keeps no draws.
     """
+    arrays = stored.arrays
     if "draws" not in arrays:
         raise InputError("cell", stored.identity, f"{stored.cell['label']} states no draws; take a method that samples")
     try:

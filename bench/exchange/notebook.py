@@ -12,7 +12,7 @@ NAMED = ("method", "system", "snr", "initial_state", "prior", "disturbance", "re
 """Fields that :func:`bench.run` takes by their names; others are its ``settings``."""
 PICTURE = """import matplotlib.pyplot as plt
 
-arrays = results.store.arrays(results[0].stored)
+arrays = results[0].stored.arrays
 figure, axes = plt.subplots()
 axes.plot(arrays["dense_times"], arrays["true_displacement"][0], label="truth")
 if "displacement" in arrays:

@@ -15,8 +15,7 @@ from bench.engine.pool import Limits
 from bench.errors import InputError
 from bench.isolation.cores import usable_cores
 from bench.store.cell import Cell
-from bench.store.opening import open_store
-from bench.store.store import Store
+from bench.store.store import Store, open_store
 from bench.store.stored import StoredCell
 from bench.sweep.launch import Launch, launch, warm_up
 from bench.sweep.plan import Planned, plan, read_retry

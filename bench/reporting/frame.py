@@ -29,8 +29,7 @@ from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
-from bench.store.stored import StoredCell
-from bench.store.submitted import MARK
+from bench.store.stored import MARK, StoredCell
 from bench.systems import System, make_system
 
 ERROR = "_error_pct"
@@ -304,12 +303,12 @@ class Result:
         """The message of each replicate."""
         return self.stored.columns.texts("message") if self.stored else ()
 
-    def arrays(self, store: Store) -> dict[str, np.ndarray]:
+    def arrays(self) -> dict[str, np.ndarray]:
         """The arrays kept of replicate 0, as double precision; none where they are missing or damaged."""
         if self.stored:
             with contextlib.suppress(InputError):
-                found = store.arrays(self.stored)
-                return {name: a.astype(float) if a.dtype.kind == "f" else a for name, a in found.items()}
+                kept = self.stored.arrays.items()
+                return {name: a.astype(float) if a.dtype.kind == "f" else a for name, a in kept}
         return {}
 
 

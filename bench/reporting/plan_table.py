@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from bench.engine.progress import duration
 from bench.reporting.terminal import table, wrapped
 from bench.reporting.terminal_tables import described
-from bench.store.durations import fit_seconds
 from bench.store.store import Store
 from bench.sweep.plan import Planned
 
@@ -25,7 +24,7 @@ def counted(planned: Sequence[Planned]) -> str:
 
 def listing(planned: Sequence[Planned], store: Store, workers: int) -> str:
     """A plan as a table, with an estimate of the time from what stored cells of each method took."""
-    seconds, total, unknown, rows = fit_seconds(store), 0.0, set(), []
+    seconds, total, unknown, rows = store.fit_seconds(), 0.0, set(), []
     for one in planned:
         cell = one.cell
         each = seconds.get(cell.label)

@@ -6,7 +6,6 @@ import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from statistics import median_high
 
 import numpy as np
@@ -18,7 +17,6 @@ from bench.reporting.terminal import coloured, table, wrapped
 from bench.reporting.verdict import good, verdict
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
-from bench.store.store import Store
 from bench.store.stored import StoredCell
 
 MOST_LISTED = 100
@@ -111,13 +109,13 @@ class Closing:
     def __init__(self, n: int) -> None:
         self.listed = n <= MOST_LISTED
         self.lines: dict[tuple[str, ...], list[tuple[int, int, list[dict[str, float]]]]] = {}
-        self.kinds: dict[tuple[str, str, str], tuple[int, Path | None]] = {}
+        self.kinds: dict[tuple[str, str, str], tuple[int, str]] = {}
         self.seen: set[str] = set()
         self.lost = 0
         self.groups: dict[tuple[str, ...], str] = {}
         self.contests: dict[str, dict[tuple[str, ...], list[np.ndarray]]] = {}
 
-    def add(self, cell: Cell, stored: StoredCell | None, store: Store) -> None:
+    def add(self, cell: Cell, stored: StoredCell | None) -> None:
         """One cell's result; None where there is none."""
         self.seen.add(cell.identity)
         if stored is None:
@@ -144,8 +142,8 @@ class Closing:
             self.contests.setdefault(what, {})[key] = errors
         for (status, message), n in _failures(stored).items():
             kind = (cell.label, status, message)
-            before, path = self.kinds.get(kind, (0, store.errors(stored)))
-            self.kinds[kind] = before + n, path
+            before, identity = self.kinds.get(kind, (0, stored.identity if stored.tracebacks else ""))
+            self.kinds[kind] = before + n, identity
 
     def table(self) -> str:
         """The sweep as a table."""
@@ -195,8 +193,8 @@ class Closing:
         1 where a cell is not there at all: what ran elsewhere may be lost with its node.
         """
         if len(self.lines) > 1:
-            for (label, status, message), (n, errors) in self.kinds.items():
-                where = f" (traceback: {errors})" if errors else ""
+            for (label, status, message), (n, identity) in self.kinds.items():
+                where = f" (traceback: python -m bench status cell={identity})" if identity else ""
                 print(f"bench: {label}: {n} x {status}: {message}{where}", file=sys.stderr)
         if self.lost:
             print(f"bench: {self.lost} cells were not computed; the same command computes them", file=sys.stderr)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import uuid
 from contextlib import suppress
 from pathlib import Path
 
 from bench.errors import InputError
+from bench.files import write_whole
 
 
 def write(path: Path, content: str | bytes, given: Path | None = None, field: str = "out") -> None:
@@ -23,19 +23,12 @@ def write(path: Path, content: str | bytes, given: Path | None = None, field: st
         InputError: Where that cannot be done; it names what the user gave.
     """
     data = content.encode() if isinstance(content, str) else content
-    temporary = path.with_name(f".{path.name[:100]}.{uuid.uuid4().hex}.tmp")
     if is_special(path):  # a device or a pipe would be gone, and a file be in its place
         raise InputError(field, given or path, "it is a device or a pipe; name a file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())  # a full disk may say so only here
-        os.replace(temporary, path)
+        write_whole(path, data)
     except OSError as error:
-        with suppress(OSError):  # nor can it be taken away where it could not be made
-            temporary.unlink(missing_ok=True)
         other = "another file" if given is None else "another folder"
         raise InputError(field, given or path, f"cannot be written ({error.strerror}); name {other}") from None
 

@@ -1,10 +1,12 @@
-"""One replicate of one cell: what became of it, its scores, and what it took; and the scores of many by column."""
+"""The replicates of a cell: what became of each, its scores, and what it took; by column, and one by one."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, overload
 
 import numpy as np
 
@@ -13,11 +15,11 @@ from bench.contract.estimate import Status
 
 @dataclass(frozen=True)
 class Row:
-    """``wall_s`` and ``cpu_s`` are those of the fit alone, ``peak_memory_mb`` by how much its process grew.
+    """One replicate.
 
-    A fit that ran out of time has the scores of the best parameters it had reported, if any, and status ``timeout``.
-    ``data`` is a digest of the samples, forces and prior that the method was given: equal where two methods met the
-    same data.
+    ``wall_s`` and ``cpu_s`` are those of the fit alone, ``peak_memory_mb`` by how much its process grew. A fit that ran
+    out of time has the scores of the best parameters it had reported, if any, and status ``timeout``. ``data`` is a
+    digest of the samples, forces and prior that the method was given: equal where two methods met the same data.
     """
 
     replicate: int
@@ -29,6 +31,91 @@ class Row:
     peak_memory_mb: float = math.nan
     evaluations: int = 0
     data: str = ""
+
+
+NUMBERS = ("wall_s", "cpu_s", "peak_memory_mb")
+PLAIN = ("replicate", "message", *NUMBERS, "evaluations", "data")
+"""What a row has beside its status and its scores."""
+
+
+class Rows(Sequence[Row]):
+    """Replicates by column, so that a table reads a score of all of them without making any row.
+
+    Args:
+        statuses: The status of each replicate.
+        column: Returns a column of :data:`PLAIN`, or a score (n,), NaN where a replicate has none.
+        score_names: The scores that some replicate may have.
+    """
+
+    def __init__(
+        self, statuses: Iterable[Status], column: Callable[[str], Sequence[Any]], score_names: Iterable[str]
+    ) -> None:
+        self.statuses, self._column, self._names = tuple(statuses), column, list(score_names)
+
+    @classmethod
+    def of(cls, rows: Iterable[Row]) -> Rows:
+        """Return the rows by column."""
+        if isinstance(rows, Rows):
+            return rows
+        rows = tuple(rows)
+        columns: dict[str, Any] = {name: [getattr(row, name) for row in rows] for name in PLAIN}
+        scores = score_columns(rows)
+        made = cls((row.status for row in rows), (columns | scores).__getitem__, scores)
+        made._rows = rows
+        return made
+
+    @cached_property
+    def score_names(self) -> list[str]:
+        """The scores that any replicate has."""
+        return [name for name in self._names if not np.all(np.isnan(self._column(name)))]
+
+    def scores(self, name: str) -> np.ndarray:
+        """Return a score (n,), NaN where a replicate has none."""
+        return np.array(self._column(name), float) if name in self._names else np.full(len(self), np.nan)
+
+    def numbers(self, name: str) -> np.ndarray:
+        """Return a number of each fit, (n,): ``wall_s``, ``cpu_s``, ``peak_memory_mb``, ``evaluations``."""
+        return np.array(self._column(name), float)
+
+    def texts(self, name: str) -> list[str]:
+        """Return the ``message`` of each replicate, or the digest of its ``data``."""
+        return list(self._column(name))
+
+    @cached_property
+    def _rows(self) -> tuple[Row, ...]:
+        scores = {name: self.scores(name).tolist() for name in self.score_names}
+        plain = {name: np.asarray(self._column(name)).tolist() if name in NUMBERS else self._column(name)
+                 for name in PLAIN}  # fmt: skip
+        return tuple(
+            Row(
+                status=status,
+                scores={name: values[i] for name, values in scores.items() if not math.isnan(values[i])},
+                **{name: values[i] for name, values in plain.items()},
+            )
+            for i, status in enumerate(self.statuses)
+        )
+
+    @overload
+    def __getitem__(self, place: int) -> Row: ...
+    @overload
+    def __getitem__(self, place: slice) -> tuple[Row, ...]: ...
+    def __getitem__(self, place: int | slice) -> Row | tuple[Row, ...]:
+        return self._rows[place]
+
+    def __len__(self) -> int:
+        return len(self.statuses)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and tuple(self) == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(self._rows)
+
+    def __repr__(self) -> str:
+        return repr(self._rows)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Rows.of, (self._rows,)
 
 
 def score_columns(rows: Sequence[Row]) -> dict[str, np.ndarray]:

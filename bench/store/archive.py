@@ -8,10 +8,11 @@ stand in the order of ``cells.parquet``. A file is compared with its checksum wh
 
 from __future__ import annotations
 
+import hashlib
 import json
-import math
-from collections.abc import Iterator, Mapping
-from functools import cached_property
+import re
+from collections.abc import Mapping
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,28 +20,48 @@ import numpy as np
 
 from bench.contract.estimate import Status
 from bench.errors import InputError
-from bench.scoring.row import Row
-from bench.store.checksums import REMEDY, checked, read_sums
-from bench.store.columns import Columns
+from bench.files import read_regular
+from bench.scoring.row import NUMBERS, PLAIN, Rows
+from bench.store import version
 from bench.store.digits import decimal
-from bench.store.stored import Head, StoredCell
-from bench.store.version import NUMBERS
+from bench.store.stored import Arrays, Head, StoredCell
 
 if TYPE_CHECKING:  # pyarrow is loaded when a file is read
     import pyarrow as pa
 
+SUMS = "SHA256SUMS"
+"""The list of the checksums of all files, which ``sha256sum -c`` reads, too."""
+SUM = re.compile(r"([0-9a-f]{64})  ([a-z0-9_./]+)")
 CELLS, SUMMARIES, ARRAYS, BOUNDS = "cells.parquet", "summaries.parquet", "arrays.parquet", "bounds.parquet"
 STATISTICS = ("mean", "median", "ci_low", "ci_high", "bound", "excess", "n_ok")
-NUMBERS_OF_FIT = ("wall_s", "cpu_s", "peak_memory_mb")
-PLAIN = ("identity", "replicate", "status", "message", "data", "evaluations", *NUMBERS_OF_FIT)
+NO_SCORES = ("identity", "status", *PLAIN)
 """The columns of a file of rows that are no scores."""
-JSON = ("description", "statuses", "prior_share", "identifiable", "provenance")
-"""The columns of ``cells.parquet`` that hold JSON."""
+STATUSES = {status.value: status for status in Status}
+REMEDY = "not a whole file of the archive; fetch it again"
 
 
 def rows_file(experiment: str) -> str:
     """Return the name of the file with the rows of an experiment's cells."""
     return f"rows/{experiment}.parquet"
+
+
+def read_sums(folder: Path) -> dict[str, str]:
+    """Return the checksums by file; none where the folder has no list. Raises InputError for a damaged list."""
+    path = folder / SUMS
+    if not path.exists():
+        return {}
+    text = _read(path).decode(errors="replace")
+    lines = [SUM.fullmatch(line) for line in text.split("\n")[:-1]]
+    if not lines or not text.endswith("\n") or not all(lines):
+        raise InputError("archive", path, REMEDY)
+    return {line[2]: line[1] for line in lines if line}
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return read_regular(path)
+    except OSError as error:
+        raise InputError("archive", path, f"{REMEDY} ({error.strerror})") from None
 
 
 class ParquetFile:
@@ -51,10 +72,12 @@ class ParquetFile:
         import pyarrow.parquet as pq
 
         self.path = folder / name
-        content = checked(folder, name, sums)
+        content = _read(self.path)
+        if hashlib.sha256(content).hexdigest() != sums.get(name):
+            raise InputError("archive", self.path, f"{REMEDY} (its checksum is not that of {SUMS})")
         try:
             self._file = pq.ParquetFile(pa.BufferReader(content))
-            self.names = dict.fromkeys(self._file.schema_arrow.names)
+            self.names = list(self._file.schema_arrow.names)
         except (pa.ArrowException, OSError, ValueError):
             raise InputError("archive", self.path, REMEDY) from None
         self._numbers: dict[str, np.ndarray] = {}
@@ -87,89 +110,10 @@ class ParquetFile:
                 self._lists[name] = column.to_pylist()
         return self._lists[name]
 
-
-class ArchivedRows(Columns):
-    """The rows of a cell: a range of lines of a file."""
-
-    def __init__(self, file: ParquetFile, lines: slice) -> None:
-        self._file, self._lines = file, lines
-
-    def __len__(self) -> int:
-        return int(self._lines.stop - self._lines.start)
-
-    @cached_property
-    def statuses(self) -> tuple[Status, ...]:
-        known = {status.value: status for status in Status}
-        return tuple(known[text] for text in self._file.items("status")[self._lines])
-
-    @cached_property
-    def score_names(self) -> list[str]:
-        return [name for name in self._file.names if name not in PLAIN and not np.all(np.isnan(self.scores(name)))]
-
-    def scores(self, name: str) -> np.ndarray:
-        if name not in self._file.names or name in PLAIN:
-            return np.full(len(self), math.nan)
-        return self._file.numbers(name)[self._lines].copy()
-
-    def numbers(self, name: str) -> np.ndarray:
-        return self._file.numbers(name)[self._lines].copy()
-
-    def texts(self, name: str) -> list[str]:
-        return self._file.items(name)[self._lines]
-
-    @cached_property
-    def _rows(self) -> tuple[Row, ...]:
-        scores = {name: self.scores(name).tolist() for name in self.score_names}
-        replicates, evaluations = (self._file.items(name)[self._lines] for name in ("replicate", "evaluations"))
-        wall, cpu, memory = (self.numbers(name).tolist() for name in NUMBERS_OF_FIT)
-        messages, data = self.texts("message"), self.texts("data")
-        return tuple(
-            Row(
-                replicate=replicates[i],
-                status=status,
-                message=messages[i],
-                scores={name: values[i] for name, values in scores.items() if not math.isnan(values[i])},
-                wall_s=wall[i],
-                cpu_s=cpu[i],
-                peak_memory_mb=memory[i],
-                evaluations=evaluations[i],
-                data=data[i],
-            )
-            for i, status in enumerate(self.statuses)
-        )
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return tuple, (self._rows,)
-
-
-class ArchivedSummary(Mapping[str, Mapping[str, float]]):
-    """The summary of a cell by metric: a range of lines of ``summaries.parquet``."""
-
-    def __init__(self, file: ParquetFile, lines: slice) -> None:
-        self._file, self._lines = file, lines
-        self._read: dict[str, Mapping[str, float]] = {}
-
-    @cached_property
-    def _places(self) -> dict[str, int]:
-        return {name: self._lines.start + i for i, name in enumerate(self._file.items("metric")[self._lines])}
-
-    def __getitem__(self, metric: str) -> Mapping[str, float]:
-        if metric not in self._read:
-            place = self._places[metric]
-            self._read[metric] = {name: float(self._file.numbers(name)[place]) for name in STATISTICS}
-        return self._read[metric]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._places)
-
-    def __len__(self) -> int:
-        return len(self._places)
-
-    def __repr__(self) -> str:
-        return repr(dict(self))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return dict, (dict(self),)
+    def lines(self, name: str, lines: slice) -> Any:
+        """Return some lines of a column of a file of rows."""
+        own_type = name not in NO_SCORES or name in NUMBERS
+        return self.numbers(name)[lines] if own_type else self.items(name)[lines]
 
 
 class Archive:
@@ -197,9 +141,9 @@ class Archive:
         """The line of each cell in ``cells.parquet``."""
         if not self._sums:
             if any(self.folder.glob("*.parquet")):
-                raise InputError("archive", self.folder, f"its SHA256SUMS is missing; {REMEDY}")
+                raise InputError("archive", self.folder, f"its {SUMS} is missing; {REMEDY}")
             return {}
-        return {identity: i for i, identity in enumerate(self.file(CELLS).items("identity"))}
+        return {identity: i for i, identity in enumerate(self._of("identity"))}
 
     @cached_property
     def _row_lines(self) -> list[slice]:
@@ -211,12 +155,6 @@ class Archive:
             ends[experiment] = start + n
             lines.append(slice(start, start + n))
         return lines
-
-    @cached_property
-    def _summary_lines(self) -> list[slice]:
-        """The lines of each cell in ``summaries.parquet``."""
-        ends = np.cumsum(self._of("metrics")).tolist()
-        return [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
 
     def _of(self, column: str) -> list[Any]:
         return self.file(CELLS).items(column)
@@ -232,51 +170,62 @@ class Archive:
         """Return the file that holds the rows of a cell."""
         return self.folder / rows_file(self._of("experiment")[self._places[identity]])
 
-    def experiment(self, identity: str) -> str:
-        """Return the experiment whose file holds the rows of a cell."""
-        return str(self._of("experiment")[self._places[identity]])
-
     def head(self, identity: str) -> Head | None:
         """Return what is known of a cell without its rows, or None."""
         place = self._places.get(identity)
         if place is None:
             return None
-        return Head(
-            identity=identity,
-            cell=self._json("description", place),
-            statuses=self._json("statuses", place),
-            version=self._version(place),
-            wall_s=self._of("wall_s")[place],
-        )
+        statuses, seconds = self._json("statuses", place), self._of("wall_s")[place]
+        return Head(identity, self._json("description", place), statuses, self._version(place), seconds)
 
     def load(self, identity: str) -> StoredCell | None:
         """Return a cell, or None where the archive has none of that name; its rows are read when they are used."""
         place = self._places.get(identity)
         if place is None:
             return None
+        file, lines = self.file(rows_file(self._of("experiment")[place])), self._row_lines[place]
+        scores = [name for name in file.names if name not in NO_SCORES]
+        statuses = map(STATUSES.__getitem__, file.items("status")[lines])
         return StoredCell(
             identity=identity,
             cell=self._json("description", place),
-            rows=ArchivedRows(self.file(rows_file(self._of("experiment")[place])), self._row_lines[place]),
-            summary=ArchivedSummary(self.file(SUMMARIES), self._summary_lines[place]),
+            rows=Rows(statuses, partial(file.lines, lines=lines), scores),
+            summary=self._summary(place),
             prior_share={name: float(value) for name, value in self._json("prior_share", place).items()},
             identifiable=self._json("identifiable", place),
             wall_s=self._of("wall_s")[place],
             provenance=self._json("provenance", place),
             version=self._version(place),
-            arrays=ARRAYS if self._of("arrays")[place] else "",
+            arrays=Arrays(partial(self._arrays, identity)) if self._of("arrays")[place] else {},
+            tracebacks=self._of("tracebacks")[place],
         )
 
     def _json(self, column: str, place: int) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads(self._of(column)[place])
-        return found
+        value: dict[str, Any] = json.loads(self._of(column)[place])
+        return value
 
     def _version(self, place: int) -> dict[str, Any]:
-        return {name: self._of(f"{name}_version")[place] for name in NUMBERS}
+        return {name: self._of(f"{name}_version")[place] for name in version.NUMBERS}
 
-    def tracebacks(self, identity: str) -> str:
-        """Return the tracebacks of a cell's failed replicates, or nothing."""
-        return str(self._of("tracebacks")[self._places[identity]]) if identity in self._places else ""
+    @cached_property
+    def _statistics(self) -> list[list[float]]:
+        file = self.file(SUMMARIES)
+        rows: list[list[float]] = np.stack([file.numbers(name) for name in STATISTICS], axis=1).tolist()
+        return rows
+
+    @cached_property
+    def _metric_ends(self) -> list[int]:
+        ends: list[int] = np.cumsum(self._of("metrics")).tolist()
+        return ends
+
+    def _summary(self, place: int) -> dict[str, dict[str, float]]:
+        """Return the summary of a cell by metric."""
+        end = self._metric_ends[place]
+        lines = slice(end - self._of("metrics")[place], end)
+        metrics = self.file(SUMMARIES).items("metric")[lines]
+        return {
+            m: dict(zip(STATISTICS, row, strict=True)) for m, row in zip(metrics, self._statistics[lines], strict=True)
+        }
 
     @cached_property
     def _array_lines(self) -> dict[str, dict[str, int]]:
@@ -287,21 +236,20 @@ class Archive:
             lines.setdefault(identity, {})[name] = i
         return lines
 
-    def arrays(self, identity: str) -> dict[str, np.ndarray]:
-        """Return the arrays kept of a cell's first replicate; none where the archive has none."""
-        return {name: self._array(line) for name, line in self._array_lines.get(identity, {}).items()}
-
-    def _array(self, line: int) -> np.ndarray:
-        file = self.file(ARRAYS)
-        name, same_as = file.items("name")[line], file.items("same_as")[line]
-        holder = self._array_lines[same_as][name] if same_as else line
-        values = self._array_values[holder].values.to_numpy(zero_copy_only=False)
-        kind = np.int64 if file.items("whole")[line] else np.float32
-        return values.astype(kind).reshape(file.items("shape")[line])
-
     @cached_property
     def _array_values(self) -> pa.Array:
         return self.file(ARRAYS).column("values")
+
+    def _arrays(self, identity: str) -> dict[str, np.ndarray]:
+        """Return the arrays of a cell; one that an earlier cell has, too, refers to it."""
+        file, arrays = self.file(ARRAYS), {}
+        for name, line in self._array_lines.get(identity, {}).items():
+            same_as = file.items("same_as")[line]
+            holder = self._array_lines[same_as][name] if same_as else line
+            values = self._array_values[holder].values.to_numpy(zero_copy_only=False)
+            kind = np.int64 if file.items("whole")[line] else np.float32
+            arrays[name] = values.astype(kind).reshape(file.items("shape")[line])
+        return arrays
 
     def bounds(self) -> dict[str, str]:
         """Return the texts of all bounds by identity; raises InputError where their file is damaged."""

@@ -8,20 +8,19 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
-import os
 import sys
-import uuid
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from bench.errors import InputError
+from bench.files import read_regular, write_whole
 from bench.information.fisher import Bound, compute_bound, own_times
 from bench.isolation.mainless import without_main
 from bench.scenario.scenario import Scenario
-from bench.store.bound_file import bound_file, bound_text
-from bench.store.seal import read_regular, write_new
+from bench.store.seal import sealed, unsealed_text
+from bench.store.store import BOUND_FORMAT
 from bench.store.version import bound_version
 
 UNWRITABLE = 74
@@ -29,7 +28,7 @@ UNWRITABLE = 74
 
 
 class Bounded(Protocol):
-    """What has a bound, as a cell: a scenario and seed; the replicates count where each has times of its own."""
+    """A scenario and a seed; the replicates count where each has times of its own."""
 
     @property
     def scenario(self) -> Scenario: ...
@@ -50,7 +49,7 @@ class Replicates(NamedTuple):
 
 
 def bound_identity(wanted: Bounded) -> str:
-    """Hash of everything the bound depends on: the seed only where it draws a force or times."""
+    """Hash everything that the bound depends on: the seed only where it draws a force or times."""
     scenario, seed = wanted.scenario, wanted.seed
     drawn = own_times(scenario, seed)
     identity = {
@@ -67,24 +66,18 @@ def bound_identity(wanted: Bounded) -> str:
 
 
 def bound_path(wanted: Bounded, folder: Path) -> Path:
-    """The file of a folder that keeps a bound."""
+    """Return the file of a folder that keeps a bound."""
     return folder / f"{bound_identity(wanted)}.bound"
 
 
 def keep_bound(wanted: Bounded, folder: Path) -> None:
     """Compute a bound here and write its file; raises InputError where ``folder`` cannot be written."""
+    text = json.dumps(asdict(compute_bound(wanted.scenario, wanted.seed, wanted.replicates)))
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        write_whole(bound_path(wanted, folder), sealed(BOUND_FORMAT, text))
     except OSError:
         raise _unwritable(folder) from None
-    path = bound_path(wanted, folder)
-    text = json.dumps(asdict(compute_bound(wanted.scenario, wanted.seed, wanted.replicates)))
-    temporary = path.with_suffix(f".{uuid.uuid4().hex}.tmp")  # two machines can have the same process ids
-    try:
-        write_new(temporary, bound_file(text))
-        os.replace(temporary, path)
-    except OSError:
-        raise _unwritable(path.parent) from None
 
 
 def _unwritable(folder: Path) -> InputError:
@@ -92,27 +85,28 @@ def _unwritable(folder: Path) -> InputError:
 
 
 def _keep_all(wanted: Sequence[Bounded], folder: Path) -> None:
-    """Main function of the process that computes bounds with jax."""
+    """Compute bounds in a process of their own."""
     try:
-        for one in wanted:
-            keep_bound(one, folder)
+        for item in wanted:
+            keep_bound(item, folder)
     except InputError:
         sys.exit(UNWRITABLE)
 
 
 def load_bounds(wanted: Sequence[Bounded], folder: Path) -> list[Bound]:
-    """The bounds from the cache under ``folder``.
+    """Return the bounds kept in a folder.
 
     What is missing or damaged is computed first: of linear systems here, of others in one process of its own, so that
     jax never shares a process with a fit. Raises InputError where ``folder`` cannot be written.
     """
-    paths = [bound_path(one, folder) for one in wanted]
-    found = {path: kept_bound(path) for path in dict.fromkeys(paths)}
-    missing = {path: one for path, one in zip(paths, wanted, strict=True) if found[path] is None}.values()
-    for one in missing:
-        if one.scenario.make_system().linear:
-            keep_bound(one, folder)
-    if others := [one for one in missing if not one.scenario.make_system().linear]:
+    paths = [bound_path(item, folder) for item in wanted]
+    kept = {path: kept_bound(path) for path in dict.fromkeys(paths)}
+    missing = {path: item for path, item in zip(paths, wanted, strict=True) if kept[path] is None}.values()
+    others = [item for item in missing if not item.scenario.make_system().linear]
+    for item in missing:
+        if item not in others:
+            keep_bound(item, folder)
+    if others:
         process = multiprocessing.get_context("spawn").Process(target=_keep_all, args=(others, folder))
         with without_main():
             process.start()
@@ -121,21 +115,17 @@ def load_bounds(wanted: Sequence[Bounded], folder: Path) -> list[Bound]:
             raise _unwritable(folder)
         if process.exitcode != 0:
             raise RuntimeError(f"the computation of {len(others)} bound(s) failed (exit {process.exitcode})")
-    return [found[path] or _written(path) for path in paths]
-
-
-def _written(path: Path) -> Bound:
-    """The bound that has just been written."""
-    bound = kept_bound(path)
-    if bound is None:
-        raise InputError("store", path, "the bound that was written there cannot be read; run again")
-    return bound
+    bounds = [kept[path] or kept_bound(path) for path in paths]
+    for path, bound in zip(paths, bounds, strict=True):
+        if bound is None:
+            raise InputError("store", path, "the bound that was written there cannot be read; run again")
+    return [bound for bound in bounds if bound is not None]
 
 
 def kept_bound(path: Path) -> Bound | None:
-    """The bound of a file; None where there is none, or none that is whole."""
+    """Return the bound of a file; None where there is none, or none that is whole."""
     try:
-        values = json.loads(bound_text(read_regular(path)))
+        values = json.loads(unsealed_text(BOUND_FORMAT, read_regular(path)))
         names, null_space = tuple(values.pop("names")), tuple(map(tuple, values.pop("null_space")))
         return Bound(names=names, null_space=null_space, **values)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):

@@ -19,7 +19,7 @@ from bench.entrants.registry import default_settings
 from bench.errors import InputError
 from bench.isolation.failure import one_line
 from bench.scenario.scenario import Scenario
-from bench.store.shape import is_description
+from bench.store.shape import DESCRIPTION, fits
 from bench.store.stored import StoredCell
 from bench.store.version import Version, cell_version
 
@@ -60,7 +60,7 @@ class Cell:
         A force that was read from a file is stated by the digest of its numbers; ``force_file`` is where they are.
         """
         reason = "this version describes its configuration differently; run it anew"
-        if not is_description(stated):
+        if not fits(stated, DESCRIPTION):
             raise InputError("cell", identity, reason)
         force = stated.get("data", {}).get("force") or {}
         if "file" in force:  # never a path that a description names

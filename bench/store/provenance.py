@@ -7,11 +7,10 @@ import platform
 import subprocess
 from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from bench.store.version import Version
+from bench.store.version import Version, installed
 
 
 @cache
@@ -51,22 +50,20 @@ def _processor() -> str:
         return platform.processor()
 
 
-@cache
-def _installed(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
+def circumstances(computed_by: Version) -> dict[str, Any]:
+    """Return what a result may depend on beside the versions: packages and machine, by name."""
+    machine = {name: _machine()[name] for name in ("python", "system", "processor")}
+    return {"vibration-bench": installed("vibration-bench") or None, **computed_by.packages, **machine}
 
 
 def provenance(
     computed_by: Version, workers: int, timeout_s: float, memory_mb: float, started: float
 ) -> dict[str, Any]:
-    """Of one cell; ``started`` in seconds since the epoch. The seeds and the configuration are the cell's own."""
+    """Describe where a cell comes from; ``started`` in seconds since the epoch."""
     return {
         **_commit(),
         **_machine(),
-        "packages": {"vibration-bench": _installed("vibration-bench"), **computed_by.packages},
+        "packages": {"vibration-bench": installed("vibration-bench") or None, **computed_by.packages},
         "workers": workers,
         "limits": {"timeout_s": timeout_s, "memory_mb": memory_mb},
         "started": datetime.fromtimestamp(started, UTC).isoformat(timespec="seconds"),

@@ -5,28 +5,18 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.store.archive import (
-    ARRAYS,
-    BOUNDS,
-    CELLS,
-    NUMBERS_OF_FIT,
-    STATISTICS,
-    SUMMARIES,
-    rows_file,
-)
+from bench.files import write_together
+from bench.scoring.row import NUMBERS as NUMBERS_OF_FIT
+from bench.store.archive import ARRAYS, BOUNDS, CELLS, STATISTICS, SUMMARIES, SUMS, read_sums, rows_file
 from bench.store.cell_file import EXACT_DIGITS, to_json
-from bench.store.checksums import NAME, read_sums, sums_text
 from bench.store.digits import BITS, binary
-from bench.store.seal import write_new
 from bench.store.stored import StoredCell
 from bench.store.version import NUMBERS
 
@@ -41,27 +31,19 @@ LARGEST_SINGLE = 3e38
 """A column with a larger finite number is kept in double precision."""
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A cell with what lies beside it."""
-
-    cell: StoredCell
-    arrays: Mapping[str, np.ndarray]
-    tracebacks: str = ""
-
-
-def write_archive(folder: Path, experiments: Mapping[str, Sequence[Entry]], bounds: Mapping[str, str]) -> list[Path]:
+def write_archive(
+    folder: Path, experiments: Mapping[str, Sequence[StoredCell]], bounds: Mapping[str, str]
+) -> list[Path]:
     """Write an archive with these cells by experiment, and these bounds; returns the files that have changed.
 
     Nothing is touched before all files are written beside the old ones. Raises OSError without room.
     """
-    ordered = {name: sorted(entries, key=_place) for name, entries in sorted(experiments.items())}
-    placed = [(name, entry) for name, entries in ordered.items() for entry in entries]
-    cells = [entry.cell for _, entry in placed]
-    files = {rows_file(name): _rows_bytes([entry.cell for entry in entries]) for name, entries in ordered.items()}
-    files[CELLS] = _lines_bytes([_line(name, entry) for name, entry in placed])
+    ordered = {name: sorted(cells, key=_place) for name, cells in sorted(experiments.items())}
+    cells = [cell for group in ordered.values() for cell in group]
+    files = {rows_file(name): _rows_bytes(group) for name, group in ordered.items()}
+    files[CELLS] = _lines_bytes([_line(name, cell) for name, group in ordered.items() for cell in group])
     files[SUMMARIES] = _summaries_bytes(cells)
-    files[ARRAYS] = _arrays_bytes([entry for _, entry in placed])
+    files[ARRAYS] = _arrays_bytes(cells)
     files[BOUNDS] = _lines_bytes([{"identity": name, "text": text} for name, text in sorted(bounds.items())])
     return _replace(folder, files)
 
@@ -72,34 +54,22 @@ def _replace(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
     if sums == before:
         return []
     written = {name: content for name, content in files.items() if sums[name] != before.get(name)}
-    written[NAME] = sums_text(sums).encode()
-    temporaries = {name: folder / f"{name}.tmp" for name in written}
-    try:
-        for name, temporary in temporaries.items():
-            temporary.parent.mkdir(parents=True, exist_ok=True)
-            temporary.unlink(missing_ok=True)
-            write_new(temporary, written[name])
-        for name, temporary in temporaries.items():
-            os.replace(temporary, folder / name)
-    finally:
-        for temporary in temporaries.values():
-            temporary.unlink(missing_ok=True)
+    written[SUMS] = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items())).encode()
+    (folder / "rows").mkdir(parents=True, exist_ok=True)
+    write_together({folder / name: content for name, content in written.items()})
     gone = [folder / name for name in before.keys() - sums.keys()]
     for path in gone:
         path.unlink(missing_ok=True)
     return [folder / name for name in sorted(written)] + gone
 
 
-def _place(entry: Entry) -> tuple[Any, ...]:
+def _place(cell: StoredCell) -> tuple[Any, ...]:
     """Order like beside like, so that what they share takes little room."""
-    cell = entry.cell.cell
-    order = (str(cell.get(key)) for key in ("label", "system", "initial_state", "snr_db"))
-    return (*order, entry.cell.identity)
+    return (*(str(cell.cell.get(key)) for key in ("label", "system", "initial_state", "snr_db")), cell.identity)
 
 
-def _line(experiment: str, entry: Entry) -> dict[str, Any]:
+def _line(experiment: str, cell: StoredCell) -> dict[str, Any]:
     """Return the line of a cell in ``cells.parquet``."""
-    cell = entry.cell
     what, data = cell.cell, cell.cell.get("data", {})
     texts = {
         "description": to_json(what, EXACT_DIGITS),
@@ -117,14 +87,14 @@ def _line(experiment: str, entry: Entry) -> dict[str, Any]:
         "seed": what.get("seed"),
         "replicates": len(cell.columns),
         "metrics": len(cell.summary),
-        "arrays": len(entry.arrays),
+        "arrays": len(cell.arrays),
         "n_ok": cell.n_ok,
         "wall_s": float(cell.wall_s),
         "cpu_s": float(np.nansum(cell.columns.numbers("cpu_s"))),
         **{f"{name}_version": cell.version.get(name) for name in NUMBERS},
         **{name: cell.provenance.get(name) for name in ("started", "commit")},
         **{name: json.dumps(value, ensure_ascii=False) for name, value in texts.items()},
-        "tracebacks": entry.tracebacks,
+        "tracebacks": cell.tracebacks,
     }
 
 
@@ -157,18 +127,18 @@ def _summaries_bytes(cells: Sequence[StoredCell]) -> bytes:
     return _table_bytes(columns, {name: binary(values) for name, values in numbers.items()})
 
 
-def _arrays_bytes(entries: Iterable[Entry]) -> bytes:
+def _arrays_bytes(cells: Iterable[StoredCell]) -> bytes:
     """An array that an earlier cell has under the same name is not written again, but refers to it."""
     first: dict[tuple[str, str], str] = {}
     lines = []
-    for entry in entries:
-        for name, values in sorted(entry.arrays.items()):
+    for cell in cells:
+        for name, values in sorted(cell.arrays.items()):
             key = name, hashlib.sha256(values.tobytes()).hexdigest()
-            same_as = first.setdefault(key, entry.cell.identity)
-            own = same_as == entry.cell.identity
+            same_as = first.setdefault(key, cell.identity)
+            own = same_as == cell.identity
             bits = SINGLE_BITS if name.startswith(TRACE) else ARRAY_BITS
             lines.append({
-                "identity": entry.cell.identity, "name": name, "shape": list(values.shape),
+                "identity": cell.identity, "name": name, "shape": list(values.shape),
                 "whole": values.dtype.kind == "i", "same_as": None if own else same_as,
                 "values": _single(values.ravel().astype(float), bits) if own else np.empty(0, np.float32),
             })  # fmt: skip

@@ -1,143 +1,80 @@
-"""The types of what a cell's file holds, as far as readers rely on them.
+"""The types of what a cell's file states, as far as readers rely on them.
 
-A checksum says that a file is as it was written, not that this benchmark wrote it. What passes these types can be read
-by every command; keys that are not named here may hold anything.
+A checksum shows that a file is as it was written, not that this benchmark wrote it. What fits :data:`HEAD` can be read
+by every command.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+import math
+from collections.abc import Callable
+from typing import Any
 
-from annotated_types import Len
-from pydantic import ConfigDict, Field, StrictBool, StrictStr, TypeAdapter, ValidationError
-from typing_extensions import TypedDict
-
-from bench.contract.estimate import Status
-
-Whole = Annotated[int, Field(ge=-(2**63), lt=2**63)]
-Float = Annotated[float, Field(strict=True)] | Literal["inf", "-inf", "nan"]
-"""JSON has no infinity and no NaN: they are the strings ``inf``, ``-inf`` and ``nan``."""
-Number = Float | None
-Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+REST = "*"
 
 
-class _Open(TypedDict, total=False):
-    __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
+def fits(value: Any, shape: Any) -> bool:
+    """Return whether a JSON value has a shape.
+
+    A shape is a function of the value; a list with the shape of all items; or a dictionary with those of some keys,
+    each of which may be absent. Other keys have that of :data:`REST`, or may hold anything.
+    """
+    if isinstance(shape, dict):
+        rest = shape.get(REST, _anything)
+        return isinstance(value, dict) and all(fits(item, shape.get(key, rest)) for key, item in value.items())
+    if isinstance(shape, list):
+        return isinstance(value, list) and all(fits(item, shape[0]) for item in value)
+    return bool(shape(value))
 
 
-class Disturbance(_Open, total=False):
-    """What disturbs the data."""
-
-    kind: StrictStr
-
-
-class Data(_Open, total=False):
-    """What decides the data of a replicate."""
-
-    system: StrictStr
-    options: dict[str, Any]
-    parameters: dict[str, Float]
-    initial: Annotated[list[Annotated[list[Finite], Len(1)]], Len(2, 2)]
-    snr_db: Float
-    duration: Float
-    samples: Whole
-    force: dict[str, Any] | None
-    disturbance: Disturbance | None
-    added_mass: list[Float] | None
-    measured: list[Whole] | None
-    truth: StrictStr
-
-
-class Given(_Open, total=False):
-    """What a method is given beside the data."""
-
-    initial_state: StrictStr
-    prior: dict[str, StrictBool | Float | StrictStr] | None
-
-
-class Description(_Open, total=False):
-    """The question that a cell answers."""
-
-    method: StrictStr
-    label: StrictStr
-    system: StrictStr
-    settings: dict[str, Any]
-    replicates: Whole
-    seed: Whole
-    snr_db: Float
-    initial_state: StrictStr
-    data: Data
-    sigma: list[Float]
-    told: Given
-    sigma_over_peak: Float
-
-
-class Provenance(_Open, total=False):
-    """Where a cell comes from."""
-
-    commit: StrictStr | None
-    started: StrictStr | None
-    finished: StrictStr | None
-    python: StrictStr | None
-    system: StrictStr | None
-    processor: StrictStr | None
-    data: StrictStr
-    packages: dict[str, StrictStr | None]
-    limits: dict[str, Float]
-
-
-class Version(_Open, total=False):
-    """What computed a cell."""
-
-    method: Whole
-    system: Whole
-    scoring: Whole
-
-
-class Head(_Open):
-    """The first line of a cell's file."""
-
-    identity: StrictStr
-    cell: Description
-    statuses: dict[Status, Whole]
-    wall_s: Float
-    prior_share: dict[str, Float]
-    identifiable: dict[str, StrictBool]
-    provenance: Provenance
-    version: Version
-    arrays: StrictStr
-    errors: StrictStr
-    body: StrictStr
-
-
-class Rows(_Open):
-    """The replicates by column; a score is null where a replicate lacks it."""
-
-    replicate: list[Whole]
-    status: list[Status]
-    message: list[StrictStr]
-    data: list[StrictStr]
-    evaluations: list[Whole]
-    wall_s: list[Number]
-    cpu_s: list[Number]
-    peak_memory_mb: list[Number]
-    scores: dict[str, list[Number]]
-
-
-class Body(_Open):
-    """The second line of a cell's file."""
-
-    summary: dict[str, dict[str, Number]]
-    rows: Rows
-
-
-DESCRIPTION, HEAD, BODY = TypeAdapter(Description), TypeAdapter(Head), TypeAdapter(Body)
-
-
-def is_description(value: Any) -> bool:
-    """Return whether a value has the types of a cell's description."""
-    try:
-        DESCRIPTION.validate_python(value)
-    except ValidationError:
-        return False
+def _anything(value: Any) -> bool:
     return True
+
+
+def _text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _flag(value: Any) -> bool:
+    return isinstance(value, bool)
+
+
+def _whole(value: Any) -> bool:
+    return type(value) is int and -(2**63) <= value < 2**63
+
+
+def _finite(value: Any) -> bool:
+    return _whole(value) or (isinstance(value, float) and math.isfinite(value))
+
+
+def _number(value: Any) -> bool:
+    return _finite(value) or value in ("inf", "-inf", "nan")  # which JSON lacks
+
+
+def _or_null(shape: Any) -> Callable[[Any], bool]:
+    return lambda value: value is None or fits(value, shape)
+
+
+def _state(value: Any) -> bool:
+    """Positions and velocities."""
+    return fits(value, [[_finite]]) and len(value) == 2 and all(map(len, value)) and len(set(map(len, value))) == 1
+
+
+DESCRIPTION = {
+    "method": _text, "label": _text, "system": _text, "settings": {}, "replicates": _whole, "seed": _whole,
+    "snr_db": _number, "initial_state": _text, "sigma": [_number], "sigma_over_peak": _number,
+    "told": {"initial_state": _text, "prior": _or_null({REST: lambda v: _flag(v) or _number(v) or _text(v)})},
+    "data": {
+        "system": _text, "options": {}, "parameters": {REST: _number}, "initial": _state, "snr_db": _number,
+        "duration": _number, "samples": _whole, "force": _or_null({}), "disturbance": _or_null({"kind": _text}),
+        "added_mass": _or_null([_number]), "measured": _or_null([_whole]), "truth": _text,
+    },
+}  # fmt: skip
+HEAD = {
+    "identity": _text, "cell": DESCRIPTION, "statuses": {REST: _whole}, "wall_s": _number,
+    "prior_share": {REST: _number}, "identifiable": {REST: _flag}, "version": {REST: _whole}, "body": _text,
+    "provenance": {
+        **dict.fromkeys(("commit", "started", "finished", "python", "system", "processor"), _or_null(_text)),
+        "data": _text, "packages": {REST: _or_null(_text)}, "limits": {REST: _number},
+    },
+}  # fmt: skip

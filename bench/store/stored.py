@@ -2,14 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from bench.contract.estimate import Status
-from bench.scoring.row import Row
-from bench.store.columns import Columns, MadeRows
+from bench.scoring.row import Row, Rows
+
+MARK = " (submitted)"
+"""What the label of a cell ends with that somebody else computed, so that every table and page shows it."""
+SUBMITTED = "submitted"
+"""The field of a submitted cell's provenance that states what was verified of it."""
+
+
+class Arrays(Mapping[str, np.ndarray]):
+    """Arrays that are read when one of them is first needed; that raises InputError where they are damaged."""
+
+    def __init__(self, read: Callable[[], Mapping[str, np.ndarray]]) -> None:
+        self._read = read
+
+    @cached_property
+    def _arrays(self) -> dict[str, np.ndarray]:
+        return dict(self._read())
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self._arrays[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._arrays)
+
+    def __len__(self) -> int:
+        return len(self._arrays)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (self._arrays,)
 
 
 @dataclass(frozen=True)
@@ -17,7 +46,7 @@ class StoredCell:
     """A cell's description, its rows, the summary of every metric, and where they come from.
 
     ``wall_s`` is the time of all fits together, ``version`` the version that computed it (:mod:`bench.store.version`).
-    ``arrays`` and ``errors`` (tracebacks) name the files beside it, or are empty.
+    ``arrays`` are those kept of one replicate, ``tracebacks`` those of the replicates that failed.
     """
 
     identity: str
@@ -29,13 +58,13 @@ class StoredCell:
     wall_s: float
     provenance: dict[str, Any] = field(default_factory=dict)
     version: dict[str, Any] = field(default_factory=dict)
-    arrays: str = ""
-    errors: str = ""
+    arrays: Mapping[str, np.ndarray] = field(default_factory=dict, compare=False, repr=False)
+    tracebacks: str = ""
 
     @cached_property
-    def columns(self) -> Columns:
+    def columns(self) -> Rows:
         """The rows by column."""
-        return self.rows if isinstance(self.rows, Columns) else MadeRows(self.rows)
+        return Rows.of(self.rows)
 
     @property
     def n_ok(self) -> int:
@@ -47,6 +76,29 @@ class StoredCell:
         """``ok`` where any replicate succeeded, else the most frequent failure."""
         statuses = self.columns.statuses
         return Status.OK if Status.OK in statuses else max(set(statuses), key=statuses.count)
+
+    @property
+    def submitted(self) -> bool:
+        """True of a cell that came with a submission."""
+        return SUBMITTED in self.provenance
+
+    def marked(self, facts: Mapping[str, Any]) -> StoredCell:
+        """Return the cell as one that was submitted; ``facts`` state where it came from and what was verified of it.
+
+        A label has no part in a cell's identity.
+        """
+        cell = {**self.cell, "label": f"{unmarked(str(self.cell['label']))}{MARK}"}
+        return replace(self, cell=cell, provenance={**self.provenance, SUBMITTED: dict(facts)})
+
+    def without_mark(self) -> StoredCell:
+        """Return the cell as its method calls it, without a mark that it came with."""
+        provenance = {key: value for key, value in self.provenance.items() if key != SUBMITTED}
+        return replace(self, cell={**self.cell, "label": unmarked(str(self.cell["label"]))}, provenance=provenance)
+
+
+def unmarked(label: str) -> str:
+    """Return a label without the mark."""
+    return label.removesuffix(MARK)
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ class Version:
     @property
     def packages(self) -> Mapping[str, str]:
         """The public versions of the packages in use that are installed, by the name that is imported."""
-        versions = {name: _installed(name) for name in self.requires}
+        versions = {name: installed(name) for name in self.requires}
         return {name: version for name, version in versions.items() if version}
 
     def as_json(self) -> dict[str, int]:
@@ -78,7 +78,7 @@ def bound_version(system: str) -> list[int]:
 
 
 @cache
-def _installed(name: str) -> str:
+def installed(name: str) -> str:
     """Return the public version of a package, or nothing."""
     with contextlib.suppress(PackageNotFoundError):
         return version(name).partition("+")[0]

@@ -316,6 +316,6 @@ def _keep_good(queued: QueuedCell, store: Store) -> None:
     with contextlib.suppress(InputError):
         stored = store.load(queued.key)
         if stored is not None:
-            queued.arrays = store.arrays(stored)
+            queued.arrays = dict(stored.arrays)
             retried = FAILURES | {Status.MISSING_DEPENDENCY}
             queued.rows = [row for row in stored.rows if row.status not in retried]

@@ -17,10 +17,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from bench.engine.pool import Limits, run_tasks, say
 from bench.engine.progress import OnLook
 from bench.errors import InputError
+from bench.files import read_regular, write_whole
 from bench.scenario.declaration import STRICT, Positive, validated
 from bench.store.archive import Archive
 from bench.store.cell import Cell
-from bench.store.seal import Unsealed, read_regular, sealed, unsealed, write_new
+from bench.store.seal import Unsealed, sealed, unsealed
 from bench.store.store import Store
 from bench.sweep.plan import Planned, State
 from bench.sweep.runner import run_cells
@@ -62,7 +63,7 @@ class Job(ABC):
     def write(self, path: Path) -> None:
         """Write the job's file; raises OSError."""
         limits = {"timeout_s": self.limits.timeout_s, "memory_mb": self.limits.memory_mb}
-        write_new(path, sealed(FORMAT, json.dumps({**limits, self.unit: self.content()})))
+        write_whole(path, sealed(FORMAT, json.dumps({**limits, self.unit: self.content()})))
 
 
 @dataclass(frozen=True)

@@ -192,9 +192,11 @@ class Scorer:
             wall_s=float(np.nansum([row.wall_s for row in ordered])),
             version=version,
             provenance={**provenance, "data": combined_digest(ordered)},
+            arrays=arrays,
+            tracebacks=tracebacks,
         )
         try:
-            store.save(stored, arrays, tracebacks)
+            store.save(stored)
         except OSError as error:
             return error.strerror or str(error)
         return ""

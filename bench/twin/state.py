@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from bench.contract.online import Layout, OnlineIdentifier, Tracker
 from bench.errors import InputError
+from bench.files import write_whole
 
 FORMAT = 1
 
@@ -31,11 +31,9 @@ def save(path: Path, method: OnlineIdentifier, tracker: Tracker) -> None:
         "format": FORMAT, "of": digest(method, tracker.layout), "interval": tracker.layout.interval,
         "samples": tracker.samples, "tracker": {name: plain(value) for name, value in tracker.saved().items()},
     }  # fmt: skip
-    part = path.with_name(f"{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(json.dumps(content), encoding="utf-8")
-        os.replace(part, path)
+        write_whole(path, json.dumps(content).encode())
     except OSError as error:
         raise InputError("state", path, f"cannot be written: {error.strerror}") from None
 

@@ -32,8 +32,7 @@ from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.pooling import pooled_excess
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
-from bench.store.opening import DEFAULT_STORE, open_store
-from bench.store.store import Store
+from bench.store.store import DEFAULT_STORE, Store, open_store
 from bench.store.stored import StoredCell
 from bench.sweep.launch import complete
 from bench.systems import Chain

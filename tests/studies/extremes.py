@@ -29,8 +29,7 @@ from bench.reporting.rounding import excess_text
 from bench.reporting.tables.common import csv, markdown_table
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
-from bench.store.opening import DEFAULT_STORE, open_store
-from bench.store.store import Store
+from bench.store.store import DEFAULT_STORE, Store, open_store
 from bench.sweep.launch import complete
 from bench.systems.linear import SDOF
 from tests.studies.fields import command, read_fields, whole

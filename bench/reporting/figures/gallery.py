@@ -61,7 +61,7 @@ class Gallery:
 
     def arrays(self, cell: Result) -> dict[str, np.ndarray]:
         """The arrays kept of a cell's replicate 0, as double precision; none where they are missing."""
-        return cell.arrays(self.store)
+        return cell.arrays()
 
     @cached_property
     def main(self) -> list[Result]:

@@ -43,7 +43,7 @@ class FirstReplicate:
 
 def first_replicate(store: Store, result: Result) -> FirstReplicate | None:
     """What is kept, of the first DOF with a sensor; None where the cell has no arrays or they are not readable."""
-    arrays = result.arrays(store)
+    arrays = result.arrays()
     if not {"sample_times", "sample_values", "sample_dof", "dense_times", "true_displacement"} <= set(arrays):
         return None
     dof = int(arrays["sample_dof"][0])
@@ -102,7 +102,7 @@ def stated_interval(store: Store, result: Result, quantity: str) -> tuple[float,
     what = next((q for q in system.quantities if q.name == quantity), None)
     if what is None:
         return None
-    arrays = result.arrays(store)
+    arrays = result.arrays()
     true = float(what.value(result.parameters))
     draws = arrays.get("draws")
     if draws is not None and draws.shape[1:] == (len(system.names),):

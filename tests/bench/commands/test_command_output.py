@@ -173,7 +173,7 @@ def test_numbers_of_a_cell_end_in_the_same_places() -> None:
 def closing_of(*entries: tuple[Cell, StoredCell]) -> Closing:
     closing = Closing(len(entries))
     for cell, stored in entries:
-        closing.add(cell, stored, Store(Path("nowhere")))
+        closing.add(cell, stored)
     return closing
 
 

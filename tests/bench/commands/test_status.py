@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -81,13 +82,21 @@ def test_what_comes_out_differently_is_named(store: Store) -> None:
         whole["rows"]["scores"]["rmse"] = moved
         other = Store(path.parent.parent / f"other{verdict[:3]}")
         other.folder.mkdir()
-        other.path(oracle.identity).write_bytes(resealed({**whole, "arrays": ""}))
+        other.path(oracle.identity).write_bytes(resealed(whole))
         stored = other.load(oracle.identity)
         assert stored is not None
-        found = reproduce.compare(stored, oracle)
-        assert found.name == verdict
-        assert set(found.differences) <= {"rmse"}
-        assert found.changed == ()
+        found, lines = reproduce.compare(stored, oracle.rows)
+        assert found == verdict
+        assert all(line.startswith("rmse: relative difference") for line in lines)
+
+
+def test_a_cell_is_shown_with_its_tracebacks(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    (oracle,) = (cell for cell in store if cell.cell["label"] == "oracle")
+    store.save(replace(oracle, tracebacks="replicate 0\nTraceback: größer\n"))
+    assert main(["status", f"cell={oracle.identity[:6]}", f"store={store.folder}"]) == 0
+    out = capsys.readouterr().out
+    assert "replicate 0\nTraceback: größer" in out
+    assert str(store.path(oracle.identity)) in out
 
 
 @pytest.mark.parametrize("bad", ["zzz", "0123456789"])

@@ -17,7 +17,7 @@ from bench.reporting.claims.claim import Claim, exceptions, fold, listed, number
 from bench.reporting.claims.document import SECTIONS, Document, check, documents, typed, typed_in_claims
 from bench.reporting.claims.evidence import Evidence
 from bench.reporting.claims.panels import CHOSEN, chosen
-from bench.store.opening import open_store
+from bench.store.store import open_store
 
 RESULTS = REPOSITORY / "results"
 FREE_DECAY = "docs/explanation/free_decay.md"

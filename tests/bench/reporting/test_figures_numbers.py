@@ -419,7 +419,7 @@ def test_a_mass_without_a_sensor_has_no_samples(store: Store) -> None:
     first = {name: a[:40] if name.startswith("sample_") else a for name, a in gallery.arrays(cell).items()}
     stored = store.load(cell.stored.identity)
     assert stored is not None
-    store.save(stored, first)
+    store.save(replace(stored, arrays=first))
     gallery = Gallery(store)
     assert len(draw_record(gallery).figure.axes) == 1
     assert "40 noisy samples of the displacement" in draw_record(gallery).caption

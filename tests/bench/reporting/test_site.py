@@ -485,7 +485,7 @@ def test_a_fit_is_made_again_only_if_its_stored_error_agrees(agrees: bool, cells
         "covariance": covariance,
     }  # fmt: skip
     store = cells()
-    saved = store.save(StoredCell(**{**vars(cell), "rows": rows}), arrays)
+    saved = replace(cell, rows=rows, arrays=arrays)
     result = Result.of_stored(saved)
     one = first_replicate(store, result)
     assert one is not None

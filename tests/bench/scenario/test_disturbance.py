@@ -20,7 +20,7 @@ from bench.scenario.disturbance import Disturbance, kinds
 from bench.scenario.scenario import METHOD, ForceSpec, PriorSpec, Scenario
 from bench.store.bounds import Replicates, bound_identity
 from bench.store.cell import Cell
-from bench.store.opening import open_store
+from bench.store.store import open_store
 
 TRUE = {"m": 1.2, "c": 0.5, "k": 9.0}
 X0, V0 = 0.9, 0.3

@@ -22,12 +22,11 @@ from bench.config.experiment import expand
 from bench.engine.pool import Limits
 from bench.scoring.row import Row
 from bench.store.archive import STATISTICS, Archive
-from bench.store.bound_file import bound_file, bound_text
 from bench.store.cell_file import cell_file
 from bench.store.digits import binary, decimal
-from bench.store.opening import VARIABLE, open_store
 from bench.store.publication import ARRAY_BITS
-from bench.store.store import Store
+from bench.store.seal import sealed, unsealed_text
+from bench.store.store import BOUND_FORMAT, VARIABLE, Store, open_store
 from bench.store.stored import StoredCell
 from bench.sweep.launch import complete
 
@@ -83,11 +82,10 @@ def store(tmp_path: Path) -> Store:
     store = Store(tmp_path / "rows")
     store.prepare()
     for seed in range(12):
-        store.save(
-            random_cell(seed), random_arrays(seed) if seed % 2 else None, "Traceback\n  größer\n" if seed == 5 else ""
-        )
+        arrays, tracebacks = random_arrays(seed) if seed % 2 else {}, "Traceback\n  größer\n" if seed == 5 else ""
+        store.save(random_cell(seed, arrays=arrays, tracebacks=tracebacks))
     store.bounds.mkdir()
-    (store.bounds / "0123.bound").write_bytes(bound_file('{"rmse": 0.1234567890123456}'))
+    (store.bounds / "0123.bound").write_bytes(sealed(BOUND_FORMAT, '{"rmse": 0.1234567890123456}'))
     (store.bounds / "0124.bound").write_text('{"rmse": 0.1234567890123456}')  # without a checksum
     return store
 
@@ -116,17 +114,15 @@ def test_every_cell_comes_back_as_it_is(store: Store, archive: Archive) -> None:
         assert [repr(dict(sorted(row.scores.items()))) for row in after.rows] == [
             repr(dict(sorted(row.scores.items()))) for row in before.rows
         ]
-        plain = {"arrays": "", "errors": "", "rows": tuple(replace(row, scores={}) for row in before.rows)}
-        also = {"arrays": "", "rows": tuple(replace(row, scores={}) for row in after.rows)}
-        assert cell_file(replace(after, **also)) == cell_file(replace(before, **plain))
+        bare = [replace(c, arrays={}, rows=tuple(replace(r, scores={}) for r in c.rows)) for c in (before, after)]
+        assert cell_file(bare[0]) == cell_file(bare[1])
         assert (after.n_ok, after.status, bool(after.arrays)) == (before.n_ok, before.status, bool(before.arrays))
         assert archive.head(identity) == replace(store.head(identity), stamp=0)  # type: ignore[type-var]
-        arrays, back = store.arrays(before), archive.arrays(identity)
+        arrays, back = before.arrays, after.arrays
         assert back.keys() == arrays.keys()
         for name, values in arrays.items():
             assert (back[name].dtype, back[name].shape) == (values.dtype, values.shape)
             np.testing.assert_allclose(back[name], values, rtol=2.0**-ARRAY_BITS)
-        assert archive.tracebacks(identity) == store.tracebacks(before)
     assert archive.bounds() == {"0123": '{"rmse": 0.1234567890123456}'}
     assert archive.load("nobody") is None
 
@@ -160,12 +156,14 @@ def test_of_drawn_scenarios_rows_are_published_and_curves_are_not(store: Store, 
     found = Archive(tmp_path / "drawn")
     for cell in store:
         drawn = PLACES.get(cell.identity) == "table1"
-        assert found.arrays(cell.identity).keys() == ({} if drawn else store.arrays(cell)).keys()
-        assert len(found.load(cell.identity).rows) == len(cell.rows)  # type: ignore[union-attr]
+        published = found.load(cell.identity)
+        assert published is not None
+        assert published.arrays.keys() == ({} if drawn else cell.arrays).keys()
+        assert len(published.rows) == len(cell.rows)
 
 
 def test_bounds_that_no_experiment_uses_are_not_published(store: Store, tmp_path: Path) -> None:
-    (store.bounds / "4567.bound").write_bytes(bound_file('{"rmse": 1.0}'))
+    (store.bounds / "4567.bound").write_bytes(sealed(BOUND_FORMAT, '{"rmse": 1.0}'))
     publish(store, Archive(tmp_path / "used"), Described(PLACES, bounds=("0123",)))
     assert list(Archive(tmp_path / "used").bounds()) == ["0123"]
 
@@ -203,7 +201,7 @@ def test_a_write_that_fails_leaves_the_archive_of_before(
     def full(*arguments: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("bench.store.publication.write_new", full)
+    monkeypatch.setattr("os.fsync", full)
     with pytest.raises(OSError, match="No space"):
         publish(store, Archive(archive.folder), Described(PLACES))
     assert contents(archive) == before
@@ -212,8 +210,9 @@ def test_a_write_that_fails_leaves_the_archive_of_before(
 def read_all(folder: Path) -> None:
     archive = Archive(folder)
     for identity in archive.identities():
-        archive.load(identity)
-        archive.arrays(identity)
+        cell = archive.load(identity)
+        assert cell is not None
+        dict(cell.arrays)
     archive.bounds()
 
 
@@ -261,7 +260,7 @@ def test_bounds_are_fetched_from_the_archive(archive: Archive, tmp_path: Path) -
     both = Store(tmp_path / "mine", archive)
     both.fetch_bounds({"0123", "unknown"})
     assert [path.name for path in both.bounds.iterdir()] == ["0123.bound"]
-    assert bound_text((both.bounds / "0123.bound").read_bytes()) == '{"rmse": 0.1234567890123456}'
+    assert unsealed_text(BOUND_FORMAT, (both.bounds / "0123.bound").read_bytes()) == '{"rmse": 0.1234567890123456}'
 
 
 def test_the_archive_is_named_by_field_or_environment(archive: Archive, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,8 +16,9 @@ from bench.information.fisher import compute_bound
 from bench.isolation.limit import limited
 from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
 from bench.store import bounds as bound_module
-from bench.store.bound_file import bound_file
 from bench.store.bounds import Replicates, bound_identity, load_bounds
+from bench.store.seal import sealed
+from bench.store.store import BOUND_FORMAT
 
 SDOF_TRUE = {"m": 1.0, "c": 0.4, "k": 8.0}
 SDOF_FREE = Scenario("sdof", SDOF_TRUE, ((1.0,), (0.0,)), 20.0)
@@ -86,7 +87,13 @@ BARE = json.dumps(asdict(compute_bound(replace(SDOF_FREE, snr_db=30.0))))
 
 @pytest.mark.parametrize(
     "content",
-    [b"", b'{"names": ["m"', BARE.encode(), bound_file('{"names": ["m"]}'), bound_file("[" * 10**5)],
+    [
+        b"",
+        b'{"names": ["m"',
+        BARE.encode(),
+        sealed(BOUND_FORMAT, '{"names": ["m"]}'),
+        sealed(BOUND_FORMAT, "[" * 10**5),
+    ],
     ids=["empty", "cut", "without a checksum", "another shape", "nested"],
 )
 def test_a_bound_that_is_not_whole_is_computed_anew(tmp_path: Path, content: bytes) -> None:

@@ -28,7 +28,7 @@ def test_a_cell_that_cannot_be_read_for_a_moment_is_not_computed_again(
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     with monkeypatch.context() as disk:
-        for name in ("read_regular", "read_first_line"):
+        for name in ("read_regular", "open_regular"):
             disk.setattr(f"bench.store.store.{name}", failing)
         with pytest.raises(InputError, match="cannot be read now"):
             plan([cell], store)

@@ -1,0 +1,38 @@
+"""Replicates of stored cells, computed again."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from bench.config.fields import MOST_MEMORY_MB, MOST_TIMEOUT_S
+from bench.engine.pool import Limits
+from bench.engine.progress import progress_bar
+from bench.scoring.row import Row
+from bench.store.cell import Cell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
+from bench.sweep.launch import preloaded
+from bench.sweep.plan import Planned, State
+from bench.sweep.runner import run_replicates
+
+
+def recompute(chosen: Sequence[tuple[Cell, Collection[int]]], limits: Limits) -> dict[str, Sequence[Row]]:
+    """Compute some replicates of each cell; returns their rows in order, by the cell's identity."""
+    rows: dict[str, Sequence[Row]] = {}
+    with tempfile.TemporaryDirectory() as folder, progress_bar() as on_look:
+        store = Store(Path(folder))
+        planned = [(Planned(cell, State.MISSING, "", True), replicates) for cell, replicates in chosen]
+        run_replicates(planned, store, limits, lambda cell, again: rows.update({cell.identity: again}), on_look)
+    return rows
+
+
+def widest_limits(cells: Sequence[StoredCell], workers: int) -> Limits:
+    """Return so many workers, and the widest limits that any of the cells states and a run accepts."""
+    stated = [stored.provenance.get("limits", {}) for stored in cells]
+    widest = {
+        name: max([getattr(Limits(), name), *(own for limits in stated if (own := float(limits.get(name, 0))) <= most)])
+        for name, most in (("timeout_s", MOST_TIMEOUT_S), ("memory_mb", MOST_MEMORY_MB))
+    }
+    return Limits(workers, **widest, preload=preloaded())
