@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from functools import cache
 from pathlib import Path, PurePosixPath
 
 import pandas as pd
@@ -24,8 +25,9 @@ FREE_DECAY = "docs/explanation/free_decay.md"
 COST = "docs/explanation/how_to_read.md"
 
 
+@cache
 def evidence(folder: Path = RESULTS) -> Evidence:
-    """What is published, or tables of another folder beside the published cells."""
+    """Read what is published, or tables of another folder beside the published cells; all tests share it."""
     return Evidence(folder, open_store(str(folder / "rows"), str(RESULTS / "archive")))
 
 
