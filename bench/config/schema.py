@@ -15,8 +15,8 @@ from bench.entrants.registry import default_settings, make_method
 from bench.errors import InputError
 from bench.scenario import scenario as declared
 from bench.scenario.declaration import validated
-from bench.scenario.disturbance import Disturbance, kind_of
-from bench.scenario.scenario import PriorSpec, Scenario, config_path
+from bench.scenario.disturbance import Disturbance
+from bench.scenario.scenario import KEY, PriorSpec, Scenario, config_path
 from bench.store.cell import Cell
 
 SCENARIO = ("system", "prior", "disturbance")
@@ -98,7 +98,7 @@ def scenario_from(content: Mapping[str, Any]) -> Scenario:
             values[f.name] = given[group]
         elif name in system:
             values[f.name] = system.pop(name)
-        elif f.name == "label" or (f.metadata.get("stated") and "part" not in f.metadata):
+        elif f.name in ("label", *KEY):
             raise InputError(paths[f.name], "", "field required")
     return validated(kind, values, paths)
 
@@ -113,4 +113,4 @@ def _disturbance(content: Mapping[str, Any]) -> Disturbance | None:
     settings = {name: value for name, value in content.items() if name != "kind" and value is not None}
     if content["kind"] == "none" and not settings:
         return None
-    return validated(kind_of(content["kind"], settings), settings, {name: f"disturbance.{name}" for name in settings})
+    return Disturbance.from_dict({"kind": content["kind"], **settings})

@@ -6,30 +6,31 @@ replicate, its standard deviation and the nominal values stay those of the undis
 undisturbed results are paired; what a kind draws besides comes from a stream of its own. The bound stays that of the
 undisturbed scenario too: a method is compared with what would be possible without the disturbance.
 
-No method is told of a disturbance, except that the times of ``irregular`` are stated as they are. Its bound is that of
+No method knows of a disturbance, except that the times of ``irregular`` are stated as they are. Its bound is that of
 these times.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
 
 from bench.contract.problem import Force, InitialState
 from bench.errors import InputError
-from bench.scenario.declaration import STRICT, changed
+from bench.scenario.declaration import STRICT, changed, plain, validated
 from bench.scenario.truth import integrated_response, reference_response, reference_state
 from bench.systems import System
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What each kind may change; by default nothing. Raises InputError where the size makes no sense.
+    """The parts of the data that a kind may change; by default none. Raises InputError for a size without a meaning.
 
-    ``allowed``: the size is above the first number and at most the second; ``meaning``: what it is.
+    ``allowed``: the size is above the first number and at most the second; ``meaning``: what it is. ``free``: free
+    vibration only; ``one_mass``: one mass with a linear spring only.
     """
 
     __pydantic_config__ = STRICT
@@ -37,6 +38,8 @@ class Disturbance:
     kind: ClassVar[str]
     allowed: ClassVar[tuple[float, float]]
     meaning: ClassVar[str]
+    free: ClassVar[bool] = False
+    one_mass: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         low, high = self.allowed
@@ -44,38 +47,49 @@ class Disturbance:
             raise InputError("disturbance.size", self.size, f"above {low:g}, at most {high:g}: {self.meaning}")
 
     def to_dict(self) -> dict[str, Any]:
-        """Kind and settings, as JSON holds them."""
-        return {"kind": self.kind, **changed(self)}
+        """Return kind and settings, as JSON holds them."""
+        return {"kind": self.kind, **plain(self, *changed(self))}
 
     @staticmethod
     def from_dict(stated: Mapping[str, Any]) -> Disturbance:
-        """The disturbance of :meth:`to_dict`; raises InputError for what is unknown, missing or too large."""
+        """Return the disturbance of :meth:`to_dict`; raises InputError for what is unknown, missing or too large."""
         settings = dict(stated)
-        return kind_of(settings.pop("kind"), settings)(**settings)
+        kind, known = settings.pop("kind"), kinds()
+        if kind not in known:
+            raise InputError("disturbance.kind", kind, f"known: none, {', '.join(known)}")
+        names = [field.name for field in fields(known[kind])]
+        if set(settings) != set(names):
+            raise InputError("disturbance", kind, f"its settings are {' and '.join(names)}, and each is needed")
+        return validated(known[kind], settings, {name: f"disturbance.{name}" for name in settings})
 
-    def check(self, duration: float, forced: bool) -> None:
-        """Raise InputError where the disturbance does not go with a record of that duration (s), forced or free."""
+    def check(self, system: System, duration: float, forced: bool) -> None:
+        """Raise InputError where the disturbance does not go with a system, or with a record of that duration (s)."""
+        if self.free and forced:
+            raise InputError("disturbance", self.kind, "free vibration only; choose a system without a force")
+        if self.one_mass and system.name != "sdof":
+            remedy = "one mass with a linear spring only: system=sdof and its like"
+            raise InputError("disturbance", self.kind, remedy)
 
     def start(self, system: System, p: Mapping[str, float], start: InitialState) -> InitialState:
-        """The true state at time 0 of the record; ``start`` is that of the motion."""
+        """Return the true state at time 0 of the record; ``start`` is that of the motion."""
         return start
 
     def response(
         self, system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force]
     ) -> np.ndarray:
-        """True displacement (m), shape (n_dof, n_times), at times of the record (s)."""
+        """Return the true displacement (m), shape (n_dof, n_times), at times of the record (s)."""
         return reference_response(system, p, start, times, forces)
 
     def sampling(self, times: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Stated and actual sample times (s) of one replicate, each of the shape of the uniform ``times``."""
+        """Return stated and actual sample times (s) of one replicate, each of the shape of the uniform ``times``."""
         return times, times
 
     def noise(self, base: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """The noise in standard deviations, shape (n_dof, n_samples), from the standard normal base draw."""
+        """Return the noise in standard deviations, shape (n_dof, n_samples), from the standard normal base draw."""
         return base
 
     def reading_error(self, times: np.ndarray) -> np.ndarray:
-        """Systematic error of the sensor at the stated times, over the root mean square of the clean samples."""
+        """Return the systematic error at the stated times, over the root mean square of the clean samples."""
         return np.zeros_like(times)
 
 
@@ -91,7 +105,9 @@ class Integrator(Disturbance):
     def response(
         self, system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force]
     ) -> np.ndarray:
-        return integrated_response(system, p, start, times, forces, "Radau", self.size, 0.01 * self.size)
+        return integrated_response(
+            system, p, start, times, forces, method="Radau", rtol=self.size, atol=0.01 * self.size
+        )
 
 
 class Jitter(Disturbance):
@@ -109,7 +125,7 @@ class Jitter(Disturbance):
 
 
 class Irregular(Disturbance):
-    """Sample times drawn uniformly over the record, ends kept, and told; ``size`` below 1 mixes in the uniform grid."""
+    """Known sample times, drawn uniformly between the ends; a ``size`` below 1 mixes in the uniform grid."""
 
     kind, allowed, meaning = "irregular", (0.0, 1.0), "1 for random times, towards 0 for the uniform grid"
 
@@ -171,7 +187,7 @@ class Outliers(Disturbance):
 
 
 class Bias(Disturbance):
-    """A constant offset of the sensor, ``size`` times the root mean square of the clean samples, that is not told."""
+    """A constant, unknown offset of the sensor, ``size`` times the root mean square of the clean samples."""
 
     kind, allowed, meaning = "bias", (0.0, 100.0), "offset over the root mean square of the clean samples"
 
@@ -189,19 +205,19 @@ class Drift(Disturbance):
 
 
 class LateTrigger(Disturbance):
-    """The record starts ``size`` seconds into the motion, while the told start is that of the motion.
+    """The record starts ``size`` seconds into the motion, while the known initial state is that of the motion.
 
-    Time is that of the record, also where displacement and forecast are scored. So it matters only where the start is
-    told: a method that estimates the start finds the state at the trigger.
+    Time is that of the record, also where displacement and forecast are scored. So it matters only where the initial
+    state is known: a method that estimates it finds the state at the trigger.
     """
 
     kind, allowed, meaning = "late_trigger", (0.0, 1e6), "seconds"
+    free = True  # a force would have to be late too, and between its samples
 
-    def check(self, duration: float, forced: bool) -> None:
+    def check(self, system: System, duration: float, forced: bool) -> None:
+        super().check(system, duration, forced)
         if self.size >= duration:
             raise InputError("disturbance.size", self.size, f"seconds, below the duration of the record ({duration:g})")
-        if forced:  # the force would have to be told late too, and between its samples
-            raise InputError("disturbance", self.kind, "free vibration only; choose a system without a force")
 
     def start(self, system: System, p: Mapping[str, float], start: InitialState) -> InitialState:
         return reference_state(system, p, start, self.size)
@@ -213,17 +229,5 @@ class LateTrigger(Disturbance):
 
 
 def kinds() -> dict[str, type[Disturbance]]:
-    """Every kind by its name; found, not named, so that a cell hangs on the one that it uses."""
-    return {found.kind: found for found in Disturbance.__subclasses__()}
-
-
-def kind_of(kind: str, settings: Mapping[str, Any]) -> type[Disturbance]:
-    """Return the class of a kind; raises InputError for an unknown one, and where these are not its settings."""
-    known = kinds()
-    if kind not in known:
-        raise InputError("disturbance.kind", kind, f"known: none, {', '.join(known)}")
-    names = [field.name for field in fields(known[kind])]
-    needed = [field.name for field in fields(known[kind]) if field.default is MISSING]
-    if not set(needed) <= set(settings) <= set(names):
-        raise InputError("disturbance", kind, f"its settings are {' and '.join(names)}, and each is needed")
-    return known[kind]
+    """Return every kind by its name."""
+    return {cls.kind: cls for cls in Disturbance.__subclasses__()}

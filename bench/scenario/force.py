@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
-from bench.contract.problem import DEGREES, Force, Hold
+from bench.contract.problem import Force, Hold
 from bench.errors import InputError
-from bench.scenario.declaration import STRICT, Positive, Within, changed, plain, restored
+from bench.scenario.declaration import STRICT, Positive, Within, changed, plain
 
 Shape = Literal["multisine", "impulse", "step", "swept_sine", "band_limited_noise", "column"]
 MIN_IN_PULSE = 5
-"""Samples that a pulse must hold to be told from a spike."""
+"""Samples that a pulse must hold, to be distinguished from a spike."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class ForceSpec:
       over the sampling step before, so ``zero_order`` is what a step wants;
     - ``column``: ``amplitude`` times the numbers in ``file``, one a line (# for comments); ``samples`` is their number.
 
-    Random phases and noise are drawn once a scenario and seed. ``noise_db``: a method is told the samples with Gaussian
+    Random phases and noise are drawn once a scenario and seed. ``noise_db``: a method knows the samples with Gaussian
     noise at that SNR, drawn replicate by replicate, while the motion follows the clean force; the bound is then that of
     a force known exactly, hence still a bound. The force is zero after the record.
     """
@@ -55,8 +55,6 @@ class ForceSpec:
     def __post_init__(self) -> None:
         if self.kind not in SHAPES:
             raise InputError("system.force.kind", self.kind, f"one of {', '.join(SHAPES)}")
-        if self.hold not in DEGREES:
-            raise InputError("system.force.hold", self.hold, f"one of {', '.join(DEGREES)}")
         uses = SHAPES[self.kind][1]
         for name in ("low_hz", "high_hz", "length_s", "file"):
             if (getattr(self, name) is None) == (name in uses):
@@ -70,34 +68,29 @@ class ForceSpec:
             object.__setattr__(self, "samples", _read_column(self.file).size)
 
     def to_dict(self) -> dict[str, Any]:
-        """What decides the force and what is told of it, as JSON holds it; what its kind has not is left out."""
+        """Return what decides the force and what is known of it, as JSON holds it, without what its kind has not."""
         specific = {name for _, names in SHAPES.values() for name in names}
-        stated = ("samples", "hold", "dof", *SHAPES[self.kind][1])
-        found = changed(self, *specific) | {name: plain(ForceSpec, name, getattr(self, name)) for name in stated}
+        other = [name for name in changed(self) if name not in specific]
+        stated = plain(self, "samples", "hold", "dof", *SHAPES[self.kind][1], *other)
         if self.file is not None:  # known by its numbers, not by its place
-            found["file"] = hashlib.sha256(_read_column(self.file).tobytes()).hexdigest()
-        return found
-
-    @classmethod
-    def from_dict(cls, stated: Mapping[str, Any]) -> ForceSpec:
-        """The force of :meth:`to_dict`; raises InputError for one that was read from a file."""
-        return cls(**{name: restored(cls, name, value) for name, value in stated.items()})
+            stated["file"] = hashlib.sha256(_read_column(self.file).tobytes()).hexdigest()
+        return stated
 
     @property
     def band(self) -> tuple[float, float]:
-        """Lowest and highest frequency (Hz) of a kind that has them."""
+        """Return the lowest and highest frequency (Hz) of a kind that has them."""
         assert self.low_hz is not None
         assert self.high_hz is not None
         return self.low_hz, self.high_hz
 
     def draw(self, duration: float, rng: np.random.Generator) -> Force:
-        """The force over a record of that duration (s). Raises InputError where its samples cannot show it."""
+        """Return the force over a record of that duration (s). Raises InputError where its samples cannot show it."""
         times = np.linspace(0.0, duration, self.samples)
         values = self.amplitude * SHAPES[self.kind][0](self, times, rng)
         return Force(times, values, self.hold, self.dof)
 
-    def told(self, force: Force, rng: np.random.Generator) -> Force:
-        """The force as a method is told it: with the noise of its sensor."""
+    def measured(self, force: Force, rng: np.random.Generator) -> Force:
+        """Return the force as a method knows it: with the noise of its sensor."""
         if self.noise_db is None:
             return force
         sigma = np.sqrt(np.mean(force.values**2) / 10.0 ** (self.noise_db / 10.0))

@@ -1,6 +1,6 @@
 """Data of another system than the one that is fitted: friction, a cubic spring, a second mode.
 
-Methods are told of one mass with a viscous damper and a linear spring, and these kinds of disturbance give them the
+Methods assume one mass with a viscous damper and a linear spring, and these kinds of disturbance give them the
 motion of something else. The truth of m, c and k is what the two have in common: the viscous part of the damping, the
 stiffness at small amplitude, the first mode. Sizes are relative to the spring's force at the amplitude of the
 undamped motion, ``A = √(x0² + m v0² / k)``. One mass in free vibration only, for a force has no such amplitude.
@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bench.contract.problem import Force, InitialState
-from bench.errors import InputError
 from bench.scenario.disturbance import Disturbance
 from bench.scenario.truth import closed_form, integrated_response
 from bench.systems import System, make_system
@@ -26,21 +25,9 @@ FREQUENCY_RATIO = 2.7
 
 
 def amplitude(p: Mapping[str, float], start: InitialState) -> float:
-    """Amplitude (m) of the motion without damping."""
+    """Return the amplitude (m) of the motion without damping."""
     x0, v0 = float(start.displacement[0]), float(start.velocity[0])
     return math.hypot(x0, v0 * math.sqrt(p["m"] / p["k"]))
-
-
-def _check_free(disturbance: Disturbance, forced: bool) -> None:
-    if forced:
-        raise InputError("disturbance", disturbance.kind, "free vibration only; choose a system without a force")
-
-
-def _check_one_mass(disturbance: Disturbance, system: System) -> None:
-    if system.name != "sdof":
-        raise InputError(
-            "disturbance", disturbance.kind, "one mass with a linear spring only: system=sdof and its like"
-        )
 
 
 class AddedFriction(Disturbance):
@@ -50,14 +37,11 @@ class AddedFriction(Disturbance):
     """
 
     kind, allowed, meaning = "added_friction", (0.0, 0.25), "friction over the spring's force at the amplitude"
-
-    def check(self, duration: float, forced: bool) -> None:
-        _check_free(self, forced)
+    free = one_mass = True
 
     def response(
         self, system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force]
     ) -> np.ndarray:
-        _check_one_mass(self, system)
         size = amplitude(p, start)
         speed = SMOOTHING * size * math.sqrt(p["k"] / p["m"])
         rubbing = make_system("coulomb", {"smoothing_velocity": speed})
@@ -68,14 +52,11 @@ class CubicSpring(Disturbance):
     """A hardening spring, ``k x (1 + size (x/A)²)``: the truth of k is the stiffness at small amplitude."""
 
     kind, allowed, meaning = "cubic_spring", (0.0, 10.0), "cubic over linear force of the spring at the amplitude"
-
-    def check(self, duration: float, forced: bool) -> None:
-        _check_free(self, forced)
+    free = one_mass = True
 
     def response(
         self, system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force]
     ) -> np.ndarray:
-        _check_one_mass(self, system)
         cubic = self.size * p["k"] / amplitude(p, start) ** 2
         return integrated_response(make_system("duffing", {}), {**p, "k3": cubic}, start, times)
 
@@ -88,9 +69,7 @@ class SecondMode(Disturbance):
     """
 
     kind, allowed, meaning = "second_mode", (0.0, 1.0), "amplitude of the second mode over that of the first"
-
-    def check(self, duration: float, forced: bool) -> None:
-        _check_free(self, forced)
+    free = one_mass = True
 
     def start(self, system: System, p: Mapping[str, float], start: InitialState) -> InitialState:
         return InitialState(start.displacement + self.size * amplitude(p, start), start.velocity)
@@ -98,7 +77,6 @@ class SecondMode(Disturbance):
     def response(
         self, system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force]
     ) -> np.ndarray:
-        _check_one_mass(self, system)
         first = closed_form(p, float(start.displacement[0]), float(start.velocity[0]), times)
         faster = {"m": p["m"], "c": p["c"] * FREQUENCY_RATIO, "k": p["k"] * FREQUENCY_RATIO**2}
         return (first + closed_form(faster, self.size * amplitude(p, start), 0.0, times))[None]

@@ -1,11 +1,11 @@
-"""A scenario: which system, at which true parameters, sampled how, told what. It makes the replicates."""
+"""A scenario: which system, at which true parameters, sampled how, what is known. It makes the replicates."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import Field, dataclass, field, fields, replace
+from dataclasses import Field, dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -14,7 +14,7 @@ import numpy as np
 from bench.contract.prior import Prior, draw_prior, wrong_prior
 from bench.contract.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Record
 from bench.errors import InputError
-from bench.scenario.declaration import STRICT, Positive, Within, WrittenAs, changed, is_default, plain, restored
+from bench.scenario.declaration import STRICT, Positive, Within, WrittenAs, changed, plain, validated
 from bench.scenario.disturbance import Disturbance
 from bench.scenario.force import ForceSpec
 from bench.scenario.stream import anonymous_stream
@@ -23,15 +23,13 @@ from bench.systems import Loaded, System, make_system
 
 NOISE, NOMINAL, FORCE_AXIS, METHOD, DISTURBANCE, FORCE_NOISE = range(6)
 """Axes of the seed tree: what a random stream is for. Streams of different axes never meet."""
-
-
 SNR_SPREAD = 10.0
 """Half the range (dB) from which the SNR is drawn where the truth is."""
 
 
 @dataclass(frozen=True)
 class PriorSpec:
-    """How wide the nominal prior is, by kind of parameter, and whether its nominal values are calibrated.
+    """The width of the nominal prior, by kind of parameter, and whether its nominal values are calibrated.
 
     ``draws``: ``nominal`` values are drawn around a fixed truth, replicate by replicate; or the ``truth`` (and with it
     the noise level, uniform within :data:`SNR_SPREAD` dB) is drawn around fixed nominal values, as simulation-based
@@ -45,158 +43,136 @@ class PriorSpec:
     draws: Literal["nominal", "truth"] = "nominal"
 
     def to_dict(self) -> dict[str, Any]:
-        """What a method is told of it, as JSON holds it: neither the name nor which of the two is drawn."""
-        widths = plain(PriorSpec, "sd_by_kind", self.sd_by_kind)
-        return {**widths, "wrong": self.wrong, **changed(self, "name", "sd_by_kind", "draws")}
+        """Return what a method knows of it, as JSON holds it: neither the name nor which of the two is drawn."""
+        return {**plain(self, "sd_by_kind")["sd_by_kind"], "wrong": self.wrong}
 
     @classmethod
-    def from_dict(cls, stated: Mapping[str, Any]) -> PriorSpec:
-        """The prior of :meth:`to_dict`, without its name."""
-        own = {f.name for f in fields(cls)}
-        widths = {kind: sd for kind, sd in stated.items() if kind not in own}
-        return cls("stored", widths, **{name: value for name, value in stated.items() if name in own})
+    def from_dict(cls, stated: Mapping[str, Any], draws: Literal["nominal", "truth"]) -> PriorSpec:
+        """Return the prior of :meth:`to_dict`, without its name."""
+        return cls("stored", {kind: sd for kind, sd in stated.items() if kind != "wrong"}, stated["wrong"], draws)
 
 
 class InitialMotion(NamedTuple):
-    """How a configuration writes the true state at time 0: metres and metres a second, one number a DOF."""
+    """The true state at time 0 as a configuration writes it: metres and metres a second, one number a DOF."""
 
     displacement: tuple[float, ...]
     velocity: tuple[float, ...]
 
 
-STATED: dict[str, Any] = {"stated": True}
-"""Fields that stand in the identity at their defaults too, and must be given in a file; they key the random streams."""
-TOLD: dict[str, Any] = {"stated": True, "part": "told"}
-SCORED: dict[str, Any] = {"stated": True, "part": None}
+KEY = ("system", "parameters", "initial", "snr_db", "duration", "samples", "force", "options")
+"""Fields that key the random streams; they stand in the identity at their defaults too, and must be given in a file."""
+KNOWN, SCORED = ("initial_state", "prior"), ("dense", "forecast")
+"""Fields that say what a method knows, and where it is scored; those that are not named here decide the data."""
+PATHS = {"system": "system.kind", "snr_db": "snr", **{name: name for name in (*KNOWN, "disturbance")}}
 
 
 def config_path(declared: Field[Any]) -> str:
-    """Where a configuration and a command line have a field: ``system.samples``, or what its metadata says."""
-    return str(declared.metadata.get("path", f"system.{declared.name}"))
+    """Return where a configuration and a command line have a field: ``system.samples``, or another place."""
+    return PATHS.get(declared.name, f"system.{declared.name}")
 
 
 def _later(record: int) -> tuple[int, ...]:
-    """The key of a record's random stream: none for the first, which is then as it is alone."""
+    """Return the key of a record's random stream: none for the first, which is then as it is alone."""
     return (record,) if record else ()
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """Everything that decides the data, and what is told of them; SI units.
+    """All that decides the data, and what is known of them; SI units.
 
     ``initial`` is the true displacement and velocity of each DOF at time 0, ``initial_state`` whether a method knows
     it. ``dense`` and ``forecast`` say where displacement is scored: at so many times, and so long (s) after the record.
     ``samples`` uniform displacement samples of every ``measured`` DOF (from 0; None: all) over ``duration``, both ends
     included; noise at ``snr_db``, DOF by DOF. Hidden states start at 0. Displacement errors and their bound are over
-    the measured DOFs: what is said of a mass without a sensor may be arbitrarily bad.
+    the measured DOFs: the estimate of a mass without a sensor may be arbitrarily bad.
     ``added_mass`` (kg, one a DOF) asks for a second record, of the rig with these known masses added, from the same
-    start under the same force; displacements are scored on the first.
+    initial state under the same force; displacements are scored on the first.
     ``disturbance`` breaks what methods assume of the data; noise draw, noise level, nominal values and bound stay those
     of the undisturbed scenario.
 
     A field that is added here is read from the files of ``conf/system`` and from ``system.<field>=`` on a command line,
     within the limits of its type; it decides the data, so it stands in the identity unless it is at its default; and it
-    is found again from a stored cell. Nothing else has to know of it but what makes the data.
+    is restored from a stored cell. Nothing else has to know of it but what makes the data.
     """
 
     __pydantic_config__ = STRICT
-    system: str = field(metadata={**STATED, "path": "system.kind"})
-    parameters: Mapping[str, Positive] = field(metadata=STATED)
-    initial: Annotated[tuple[tuple[float, ...], tuple[float, ...]], WrittenAs(InitialMotion)] = field(metadata=STATED)
-    snr_db: Annotated[float, Within(ge=-40, le=300)] = field(metadata={**STATED, "path": "snr"})
-    duration: Positive = field(default=10.0, metadata=STATED)
-    samples: Annotated[int, Within(ge=MIN_SAMPLES, le=100_000)] = field(default=25, metadata=STATED)
-    initial_state: Literal["known", "unknown"] = field(default="known", metadata={**TOLD, "path": "initial_state"})
-    prior: PriorSpec | None = field(default=None, metadata={**TOLD, "path": "prior"})
-    force: ForceSpec | None = field(default=None, metadata=STATED)
-    options: Mapping[str, Any] = field(default_factory=dict, metadata=STATED)
-    dense: Annotated[int, Within(ge=2, le=100_000)] = field(default=1000, metadata=SCORED)
-    forecast: Positive = field(default=10.0, metadata=SCORED)
-    label: str = field(default="", metadata={"part": "label"})
-    disturbance: Disturbance | None = field(default=None, metadata={"path": "disturbance"})
+    system: str
+    parameters: Mapping[str, Positive]
+    initial: Annotated[tuple[tuple[float, ...], tuple[float, ...]], WrittenAs(InitialMotion)]
+    snr_db: Annotated[float, Within(ge=-40, le=300)]
+    duration: Positive = 10.0
+    samples: Annotated[int, Within(ge=MIN_SAMPLES, le=100_000)] = 25
+    initial_state: Literal["known", "unknown"] = "known"
+    prior: PriorSpec | None = None
+    force: ForceSpec | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    dense: Annotated[int, Within(ge=2, le=100_000)] = 1000
+    forecast: Positive = 10.0
+    label: str = ""
+    disturbance: Disturbance | None = None
     measured: tuple[Annotated[int, Within(ge=0)], ...] | None = None
-    added_mass: tuple[float, ...] | None = None
+    added_mass: tuple[Annotated[float, Within(ge=0)], ...] | None = None
 
     def __post_init__(self) -> None:
         system = self.make_system()
+        n = system.n_dof
         if set(self.parameters) != set(system.names):
             raise InputError("system.parameters", sorted(self.parameters), f"needed: {', '.join(system.names)}")
-        for name, value in self.parameters.items():
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"system.parameters.{name}", value, "a positive number")
         # in the system's order, however they were written: what is drawn around them is drawn in this order
         object.__setattr__(self, "parameters", {name: self.parameters[name] for name in system.names})
         for part in self.initial:
-            if len(part) != system.n_dof or not np.all(np.isfinite(part)):
-                raise InputError("system.initial", list(part), f"{system.n_dof} finite number(s), one a DOF")
-        if not np.isfinite(self.snr_db):
-            raise InputError("snr", self.snr_db, "a finite number of decibels")
-        if not (np.isfinite(self.duration) and self.duration > 0):
-            raise InputError("system.duration", self.duration, "a positive number of seconds")
-        if self.samples < MIN_SAMPLES:
-            raise InputError("system.samples", self.samples, f"at least {MIN_SAMPLES}")
+            if len(part) != n:
+                raise InputError("system.initial", list(part), f"{n} finite number(s), one a DOF")
         if not np.any(np.asarray(self.initial)) and self.force is None:
             raise InputError("system.initial", list(map(list, self.initial)), "a start away from rest, or a force")
         if self.disturbance is not None:
-            self.disturbance.check(self.duration, self.force is not None)
+            self.disturbance.check(system, self.duration, self.force is not None)
         if self.measured is not None and (
-            not self.measured or sorted(set(self.measured) & set(range(system.n_dof))) != list(self.measured)
+            not self.measured or sorted(set(self.measured) & set(range(n))) != list(self.measured)
         ):
-            remedy = f"DOFs with a sensor, increasing, of 0 to {system.n_dof - 1}"
+            remedy = f"DOFs with a sensor, increasing, of 0 to {n - 1}"
             raise InputError("system.measured", list(self.measured), remedy)
-        if self.added_mass is not None and (
-            len(self.added_mass) != system.n_dof or min(self.added_mass) < 0 or not 0 < sum(self.added_mass) < np.inf
-        ):
-            remedy = f"{system.n_dof} mass(es) in kg, one a DOF, none negative and not all zero"
+        if self.added_mass is not None and (len(self.added_mass) != n or not any(self.added_mass)):
+            remedy = f"{n} mass(es) in kg, one a DOF, none negative and not all zero"
             raise InputError("system.added_mass", list(self.added_mass), remedy)
         if self.force is not None:
-            if not 0 <= self.force.dof < system.n_dof:
-                raise InputError("system.force.dof", self.force.dof, f"one of 0 to {system.n_dof - 1}")
-            self.force.draw(
-                self.duration, np.random.default_rng(0)
-            )  # a shape that its samples cannot show is said here
+            if self.force.dof >= n:
+                raise InputError("system.force.dof", self.force.dof, f"one of 0 to {n - 1}")
+            self.force.draw(self.duration, np.random.default_rng(0))  # raises where its samples cannot show its shape
 
     def make_system(self) -> System:
         return make_system(self.system, self.options)
 
     def to_dict(self) -> dict[str, Any]:
-        """The scenario as JSON holds it: what decides the ``data``, what is ``told`` of them, and where it is scored.
+        """Return the scenario as JSON holds it: what decides the ``data``, what is ``told``, and where it is scored.
 
         This is what an identity is made of: the label has no part in it, nor has an optional field at its default.
         """
-        return {"data": self.data_identity(), "told": self.told_identity(), **self._part(None)}
+        return {"data": self.data_identity(), "told": self.told_identity(), **plain(self, *SCORED)}
 
     @classmethod
     def from_dict(cls, stated: Mapping[str, Any], label: str = "") -> Scenario:
-        """The scenario of :meth:`to_dict`; raises InputError where this version states it differently."""
-        top = {f.name: stated[f.name] for f in fields(cls) if f.metadata.get("part", "data") is None}
-        values = {**stated["data"], **stated["told"], **top}
-        drawn = values.pop("truth", "") == "drawn"
-        foreign = sorted(set(values) - {f.name for f in fields(cls)})
-        if foreign:
-            raise InputError("scenario", ", ".join(foreign), "this version has no such field of a scenario")
-        found = cls(label=label, **{name: restored(cls, name, value) for name, value in values.items()})
-        return found if found.prior is None or not drawn else replace(found, prior=replace(found.prior, draws="truth"))
+        """Return the scenario of :meth:`to_dict`; raises InputError where this version states it differently."""
+        values = {**stated["data"], **stated["told"], **{name: stated[name] for name in SCORED}, "label": label}
+        draws: Literal["nominal", "truth"] = "truth" if values.pop("truth", "") == "drawn" else "nominal"
+        readers: dict[str, Callable[[Any], Any]] = {
+            "prior": lambda prior: PriorSpec.from_dict(prior, draws),
+            "force": lambda force: ForceSpec(**force),
+            "disturbance": Disturbance.from_dict,
+        }
+        return validated(cls, {k: readers[k](v) if k in readers and v is not None else v for k, v in values.items()})
 
     def data_identity(self) -> dict[str, Any]:
-        """What decides the data, and nothing else: neither the label nor what is told of them."""
-        return self._part("data") | ({"truth": "drawn"} if self.truth_drawn else {})
+        """Return what decides the data, and nothing else: neither the label nor what is known of them."""
+        optional = [name for name in changed(self) if name not in (*KNOWN, *SCORED, "label")]
+        return plain(self, *KEY, *optional) | ({"truth": "drawn"} if self.truth_drawn else {})
 
     def told_identity(self) -> dict[str, Any]:
-        """What a method is told beyond the data."""
-        return self._part("told")
-
-    def _part(self, part: str | None, optional: bool = True) -> dict[str, Any]:
-        """The fields of a part of the identity as JSON holds them; of the optional ones those not at their defaults."""
-        return {
-            f.name: plain(type(self), f.name, getattr(self, f.name))
-            for f in fields(self)
-            if f.metadata.get("part", "data") == part
-            and (f.metadata.get("stated") or (optional and not is_default(f, getattr(self, f.name))))
-        }
+        """Return what a method knows beyond the data."""
+        return plain(self, *KNOWN)
 
     def stream(self, axis: int, seed: int, replicate: int, *key: int) -> np.random.Generator:
-        """The random stream of one axis, replicate and scenario; independent of every other, and silent of its seed.
+        """Return the random stream of one axis, replicate and scenario, independent of every other, without its seed.
 
         A disturbed scenario has the streams of the undisturbed one: they differ by the disturbance alone. So have those
         that differ in an optional field, as in which DOFs are measured, or in how well the force is.
@@ -205,15 +181,15 @@ class Scenario:
 
     @cached_property
     def _key(self) -> tuple[int, ...]:
-        decisive = self._part("data", optional=False)
-        if decisive["force"]:
-            decisive["force"].pop("noise_db", None)
-        digest = hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).digest()
+        stated = plain(self, *KEY)
+        if stated["force"]:
+            stated["force"].pop("noise_db", None)
+        digest = hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).digest()
         return tuple(int.from_bytes(digest[i : i + 4], "big") for i in (0, 4))
 
     @property
     def truth_drawn(self) -> bool:
-        """Whether each replicate has a truth of its own."""
+        """Return whether each replicate has a truth of its own."""
         return self.prior is not None and self.prior.draws == "truth"
 
     @cached_property
@@ -238,11 +214,11 @@ class Scenario:
 
     @cached_property
     def start(self) -> InitialState:
-        """The initial state of the motion, which is what is told of it."""
+        """The initial state of the motion, which is the one that is known."""
         return InitialState(np.array(self.initial[0]), np.array(self.initial[1]))
 
     def rigs(self) -> tuple[System, ...]:
-        """The system of each record: as it is, and with the added mass where one is."""
+        """Return the system of each record: as it is, and with the added mass where one is."""
         system = self.make_system()
         return (system,) if self.added_mass is None else (system, Loaded(system, tuple(map(float, self.added_mass))))
 
@@ -252,30 +228,22 @@ class Scenario:
         return tuple(range(len(self.initial[0]))) if self.measured is None else self.measured
 
     def forces(self, seed: int) -> tuple[Force, ...]:
-        """The forces that act: one draw a scenario and seed, the same for every replicate and every noise level."""
+        """Return the forces that act: one draw a scenario and seed, the same for every replicate and noise level."""
         if self.force is None:
             return ()
         return (self.force.draw(self.duration, replace(self, snr_db=0.0).stream(FORCE_AXIS, seed, 0)),)
 
-    def told_forces(self, seed: int, index: int, record: int = 0) -> tuple[Force, ...]:
-        """The forces as a method is told them in one record of a replicate, with the noise of their sensor."""
-        if self.force is None:
-            return ()
-        rng = self.stream(FORCE_NOISE, seed, index, *_later(record))
-        return tuple(self.force.told(force, rng) for force in self.forces(seed))
-
     def _response(self, times: np.ndarray, seed: int, record: int = 0) -> np.ndarray:
-        """True displacement at times of a record; its disturbance may say by what integrator, or how late."""
+        """Return the true displacement at times of a record, by the integrator or the delay of its disturbance."""
         response = self.disturbance.response if self.disturbance else reference_response
         return response(self.rigs()[record], self.parameters, self.start, times, self.forces(seed))
 
     def replicates(self, seed: int, n: int) -> list[tuple[Problem, Truth]]:
-        """The first ``n`` replicates of a seed: the same noise and nominal values for every method."""
-        make = self.maker(seed)
-        return [make(i) for i in range(n)]
+        """Return the first ``n`` replicates of a seed: the same noise and nominal values for every method."""
+        return list(map(self.maker(seed), range(n)))
 
     def maker(self, seed: int) -> Callable[[int], tuple[Problem, Truth]]:
-        """What makes any one replicate of a seed, by its number; what all share is computed once, here."""
+        """Return a function that makes a replicate by its number; what all share is computed once, here."""
         if self.truth_drawn:
             return lambda i: self._drawn(seed, i)
         clean, dense = self._response(self.times, seed), self._response(self.dense_times, seed)
@@ -283,19 +251,17 @@ class Scenario:
         return lambda i: self._replicate(seed, i, clean, dense, forecast, sigma)
 
     def _drawn(self, seed: int, index: int) -> tuple[Problem, Truth]:
-        """A replicate whose truth is drawn around the nominal values, which are this scenario's parameters."""
+        """Return a replicate whose truth is drawn around the nominal values, which are this scenario's parameters."""
         assert self.prior is not None
         system, rng = self.make_system(), self.stream(NOMINAL, seed, index)
         drawn = draw_prior(system, self.parameters, self.prior.sd_by_kind, rng)
         snr = self.snr_db + rng.uniform(-SNR_SPREAD, SNR_SPREAD)
-        own = replace(self, parameters=drawn.nominal, snr_db=snr, prior=replace(self.prior, draws="nominal"))
-        clean, dense = own._response(own.times, seed), own._response(own.dense_times, seed)
-        forecast = own._response(own.forecast_times, seed)
-        problem, truth = own._replicate(seed, index, clean, dense, forecast, own.sigmas(seed))
+        true = replace(self, parameters=drawn.nominal, snr_db=snr, prior=replace(self.prior, draws="nominal"))
+        problem, truth = true.maker(seed)(index)
         return replace(problem, prior=Prior(dict(self.parameters), drawn.log_sd)), truth
 
     def sigmas(self, seed: int, record: int = 0) -> np.ndarray:
-        """Noise standard deviation of each DOF's sensor (m): mean square of the clean samples over 10^(SNR/10)."""
+        """Return the standard deviation of each sensor's noise (m): mean square of clean samples over 10^(SNR/10)."""
         clean = self.undisturbed._response(self.times, seed, record)
         return np.asarray(np.sqrt(np.mean(clean**2, axis=1) / 10.0 ** (self.snr_db / 10.0)))
 
@@ -313,7 +279,9 @@ class Scenario:
             ideal, error = ideal[measured], error[measured]
             channels = tuple(Channel(times, values, dof=i) for i, values in zip(measured, ideal + error, strict=True))
             added = np.array(rig.added) if isinstance(rig, Loaded) else None
-            records.append(Record(channels, self.told_forces(seed, index, number), start, added))
+            rng = self.stream(FORCE_NOISE, seed, index, *_later(number))
+            forces = [self.force.measured(force, rng) for force in self.forces(seed) if self.force is not None]
+            records.append(Record(channels, tuple(forces), start, added))
             ideals.append(ideal)
             errors.append(error)
             levels.append(sigma[measured])
@@ -335,7 +303,7 @@ class Scenario:
     def _samples(
         self, seed: int, index: int, clean: np.ndarray, sigma: np.ndarray, record: int = 0
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Stated times, the true displacement at them, and what the samples are off by: noise and disturbance."""
+        """Return stated times, the true displacement at them, and the error of the samples: noise and disturbance."""
         base = self.stream(NOISE, seed, index, *_later(record)).standard_normal(clean.shape)
         if self.disturbance is None:
             return self.times, clean, sigma[:, None] * base
@@ -355,7 +323,7 @@ class Scenario:
         return self.disturbance.start(self.make_system(), self.parameters, self.start)
 
     def draw_prior(self, system: System, seed: int, index: int) -> Prior | None:
-        """The nominal prior of one replicate, drawn around the truth."""
+        """Return the nominal prior of one replicate, drawn around the truth."""
         if self.prior is None:
             return None
         draw = wrong_prior if self.prior.wrong else draw_prior

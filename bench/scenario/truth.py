@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -44,7 +45,7 @@ class Truth:
     measured: tuple[int, ...] | None = None
 
     def scored(self, displacement: np.ndarray) -> np.ndarray:
-        """Of displacements (..., n_dof, n), those of the DOFs with a sensor, which are scored."""
+        """Return the displacements (..., n_dof, n) of the DOFs with a sensor, which are scored."""
         return displacement if self.measured is None else displacement[..., list(self.measured), :]
 
 
@@ -55,7 +56,7 @@ def reference_response(
     times: np.ndarray,
     forces: Sequence[Force] = (),
 ) -> np.ndarray:
-    """Displacement (m), shape (n_dof, n_times), at increasing times >= 0 (s)."""
+    """Return the displacement (m), shape (n_dof, n_times), at increasing times >= 0 (s)."""
     if isinstance(system, SDOF) and not forces:
         return closed_form(p, float(start.displacement[0]), float(start.velocity[0]), times)[None]
     if system.linear:
@@ -64,28 +65,14 @@ def reference_response(
 
 
 def reference_state(system: System, p: Mapping[str, float], start: InitialState, time: float) -> InitialState:
-    """State at a time > 0 (s) of the free motion from ``start``."""
+    """Return the state at a time > 0 (s) of the free motion from ``start``."""
     n = system.n_dof
-    state = _integrated(system, p, start, np.array([time]), ())[:, 0]
+    state = integrated_states(system, p, start, np.array([time]))[:, 0]
     return InitialState(state[:n], state[n : 2 * n])
 
 
-def integrated_response(
-    system: System,
-    p: Mapping[str, float],
-    start: InitialState,
-    times: np.ndarray,
-    forces: Sequence[Force] = (),
-    method: str = "DOP853",
-    rtol: float = 1e-11,
-    atol: float = 1e-13,
-) -> np.ndarray:
-    """Displacement (m), shape (n_dof, n_times), by an integrator of ``scipy.integrate.solve_ivp`` at a tolerance."""
-    return _integrated(system, p, start, times, forces, method, rtol, atol)[: system.n_dof]
-
-
 def closed_form(p: Mapping[str, float], x0: float, v0: float, times: np.ndarray) -> np.ndarray:
-    """Free response of ``m x'' + c x' + k x = 0``, shape of ``times``, for any damping.
+    """Return the free response of ``m x'' + c x' + k x = 0``, shape of ``times``, for any damping.
 
     ``x = e^(-a t) (x0 C + (v0 + a x0) S)`` with ``a = c/2m``, ``d = a² - k/m``, and C, S = cos, sin/w at
     ``w = sqrt(-d)`` below critical damping, cosh, sinh/w at ``w = sqrt(d)`` above, 1 and t at it
@@ -102,7 +89,7 @@ def closed_form(p: Mapping[str, float], x0: float, v0: float, times: np.ndarray)
 def matrix_exponential_response(
     system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force] = ()
 ) -> np.ndarray:
-    """Displacement of a linear system, shape (n_dof, n_times), by matrix exponentials with the exact hold of the force.
+    """Return the displacement of a linear system, shape (n_dof, n_times), with the exact hold of the force.
 
     The augmented-matrix form of the hold (C. F. Van Loan, IEEE Trans. Automatic Control 23:395, 1978): with
     ``f`` a polynomial over an interval, the state, the force and its derivatives obey one constant-coefficient system.
@@ -131,17 +118,32 @@ def matrix_exponential_response(
     return path[np.searchsorted(grid, times), : system.n_dof].T
 
 
-def _integrated(
+def integrated_response(
     system: System,
     p: Mapping[str, float],
     start: InitialState,
     times: np.ndarray,
-    forces: Sequence[Force],
+    forces: Sequence[Force] = (),
+    **settings: Any,
+) -> np.ndarray:
+    """Return the displacement (m) of :func:`integrated_states`, shape (n_dof, n_times)."""
+    return integrated_states(system, p, start, times, forces, **settings)[: system.n_dof]
+
+
+def integrated_states(
+    system: System,
+    p: Mapping[str, float],
+    start: InitialState,
+    times: np.ndarray,
+    forces: Sequence[Force] = (),
     method: str = "DOP853",
     rtol: float = 1e-11,
     atol: float = 1e-13,
 ) -> np.ndarray:
-    """Displacement, velocity and hidden states, shape (2 n_dof + n_hidden, n_times)."""
+    """Return displacement, velocity and hidden states, shape (2 n_dof + n_hidden, n_times).
+
+    The motion is integrated by a method of ``scipy.integrate.solve_ivp`` at a relative and an absolute tolerance.
+    """
     from scipy.integrate import solve_ivp  # slow to import, and linear systems do not need it
 
     n = system.n_dof

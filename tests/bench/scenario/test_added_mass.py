@@ -120,12 +120,6 @@ def test_a_method_that_does_not_know_of_added_masses_objects() -> None:
     assert Naive().objection(Problem(SDOF(), (problem.records[0],) * 2)) is None
 
 
-@pytest.mark.parametrize("added", [(), (0.0,), (-1.0,), (0.5, 0.5), (math.nan,)])
-def test_an_added_mass_that_makes_no_sense_is_refused(added: tuple[float, ...]) -> None:
-    with pytest.raises(InputError, match="added_mass"):
-        replace(PLAIN, added_mass=added)
-
-
 def test_what_cannot_be_said_of_two_records_is_not_said() -> None:
     with pytest.raises(InputError, match="one record"):
         structure_of(TWO)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,7 +15,7 @@ from bench import InputError
 from bench.config.experiment import expand
 from bench.config.overrides import overrides_of
 from bench.scenario import scenario as declared
-from bench.scenario.declaration import Within, plain, restored
+from bench.scenario.declaration import Within
 from bench.scenario.disturbance import kinds
 from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import PriorSpec, Scenario
@@ -57,12 +57,22 @@ def test_it_is_set_on_a_command_line_and_found_again_in_a_stored_cell() -> None:
     assert isinstance(grainy.scenario, Grainy)
     assert grainy.scenario.grain == 0.2
     assert grainy.description()["data"]["grain"] == 0.2
+    assert cell().identity == cell("system.grain=0").identity != grainy.identity
     again = stored_cells.stored_as_cell(stored(grainy))
     assert again.identity == grainy.identity
     assert grainy.scenario.prior is not None
     assert again.scenario == replace(grainy.scenario, prior=replace(grainy.scenario.prior, name="stored"))
     ours, theirs = (one.scenario.replicates(0, 1)[0][0].records[0].channels[0] for one in (grainy, again))
     np.testing.assert_array_equal(ours.values, theirs.values)
+
+
+def test_its_limits_and_versions_without_it_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match=r"^system\.grain=1: input should be less than 1"):
+        cell("system.grain=1")
+    newer = stored(cell("system.grain=0.2"))
+    monkeypatch.setattr(stored_cells, "Scenario", Scenario)
+    with pytest.raises(InputError, match=r"grain=0\.2: unexpected keyword"):
+        stored_cells.stored_as_cell(newer)
 
 
 def test_it_is_read_from_a_file_of_ones_own(tmp_path: Path) -> None:
@@ -72,12 +82,6 @@ def test_it_is_read_from_a_file_of_ones_own(tmp_path: Path) -> None:
     assert (found.label, found.grain) == ("worn", 0.1)  # type: ignore[attr-defined]
 
 
-def test_at_its_default_it_is_in_no_identity_and_elsewhere_in_each() -> None:
-    plain_cell, same, other = cell(), cell("system.grain=0"), cell("system.grain=0.2")
-    assert "grain" not in plain_cell.description()["data"]
-    assert plain_cell.identity == same.identity != other.identity
-
-
 def test_data_that_differ_in_it_are_paired() -> None:
     """The base noise is the same draw: the two noises are in the ratio of their standard deviations."""
     quiet, grainy = (cell(*texts).scenario for texts in ([], ["system.grain=0.2"]))
@@ -85,22 +89,6 @@ def test_data_that_differ_in_it_are_paired() -> None:
     noises = [s.replicates(0, 1)[0][0].records[0].channels[0].values - clean for s in (quiet, grainy)]
     ratio = math.hypot(quiet.sigmas(0)[0], 0.2) / quiet.sigmas(0)[0]
     np.testing.assert_allclose(noises[1], ratio * noises[0], rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("value", "remedy"),
-    [("1", "less than 1"), ("-0.1", "greater than or equal to 0"), ("nan", "finite"), ("x", "number")],
-)
-def test_its_limits_are_said_with_its_name(value: str, remedy: str) -> None:
-    with pytest.raises(InputError, match=rf"^system\.grain={value}: input should be a?.*{remedy}"):
-        cell(f"system.grain={value}")
-
-
-def test_a_version_that_does_not_have_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    newer = stored(cell("system.grain=0.2"))
-    monkeypatch.setattr(stored_cells, "Scenario", Scenario)
-    with pytest.raises(InputError, match="grain: this version has no such field"):
-        stored_cells.stored_as_cell(newer)
 
 
 KINDS_OF_PARAMETERS = ("mass", "damping", "stiffness", "other")
@@ -132,14 +120,6 @@ def test_whole_numbers_are_the_floats_they_stand_for_and_parameters_are_in_the_s
     numbers = [data[name] for name in ("initial", "snr_db", "duration", "samples")]
     assert json.dumps(numbers) == "[[[1.0], [0.0]], 20.0, 4.0, 25]"
     assert list(BASE.parameters) == ["m", "c", "k"]
-
-
-@pytest.mark.parametrize("kind", [Scenario, ForceSpec, PriorSpec, *kinds().values()])
-def test_every_declared_type_has_a_way_to_json_and_back(kind: Any) -> None:
-    """None is null, whatever the type; a sample of each other kind of value is in the tests above."""
-    for declared_field in fields(kind):
-        assert plain(kind, declared_field.name, None) is None
-        assert restored(kind, declared_field.name, None) is None
 
 
 def test_python_and_a_command_line_ask_for_the_same_cells() -> None:
