@@ -19,6 +19,7 @@ def test_a_folder_without_the_record_is_said(tmp_path, capsys) -> None:
     assert "ten_steps.txt" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_stays_and_frequencies_of_a_made_record(tmp_path) -> None:
     """A hit at each of the six places, and the decay of that place's frequency behind it, at 5 kHz."""
     rng, rows = np.random.default_rng(0), [(1.23, 26.9), *REFERENCE.items()]

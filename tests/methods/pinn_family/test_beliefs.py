@@ -197,6 +197,7 @@ def with_unit_prior(posterior: Posterior) -> tuple[np.ndarray, np.ndarray]:
     return found.x[posterior.n_weights :], covariance[posterior.n_weights :, posterior.n_weights :]
 
 
+@pytest.mark.slow
 def test_nuts_draws_are_those_of_the_nearly_normal_posterior_of_a_spline() -> None:
     pytest.importorskip("blackjax")
     nuts.compiled.cache_clear()
@@ -305,7 +306,7 @@ def test_masks_silence_units_and_keep_the_mean() -> None:
 
 
 def test_a_masked_responses_parameters_are_scipys() -> None:
-    _, posterior = trained(problem(), architecture="fourier", collocation=60)
+    _, posterior = trained(problem(), architecture="fourier", collocation=60, width=8)
     with torch.no_grad():
         z = posterior.z * dropout.Masks(posterior, np.random.default_rng(1)).draw()
         own = dropout.fitted(posterior, z)[0, posterior.n_weights :].numpy()
