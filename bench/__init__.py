@@ -7,7 +7,7 @@ are the benchmark from Python; they are loaded when they are asked for.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from bench.isolation import interrupts as _  # noqa: F401 - first: it waits for Ctrl-C while the others load
+from bench.isolation import signals as _  # noqa: F401 - first: it waits for Ctrl-C while the others load
 
 # isort: split
 from bench.contract.belief import Belief, Draws, Marginal, Normal

@@ -21,6 +21,7 @@ os.environ["VIBRATION_BENCH_ARCHIVE"] = "none"  # a test says itself what is pub
 
 import pytest  # noqa: E402
 
+from bench.engine import runner  # noqa: E402
 from bench.entrants import registry  # noqa: E402
 from bench.entrants.registry import load_method  # noqa: E402
 from bench.information.fisher import Bound  # noqa: E402
@@ -29,7 +30,6 @@ from bench.store.bounds import Replicates, bound_identity, load_bounds  # noqa: 
 from bench.store.seal import sealed  # noqa: E402
 from bench.store.store import BOUND_FORMAT, Store  # noqa: E402
 from bench.store.version import cell_version  # noqa: E402
-from bench.sweep import runner  # noqa: E402
 
 REPOSITORY = Path(__file__).parents[1]
 

@@ -104,6 +104,14 @@ def throw(error: BaseException) -> None:
     raise error
 
 
+def half_a_message() -> None:
+    """Begin a message to the process that waits for an answer, and hang."""
+    for thing in gc.get_objects():
+        if type(thing).__name__ == "Connection" and thing.writable and not thing.closed:
+            os.write(thing.fileno(), (1000).to_bytes(4, "big") + b"d")
+    time.sleep(FOREVER_S)
+
+
 DEEDS: dict[str, Callable[[str], Any]] = {
     "raise": lambda _: throw(ValueError("two lines\nof reasons")),
     "raise_surrogate": lambda _: throw(FileNotFoundError("no file r\udcffcord.csv")),
@@ -117,6 +125,7 @@ DEEDS: dict[str, Callable[[str], Any]] = {
     "huge": lambda _: np.ones(10**12),
     "grow": lambda _: grow(),
     "hang": lambda _: re.match("(a+)+$", "a" * 60 + "b"),  # no other thread of this process gets a turn
+    "half_message": lambda _: half_a_message(),
     "close": lambda _: os.closerange(3, 256),
     "chatter": lambda power: [print("x" * 10**6) for _ in range(10 ** int(power) // 10**6)],
     "print": lambda _: print("chatter on stdout"),
@@ -201,10 +210,11 @@ class Draw(Double):
 
 @dataclass(frozen=True)
 class Together(Double):
-    """Solves ``batch`` problems together, says how many it got in the message, and dies in a batch if ``alone``."""
+    """Solves ``batch`` problems together, says how many in the message; a batch kills it if ``alone``, or ``fails``."""
 
     batch: int = 1
     alone: bool = False
+    fails: bool = False
 
     @property
     def problems_at_once(self) -> int:
@@ -215,7 +225,10 @@ class Together(Double):
         if self.alone and len(problems) > 1:
             os.kill(os.getpid(), signal.SIGKILL)
         pairs = zip(problems, rngs, strict=True)
-        return [answer(problem, 1.0 + rng.random(), str(len(problems))) for problem, rng in pairs]
+        estimates = [answer(problem, 1.0 + rng.random(), str(len(problems))) for problem, rng in pairs]
+        if self.fails and len(problems) > 1:
+            raise RuntimeError("one at a time, please")
+        return estimates
 
 
 @dataclass(frozen=True)

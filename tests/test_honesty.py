@@ -13,16 +13,14 @@ import pytest
 from conftest import Plugins, Python, StoreFactory
 
 from bench import Status
+from bench.engine.plan import plan
 from bench.engine.pool import Limits
+from bench.engine.runner import run_cells
 from bench.entrants.registry import default_settings
 from bench.scenario.scenario import METHOD, NOMINAL, Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.store import Store
-from bench.sweep.method_process import outcomes
-from bench.sweep.plan import plan
-from bench.sweep.runner import run_cells
-from bench.sweep.wire import pack
 
 TRUE = {"k_over_m": 8.0, "c_over_m": 0.4}
 """Of the reference system (1/s², 1/s)."""
@@ -59,7 +57,7 @@ def test_a_method_cannot_draw_the_nominal_values_again(reference: Scenario, stor
         assert expected > 1.0
 
 
-@pytest.mark.parametrize("of", ["time", "bench.sweep.method_process"])
+@pytest.mark.parametrize("of", ["time", "bench.engine.method_process"])
 def test_a_clock_that_a_method_replaces_changes_no_time(
     reference: Scenario, store: Store, plugins: Plugins, of: str
 ) -> None:
@@ -69,23 +67,6 @@ def test_a_clock_that_a_method_replaces_changes_no_time(
         assert row.status is Status.OK, row.message
         assert row.wall_s >= 0.09
         assert 0.0 <= row.cpu_s < row.wall_s
-
-
-def test_times_are_shared_by_the_replicates_of_an_attempt() -> None:
-    """A report within what was seen is kept; one below, above, or no number gives way to it."""
-    said = [{"replicate": i, "wall_s": wall, "cpu_s": cpu} for i, (wall, cpu) in enumerate(SAID)]
-    together = outcomes(pack(([(2.0, 1.0)], 2.5, pack(said))))
-    assert [one["wall_s"] for one in together] == [0.5, 0.5, 0.5, 0.55]
-    assert [one["cpu_s"] for one in together] == [0.25, 0.25, 0.25, 0.26]
-    failed: list[dict[str, Any]] = [{"replicate": 0}, {"replicate": 1, "wall_s": 0.0, "cpu_s": 0.1}]
-    assert outcomes(pack(([(0.0, 0.0), (0.0, 0.0), (2.0, 0.1)], 9.0, pack(failed)))) == [
-        {"replicate": 0},
-        {"replicate": 1, "wall_s": 2.0, "cpu_s": 0.1},
-    ]
-
-
-SAID = [(-0.4, 0.0), (float("nan"), -1e9), (7.0, float("inf")), (0.55, 0.26)]
-"""Wall and processor time of four replicates (s)."""
 
 
 def test_no_true_parameter_stands_in_a_process_that_a_method_can_read(

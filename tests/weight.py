@@ -36,11 +36,10 @@ def rooms(folder: str, *names: str) -> tuple[str, ...]:
     return tuple(f"{folder}/{name}{ending}" for name in names for ending in ("/", ".py"))
 
 
-ENGINES = (*rooms("bench/atlas", "run", "engine"), "bench/online/paths.py", "bench/measured/track.py")
+ENGINES = ("bench/atlas/run.py", "bench/online/paths.py", "bench/measured/track.py")
 OUTSIDE = (
     "store",
     "config",
-    "sweep",
     "engine",
     "isolation",
     "entrants",
@@ -64,7 +63,7 @@ GOALS = (
     Goal("  information", 700, rooms("bench", "information")),
     Goal("  scoring", 700, rooms("bench", "scoring")),
     Goal("  store", 600, rooms("bench", "store")),
-    Goal("  run: sweep, isolation", 1_300, rooms("bench", "engine", "sweep", "isolation")),
+    Goal("  engine, isolation", 1_300, rooms("bench", "engine", "isolation")),
     Goal("  config", 600, rooms("bench", "config")),
     Goal("  records: measured", 2_800, rooms("bench", "records", "measured")),
     Goal("  planning, atlas", 700, rooms("bench", "planning", "atlas")),

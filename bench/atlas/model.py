@@ -17,7 +17,7 @@ import pandas as pd
 
 from bench.atlas.point import FreeDecay
 from bench.errors import InputError
-from bench.isolation.processes import single_threaded
+from bench.isolation.machine import single_threaded
 
 QUANTILES = (0.1, 0.5, 0.9)
 FOLDS = 8

@@ -10,29 +10,31 @@ import hashlib
 import io
 import json
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bench.atlas.point import Point
+from bench.atlas.forced import Forced
+from bench.atlas.point import FreeDecay, Point
 from bench.atlas.statistics import Least, Statistics, columns, one_fit, pooled
 from bench.contract.estimate import Estimate, Status
 from bench.contract.method import Identifier
 from bench.contract.problem import Problem
-from bench.engine.progress import Kind
-from bench.engine.results import read_result, write_result
 from bench.entrants.registry import make_method
+from bench.errors import InputError
 from bench.information.fisher import compute_bound
 from bench.isolation.failure import one_line
-from bench.isolation.limit import limited
+from bench.isolation.limits import limited
 from bench.scenario.scenario import METHOD
+from bench.store.results import read_result, write_result
 from bench.store.version import cell_version
 
 LIMIT_S = 60.0
+KINDS = {kind.__name__: kind for kind in (FreeDecay, Forced)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,7 @@ class Block:
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> tuple[str, str]:
         """Return the label of the method and the kind of test."""
         return self.label, type(self.points[0]).__name__
 
@@ -74,6 +76,26 @@ class Block:
     def limit_s(self) -> float:
         """Return the limit of time at which the process is killed, if a fit has not let itself be ended."""
         return LIMIT_S * (self.size + 1)
+
+    def stated(self) -> dict[str, Any]:
+        """Return all that the block is, as JSON holds it."""
+        names = ("method", "settings", "replicates", "seed", "label")
+        points = [asdict(point) for point in self.points]
+        return {"test": type(self.points[0]).__name__, "points": points, **{n: getattr(self, n) for n in names}}
+
+    @classmethod
+    def restored(cls, stated: Mapping[str, Any], key: str) -> Block:
+        """Return the block that is stated so; raises InputError where this version would name it otherwise."""
+        reason = "this version describes it differently; start the sweep again"
+        try:
+            content = dict(stated)
+            kind = KINDS[content.pop("test")]
+            block = cls([kind(**point) for point in content.pop("points")], **content)
+            if block.key == key:
+                return block
+        except Exception as error:  # whatever a file makes of a block that no version has written
+            reason = f"{reason} ({one_line(error)})"
+        raise InputError("block", key, reason)
 
     def stored(self, folder: Path) -> bool:
         """Return whether the statistics are stored whole."""

@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from bench.commands.declaration import Choice, Others, Whole
-from bench.config.atlas import SAMPLED, TESTS, atlas_methods, atlas_slices, part_names
+from bench.config.atlas import SAMPLED, TESTS, atlas_blocks, atlas_methods, atlas_slices, part_names
 from bench.config.fields import MOST_WORKERS
 from bench.config.of_hydra import check_of_hydra
 from bench.errors import InputError
-from bench.isolation.cores import usable_cores
+from bench.isolation.machine import usable_cores
 from bench.reporting.whole_file import check_folder
 
 if TYPE_CHECKING:
     from bench.atlas.run import Block
-    from bench.sweep.job import BlockJob
+    from bench.engine.job_file import LaunchJob
 
 COMMAND = "python -m bench -m experiment=atlas"
 
@@ -66,13 +66,13 @@ def atlas(
 
     Finished blocks are kept in the store, and the same command goes on from them.
     """
+    from bench.engine.job_file import LaunchJob
     from bench.engine.pool import Limits
-    from bench.sweep.job import Atlas, BlockJob
+    from bench.store.store import Store
 
     check_of_hydra(launcher)
     number, shards = shard or _shard("shard", "")
-    stated = [Atlas(test, name, list(method), points) for name in part or part_names(test)]
-    tasks = {one.part: one.blocks() for one in stated}
+    tasks = {name: atlas_blocks(name, method, points, test) for name in part or part_names(test)}
     workers = workers or usable_cores()
     if not dry_run:
         check_folder(store, "store")
@@ -89,7 +89,7 @@ def atlas(
         print(_progress(every, store, workers))
         return 0
     if left and fit:
-        _run(BlockJob(tuple(left), tuple(stated), store, Limits(workers)), tuple(launcher))
+        _run(LaunchJob(tuple(left), Store(store), Limits(workers)), tuple(launcher))
     if shards > 1:
         return 0
     chosen = {"test": test if test != "free_decay" else "", "part": ",".join(part), "points": points or ""}
@@ -133,8 +133,8 @@ def _progress(blocks: Sequence[Block], store: Path, workers: int) -> str:
     return f"{text}\n\n{wrapped(whole, '')}"
 
 
-def _run(job: BlockJob, launcher: tuple[str, ...]) -> None:
-    from bench.sweep.launch import Launch, launch_job
+def _run(job: LaunchJob, launcher: tuple[str, ...]) -> None:
+    from bench.engine.launch import Launch, launch_job
 
     launch_job(job, Launch(launcher))
 

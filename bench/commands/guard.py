@@ -9,8 +9,7 @@ from collections.abc import Callable
 
 from bench.commands.streams import OUTPUT, check_output, drop_output, prepare_streams
 from bench.errors import InputError, line_of
-from bench.isolation.ending import Ended, ended_by_signals
-from bench.isolation.interrupts import interrupts_again
+from bench.isolation.signals import Ended, ended_by_signals, interrupts_again
 
 
 def guarded(name: str, body: Callable[[], int], interrupted: str = "interrupted") -> int:

@@ -9,15 +9,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from bench.commands.declaration import File
+from bench.engine.runner import compute_bounds
 from bench.errors import InputError
 from bench.exchange.merging import merge, merge_store, summarised, understood, verify
 from bench.exchange.recomputing import widest_limits
 from bench.exchange.submission import unpack
-from bench.isolation.cores import usable_cores
+from bench.isolation.machine import usable_cores
 from bench.reporting.terminal import wrapped
 from bench.store.bounds import load_bounds
 from bench.store.store import Store
-from bench.sweep.runner import compute_bounds
 
 
 def merge_source(source: Path, folder: Path, share: float, seed: int | None, workers: int | None) -> int:

@@ -13,7 +13,7 @@ from bench.commands.declaration import Choice, Others, Whole
 from bench.config.fields import MOST_WORKERS
 from bench.config.online import VARYING, online_scenario, online_track, own_scenarios, scenario_names
 from bench.errors import InputError
-from bench.isolation.cores import usable_cores
+from bench.isolation.machine import usable_cores
 from bench.reporting.whole_file import check_folder, write
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Annotated
 from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, cell_identity, named_store, one_cell
 from bench.exchange.comparison import SAME_DIGITS, TOLERANCE, score_differences
 from bench.exchange.recomputing import recompute, widest_limits
-from bench.isolation.cores import usable_cores
+from bench.isolation.machine import usable_cores
 from bench.scoring.row import Row
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.provenance import circumstances

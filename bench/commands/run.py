@@ -11,7 +11,7 @@ from typing import Any
 
 from bench.commands.options import Options
 from bench.errors import InputError
-from bench.isolation.cores import usable_cores
+from bench.isolation.machine import usable_cores
 
 COMMAND = "python -m bench"
 USAGE = """usage: python -m bench method=<name> [field=value ...]        one cell
@@ -127,12 +127,12 @@ def _usage() -> str:
 
 def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
     config, cells = jobs[0].config, [job.cell() for job in jobs]  # what makes no sense is said before more is loaded
+    from bench.engine.launch import Launch
+    from bench.engine.plan import plan, read_retry
     from bench.face.results import compute
     from bench.reporting.plan_table import counted, listing
     from bench.reporting.terminal_tables import Closing, cell_table
     from bench.store.store import open_store
-    from bench.sweep.launch import Launch
-    from bench.sweep.plan import plan, read_retry
 
     if config.dry_run:
         store = open_store(config.store, config.archive)

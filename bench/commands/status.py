@@ -13,9 +13,10 @@ from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, cell_identity
 from bench.commands.watch import Progress, follow
 from bench.config.overrides import settable
 from bench.contract.estimate import Status
+from bench.engine.plan import State, plan, read_retry, standing
 from bench.entrants.registry import method_names
 from bench.errors import InputError
-from bench.isolation.cores import usable_cores
+from bench.isolation.machine import usable_cores
 from bench.reporting.plan_table import listing
 from bench.reporting.terminal import table, wrapped
 from bench.reporting.terminal_tables import cell_table
@@ -23,7 +24,6 @@ from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored import Head
 from bench.store.version import cell_version
-from bench.sweep.plan import State, plan, read_retry, standing
 from bench.systems import registered_systems
 
 MOST_REASONS = 3

@@ -133,13 +133,13 @@ def reproduction(store: StoreFolder = OWN, archive: ArchiveFolder = None, out: O
 
     Cells that the store lacks are run first, where it holds some.
     """
+    from bench.engine.launch import complete
     from bench.engine.pool import Limits
-    from bench.isolation.cores import usable_cores
+    from bench.isolation.machine import usable_cores
     from bench.reporting.frame import Result
     from bench.reporting.reproduction import all_cells, ratio_verdicts, verdicts
     from bench.reporting.reproduction_page import files
     from bench.reporting.whole_file import check_folder
-    from bench.sweep.launch import complete
 
     opened = named_store(store, archive, filled=True)
     check_folder(out)

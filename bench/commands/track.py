@@ -76,7 +76,7 @@ def track(
     """
     from bench.contract.online import Layout
     from bench.entrants.online import first_online, make_online
-    from bench.isolation.processes import compiled_single_threaded
+    from bench.isolation.machine import compiled_single_threaded
     from bench.reporting.whole_file import check_file, is_special
     from bench.twin.lines import Form, lines, opened
     from bench.twin.pressure import Intake

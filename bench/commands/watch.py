@@ -13,6 +13,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from bench.contract.estimate import Status
+from bench.engine.plan import State, plan
 from bench.engine.progress import duration
 from bench.reporting.rounding import number
 from bench.reporting.terminal import clipped
@@ -20,7 +21,6 @@ from bench.reporting.terminal_tables import described
 from bench.store.cell import Cell
 from bench.store.locks import under_way
 from bench.store.store import Store
-from bench.sweep.plan import State, plan
 
 WINDOW_S = 300.0
 """The rate is that of the last five minutes."""

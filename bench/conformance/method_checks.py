@@ -21,10 +21,10 @@ from bench.contract.estimate import Estimate, Status
 from bench.contract.method import Card, Identifier
 from bench.contract.prior import Prior
 from bench.contract.problem import Problem, Units
+from bench.engine.scoring_process import data_digest
+from bench.engine.wire import pack, plain, unpack
 from bench.scenario.stream import anonymous_stream
 from bench.scoring.combination import combine_with_prior
-from bench.sweep.scoring_process import data_digest
-from bench.sweep.wire import plain, rebuilt
 
 METHOD_CHECKS = Checks()
 GROUPS = ("k_over_m", "c_over_m")
@@ -164,7 +164,7 @@ def answer(candidate: Candidate) -> str:
     if covariance is not None and float(np.linalg.eigvalsh(covariance)[0]) < -1e-9 * float(np.trace(covariance)):
         raise Refusal("its covariance has a negative eigenvalue")
     try:
-        rebuilt(plain(estimate, TIMES), estimate.system)
+        unpack(pack(plain(estimate, TIMES)))
     except (TypeError, ValueError, AttributeError) as error:
         raise Refusal(f"it cannot be scored: {error}") from None
     k_over_m, c_over_m, *_ = summary(estimate, free_problem().prior)

@@ -22,7 +22,7 @@ from bench.entrants import registry
 from bench.entrants.registry import make_method, missing_package
 from bench.errors import InputError
 from bench.isolation.failure import one_line
-from bench.isolation.limit import limit_files
+from bench.isolation.limits import limit_files
 from bench.isolation.processes import READY_S, Child, Children, Died
 from bench.systems import System, make_system, registered_systems
 

@@ -1,1 +1,1 @@
-"""The engine of all experiments: tasks, the pool of processes that performs them, and progress."""
+"""From a plan to stored results: the pool of tasks, cells with the two processes of a fit, launchers, progress."""

@@ -20,21 +20,19 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from bench.engine.progress import Kind, OnLook, Progress, firsts_first
 from bench.errors import InputError
-from bench.isolation.descriptors import affordable_workers
 from bench.isolation.failure import one_line
+from bench.isolation.machine import affordable_workers
 from bench.isolation.processes import READY_S, Child, Children, Died
 from bench.store.locks import Claims
 
-WORKERS_A_WRITER = 4
-COMPLETE_A_WRITER = 8
-"""Tasks that wait for a writer, at most: enough that it never waits, and few, since each holds a claim."""
 WAIT_S = 0.5
+"""Interval at which tasks are looked at that another driver has claimed (s)."""
 PATIENCE_S = 3.0
-"""Time that a driver waits for another before it prints a line."""
+"""Time that a driver waits for another before it prints a line (s)."""
 
 
 @dataclass(frozen=True)
@@ -77,38 +75,28 @@ class Stopped(Exception):
     """The run is over: a process that ended with it has not failed."""
 
 
-@dataclass(frozen=True)
-class Done:
-    """Parts of a task that are done: see :meth:`Progress.add`. ``error``: why there is no result."""
+class Counted(NamedTuple):
+    """Parts that are done, how many of them failed, and why there is no result."""
 
-    queued: Queued
     n: int
-    seconds: float = math.nan
-    start_s: float = 0.0
     failed: int = 0
     error: str = ""
 
 
-class Queued(ABC):
+class Job(ABC):
     """A task as the driver sees it: it has parts, which workers take one after another."""
 
     key: str
     kind: Kind
     name: str
-    together: int
-    """Number of parts that a worker performs in one step, at least."""
-    started: float = 0.0
-    """Time at which it was claimed (seconds since the epoch)."""
+    size: int
+    """Number of parts."""
 
-    @property
-    @abstractmethod
-    def open(self) -> int:
-        """Return the number of parts that no worker has taken."""
-
-    @property
-    @abstractmethod
-    def complete(self) -> bool:
-        """Return whether all parts are done."""
+    def __init__(self) -> None:
+        self.pending: deque[Any] = deque()
+        self.done = 0
+        self.started = 0.0
+        """Time at which it was claimed (seconds since the epoch)."""
 
     @abstractmethod
     def stored(self) -> bool:
@@ -116,73 +104,57 @@ class Queued(ABC):
 
     @abstractmethod
     def take(self) -> Any:
-        """Take the next parts."""
-
-    @abstractmethod
-    def put_back(self, parts: Any) -> None:
-        """Return parts that are to be tried again."""
+        """Take the next of the pending parts."""
 
     @abstractmethod
     def perform(self, parts: Any, worker: Worker) -> Any:
         """Perform parts in the processes of a worker; None where they are to be tried again."""
 
     @abstractmethod
-    def add(self, outcome: Any, seconds: float, first: bool) -> Done:
-        """Keep the outcome of :meth:`perform`, which took a worker ``seconds``, maybe as the first of the task."""
+    def put_back(self, parts: Any) -> None:
+        """Return parts that are to be tried again."""
 
-    def prepare(self) -> None:  # noqa: B027
-        """Do in advance, while the first tasks are performed, what :meth:`finish` needs."""
+    @abstractmethod
+    def add(self, outcome: Any) -> Counted:
+        """Keep the outcome of :meth:`perform`."""
 
-    def leave(self, worker: Worker) -> None:  # noqa: B027
-        """End processes of a worker that serve this task only."""
-
-    def finish(self, thread: RunThread | None) -> None:  # noqa: B027
-        """Deal with a complete task, in a writer where the run has any."""
+    def finish(self, worker: Worker) -> None:  # noqa: B027
+        """Store the result, once all parts are done; raises InputError where that cannot be."""
 
 
-class QueuedTask(Queued):
+class TaskJob(Job):
     """A :class:`Task`, which one call in one process performs."""
 
-    def __init__(self, task: Task, folder: Path, limits: Limits) -> None:
-        self.task, self.folder, self.limits = task, folder, limits
-        self.key, self.kind = task.key, task.kind
-        self.name, self.together = " ".join(task.kind), task.size
-        self._state = "open"
-
-    @property
-    def open(self) -> int:
-        return self.task.size if self._state == "open" else 0
-
-    @property
-    def complete(self) -> bool:
-        return self._state == "complete"
+    def __init__(self, task: Task, folder: Path, memory_mb: float) -> None:
+        super().__init__()
+        self.task, self.folder, self.memory_mb = task, folder, memory_mb
+        self.key, self.kind, self.size, self.name = task.key, task.kind, task.size, " ".join(task.kind)
+        self.pending.append(task)
 
     def stored(self) -> bool:
         return self.task.stored(self.folder)
 
     def take(self) -> Task:
-        self._state = "taken"
-        return self.task
+        return self.pending.popleft()  # type: ignore[no-any-return]
 
-    def put_back(self, parts: Any) -> None:
-        self._state = "open"
+    def put_back(self, parts: Task) -> None:
+        self.pending.append(parts)
 
-    def perform(self, parts: Any, worker: Worker) -> str:
-        """Perform the task; returns why it has no result, or an empty string."""
+    def perform(self, parts: Task, worker: Worker) -> str:
         try:
-            worker.request(serve_tasks, pickle.dumps((parts, self.folder)))
-            answer = json.loads(worker.answer(serve_tasks, parts.limit_s, self.limits.memory_mb))
+            child = worker.process(serve_tasks)
+            child.send(pickle.dumps((parts, self.folder)))
+            answer = json.loads(child.receive(parts.limit_s, self.memory_mb))
         except Died as died:
-            worker.go_on()
+            worker.lose(serve_tasks)
             return died.message
         if "refused" in answer:
             raise InputError(*map(str, answer["refused"]))
         return str(answer["error"])
 
-    def add(self, outcome: Any, seconds: float, first: bool) -> Done:
-        self._state = "complete"
-        n = self.task.size
-        return Done(self, n, seconds, failed=n if outcome else 0, error=outcome)
+    def add(self, outcome: str) -> Counted:
+        self.done = self.size
+        return Counted(self.size, self.size if outcome else 0, outcome)
 
 
 def serve_tasks(connection: Connection) -> None:
@@ -202,22 +174,16 @@ def serve_tasks(connection: Connection) -> None:
 
 
 class TaskQueue:
-    """The tasks of a run, shared by its threads: each call is one step under a lock.
+    """The tasks of a run, shared by its threads: each call is one step under a lock."""
 
-    No task is begun while ``most_complete`` wait to be finished: each holds a claim.
-    """
-
-    def __init__(self, queued: Sequence[Queued], claims: Path, most_complete: int = COMPLETE_A_WRITER) -> None:
+    def __init__(self, jobs: Sequence[Job], claims: Path) -> None:
         self.claims = Claims(claims)
         self.events: queue.Queue[Any] = queue.Queue()
-        self.complete: queue.Queue[Queued | None] = queue.Queue()
-        """Tasks to be finished; None: no further task comes."""
-        self.most_complete = most_complete
-        self.all = tuple(queued)
-        self._waiting = deque(queued)
-        self._open: list[Queued] = []
+        """For the driver: what was done, lines to be printed, errors, and workers that have ended."""
+        self.stopped = threading.Event()
+        self._waiting = deque(jobs)
+        self._open: list[Job] = []
         self._changed = threading.Condition()
-        self._stopped = threading.Event()
         self._waited_since: float | None = None
 
     @property
@@ -225,36 +191,26 @@ class TaskQueue:
         """Return whether there are tasks that no worker has begun."""
         return bool(self._waiting)
 
-    @property
-    def stopped(self) -> bool:
-        """Return whether the run is over."""
-        return self._stopped.is_set()
-
-    def stop(self) -> None:
-        """End the run."""
-        self._stopped.set()
-        self.complete.put(None)
-        with self._changed:
-            self._changed.notify_all()
-
-    def take(self, last: Queued | None) -> tuple[Queued, Any] | None:
+    def take(self, last: Job | None) -> tuple[Job, Any] | None:
         """Return a task and the parts to be performed next, of the last task if it has any; None at the end.
 
+        There are no parts where all are done.
         The parts of a task are shared among workers only when no task is left that no worker has begun.
         """
         with self._changed:
-            while not self.stopped:
-                if last is not None and last.open:
+            while not self.stopped.is_set():
+                if last is not None and last.pending:
                     return last, last.take()
-                room = sum(queued.complete for queued in self._open) < self.most_complete
-                queued = (self._claimed() if room else None) or max(self._open, key=lambda one: one.open, default=None)
-                if queued is not None and queued.open:
-                    return queued, queued.take()
+                if job := self._claimed():
+                    return job, job.take() if job.pending else None
+                busiest = max(self._open, key=lambda job: len(job.pending), default=None)
+                if busiest is not None and busiest.pending:
+                    return busiest, busiest.take()
                 if not self._waiting:
                     return None
                 if not self._open:
                     self._report_waiting()
-                self._changed.wait(WAIT_S)  # for room, or for tasks that another driver has claimed
+                self._changed.wait(WAIT_S)  # for tasks that another driver has claimed
         return None
 
     def _report_waiting(self) -> None:
@@ -265,65 +221,59 @@ class TaskQueue:
         elif now - self._waited_since > PATIENCE_S:
             self._waited_since = math.inf
             holder = self.claims.holder(self._waiting[0].key)
-            line = f"waiting for another run on this store (cells left: {len(self._waiting)}): {holder}"
-            self.events.put(line)
+            self.events.put(f"waiting for another run on this store (cells left: {len(self._waiting)}): {holder}")
 
-    def _claimed(self) -> Queued | None:
+    def _claimed(self) -> Job | None:
         """Claim the next task that no driver works on; one that another has stored meanwhile is done."""
         for _ in range(len(self._waiting)):
-            queued = self._waiting.popleft()
-            if not self.claims.take(queued.key):
-                self._waiting.append(queued)
-                continue
-            if queued.stored():
-                self.claims.release(queued.key)
-                self.events.put(Done(queued, queued.open))
-                continue
-            queued.started = time.time()
-            self._open.append(queued)
-            if queued.open:
-                return queued
-            self.complete.put(queued)
-            self.events.put(Done(queued, 0))
+            job = self._waiting.popleft()
+            if not self.claims.take(job.key):
+                self._waiting.append(job)
+            elif job.stored():
+                self.claims.release(job.key)
+                self.events.put((job, Counted(job.size - job.done), math.nan))
+            else:
+                job.started = time.time()
+                self._open.append(job)
+                return job
         return None
 
-    def put_back(self, queued: Queued, parts: Any) -> None:
+    def put_back(self, job: Job, parts: Any) -> None:
         """Return parts of a task that are to be tried again."""
         with self._changed:
-            queued.put_back(parts)
-
-    def add(self, queued: Queued, outcome: Any, seconds: float, first: bool) -> None:
-        """Keep an outcome; a task that is then complete is to be finished."""
-        with self._changed:
-            done = queued.add(outcome, seconds, first)
-            if queued.complete:
-                self.complete.put(queued)
-            self.events.put(done)
-
-    def close(self, queued: Queued) -> None:
-        """Give up the claim of a task that is finished."""
-        with self._changed:
-            self._open.remove(queued)
-            self.claims.release(queued.key)
+            job.put_back(parts)
             self._changed.notify_all()
 
+    def add(self, job: Job, outcome: Any, seconds: float) -> bool:
+        """Keep an outcome, which took a worker ``seconds``; return whether the task is complete."""
+        with self._changed:
+            self.events.put((job, job.add(outcome), seconds))
+            return job.done == job.size
 
-class RunThread(threading.Thread, ABC):
-    """A thread of the driver with processes of its own, by the function that they serve; errors become events."""
+    def close(self, job: Job) -> None:
+        """Give up the claim of a task that is finished."""
+        with self._changed:
+            self._open.remove(job)
+            self.claims.release(job.key)
+
+
+class Worker(threading.Thread):
+    """A thread of the driver that performs tasks in processes of its own; errors become events."""
 
     def __init__(self, tasks: TaskQueue, children: Children) -> None:
         super().__init__(daemon=True)
         self.tasks, self.children = tasks, children
         self.processes: dict[Hashable, Child] = {}
-
-    @abstractmethod
-    def work(self) -> None:
-        """Work until there is nothing more to do."""
+        self.serving: Job | None = None
+        """The cell that the process of a method is for."""
 
     def run(self) -> None:
-        """Work, and report what is raised."""
+        """Perform tasks until there are none, and report what is raised."""
+        job: Job | None = None
         try:
-            self.work()
+            while (taken := self.tasks.take(job)) is not None:
+                job, parts = taken
+                self._perform(job, parts)
             for role in tuple(self.processes):
                 self.retire(role)
         except Stopped:
@@ -333,83 +283,55 @@ class RunThread(threading.Thread, ABC):
         finally:
             self.tasks.events.put(self)
 
-    def request(self, serve: Callable[[Connection], None], message: bytes) -> None:
-        """Send a message to the process that serves a function; it is started where there is none."""
-        if serve not in self.processes:
-            child = self.children.start(serve)
-            child.receive(READY_S)
-            self.processes[serve] = child
-        self.processes[serve].send(message)
+    def _perform(self, job: Job, parts: Any) -> None:
+        complete = parts is None
+        if not complete:
+            started = time.monotonic()
+            outcome = job.perform(parts, self)
+            if outcome is None:
+                self.tasks.put_back(job, parts)
+                return
+            complete = self.tasks.add(job, outcome, time.monotonic() - started)
+        if complete:
+            job.finish(self)
+            self.tasks.close(job)
 
-    def answer(self, serve: Hashable, limit_s: float, memory_mb: float | None = None) -> bytes:
-        """Return the answer to the last request; raises Died where the process ended or exceeded a limit."""
-        try:
-            return self.processes[serve].receive(limit_s, memory_mb)
-        except Died:
-            del self.processes[serve]
-            raise
+    def process(self, serve: Callable[[Connection], None]) -> Child:
+        """Return the process that serves a function; it is started where there is none. Raises Died."""
+        if serve not in self.processes:
+            self.processes[serve] = self.children.start(serve)
+            self.processes[serve].receive(READY_S)
+        return self.processes[serve]
+
+    def lose(self, role: Hashable) -> None:
+        """Forget a process that has died; raises Stopped where it ended with the run."""
+        self.processes.pop(role, None)
+        if self.tasks.stopped.is_set():
+            raise Stopped
 
     def retire(self, role: Hashable) -> None:
         """Let a process end, if there is one."""
         if child := self.processes.pop(role, None):
             child.retire()
 
-    def go_on(self) -> None:
-        """Raise Stopped where the run is over."""
-        if self.tasks.stopped:
-            raise Stopped
 
-
-class Worker(RunThread):
-    """Performs tasks."""
-
-    def work(self) -> None:
-        queued: Queued | None = None
-        while (taken := self.tasks.take(queued)) is not None:
-            first, started = taken[0] is not queued, time.monotonic()
-            if first and queued is not None:
-                queued.leave(self)
-            queued, parts = taken
-            outcome = queued.perform(parts, self)
-            if outcome is None:
-                self.tasks.put_back(queued, parts)
-            else:
-                self.tasks.add(queued, outcome, time.monotonic() - started, first)
-        if queued is not None:
-            queued.leave(self)
-
-
-class Writer(RunThread):
-    """Finishes complete tasks."""
-
-    def work(self) -> None:
-        for queued in self.tasks.all:
-            queued.prepare()
-        while (complete := self.tasks.complete.get()) is not None:
-            complete.finish(self)
-            self.tasks.close(complete)
-        self.tasks.complete.put(None)  # for the other writers
-
-
-def run_queued(
-    queued: Sequence[Queued],
+def run_jobs(
+    jobs: Sequence[Job],
     claims: Path,
     children: Children,
     workers: int,
     counted: tuple[str, str],
     on_look: OnLook | None = None,
-    written: bool = False,
 ) -> dict[str, str]:
     """Perform tasks.
 
     Args:
-        queued: The tasks.
+        jobs: The tasks.
         claims: Folder of the claims.
         children: The processes of the run; they are ended where anything is raised.
         workers: Number of workers, at most.
         counted: What parts and tasks are called in the display; an empty name where tasks are not counted.
         on_look: Called with the progress.
-        written: Whether tasks are finished by writers; else this thread does it.
 
     Returns:
         Why a task has no result, by its key.
@@ -417,57 +339,43 @@ def run_queued(
     Raises:
         InputError: where a result cannot be stored. What was stored stays.
     """
-    n_workers = min(_affordable(workers), sum(max(1, one.open) for one in queued))
-    n_writers = -(-n_workers // WORKERS_A_WRITER) if written else 0
-    queued = firsts_first(queued, lambda one: one.kind)
-    tasks = TaskQueue(queued, claims, COMPLETE_A_WRITER * max(1, n_writers))
+    enough = affordable_workers(workers)
+    if enough < workers:
+        say(f"{enough} workers instead of {workers}: more need more open files than the system gives (ulimit -n)")
+    n_workers = min(enough, sum(max(1, len(job.pending)) for job in jobs))
+    jobs = firsts_first(jobs, lambda job: job.kind)
+    tasks = TaskQueue(jobs, claims)
     tasks.claims.prepare()
-    sizes, kinds = {one.key: one.open for one in queued}, {one.key: one.kind for one in queued}
-    progress = Progress(counted[0], sizes, kinds, n_workers, {one.kind: one.together for one in queued}, counted[1])
+    sizes, kinds = {job.key: job.size - job.done for job in jobs}, {job.key: job.kind for job in jobs}
+    progress = Progress(counted[0], sizes, kinds, n_workers, counted[1])
     show = on_look or (lambda look: None)
-    show(progress.begin())
-    performing = [Worker(tasks, children) for _ in range(n_workers)]
-    running: set[RunThread] = {*performing, *(Writer(tasks, children) for _ in range(n_writers))}
+    running = {Worker(tasks, children) for _ in range(n_workers)}
     errors: dict[str, str] = {}
     try:
-        for thread in tuple(running):
-            thread.start()
+        show(progress.look())
+        for worker in tuple(running):
+            worker.start()
         while running:
             event = tasks.events.get()
             if isinstance(event, BaseException):
                 raise event
-            if isinstance(event, RunThread):
+            if isinstance(event, Worker):
                 running.remove(event)
-                if n_writers and not running.intersection(performing):
-                    tasks.complete.put(None)
-            elif isinstance(event, Done):
-                key = event.queued.key
-                if event.error:
-                    errors[key] = event.error
-                show(progress.add(key, event.n, event.seconds, event.start_s, event.failed, event.queued.name))
-            else:
+            elif isinstance(event, str):
                 say(event)
-            while not n_writers and not tasks.complete.empty():
-                complete = tasks.complete.get()
-                assert complete is not None
-                complete.finish(None)
-                tasks.close(complete)
+            else:
+                job, done, seconds = event
+                if done.error:
+                    errors[job.key] = done.error
+                show(progress.add(job.key, done.n, seconds, done.failed, job.name))
     except BaseException:
-        tasks.stop()
+        tasks.stopped.set()
         children.close()
         raise
     finally:
-        tasks.stop()
+        tasks.stopped.set()
         tasks.claims.release_all()
     return errors
-
-
-def _affordable(workers: int) -> int:
-    """Return how many workers there are open files for; prints a line where files are too few."""
-    enough = affordable_workers(workers)
-    if enough < workers:
-        say(f"{enough} workers instead of {workers}: more need more open files than the system gives (ulimit -n)")
-    return enough
 
 
 def say(line: str) -> None:
@@ -478,23 +386,12 @@ def say(line: str) -> None:
 def run_tasks(
     tasks: Sequence[Task], folder: Path, limits: Limits, counted: tuple[str, str], on_look: OnLook | None = None
 ) -> dict[str, str]:
-    """Compute and store the results of tasks that are not stored yet.
+    """Compute and store the results of tasks that are not stored yet; see :func:`run_jobs`.
 
-    Args:
-        tasks: The tasks.
-        folder: Where the results are stored, and the claims.
-        limits: Of the run; the limit of time is each task's own.
-        counted: What fits and tasks are called in the display; an empty name where tasks are not counted.
-        on_look: Called with the progress.
-
-    Returns:
-        Why a task has no result, by its key.
-
-    Raises:
-        InputError: where a result cannot be stored. What was stored stays.
+    The results and the claims are in ``folder``; the limit of time is each task's own.
     """
-    missing = [QueuedTask(task, folder, limits) for task in tasks if not task.stored(folder)]
-    if not missing:
+    jobs = [TaskJob(task, folder, limits.memory_mb) for task in tasks if not task.stored(folder)]
+    if not jobs:
         return {}
     with Children(limits.preload) as children:
-        return run_queued(missing, folder / "claims", children, limits.workers, counted, on_look)
+        return run_jobs(jobs, folder / "claims", children, limits.workers, counted, on_look)

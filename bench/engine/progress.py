@@ -1,8 +1,8 @@
 """Progress of a run: how much is done, and how long the rest takes by what the work has cost so far.
 
 Methods differ in cost by a factor of thousands, so costs are averaged by kind of work, e.g. a method on a system. The
-cost of starting a task (a process, imported packages) is kept apart from the cost of its fits. The first task of every
-kind runs first; the time of work of unknown cost is not guessed: the time left is then displayed as a lower limit.
+first task of every kind runs first. The time of work of unknown cost is not guessed: the time left is then displayed
+as a lower limit.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
-K = TypeVar("K", bound=Hashable)
 Kind = tuple[str, str]
 """Two labels, e.g. of a method and a system: where the cost of the pair is unknown, that of the first is taken."""
 LINE_S = 30.0
@@ -36,10 +35,7 @@ class Look:
         what: Name of the last one.
         seconds_left: Time that the rest of known cost takes; NaN where no cost is known.
         at_least: Whether the cost of some of the rest is unknown.
-        tasks_done: Tasks that are complete.
-        tasks: Total number of tasks.
-        failed: Parts that failed so far.
-        task: What a task is called, e.g. ``cell``; empty where it has one part and is not counted.
+        note: Further counts to be displayed, e.g. ``2/8 cells, 1 failed``.
     """
 
     unit: str
@@ -48,133 +44,92 @@ class Look:
     what: str = ""
     seconds_left: float = math.nan
     at_least: bool = True
-    tasks_done: int = 0
-    tasks: int = 0
-    failed: int = 0
-    task: str = ""
+    note: str = ""
+
+    def words(self, since: float, elapsed: float) -> str:
+        """Describe the state, what matters most first, ``since`` seconds after it was reported."""
+        over = self.done == self.total
+        counts = [self.note, f"{self.done}/{self.total} {self.unit}s"]
+        if over:
+            parts = [*counts, f"in {duration(elapsed)}"]
+        else:
+            parts = [self._left(since), *counts, f"{duration(elapsed)} so far", self.what]
+        return ", ".join(filter(None, parts))
+
+    def _left(self, since: float) -> str:
+        left = self.seconds_left - since
+        if math.isnan(left) or (left < 0 and self.at_least):
+            return "time left not known yet"
+        return (
+            f"{'at least' if self.at_least else 'about'} {duration(left)} left" if left >= 0 else "longer than expected"
+        )
 
 
 OnLook = Callable[[Look], None]
 """Called once before the work and whenever some of it is done."""
 
 
-class Costs:
-    """Mean seconds of a piece of work by kind; the first measurement counts only until there is a second.
+class Progress:
+    """Progress of tasks with several parts each, performed by ``workers`` processes.
 
-    The first piece of a kind also pays for what is compiled or imported once.
+    ``sizes`` and ``kinds`` give the number of parts of each task, and its kind; ``task`` is what a task is called,
+    where tasks are counted.
     """
 
-    def __init__(self) -> None:
-        self._measured: dict[Hashable, list[tuple[float, int]]] = defaultdict(list)
-
-    def add(self, kind: Kind, seconds: float, n: int = 1) -> None:
-        """Add the cost of ``n`` pieces of work, of the kind and of all kinds with the same first label."""
-        for key in (kind, kind[0]):
-            known = self._measured[key]
-            known.append((seconds, n))
-            if len(known) > 2:  # the first, and the sum of the others
-                known[1:] = [(known[1][0] + seconds, known[1][1] + n)]
-
-    def each(self, kind: Kind) -> float:
-        """Return the seconds of one piece; NaN where nothing is known."""
-        known = self._measured.get(kind) or self._measured.get(kind[0])
-        return known[-1][0] / known[-1][1] if known else math.nan
-
-
-class Progress(Generic[K]):
-    """Progress of tasks with several parts each, performed by ``workers`` processes."""
-
     def __init__(
-        self,
-        unit: str,
-        sizes: Mapping[K, int],
-        kinds: Mapping[K, Kind],
-        workers: int = 1,
-        together: Mapping[Kind, int] | None = None,
-        task: str = "",
+        self, unit: str, sizes: Mapping[str, int], kinds: Mapping[str, Kind], workers: int = 1, task: str = ""
     ) -> None:
-        """Count what is to be done.
-
-        Args:
-            unit: What the parts are called.
-            sizes: Number of parts by task.
-            kinds: Kind by task.
-            workers: Number of processes.
-            together: Parts that one process performs in one step, by kind.
-            task: What a task is called, where it has several parts.
-        """
-        self.unit, self.workers, self.together, self.task = unit, workers, dict(together or {}), task
-        self._open, self._kinds = dict(sizes), kinds
-        self._begun: set[K] = set()
-        self._parts_left, self._tasks_left = Counter[Kind](), Counter[Kind]()
+        self.unit, self.workers, self.task = unit, workers, task
+        self._open, self._kinds, self._total = dict(sizes), kinds, sum(sizes.values())
+        self._left = Counter[Kind]()
         for key, n in sizes.items():
-            self._parts_left[kinds[key]] += n
-            self._tasks_left[kinds[key]] += bool(n)
-        self._total = sum(sizes.values())
-        self._starts, self._parts = Costs(), Costs()
-        self._tasks_done = self._failed = 0
+            self._left[kinds[key]] += n
+        self._first: dict[Hashable, tuple[float, int]] = {}
+        self._seconds: dict[Hashable, float] = defaultdict(float)
+        self._pieces = Counter[Hashable]()
+        self._failed = 0
 
-    def begin(self) -> Look:
-        """Return the state before the first part."""
-        return self._look("")
+    def add(self, key: str, n: int, seconds: float = math.nan, failed: int = 0, what: str = "") -> Look:
+        """Count ``n`` parts of a task that are done, of which some ``failed``.
 
-    def add(
-        self,
-        key: K,
-        n: int = 1,
-        seconds: float = math.nan,
-        start_s: float = 0.0,
-        failed: int = 0,
-        what: str = "",
-    ) -> Look:
-        """Count parts of a task that are done.
-
-        Args:
-            key: The task.
-            n: Number of parts.
-            seconds: What they took a worker, without the start; NaN where they were not computed here.
-            start_s: What the start of the task took, where these parts were its first.
-            failed: How many of them failed.
-            what: Name to be displayed.
+        ``seconds`` is what they took a worker; NaN where they were not computed here.
         """
         kind = self._kinds[key]
-        if key not in self._begun:
-            self._begun.add(key)
-            self._tasks_left[kind] -= bool(self._open[key])
         self._open[key] -= n
-        self._parts_left[kind] -= n
-        self._tasks_done += self._open[key] == 0
+        self._left[kind] -= n
         self._failed += failed
-        if math.isfinite(seconds):
-            if start_s:
-                self._starts.add(kind, start_s)
-            if n:
-                self._parts.add(kind, seconds, n)
-        return self._look(what)
+        if n and math.isfinite(seconds):
+            for label in (kind, kind[0]):
+                self._first.setdefault(label, (seconds, n))
+                self._seconds[label] += seconds
+                self._pieces[label] += n
+        return self.look(what)
 
-    def _look(self, what: str) -> Look:
-        known, longest, unknown = 0.0, 0.0, False
-        for kind, n in self._parts_left.items():
-            each, start = self._parts.each(kind), self._starts.each(kind)
-            if not n:
-                continue
-            if math.isnan(each):
-                unknown = True
-                continue
-            known += n * each + self._tasks_left[kind] * (0.0 if math.isnan(start) else start)
-            longest = max(longest, min(n, self.together.get(kind, 1)) * each)
+    def look(self, what: str = "") -> Look:
+        """Return the state."""
+        costs = {kind: self._cost(kind) for kind, n in self._left.items() if n}
+        known = sum(self._left[kind] * cost for kind, cost in costs.items() if not math.isnan(cost))
+        unknown = any(map(math.isnan, costs.values()))
+        done = sum(not n for n in self._open.values())
+        notes = [f"{done}/{len(self._open)} {self.task}s"] if self.task else []
         return Look(
             unit=self.unit,
-            done=self._total - sum(self._parts_left.values()),
+            done=self._total - sum(self._left.values()),
             total=self._total,
             what=what,
-            seconds_left=math.nan if unknown and not known else max(known / self.workers, longest),
+            seconds_left=math.nan if unknown and not known else known / self.workers,
             at_least=unknown,
-            tasks_done=self._tasks_done,
-            tasks=len(self._open),
-            failed=self._failed,
-            task=self.task,
+            note=", ".join([*notes, *([f"{self._failed} failed"] if self._failed else [])]),
         )
+
+    def _cost(self, kind: Kind) -> float:
+        """Return the mean cost of a part (s); the first also paid for what is imported, and counts only while alone."""
+        label: Hashable = kind if kind in self._first else kind[0]
+        if label not in self._first:
+            return math.nan
+        seconds, n = self._first[label]
+        later = self._pieces[label] - n
+        return (self._seconds[label] - seconds) / later if later else seconds / n
 
 
 def firsts_first(items: Sequence[T], kind: Callable[[T], Hashable]) -> list[T]:
@@ -182,9 +137,9 @@ def firsts_first(items: Sequence[T], kind: Callable[[T], Hashable]) -> list[T]:
     first: dict[Hashable, int] = {}
     for i, item in enumerate(items):
         first.setdefault(kind(item), i)
-    early = sorted(first.values())
-    chosen = set(early)
-    return [items[i] for i in early] + [item for i, item in enumerate(items) if i not in chosen]
+    early = set(first.values())
+    order = sorted(range(len(items)), key=lambda i: (i not in early, i))
+    return [items[i] for i in order]
 
 
 def duration(seconds: float) -> str:
@@ -195,42 +150,17 @@ def duration(seconds: float) -> str:
     return f"{seconds:.0f} s"
 
 
-def described(look: Look, since: float, elapsed: float) -> str:
-    """Describe a state in words, what matters most first.
-
-    Args:
-        look: The state.
-        since: Seconds since it was reported.
-        elapsed: Seconds since the first report.
-    """
-    parts = [left_text(look, since)] if look.done < look.total else []
-    parts += [f"{look.tasks_done}/{look.tasks} {look.task}s"] if look.task else []
-    parts += [f"{look.done}/{look.total} {look.unit}s"]
-    parts += [f"{look.failed} failed"] if look.failed else []
-    parts += [f"{duration(elapsed)} so far" if look.done < look.total else f"in {duration(elapsed)}"]
-    return ", ".join([*parts, look.what] if look.what and look.done < look.total else parts)
-
-
-def left_text(look: Look, since: float) -> str:
-    """Describe the time left; it runs down between two reports."""
-    if math.isnan(look.seconds_left):
-        return "time left not known yet"
-    left = look.seconds_left - since
-    if left < 0:
-        return "longer than expected" if not look.at_least else "time left not known yet"
-    return f"{'at least' if look.at_least else 'about'} {duration(left)} left"
-
-
 class _Stage:
-    """One bar: the last look of a unit, and when it and the first were reported."""
+    """The last look of a unit, and when it and the first were reported."""
 
     def __init__(self, look: Look) -> None:
         self.look = look
         self.started = self.seen = self.printed = time.monotonic()
+        self.bar: Any = None
 
     def words(self) -> str:
         now = time.monotonic()
-        return described(self.look, now - self.seen, now - self.started)
+        return self.look.words(now - self.seen, now - self.started)
 
 
 @contextmanager
@@ -248,16 +178,16 @@ def progress_bar(shown: bool = True) -> Iterator[OnLook]:
 @contextmanager
 def counter(unit: str, total: int) -> Iterator[Callable[..., None]]:
     """Show the progress of work of one kind; yields a function that counts ``n`` (default 1) more as done."""
-    started, done = time.monotonic(), 0
+    progress, started = Progress(unit, {"": total}, {"": ("", "")}), time.monotonic()
     with progress_bar() as on_look:
 
         def advance(n: int = 1, what: str = "") -> None:
-            nonlocal done
-            done += n
-            seconds = (time.monotonic() - started) / done * (total - done) if done else math.nan
-            on_look(Look(unit, done, max(total, done), what, seconds, False))
+            nonlocal started
+            now = time.monotonic()
+            on_look(progress.add("", n, now - started, what=what))
+            started = now
 
-        on_look(Look(unit, 0, total))
+        on_look(progress.look())
         yield advance
 
 
@@ -279,7 +209,8 @@ def _lines() -> OnLook:
 @contextmanager
 def _bars() -> Iterator[OnLook]:
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
+    from rich.progress import BarColumn, ProgressColumn, TextColumn
+    from rich.progress import Progress as Bars
     from rich.table import Column
     from rich.text import Text
 
@@ -289,18 +220,15 @@ def _bars() -> Iterator[OnLook]:
 
     words = Words(table_column=Column(ratio=1, no_wrap=True))
     columns = (TextColumn("{task.description} {task.percentage:3.0f}%"), BarColumn(bar_width=12), words)
-    stages: dict[str, tuple[_Stage, Any]] = {}
-    bars = Progress(
-        *columns, console=Console(stderr=True), refresh_per_second=DRAWS_PER_S, redirect_stdout=False, expand=True
-    )
-    with bars:
+    console = Console(stderr=True)
+    stages: dict[str, _Stage] = {}
+    with Bars(*columns, console=console, refresh_per_second=DRAWS_PER_S, redirect_stdout=False, expand=True) as bars:
 
         def on_look(look: Look) -> None:
-            if look.unit not in stages:
-                stage = _Stage(look)
-                stages[look.unit] = stage, bars.add_task(f"{look.unit}s", total=look.total, stage=stage)
-            stage, task = stages[look.unit]
+            stage = stages.setdefault(look.unit, _Stage(look))
+            if stage.bar is None:
+                stage.bar = bars.add_task(f"{look.unit}s", total=look.total, stage=stage)
             stage.look, stage.seen = look, time.monotonic()
-            bars.update(task, completed=look.done, total=look.total, refresh=look.done == look.total)
+            bars.update(stage.bar, completed=look.done, total=look.total, refresh=look.done == look.total)
 
         yield on_look

@@ -7,25 +7,23 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from bench.config.fields import MOST_MEMORY_MB, MOST_TIMEOUT_S
+from bench.engine.launch import preloaded
+from bench.engine.plan import Planned, State
 from bench.engine.pool import Limits
 from bench.engine.progress import progress_bar
+from bench.engine.runner import run_replicates
 from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.store.stored import StoredCell
-from bench.sweep.launch import preloaded
-from bench.sweep.plan import Planned, State
-from bench.sweep.runner import run_replicates
 
 
-def recompute(chosen: Sequence[tuple[Cell, Collection[int]]], limits: Limits) -> dict[str, Sequence[Row]]:
+def recompute(chosen: Sequence[tuple[Cell, Collection[int]]], limits: Limits) -> dict[str, list[Row]]:
     """Compute some replicates of each cell; returns their rows in order, by the cell's identity."""
-    rows: dict[str, Sequence[Row]] = {}
     with tempfile.TemporaryDirectory() as folder, progress_bar() as on_look:
         store = Store(Path(folder))
         planned = [(Planned(cell, State.MISSING, "", True), replicates) for cell, replicates in chosen]
-        run_replicates(planned, store, limits, lambda cell, again: rows.update({cell.identity: again}), on_look)
-    return rows
+        return run_replicates(planned, store, limits, on_look)
 
 
 def widest_limits(cells: Sequence[StoredCell], workers: int) -> Limits:

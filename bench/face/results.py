@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 from bench.config.experiment import Experiment, sweep
 from bench.config.fields import Config
 from bench.config.overrides import overrides_of
+from bench.engine.launch import Launch, launch, warm_up
+from bench.engine.plan import Planned, plan, read_retry
 from bench.engine.pool import Limits
 from bench.errors import InputError
-from bench.isolation.cores import usable_cores
+from bench.isolation.machine import usable_cores
 from bench.store.cell import Cell
 from bench.store.store import Store, open_store
 from bench.store.stored import StoredCell
-from bench.sweep.launch import Launch, launch, warm_up
-from bench.sweep.plan import Planned, plan, read_retry
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -1,4 +1,4 @@
-"""All that a process has started, and its end, be it that a descendant has left its group, session or parent.
+"""All that a process has started, and its end, also where a descendant has left its group, session or parent.
 
 A process group alone is no bound: a daemon leaves it. So every child, and the server that starts it, adopts what its
 descendants leave behind (PR_SET_CHILD_SUBREAPER of Linux; elsewhere a daemon is not found).
@@ -7,16 +7,14 @@ descendants leave behind (PR_SET_CHILD_SUBREAPER of Linux; elsewhere a daemon is
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import signal
-import sys
 from collections.abc import Collection
 
 import psutil
 
-PRCTL = getattr(ctypes.CDLL(None), "prctl", None) if sys.platform == "linux" else None
-"""Looked up once, by the server: each of its children would take longer for it than for all the rest of its start."""
+from bench.isolation.secrecy import PRCTL
+
 PR_SET_CHILD_SUBREAPER = 36
 
 
@@ -27,44 +25,34 @@ def adopt() -> None:
 
 
 def children_of(pid: int) -> list[int]:
-    """The processes that a process has started or adopted, and that have not been waited for."""
+    """Return the processes that a process has started or adopted, and that have not been waited for."""
+    children = []
     try:
-        lists = [_listed(f"/proc/{pid}/task/{task}/children") for task in os.listdir(f"/proc/{pid}/task")]
-        return [child for listed in lists for child in listed]
+        for task in os.listdir(f"/proc/{pid}/task"):
+            with open(f"/proc/{pid}/task/{task}/children", "rb") as file:
+                children += [int(number) for number in file.read().split()]
     except OSError:  # the kernel keeps no such lists, or the process has ended
         with contextlib.suppress(psutil.Error):
             return [child.pid for child in psutil.Process(pid).children()]
-    return []
-
-
-def _listed(path: str) -> list[int]:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        text = b""
-        while more := os.read(handle, 1 << 16):
-            text += more
-        return [int(number) for number in text.split()]
-    finally:
-        os.close(handle)
+    return children
 
 
 def descendants_of(pid: int) -> list[int]:
-    """All that a process has started, however deep, those nearest first."""
-    found: list[int] = []
-    waiting = children_of(pid)
-    while waiting:
-        found += waiting
-        waiting = [deeper for one in waiting for deeper in children_of(one)]
-    return found
+    """Return all that a process has started, however deep, the nearest first."""
+    descendants = children_of(pid)
+    for child in descendants:  # which grows meanwhile
+        descendants += children_of(child)
+    return descendants
 
 
 def end_descendants(pid: int) -> None:
     """Kill all that a process has started, but not itself."""
-    for _ in range(3):  # one that forks while it is looked for
-        if not (found := descendants_of(pid)):
+    for _ in range(3):  # one may fork while it is looked for
+        descendants = descendants_of(pid)
+        for descendant in descendants:
+            kill(descendant)
+        if not descendants:
             return
-        for one in found:
-            _kill(one)
 
 
 def end_own_descendants() -> None:
@@ -80,9 +68,10 @@ def end_orphans(server: int, known: Collection[int]) -> None:
         with contextlib.suppress(OSError):
             if pid not in known and os.getpgid(pid) != os.getpgid(server):
                 end_descendants(pid)
-                _kill(pid)
+                kill(pid)
 
 
-def _kill(pid: int) -> None:
+def kill(pid: int) -> None:
+    """Kill a process, if it is there."""
     with contextlib.suppress(OSError):
         os.kill(pid, signal.SIGKILL)

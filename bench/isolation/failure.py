@@ -1,6 +1,6 @@
-"""How a failure is told: an exception in one line, and a traceback that says nothing of the machine it was on.
+"""Failures as text: an exception in one line, and a traceback that does not name the machine's folders.
 
-What a method says is foreign text: of any length, and with characters that no file or terminal takes.
+A method's messages are foreign text: of any length, and with characters that no file or terminal takes.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 def one_line(error: BaseException) -> str:
-    """An exception's type and message in one line, cut where it is too long for a table."""
+    """Return an exception's type and message in one line, cut where it is too long for a table."""
     try:
         text = str(error)
     except Exception:  # of a class that somebody else wrote
@@ -24,22 +24,24 @@ def one_line(error: BaseException) -> str:
 
 
 def printable(text: str, longest: int) -> str:
-    """The beginning of a text, with a backslash escape for each character that cannot be encoded or printed."""
-    return UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text[:longest])[:longest]
+    """Return the beginning of a text, with an escape for each character that cannot be encoded or printed."""
+    return _escaped(text[:longest])[:longest]
 
 
 def traceback_text() -> str:
-    """The traceback of the exception that is being handled, without the middle where it is too long."""
+    """Return the traceback of the exception that is being handled, without the middle where it is too long."""
     try:
         text = traceback.format_exc()
     except Exception:  # it asks the exception for its message
         text = "the traceback cannot be read"
-    if len(text) > LONGEST_TRACEBACK:
-        half = LONGEST_TRACEBACK // 2
-        text = f"{text[:half]}\n[...]\n{text[-half:]}"
-    return UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+    half = LONGEST_TRACEBACK // 2
+    return _escaped(text if len(text) <= 2 * half else f"{text[:half]}\n[...]\n{text[-half:]}")
 
 
 def without_places(text: str) -> str:
-    """A traceback whose files are named by folder and name alone: where a machine keeps them tells nobody anything."""
+    """Return a traceback whose files are named by folder and name alone."""
     return re.sub(r'File "[^"]*?((?:[^"/\\]+[/\\]){0,1}[^"/\\]+)"', r'File "\1"', text)
+
+
+def _escaped(text: str) -> str:
+    return UNPRINTABLE.sub(lambda character: character[0].encode("unicode_escape").decode("ascii"), text)

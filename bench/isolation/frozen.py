@@ -1,7 +1,7 @@
-"""Preloaded last by the server of all processes.
+"""Preloaded last by the server of all processes, which adopts what its children leave behind.
 
-The server adopts what its children leave behind, and keeps the collector off what they share, which would copy it. It
-leaves the group of its parent, so that a child that stops the group of the server does not stop the run.
+The collector is kept off what they share, which would copy it. The server leaves the group of its parent, so that a
+child that stops the group of the server does not stop the run.
 """
 
 import gc

@@ -1,8 +1,8 @@
 """Child processes that may die, hang or grow: started from a server that has the heavy imports, ended by a kill.
 
 Every child is the head of a process group of its own, writes whatever it prints to a file, and ends with the process
-that started it, even when that one is killed. What it started ends with it. A server, or a child that is waited for, is
-continued where another child has stopped it; a server that a child has killed is started again.
+that started it, even when that one is killed. What it started ends with it. A thread watches the children: it ends
+those beyond their limits, even in the middle of a message, and continues those that another child has stopped.
 """
 
 from __future__ import annotations
@@ -27,48 +27,27 @@ import psutil
 
 from bench.errors import InputError
 from bench.isolation.descendants import adopt, descendants_of, end_descendants, end_orphans, end_own_descendants
-from bench.isolation.descriptors import raise_limit
-from bench.isolation.mainless import without_main
-from bench.isolation.temporary import check_temporary
+from bench.isolation.machine import check_temporary, raise_file_limit, single_threaded
+from bench.isolation.secrecy import without_main
 
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 NEEDED = (
-    "bench.isolation.processes",
-    "bench.sweep.method_process",
-    "bench.sweep.scoring_process",
-    "bench.sweep.bounds",
+    "bench.engine.runner",
     "scipy.integrate",  # makes the truth of a nonlinear system
     "scipy.interpolate",  # which most methods use: each of their processes would import it anew
 )
 """Modules that children import from their server."""
 LOG_TAIL = 8000
-"""How much of what a child printed is kept (characters)."""
+"""Kept end of what a child printed (bytes)."""
 LONGEST_LOG = 1 << 20
 """A log that is longer is emptied before the child is asked again (bytes)."""
 LONGEST_MESSAGE = 512 << 20
 """A message that is longer is not read (bytes): the run's own memory is at stake."""
 READY_S = 300.0
-"""How long a child may take to start."""
+"""Limit of the start of a child (s)."""
 STARTS, PAUSE_S = 6, 0.2
-"""How often a start is tried, and the pause between (s): a server that is killed takes a moment to be gone."""
-LOOK_S = 0.2
-"""How often a child that is waited for is looked at."""
-WATCH_S = 1.0
-"""How often it is made sure that the server goes on."""
-
-
-def single_threaded() -> None:
-    """Fix numerical libraries loaded from now on to one thread: workers are processes, and share the cores."""
-    for variable in THREAD_VARIABLES:
-        os.environ[variable] = "1"
-
-
-def compiled_single_threaded() -> None:
-    """Fix what XLA compiles from now on to one thread, where the user has not said otherwise.
-
-    A tracker's step is a hundred small operations, each of which is over sooner than another thread has taken it on.
-    """
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+"""Attempts of a start, and the pause between (s): a server that is killed takes a moment to be gone."""
+WATCH_S = 0.2
+"""Interval at which children are watched (s)."""
 
 
 class Died(Exception):
@@ -92,7 +71,7 @@ def start_server(preload: Sequence[str] = ()) -> None:
 def _context(preload: Sequence[str]) -> Any:
     check_temporary()
     single_threaded()
-    raise_limit()
+    raise_file_limit()
     context = multiprocessing.get_context("forkserver")
     server, lacking = _server(), set(preload) - Children.preloaded
     if server is not None and lacking and not Children.known:
@@ -102,6 +81,20 @@ def _context(preload: Sequence[str]) -> Any:
         Children.preloaded = frozenset(preload)
         context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.frozen"])
     return context
+
+
+def _server() -> int | None:
+    """Return the process that children are started from; its number may be another's once it has ended."""
+    pid = getattr(forkserver._forkserver, "_forkserver_pid", None)  # there is no public name
+    with contextlib.suppress(psutil.Error):
+        return pid if pid is not None and psutil.Process(pid).ppid() == os.getpid() else None
+    return None
+
+
+def _signal(pid: int | None, number: signal.Signals) -> None:
+    if pid is not None:
+        with contextlib.suppress(OSError):
+            os.kill(pid, number)
 
 
 class Children:
@@ -134,7 +127,7 @@ class Children:
         self.close()
 
     def start(self, serve: Callable[..., None], *arguments: Any) -> Child:
-        """A child that runs ``serve(connection, *arguments)``; raises InputError where the system gives no more."""
+        """Start a child that runs ``serve(connection, *arguments)``; raises InputError where none can be started."""
         lacking: Exception | None = None
         for attempt in range(STARTS):
             self._closed.wait(PAUSE_S * min(attempt, 1))
@@ -164,7 +157,7 @@ class Children:
 
     def end_orphans(self) -> None:
         """End what children have left to the server."""
-        _continue(_server())  # else a start that is under way is never over
+        _signal(_server(), signal.SIGCONT)  # else a start that is under way is never over
         with self._starting:
             if server := _server():
                 end_orphans(server, self.known)
@@ -172,38 +165,23 @@ class Children:
     def close(self) -> None:
         """End every child."""
         self._closed.set()
-        _continue(_server())  # else nobody says that a child has ended
-        with self._lock:
-            children = list(self._all)
-        for child in children:
+        _signal(_server(), signal.SIGCONT)  # else nobody says that a child has ended
+        for child in self._now():
             child.kill()
         self.end_orphans()
         for connection in (self.lifeline, self._alive):
             connection.close()
         self.folder.cleanup()
 
+    def _now(self) -> list[Child]:
+        with self._lock:
+            return list(self._all)
+
     def _watch(self) -> None:
-        """Continue the server and the children that a child has stopped, be it in the middle of a message."""
         while not self._closed.wait(WATCH_S):
-            _continue(_server())
-            with self._lock:
-                children = list(self._all)
-            for child in children:
-                _continue(child.pid)
-
-
-def _server() -> int | None:
-    """The process that children are started from, where there is one; its number may be another's once it has ended."""
-    pid = getattr(forkserver._forkserver, "_forkserver_pid", None)  # multiprocessing tells nobody
-    with contextlib.suppress(psutil.Error):
-        return pid if pid is not None and psutil.Process(pid).ppid() == os.getpid() else None
-    return None
-
-
-def _continue(pid: int | None) -> None:
-    if pid is not None:
-        with contextlib.suppress(OSError):
-            os.kill(pid, signal.SIGCONT)
+            _signal(_server(), signal.SIGCONT)
+            for child in self._now():
+                child.watch()
 
 
 class Child:
@@ -213,12 +191,9 @@ class Child:
         self._children = children
         self.log_path = Path(children.folder.name) / f"{next(children.numbers)}.log"
         self.connection, theirs = children.context.Pipe()
+        life = (serve, theirs, children.lifeline, str(self.log_path), tuple(arguments))
         try:
-            self.process = children.context.Process(
-                target=serve_child,
-                args=(serve, theirs, children.lifeline, str(self.log_path), tuple(arguments)),
-                daemon=True,
-            )
+            self.process = children.context.Process(target=serve_child, args=life, daemon=True)
             self.process.start()
         except BaseException:
             self.connection.close()
@@ -227,91 +202,96 @@ class Child:
             theirs.close()
         self.pid: int = self.process.pid
         self._watched: list[Any] = [self.connection, self.process.sentinel]
-        self._hanging_up = threading.Lock()
+        self._lock = threading.Lock()
+        self._limits: tuple[float, float, float | None] | None = None
+        """While an answer is awaited: the deadline, the limit of time (s) and that of memory (MB)."""
+        self._verdict: tuple[str, str] | None = None
+        """Reason and message, once the child is ended for a limit."""
 
     def send(self, message: bytes) -> None:
         """Send; a child that has died is seen at the next :meth:`receive`."""
-        self._shorten_log()
+        with contextlib.suppress(OSError):
+            if self.log_path.stat().st_size > LONGEST_LOG:
+                os.truncate(self.log_path, 0)
         with contextlib.suppress(OSError):
             self.connection.send_bytes(message)
 
     def receive(self, limit_s: float, memory_mb: float | None = None) -> bytes:
-        """The next message; raises Died, with the child ended, where none comes within the limits."""
-        deadline = time.monotonic() + limit_s
+        """Return the next message; raises Died, with the child ended, where none comes within the limits."""
+        with self._lock:
+            self._limits = (time.monotonic() + limit_s, limit_s, memory_mb)
+        try:
+            message = self._next_message()
+        except OSError:
+            message = None
+            if self.connection.closed and self._verdict is None:
+                self._verdict = "crashed", f"its answer is longer than {LONGEST_MESSAGE >> 20} MB"
+        with self._lock:
+            self._limits = None
+        if message is None or self._verdict:
+            raise self._died()
+        return message
+
+    def _next_message(self) -> bytes | None:
         while True:
-            left = deadline - time.monotonic()
+            ready = wait(self._watched)
             try:
-                ready = wait(self._watched, max(0.0, min(left, LOOK_S)))
-                if not ready:
-                    _continue(self.pid)  # a neighbour may have stopped it
                 if self.connection in ready:
                     return self.connection.recv_bytes(LONGEST_MESSAGE)  # type: ignore[no-any-return]
             except EOFError:
-                raise self._died() from None
-            except OSError:
-                if self.connection.closed:
-                    raise self._ended("crashed", f"its answer is longer than {LONGEST_MESSAGE >> 20} MB") from None
-                raise self._died() from None
-            if ready:  # it has ended, while what it left behind keeps the connection open; or the server has
-                if not self._alive():
-                    raise self._died()
-                self._watched = [self.connection]
-            if left <= 0:
-                self._ask_for_stack()
-                raise self._ended("timeout", f"stopped after the limit of {limit_s:g} s")
-            if memory_mb is not None and self.resident_mb() > memory_mb:
-                raise self._ended("oom", f"stopped at the memory limit of {memory_mb:g} MB")
+                return None
+            if not self._alive():  # what it left behind keeps the connection open
+                return None
+            self._watched = [self.connection]  # the server has ended, not the child
+
+    def watch(self) -> None:
+        """Continue the child where another has stopped it, and end it where it is beyond a limit."""
+        _signal(self.pid, signal.SIGCONT)
+        with self._lock:
+            if self._limits is None or self._verdict:
+                return
+            deadline, limit_s, memory_mb = self._limits
+            if time.monotonic() > deadline:
+                self._verdict = "timeout", f"stopped after the limit of {limit_s:g} s"
+            elif memory_mb is not None and self.resident_mb() > memory_mb:
+                self._verdict = "oom", f"stopped at the memory limit of {memory_mb:g} MB"
+            else:
+                return
+        if self._verdict[0] == "timeout":
+            _signal(self.pid, signal.SIGUSR1)  # its stack, for the log
+            time.sleep(0.1)
+        self._end_all()
 
     def resident_mb(self) -> float:
-        """Resident memory of the child and of all that it started."""
+        """Return the resident memory of the child and of all that it started."""
         total = 0.0
         for pid in (self.pid, *descendants_of(self.pid)):
             with contextlib.suppress(psutil.Error):
                 total += psutil.Process(pid).memory_info().rss / 2**20
         return total
 
-    def log(self) -> str:
-        """The end of what the child printed, with the stack that it was ended in."""
-        try:
-            with self.log_path.open("rb") as file:
-                file.seek(max(0, file.seek(0, os.SEEK_END) - LOG_TAIL))
-                return file.read().decode("utf-8", errors="replace")
-        except OSError:
-            return ""
-
-    def _shorten_log(self) -> None:
-        """Empty a log that has become long: what matters is what is printed from now on."""
-        with contextlib.suppress(OSError):
-            if self.log_path.stat().st_size > LONGEST_LOG:
-                os.truncate(self.log_path, 0)
-
     def _alive(self) -> bool:
         with contextlib.suppress(psutil.Error):
             return psutil.Process(self.pid).status() not in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
         return False
 
-    def _ask_for_stack(self) -> None:
-        with contextlib.suppress(OSError, TypeError):
-            os.kill(self.process.pid, signal.SIGUSR1)
-            time.sleep(0.1)
-
-    def _ended(self, reason: str, message: str) -> Died:
-        self.kill()
-        log = self.log()
-        self.log_path.unlink(missing_ok=True)
-        return Died(reason, message, log)
-
     def _died(self) -> Died:
-        self.process.join(5)
-        code = self.process.exitcode
-        if code is not None and code < 0:
-            name = signal.Signals(-code).name
-            reason, message = "killed", f"its process was ended by {name}"
-            if name == "SIGXCPU":
-                reason, message = "timeout", "stopped after the limit of processor time"
-        else:
-            reason, message = "crashed", f"its process exited with status {code}"
-        return self._ended(reason, message)
+        if self._verdict is None:
+            self.process.join(5)
+            code = self.process.exitcode
+            if code is None or code >= 0:
+                self._verdict = "crashed", f"its process exited with status {code}"
+            elif -code == signal.SIGXCPU:
+                self._verdict = "timeout", "stopped after the limit of processor time"
+            else:
+                self._verdict = "killed", f"its process was ended by {signal.Signals(-code).name}"
+        self.kill()
+        log = ""
+        with contextlib.suppress(OSError), self.log_path.open("rb") as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - LOG_TAIL))
+            log = file.read().decode("utf-8", errors="replace")
+        self.log_path.unlink(missing_ok=True)
+        return Died(*self._verdict, log)
 
     def retire(self) -> None:
         """Let it end by itself: it sees that nobody waits for it any more."""
@@ -321,26 +301,28 @@ class Child:
 
     def kill(self) -> None:
         """End it and all that it started, at once."""
-        end_descendants(self.pid)  # while it lives they are its own
-        with contextlib.suppress(OSError):
-            os.killpg(self.pid, signal.SIGKILL)
-        self.process.kill()
+        self._end_all()
         self.process.join(10)
         self._hang_up()
         self._children.forget(self)
         self._children.end_orphans()
 
+    def _end_all(self) -> None:
+        end_descendants(self.pid)  # while it lives they are its own
+        with contextlib.suppress(OSError):
+            os.killpg(self.pid, signal.SIGKILL)
+        self.process.kill()
+
     def _hang_up(self) -> None:
-        """Close the connection, once: a worker and the end of the run may both want to, and by then its number may be
-        another file's."""
-        with self._hanging_up, contextlib.suppress(OSError):
+        """Close the connection, once, whoever wants to: by then its number may be another file's."""
+        with self._lock, contextlib.suppress(OSError):
             self.connection.close()
 
 
 def serve_child(
     serve: Callable[..., None], connection: Connection, lifeline: Connection, log: str, arguments: tuple[Any, ...]
 ) -> None:
-    """The whole life of a child."""
+    """Live the whole life of a child."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError):
         os.setsid()
@@ -359,10 +341,10 @@ def serve_child(
         sys.excepthook(*sys.exc_info())
         sys.stderr.flush()
         os._exit(1)
-    _end_all()
+    _end_group()
 
 
-def _end_all() -> None:
+def _end_group() -> None:
     """End this process with all that it started; no library's clean-up can hang."""
     end_own_descendants()
     os.killpg(0, signal.SIGKILL)
@@ -372,5 +354,5 @@ def _end_with_parent(lifeline: Connection) -> None:
     with contextlib.suppress(EOFError, OSError):
         lifeline.poll(None)
     with contextlib.suppress(OSError):
-        _end_all()
+        _end_group()
     os._exit(1)

@@ -1,13 +1,15 @@
-"""What other processes of the same user, a method's among them, can read of this one through ``/proc``."""
+"""What other processes of the same user, a method's among them, can learn of this one."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
 import sys
+import types
+from collections.abc import Iterator
 
-from bench.isolation.descendants import PRCTL
-
+PRCTL = getattr(ctypes.CDLL(None), "prctl", None) if sys.platform == "linux" else None
+"""Looked up once, by the server: each of its children would take longer for it than for all the rest of its start."""
 PR_SET_DUMPABLE = 4
 ARG_START, ARG_END = 47, 48
 """Fields of ``/proc/self/stat``, counted from 0: the memory of the command line (proc_pid_stat(5))."""
@@ -24,15 +26,26 @@ def hide_arguments() -> None:
 
     The first words stay, ``python -m bench``; ``sys.argv`` is another copy and stays whole.
     """
-    if sys.platform != "linux":
-        return
     with contextlib.suppress(OSError, ValueError, IndexError):
         with open("/proc/self/stat", "rb") as file:
             text = file.read()
         fields = text[text.rindex(b")") + 2 :].split()  # the name before it may hold spaces
         start, end = (int(fields[i - 2]) for i in (ARG_START, ARG_END))
         memory = ctypes.string_at(start, end - start)
-        visible = memory.find(b"=")
-        if visible >= 0:
+        if (visible := memory.find(b"=")) >= 0:
             visible = memory.rfind(b"\0", 0, visible) + 1
             ctypes.memset(start + visible, 0, end - start - visible)
+
+
+@contextlib.contextmanager
+def without_main() -> Iterator[None]:
+    """Start processes that neither run the program's main module again nor get its arguments.
+
+    The arguments may hold true parameters, and ``multiprocessing`` hands them on.
+    """
+    main, arguments = sys.modules["__main__"], sys.argv
+    sys.modules["__main__"], sys.argv = types.ModuleType("__main__"), arguments[:1]
+    try:
+        yield
+    finally:
+        sys.modules["__main__"], sys.argv = main, arguments

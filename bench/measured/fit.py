@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import pickle
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bench.contract.estimate import Estimate, Status
 from bench.contract.method import Identifier
 from bench.contract.problem import Problem
+from bench.engine import method_process as fitter
 from bench.engine.pool import Limits
 from bench.isolation.processes import Children, Died
-from bench.sweep import method_process as fitter
-from bench.sweep.wire import rebuilt
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,18 +31,17 @@ def fit_alone(
 ) -> Outcome:
     """Fit, within the limits; the estimate's functions of time are known at ``times`` (s) afterwards."""
     fit = pickle.dumps(method.identify_many)
-    task = fitter.Task(fit, (0,), (problem,), (rng,), (times,), limits.timeout_s)
+    task = fitter.FitTask(fit, (0,), (problem,), (rng,), (times,), limits.timeout_s)
     children = Children()
     started = time.perf_counter()
     try:
         child = fitter.ready(children, None, method.requires, limits.memory_mb)
-        packed = fitter.answers(child, pickle.dumps(task), 1, limits.timeout_s, limits.memory_mb, lambda report: None)
+        (outcome,) = fitter.solve(child, task, limits.memory_mb)
     except Died as died:
         return Outcome(None, Status(died.reason), died.message, time.perf_counter() - started)
     finally:
         children.close()
-    (outcome,) = fitter.outcomes(packed)
     if "answer" not in outcome:
         return Outcome(None, Status(outcome["status"]), outcome["message"])
-    estimate = rebuilt(outcome["answer"], problem.system).checked()
+    estimate = replace(outcome["answer"], system=problem.system).checked()
     return Outcome(estimate, estimate.status, estimate.message, outcome["wall_s"])

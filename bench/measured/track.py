@@ -18,8 +18,6 @@ import numpy as np
 
 from bench.config.records import primary_method
 from bench.config.schema import Job
-from bench.engine.progress import Kind
-from bench.engine.results import read_result, write_result
 from bench.entrants.registry import load_method
 from bench.errors import InputError
 from bench.measured.find import find
@@ -31,6 +29,7 @@ from bench.measured.record import Measured, read_measured, with_system
 from bench.measured.request import Request, request_of
 from bench.measured.sets import MeasuredSet
 from bench.measured.siblings import Stated, pieces
+from bench.store.results import read_result, write_result
 from bench.systems.sums import Sum
 
 ANALYSES, ANALYSIS_S = 50.0, 3600.0
@@ -115,7 +114,7 @@ class MeasuredFit:
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> tuple[str, str]:
         """Return the method and the set."""
         return self.job.label, f"{self.name} {self.request.system}, {self.sibling}"
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Channel, Problem
+from bench.engine import method_process as fitter
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import make_method, missing_package
 from bench.isolation.processes import Children, Died
@@ -30,8 +31,6 @@ from bench.measured.strongest import strongest_frequency
 from bench.measured.trust import natural_frequency
 from bench.scenario.stream import anonymous_stream
 from bench.scoring.combination import combine_with_prior
-from bench.sweep import method_process as fitter
-from bench.sweep.wire import rebuilt
 from bench.systems import MEASURED, Quantity
 
 LEVEL = 0.95
@@ -261,9 +260,9 @@ def _fitted(name: str, twins: Sequence[Twin], seed: int, pace: Pace, children: C
         problems = tuple(twins[i].problem for i in own)
         rngs, instants = tuple(anonymous_stream([seed, i, 1]) for i in own), (np.zeros(1),) * size
         started, each = time.monotonic(), pace.left / size
-        task = pickle.dumps(fitter.Task(fit, tuple(own), problems, rngs, instants, each))
+        task = fitter.FitTask(fit, tuple(own), problems, rngs, instants, each)
         try:
-            outcomes = fitter.outcomes(fitter.answers(child, task, size, each, MEMORY_MB, lambda report: None))
+            outcomes = fitter.solve(child, task, MEMORY_MB)
         except Died:
             return found if len(found) >= LEAST else []
         found += [_estimate(outcome, problem) for outcome, problem in zip(outcomes, problems, strict=True)]
@@ -280,7 +279,9 @@ def _fitted(name: str, twins: Sequence[Twin], seed: int, pace: Pace, children: C
 def _estimate(outcome: Mapping[str, object], problem: Problem) -> Estimate | None:
     if "answer" not in outcome:
         return None
-    estimate = rebuilt(outcome["answer"], problem.system).checked()  # type: ignore[arg-type]
+    answer = outcome["answer"]
+    assert isinstance(answer, Estimate)
+    estimate = replace(answer, system=problem.system).checked()
     return combine_with_prior(estimate, problem.prior) if estimate.status is Status.OK else None
 
 

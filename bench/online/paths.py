@@ -13,13 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from bench.engine.progress import Kind
-from bench.engine.results import read_result, write_result
 from bench.entrants.online import make_online
 from bench.entrants.registry import load_method
-from bench.isolation.processes import compiled_single_threaded
+from bench.isolation.machine import compiled_single_threaded
 from bench.online.follow import Followed, follow
 from bench.online.scenario import OnlineScenario
+from bench.store.results import read_result, write_result
 from bench.store.version import bound_version
 
 LIMIT_S = 86400.0
@@ -67,7 +66,7 @@ class OnlinePath:
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> tuple[str, str]:
         """Return the labels of method and scenario."""
         return self.of.label or self.of.method, self.of.scenario.label
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from bench.engine.plan import Planned
 from bench.engine.progress import duration
 from bench.reporting.terminal import table, wrapped
 from bench.reporting.terminal_tables import described
 from bench.store.store import Store
-from bench.sweep.plan import Planned
 
 MOST_OF_WHY = 160
 

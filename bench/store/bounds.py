@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol
 from bench.errors import InputError
 from bench.files import read_regular, write_whole
 from bench.information.fisher import Bound, compute_bound, own_times
-from bench.isolation.mainless import without_main
+from bench.isolation.secrecy import without_main
 from bench.scenario.scenario import Scenario
 from bench.store.seal import sealed, unsealed_text
 from bench.store.store import BOUND_FORMAT

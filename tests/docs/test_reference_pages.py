@@ -21,11 +21,11 @@ from bench.commands.verbs import VERBS
 from bench.config.fields import defaults as fields_of_a_run
 from bench.conformance.process import MEMORY_MB
 from bench.contract.estimate import Status
-from bench.isolation.limit import LONGEST_FILE
+from bench.engine.method_process import CPU_MARGIN_S, LONGEST_ANSWER
+from bench.isolation.limits import LONGEST_FILE
 from bench.isolation.processes import READY_S
 from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import PriorSpec, Scenario, config_path
-from bench.sweep.method_process import CPU_MARGIN_S, LONGEST_ANSWER
 
 REFERENCE = REPOSITORY / "docs" / "reference"
 RESULTS = REPOSITORY / "results"

@@ -23,6 +23,7 @@ from tabulate import tabulate
 
 from bench.config.experiment import expand
 from bench.contract.estimate import Status
+from bench.engine.launch import complete
 from bench.engine.pool import Limits
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import default_settings, method_names
@@ -34,7 +35,6 @@ from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.store import DEFAULT_STORE, Store, open_store
 from bench.store.stored import StoredCell
-from bench.sweep.launch import complete
 from bench.systems import Chain
 from tests.studies.chains_picture import caption, picture
 from tests.studies.fields import command, flag, read_fields, whole

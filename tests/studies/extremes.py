@@ -21,6 +21,7 @@ import bench
 from bench.config.experiment import expand
 from bench.config.schema import Job
 from bench.contract.problem import Channel, Problem, Record
+from bench.engine.launch import complete
 from bench.engine.pool import Limits
 from bench.entrants.registry import default_settings, method_names
 from bench.errors import InputError
@@ -30,7 +31,6 @@ from bench.reporting.tables.common import csv, markdown_table
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.store import DEFAULT_STORE, Store, open_store
-from bench.sweep.launch import complete
 from bench.systems.linear import SDOF
 from tests.studies.fields import command, read_fields, whole
 

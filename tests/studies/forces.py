@@ -16,7 +16,7 @@ import numpy as np
 from bench.config.atlas import on_the_bound
 from bench.engine.progress import counter
 from bench.entrants.registry import make_method
-from bench.isolation.processes import single_threaded
+from bench.isolation.machine import single_threaded
 from bench.planning.forced import ForcedTest
 from bench.planning.forces import Forces, Told, told_by
 from bench.planning.search import Likely

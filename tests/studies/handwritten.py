@@ -27,8 +27,8 @@ from bench.config.experiment import expand
 from bench.engine.progress import counter
 from bench.entrants.registry import make_method
 from bench.isolation.failure import one_line
-from bench.isolation.limit import limited
-from bench.isolation.processes import single_threaded
+from bench.isolation.limits import limited
+from bench.isolation.machine import single_threaded
 from bench.reporting.rounding import excess_text, number
 from bench.scenario.scenario import METHOD, Scenario
 from bench.scenario.truth import Truth

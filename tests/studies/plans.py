@@ -17,7 +17,7 @@ from scipy.stats import binom, norm
 from bench.config.atlas import on_the_bound
 from bench.engine.progress import counter
 from bench.entrants.registry import make_method
-from bench.isolation.processes import single_threaded
+from bench.isolation.machine import single_threaded
 from bench.planning.free_decay import QUANTITIES, Decay, errors, information
 from bench.planning.search import MOST_SAMPLES, WITHIN, Likely, Proposal, cheapest, not_exceeded
 from bench.planning.verify import reached, simulated

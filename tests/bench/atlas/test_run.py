@@ -6,16 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from bench import Card, Estimate, Identifier, InputError
+from bench import Card, Estimate, Identifier
 from bench.atlas.cost import hours, progress
 from bench.atlas.point import FreeDecay
 from bench.atlas.run import Block, at_point, read_block, write_block
 from bench.commands.main import main
 from bench.config.atlas import SAMPLED, atlas_blocks, atlas_content, atlas_methods, part_names
 from bench.engine.pool import Limits, run_tasks
-from bench.engine.results import result_path
 from bench.entrants.registry import make_method
-from bench.sweep.job import Atlas, BlockJob, read_job
+from bench.store.results import result_path
 
 EASY = FreeDecay(100, 10.0, 0.05, 40.0, 0.4, False)
 BLOCK = Block([EASY, replace(EASY, snr_db=30.0)], "matrix_pencil", {}, 10, 1, "matrix_pencil")
@@ -127,10 +126,3 @@ def test_a_launcher_computes_the_blocks_that_this_machine_does_and_writes_the_at
     assert len(list(there.glob("*.result"))) == 2
     assert not (there / "launches").exists()
     assert (tmp_path / "out2" / "atlas.md").exists()
-
-
-def test_a_job_with_a_block_of_another_version_is_one_line(tmp_path) -> None:
-    atlas = Atlas("free_decay", "points", ["log_decrement"], 32)
-    BlockJob((BLOCK,), (atlas,), tmp_path, Limits()).write(tmp_path / "0.job")
-    with pytest.raises(InputError, match="is not of this atlas"):
-        read_job(tmp_path / "0.job", tmp_path)

@@ -21,6 +21,7 @@ from bench.commands.main import main
 from bench.commands.verbs import VERBS
 from bench.config.experiment import expand
 from bench.contract.estimate import Status
+from bench.engine.plan import plan
 from bench.reporting.plan_table import listing
 from bench.reporting.record_page import record_page
 from bench.reporting.rounding import decimals, excess_text, rounded
@@ -30,7 +31,6 @@ from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.store.stored import StoredCell
-from bench.sweep.plan import plan
 
 
 def places(line: str) -> int:

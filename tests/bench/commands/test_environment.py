@@ -18,7 +18,7 @@ from conftest import REPOSITORY
 from forked import Call, Forked
 
 from bench.errors import InputError
-from bench.isolation.temporary import LONGEST, check_temporary
+from bench.isolation.machine import LONGEST, check_temporary
 from bench.reporting.whole_file import check_folder, write
 
 FULL = Path("/dev/full")

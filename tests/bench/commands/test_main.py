@@ -13,9 +13,9 @@ import pytest
 import yaml
 
 from bench.commands.main import main
+from bench.engine import runner
 from bench.reporting.rounding import number
 from bench.store.store import Store
-from bench.sweep import runner
 
 HEAVY = ("torch", "casadi", "pysindy", "emcee", "jax", "matplotlib")
 

@@ -11,12 +11,12 @@ from stored import content, resealed
 
 from bench.commands import reproduce, status
 from bench.commands.main import main
+from bench.engine.plan import plan
 from bench.engine.pool import Limits
+from bench.engine.runner import run_cells
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
-from bench.sweep.plan import plan
-from bench.sweep.runner import run_cells
 
 
 @pytest.fixture(scope="module")

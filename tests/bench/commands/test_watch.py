@@ -18,14 +18,14 @@ from conftest import StoreFactory
 from bench.commands import status, watch
 from bench.commands.main import main
 from bench.commands.watch import Look, Progress, block, line, rate, time_left
+from bench.engine.plan import plan
 from bench.engine.pool import Limits
+from bench.engine.runner import run_cells
 from bench.errors import InputError
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.locks import Claims, under_way
 from bench.store.store import Store
-from bench.sweep.plan import plan
-from bench.sweep.runner import run_cells
 
 SWEEP = ["method=prior,oracle,ls", "replicates=2,3,4,5"]
 ENVIRONMENT = {**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "80"}
@@ -133,7 +133,7 @@ def test_a_cell_that_fails_while_it_is_watched_is_counted_as_failed(
 
 
 def test_a_retried_cell_is_left_until_it_has_been_stored_again(reference: Scenario, new_store: StoreFactory) -> None:
-    from bench.sweep.plan import FAILURES
+    from bench.engine.plan import FAILURES
 
     store = new_store()
     cells = [Cell(reference, "ls", {}, 2, 0, "ls")]

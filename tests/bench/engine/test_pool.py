@@ -19,7 +19,7 @@ import pytest
 from bench import InputError
 from bench.engine.pool import Limits, run_tasks
 from bench.engine.progress import Kind, Look
-from bench.engine.results import read_result, result_path, write_result
+from bench.store.results import read_result, result_path, write_result
 
 HERE = Path(__file__).parent
 
@@ -73,7 +73,7 @@ def test_what_is_stored_is_not_computed_again_and_what_fails_harms_no_other(tmp_
     errors = run_tasks(deeds, tmp_path, Limits(), ("deed", ""), looks.append)
     assert errors == {"b": "ValueError: two lines of reasons", "c": "its process was ended by SIGKILL"}
     assert [deed.key for deed in deeds if deed.stored(tmp_path)] == ["a", "d"]
-    assert (looks[-1].done, looks[-1].total, looks[-1].failed) == (4, 4, 2)
+    assert (looks[-1].done, looks[-1].total, looks[-1].note) == (4, 4, "2 failed")
     run_tasks(deeds, tmp_path, Limits(), ("deed", ""))
     assert marks(tmp_path) == ["a", "b", "b", "c", "c", "d"]
 

@@ -16,13 +16,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.engine import progress as bars
+from bench.engine.plan import plan
 from bench.engine.pool import Limits
-from bench.engine.progress import Kind, Look, Progress, described, firsts_first, left_text, progress_bar
+from bench.engine.progress import Kind, Look, Progress, firsts_first, progress_bar
+from bench.engine.runner import run_cells
 from bench.entrants.registry import default_settings
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
-from bench.sweep.plan import plan
-from bench.sweep.runner import run_cells
 
 START_S = 0.4
 """What a cell costs before its first fit, in the made-up sweeps."""
@@ -32,10 +32,10 @@ def cell(scenario: Scenario, method: str, seed: int = 0, replicates: int = 10) -
     return Cell(scenario, method, {}, replicates, seed, method)
 
 
-def progress_of(cells: Sequence[Cell], workers: int = 2, together: int = 1) -> Progress[str]:
+def progress_of(cells: Sequence[Cell], workers: int = 2) -> Progress:
     sizes = {one.identity: one.replicates for one in cells}
     kinds = {one.identity: kind_of(one) for one in cells}
-    return Progress("fit", sizes, kinds, workers, {kind: together for kind in kinds.values()}, "cell")
+    return Progress("fit", sizes, kinds, workers, "cell")
 
 
 def kind_of(cell: Cell) -> Kind:
@@ -51,7 +51,7 @@ def course(cells: Sequence[Cell], seconds: dict[str, float], workers: int = 2) -
         for i in range(one.replicates):
             start = START_S if i == 0 else 0.0
             now += seconds[one.method] + start
-            events.append((now, {"key": one.identity, "seconds": seconds[one.method], "start_s": start}))
+            events.append((now, {"key": one.identity, "n": 1, "seconds": seconds[one.method] + start}))
         heapq.heappush(free, (now, worker))
     return sorted(events, key=lambda event: event[0])
 
@@ -83,40 +83,30 @@ def test_the_time_left_is_within_a_factor_of_two_of_what_is_left(reference: Scen
 def test_what_is_unknown_is_not_guessed(reference: Scenario) -> None:
     cells = [cell(reference, "ls", replicates=4), cell(reference, "mcmc", replicates=4)]
     progress = progress_of(cells, workers=1)
-    begin = progress.begin()
+    begin = progress.look()
     assert (math.isnan(begin.seconds_left), begin.at_least, begin.done, begin.total) == (True, True, 0, 8)
-    look = progress.add(cells[0].identity, 1, 3.0, 2.0)
-    assert (look.seconds_left, look.at_least) == (9.0, True)  # three more fits; the start of the cell is paid
-    look = progress.add(cells[1].identity, 1, 10.0, 1.0)
+    look = progress.add(cells[0].identity, 1, 3.0)
+    assert (look.seconds_left, look.at_least) == (9.0, True)  # three more fits
+    look = progress.add(cells[1].identity, 1, 10.0)
     assert (look.seconds_left, look.at_least) == (39.0, False)
-
-
-def test_a_start_is_paid_once_a_cell(reference: Scenario) -> None:
-    cells = [cell(reference, "ls", seed, 2) for seed in range(3)]
-    look = progress_of(cells, workers=1).add(cells[0].identity, 2, 2.0, 5.0)
-    assert look.seconds_left == 2 * 5.0 + 4 * 1.0
-    assert (look.tasks_done, look.tasks) == (1, 3)
-
-
-def test_fits_that_one_process_does_together_are_not_shared(reference: Scenario) -> None:
-    """Of 10 fits of 6 s that are one task, the second of two workers has none."""
-    cells = [cell(reference, "pinn", seed) for seed in range(2)]
-    assert progress_of(cells, together=10).add(cells[0].identity, 10, 60.0).seconds_left == 60.0
 
 
 def test_failures_and_cells_of_another_run_are_counted(reference: Scenario) -> None:
     cells = [cell(reference, "ls", seed, 2) for seed in range(2)]
     progress = progress_of(cells)
-    assert progress.add(cells[0].identity, 2, 2.0, failed=1).failed == 1
+    assert progress.add(cells[0].identity, 2, 2.0, failed=1).note == "1/2 cells, 1 failed"
     look = progress.add(cells[1].identity, 2)
-    assert (look.done, look.tasks_done, look.failed, look.seconds_left) == (4, 2, 1, 0.0)
+    assert (look.done, look.note, look.seconds_left) == (4, "2/2 cells, 1 failed", 0.0)
 
 
 def test_the_first_of_a_kind_is_no_example_once_there_is_a_second() -> None:
     """Much is compiled for the first bound of a system."""
     systems = ["duffing", "sdof", "duffing", "duffing", "sdof"]
-    progress = Progress("bound", dict.fromkeys(range(5), 1), dict(enumerate((name, "") for name in systems)))
-    looks = [progress.begin(), *(progress.add(i, 1, took) for i, took in enumerate((20.0, 1.0, 2.0, 4.0)))]
+    keys = list("01234")
+    progress = Progress(
+        "bound", dict.fromkeys(keys, 1), {key: (name, "") for key, name in zip(keys, systems, strict=True)}
+    )
+    looks = [progress.look(), *(progress.add(str(i), 1, took) for i, took in enumerate((20.0, 1.0, 2.0, 4.0)))]
     shown = [(look.done, None if math.isnan(look.seconds_left) else look.seconds_left, look.at_least) for look in looks]
     assert shown == [(0, None, True), (1, 40.0, True), (2, 41.0, False), (3, 3.0, False), (4, 1.0, False)]
 
@@ -132,7 +122,7 @@ def test_the_first_of_every_kind_comes_first_and_all_else_keeps_its_order(letter
     assert found[n:] == sorted(found[n:])
 
 
-FITS = Look("fit", 9, 40, "ls 20 dB", 100.0, False, 2, 8, 0, "cell")
+FITS = Look("fit", 9, 40, "ls 20 dB", 100.0, False, "2/8 cells, 3 failed")
 
 
 @pytest.mark.parametrize(
@@ -145,15 +135,10 @@ FITS = Look("fit", 9, 40, "ls 20 dB", 100.0, False, 2, 8, 0, "cell")
         (replace(FITS, seconds_left=math.nan, at_least=True), 0.0, "time left not known yet"),
     ],
 )
-def test_the_time_left_in_words_runs_down(look: Look, since: float, said: str) -> None:
-    assert left_text(look, since) == said
-
-
-def test_what_matters_most_is_said_first() -> None:
+def test_the_time_left_runs_down_and_stands_first(look: Look, since: float, said: str) -> None:
     """Since a narrow terminal shows the beginning alone."""
-    said = described(replace(FITS, failed=3), 0.0, 30.0)
-    assert said == "about 1.7 min left, 2/8 cells, 9/40 fits, 3 failed, 30 s so far, ls 20 dB"
-    assert described(Look("bound", 4, 4, "sdof", 0.0, False), 0.0, 12.0) == "4/4 bounds, in 12 s"
+    assert look.words(since, 30.0) == f"{said}, 2/8 cells, 3 failed, 9/40 fits, 30 s so far, ls 20 dB"
+    assert Look("bound", 4, 4, "sdof", 0.0, False).words(0.0, 12.0) == "4/4 bounds, in 12 s"
 
 
 class Terminal(io.StringIO):
@@ -170,8 +155,8 @@ def shown(stream: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> str:
             Look("bound", 1, 1, "{odd} system", 0.0, False),
             replace(FITS, done=0, total=4),
             replace(FITS, done=2, total=4),
-            replace(FITS, done=4, total=4, tasks_done=8),
-            replace(FITS, done=4, total=4, tasks_done=8),  # a launcher's results are counted once more at its end
+            replace(FITS, done=4, total=4, note="8/8 cells"),
+            replace(FITS, done=4, total=4, note="8/8 cells"),  # a launcher's results are counted once more at its end
         ):
             on_look(look)
     return stream.getvalue()
@@ -193,7 +178,10 @@ def test_elsewhere_it_is_a_line_now_and_then_and_one_at_the_end_of_each_stage(mo
     monkeypatch.setattr(bars, "LINE_S", 0.0)
     often = shown(io.StringIO(), monkeypatch)
     assert "\r" not in often
-    assert "bench: fits 50 %, about 1.7 min left, 2/8 cells, 2/4 fits, 0 s so far, ls 20 dB" in often.splitlines()
+    assert (
+        "bench: fits 50 %, about 1.7 min left, 2/8 cells, 3 failed, 2/4 fits, 0 s so far, ls 20 dB"
+        in often.splitlines()
+    )
 
 
 def test_a_run_tells_of_its_bounds_then_of_all_its_fits(
@@ -209,4 +197,4 @@ def test_a_run_tells_of_its_bounds_then_of_all_its_fits(
     assert units == sorted(units)  # bounds come before fits
     bound, fit = (next(look for look in reversed(looks) if look.unit == unit) for unit in ("bound", "fit"))
     assert (bound.done, bound.total) == (1, 1)
-    assert (fit.done, fit.total, fit.tasks_done, fit.tasks, fit.failed, fit.seconds_left) == (7, 7, 2, 2, 3, 0.0)
+    assert (fit.done, fit.total, fit.note, fit.seconds_left) == (7, 7, "2/2 cells, 3 failed", 0.0)

@@ -20,6 +20,7 @@ from stored import described, recorded, save, scored
 from bench.commands.main import main
 from bench.config.experiment import expand
 from bench.contract.estimate import Status
+from bench.engine.launch import complete
 from bench.engine.pool import Limits
 from bench.errors import InputError
 from bench.exchange import merging
@@ -31,7 +32,6 @@ from bench.scoring.row import Row
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored import StoredCell
-from bench.sweep.launch import complete
 
 N = 12
 Change = Callable[[StoredCell], StoredCell]

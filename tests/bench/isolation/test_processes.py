@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from bench.engine import method_process
 from bench.isolation.descendants import descendants_of
 from bench.isolation.processes import Children
-from bench.sweep import method_process
 
 ASLEEP = [sys.executable, "-c", "import sys; sys.stdin.read()"]
 NESTED = [sys.executable, "-c", f"import subprocess; subprocess.run({ASLEEP!r})"]

@@ -17,7 +17,6 @@ from bench import InputError
 from bench.commands.declaration import read_arguments
 from bench.commands.measured_track import measured
 from bench.engine import pool
-from bench.engine.results import write_result
 from bench.measured.free_run import free_run_error, part_problem
 from bench.measured.reading import Recording, Signal
 from bench.measured.sets import MeasuredSet, measured_set, set_names
@@ -25,6 +24,7 @@ from bench.measured.siblings import Stated, agreement, pieces, total
 from bench.measured.track import Fit, tasks
 from bench.reporting.tables.track_table import Panel, Track, certified_ratio, digits, lines, markdown
 from bench.reporting.track.page import page
+from bench.store.results import write_result
 
 HALF = 1.959964
 TINY = {"title": "t", "licence": "none", "source": "here", "folder": "x", "files": ["x.csv"], "systems": ["sdof"]}

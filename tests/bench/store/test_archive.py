@@ -19,6 +19,7 @@ from stored import VERSION
 from bench import InputError, Status
 from bench.commands.publish import Described, publish
 from bench.config.experiment import expand
+from bench.engine.launch import complete
 from bench.engine.pool import Limits
 from bench.scoring.row import Row
 from bench.store.archive import STATISTICS, Archive
@@ -28,7 +29,6 @@ from bench.store.publication import ARRAY_BITS
 from bench.store.seal import sealed, unsealed_text
 from bench.store.store import BOUND_FORMAT, VARIABLE, Store, open_store
 from bench.store.stored import StoredCell
-from bench.sweep.launch import complete
 
 NAN, INF = math.nan, math.inf
 ODD = ("", "größer", "a\nline", '"quoted"', "\u2028 \U0001f600", "nan", "null", "0")

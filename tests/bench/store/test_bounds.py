@@ -13,7 +13,7 @@ import pytest
 
 from bench.errors import InputError
 from bench.information.fisher import compute_bound
-from bench.isolation.limit import limited
+from bench.isolation.limits import limited
 from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
 from bench.store import bounds as bound_module
 from bench.store.bounds import Replicates, bound_identity, load_bounds

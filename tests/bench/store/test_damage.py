@@ -21,7 +21,7 @@ from stored import content, described, recorded, resealed, save, scored
 
 from bench import InputError
 from bench.commands import status
-from bench.isolation.limit import limited
+from bench.isolation.limits import limited
 from bench.reporting.frame import Result
 from bench.store.cell import stored_as_cell
 from bench.store.cell_file import FORMAT

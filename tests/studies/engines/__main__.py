@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from bench.engine.progress import counter
 from bench.errors import InputError
-from bench.isolation.processes import single_threaded
+from bench.isolation.machine import single_threaded
 from bench.store.store import Store
 from tests.studies.fields import command, flag, read_fields, whole
 

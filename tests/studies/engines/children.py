@@ -15,7 +15,7 @@ from typing import Any
 
 import psutil
 
-from bench.isolation.processes import THREAD_VARIABLES
+from bench.isolation.machine import THREAD_VARIABLES
 from tests.studies.engines.row import NO_MEMORY
 
 ROOT = Path(__file__).parents[3]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.errors import InputError
-from bench.isolation.processes import compiled_single_threaded, single_threaded
+from bench.isolation.machine import compiled_single_threaded, single_threaded
 from tests.studies.fields import command, read_fields, whole
 from tests.studies.online.constant import constant
 from tests.studies.online.faults import faults

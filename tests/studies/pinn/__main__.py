@@ -19,7 +19,7 @@ from tabulate import tabulate
 from bench.config.experiment import expand
 from bench.engine.progress import counter
 from bench.errors import InputError
-from bench.isolation.processes import single_threaded
+from bench.isolation.machine import single_threaded
 from bench.store.store import Store
 from tests.studies.fields import command, flag, read_fields, whole
 from tests.studies.pinn import pictures

@@ -119,7 +119,7 @@ def _k_over_m(method: PhysicsInformed, task: Task) -> float:
 
 MEMORY = """
 import resource, numpy as np, torch
-from bench.isolation.processes import single_threaded
+from bench.isolation.machine import single_threaded
 single_threaded()
 from bench import Channel, InitialState, Prior, Problem, Record
 from bench.systems import SDOF

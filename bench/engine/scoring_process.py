@@ -10,7 +10,7 @@ import hashlib
 import math
 import pickle
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -19,9 +19,11 @@ import numpy as np
 from bench.contract.belief import Draws, Normal
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
+from bench.engine.method_process import FitTask, outcomes
+from bench.engine.wire import unpack
 from bench.entrants.reference import REFERENCES
 from bench.information.fisher import Bound
-from bench.isolation.failure import one_line, traceback_text
+from bench.isolation.failure import one_line, traceback_text, without_places
 from bench.isolation.secrecy import close_memory
 from bench.scenario.scenario import METHOD
 from bench.scenario.truth import Truth
@@ -35,8 +37,6 @@ from bench.store.bounds import load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.store.stored import StoredCell
-from bench.sweep.method_process import Task, outcomes
-from bench.sweep.wire import rebuilt, unpack
 
 KEPT_DRAWS = 500
 """How many draws of a belief are kept, evenly thinned, for the replicate whose arrays are."""
@@ -46,15 +46,31 @@ KEPT = 0
 """The replicate whose record, reconstruction and traces are kept for pictures."""
 
 
-@dataclass(frozen=True)
-class Scored:
-    """The row of one replicate, a traceback where it failed, for one replicate the arrays worth keeping, and ``facts``
-    of the data that all replicates share."""
+Pair = tuple[Problem, Truth]
 
-    row: Row
-    traceback: str = ""
-    arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
-    facts: Mapping[str, Any] = field(default_factory=dict)
+
+@dataclass
+class Scored:
+    """Rows of a cell, and what belongs to them.
+
+    Attributes:
+        rows: One a replicate.
+        tracebacks: Of failed replicates.
+        arrays: Those kept of one replicate.
+        facts: What tables say of the data that all replicates share.
+    """
+
+    rows: list[Row] = field(default_factory=list)
+    tracebacks: dict[int, str] = field(default_factory=dict)
+    arrays: dict[str, np.ndarray] = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    def add(self, other: Scored) -> None:
+        """Add rows of the same cell."""
+        self.rows += other.rows
+        self.tracebacks |= other.tracebacks
+        self.arrays |= other.arrays
+        self.facts = self.facts or other.facts
 
 
 @dataclass(frozen=True)
@@ -71,17 +87,11 @@ def serve(connection: Connection) -> None:
     """Do what the run asks, one request after another; the answers, or what went wrong, are pickled."""
     close_memory()
     scorer = Scorer()
-    requests: dict[str, Callable[..., Any]] = {
-        "open": scorer.open,
-        "score": scorer.score,
-        "fail": scorer.fail,
-        "finish": scorer.finish,
-    }
     connection.send_bytes(b"ready")
     while True:
         request, *arguments = pickle.loads(connection.recv_bytes())
         try:
-            answer = True, requests[request](*arguments)
+            answer = True, getattr(scorer, request)(*arguments)
         except Exception as error:
             answer = False, (one_line(error), traceback_text())
         connection.send_bytes(pickle.dumps(answer))
@@ -92,11 +102,11 @@ class Scorer:
 
     def __init__(self) -> None:
         self.cell: Cell | None = None
-        self.make: Callable[[int], tuple[Problem, Truth]] | None = None
-        self.pairs: dict[int, tuple[Problem, Truth]] = {}
+        self.make: Callable[[int], Pair] | None = None
+        self.pairs: dict[int, Pair] = {}
         self.bounds: dict[str, Bound] = {}
 
-    def _pair(self, cell: Cell, replicate: int) -> tuple[Problem, Truth]:
+    def _pair(self, cell: Cell, replicate: int) -> Pair:
         if self.make is None or self.cell != cell:
             self.cell, self.pairs, self.make = cell, {}, cell.scenario.maker(cell.seed)
         if replicate not in self.pairs:
@@ -104,10 +114,10 @@ class Scorer:
         return self.pairs[replicate]
 
     def open(self, cell: Cell, fit: bytes, replicates: Sequence[int], timeout_s: float) -> bytes:
-        """The task of some replicates, pickled, as a method's process takes it."""
+        """Return the task of some replicates, pickled, as a method's process takes it."""
         pairs = [self._pair(cell, i) for i in replicates]
         name = int.from_bytes(cell.method.encode(), "big") % 2**32
-        task = Task(
+        task = FitTask(
             fit=fit,
             replicates=tuple(replicates),
             payloads=tuple(pairs) if cell.method in REFERENCES else tuple(problem for problem, _ in pairs),
@@ -117,54 +127,47 @@ class Scorer:
         )
         return pickle.dumps(task)
 
-    def score(self, cell: Cell, answers: bytes) -> list[Scored]:
-        """The rows of what a method's process answered."""
+    def score(self, cell: Cell, answers: bytes) -> Scored:
+        """Return the rows of what a method's process answered."""
         return self._scored(cell, outcomes(answers))
 
-    def fail(self, cell: Cell, replicate: int, failure: Failure, wall_s: float) -> list[Scored]:
-        """The row of a replicate without an answer; with a last report, the scores of that."""
+    def fail(self, cell: Cell, replicate: int, failure: Failure, wall_s: float) -> Scored:
+        """Return the row of a replicate without an answer; with a last report, the scores of that."""
         problem, truth = self._pair(cell, replicate)
         scores: Mapping[str, float] = {}
         if failure.best is not None:
-            scores = self._scored(cell, [unpack(failure.best)])[0].row.scores
+            scores = self._scored(cell, [unpack(failure.best)]).rows[0].scores
         row = Row(replicate, failure.status, failure.message, scores, wall_s=wall_s, data=data_digest(problem))
-        return [Scored(row, failure.log, facts=facts(truth))]
+        return Scored([row], {replicate: failure.log}, facts=facts(truth))
 
-    def _bound(self, cell: Cell, store: Store) -> Bound:
-        if cell.bound_identity not in self.bounds:
-            self.bounds = {cell.bound_identity: load_bounds([cell], store.bounds)[0]}
-        return self.bounds[cell.bound_identity]
-
-    def _scored(self, cell: Cell, answered: Sequence[Mapping[str, Any]]) -> list[Scored]:
+    def _scored(self, cell: Cell, answered: Sequence[Mapping[str, Any]]) -> Scored:
         """Return what became of replicates in their order; those with an estimate are scored together."""
         pairs = [self._pair(cell, outcome["replicate"]) for outcome in answered]
         places = [i for i, outcome in enumerate(answered) if "answer" in outcome]
-        estimates = [rebuilt(answered[i]["answer"], pairs[i][0].system) for i in places]
+        estimates = [replace(answered[i]["answer"], system=pairs[i][0].system) for i in places]
         judged = dict(zip(places, _judged(estimates, [pairs[i] for i in places]), strict=True))
-        scored = []
+        scored = Scored(facts=facts(pairs[0][1]))
         for i, (outcome, (problem, truth)) in enumerate(zip(answered, pairs, strict=True)):
-            took = {key: outcome[key] for key in ("wall_s", "cpu_s", "peak_memory_mb") if key in outcome}
-            common = {"replicate": outcome["replicate"], "data": data_digest(problem), **took}
+            replicate = outcome["replicate"]
+            common = {key: outcome[key] for key in ("replicate", "wall_s", "cpu_s", "peak_memory_mb") if key in outcome}
+            common["data"] = data_digest(problem)
             if i not in judged:
-                row = Row(status=Status(outcome["status"]), message=outcome["message"], **common)
-                scored.append(Scored(row, outcome.get("traceback", ""), facts=facts(truth)))
+                scored.tracebacks[replicate] = outcome["traceback"]
+                scored.rows.append(Row(status=Status(outcome["status"]), message=outcome["message"], **common))
                 continue
-            estimate, own = judged[i]
+            estimate, values = judged[i]
             evaluations = estimate.cost.evaluations
-            row = Row(status=estimate.status, message=estimate.message, scores=own, evaluations=evaluations, **common)
-            kept = row.replicate == KEPT and row.status is Status.OK
-            arrays = kept_arrays(estimate, problem, truth) if kept else {}
-            scored.append(Scored(row, arrays=arrays, facts=facts(truth)))
+            scored.rows.append(Row(status=estimate.status, message=estimate.message, scores=values,
+                                   evaluations=evaluations, **common))  # fmt: skip
+            if replicate == KEPT and estimate.status is Status.OK:
+                scored.arrays = kept_arrays(estimate, problem, truth)
         return scored
 
     def finish(
         self,
         cell: Cell,
         store: Store,
-        rows: Sequence[Row],
-        arrays: Mapping[str, np.ndarray],
-        known: Mapping[str, Any],
-        tracebacks: str,
+        scored: Scored,
         bounded: bool,
         version: dict[str, Any],
         provenance: Mapping[str, Any],
@@ -173,36 +176,32 @@ class Scorer:
 
         One that is not ``bounded`` has no scores, and its data may be as impossible as its bound.
         """
-        ordered = tuple(sorted(rows, key=lambda row: row.replicate))
-        bound = self._bound(cell, store) if bounded else NO_BOUND
-        if bounded and not known:
-            known = facts(self._pair(cell, 0)[1])
+        rows = tuple(sorted(scored.rows, key=lambda row: row.replicate))
+        bound, known = NO_BOUND, scored.facts
+        if bounded:
+            if cell.bound_identity not in self.bounds:
+                self.bounds = {cell.bound_identity: load_bounds([cell], store.bounds)[0]}
+            bound, known = self.bounds[cell.bound_identity], known or facts(self._pair(cell, 0)[1])
+        tracebacks = sorted((i, text.rstrip()) for i, text in scored.tracebacks.items() if text.strip())
+        scenario = {"snr_db": cell.scenario.snr_db, "initial_state": cell.scenario.initial_state}
         stored = StoredCell(
             identity=cell.identity,
-            cell={
-                **cell.stated(),
-                "snr_db": cell.scenario.snr_db,
-                "initial_state": cell.scenario.initial_state,
-                **known,
-            },
-            rows=ordered,
-            summary={name: dict(vars(summary)) for name, summary in summarise(ordered, bound).items()},
+            cell={**cell.stated(), **scenario, **known},
+            rows=rows,
+            summary={name: dict(vars(summary)) for name, summary in summarise(rows, bound).items()},
             prior_share=bound.prior_share,
             identifiable=bound.identifiable,
-            wall_s=float(np.nansum([row.wall_s for row in ordered])),
+            wall_s=float(np.nansum([row.wall_s for row in rows])),
             version=version,
-            provenance={**provenance, "data": combined_digest(ordered)},
-            arrays=arrays,
-            tracebacks=tracebacks,
+            provenance={**provenance, "data": combined_digest(rows)},
+            arrays=scored.arrays,
+            tracebacks=without_places("\n".join(f"replicate {i}\n{text}\n" for i, text in tracebacks)),
         )
         try:
             store.save(stored)
         except OSError as error:
             return error.strerror or str(error)
         return ""
-
-
-Pair = tuple[Problem, Truth]
 
 
 def _judged(estimates: Sequence[Estimate], pairs: Sequence[Pair]) -> list[tuple[Estimate, dict[str, float]]]:

@@ -8,6 +8,7 @@ lost with their node, is launched again as long as that brings anything.
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import threading
 import time
@@ -19,19 +20,19 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from bench.engine.job_file import LaunchJob, read_job
+from bench.engine.plan import Planned, plan
 from bench.engine.pool import Limits, say
 from bench.engine.progress import Look, progress_bar
+from bench.engine.runner import needed
 from bench.errors import InputError
 from bench.isolation.failure import one_line
-from bench.isolation.private import make_private_folder
 from bench.isolation.processes import start_server
-from bench.store.archive import Archive
 from bench.store.cell import Cell
 from bench.store.store import Store
-from bench.sweep.job import CellJob, Job, read_job
-from bench.sweep.plan import Planned, plan
-from bench.sweep.runner import needed
 
+CACHE, OWN_CACHE = "XDG_CACHE_HOME", "vibration-bench-launches"
+WRITABLE_BY_OTHERS = 0o022
 WATCH_S = 1.0
 """Shortest interval at which results are counted; where counting takes long, it gets a twentieth of the time."""
 
@@ -59,31 +60,33 @@ class Launch:
 
 def launch(planned: Sequence[Planned], store: Store, limits: Limits, how: Launch) -> None:
     """Have the cells of a plan that are to be run computed and stored; see :func:`launch_job`."""
-    wanted = tuple(one for one in planned if one.run)
-    if wanted:
-        if not how.local:
-            store = Store(store.folder.resolve(), store.archive and Archive(store.archive.folder.resolve()))
-        launch_job(CellJob(wanted, store, limits), how)
+    launch_job(LaunchJob(tuple(cell for cell in planned if cell.run), store, limits), how)
 
 
-def launch_job(job: Job, how: Launch) -> None:
-    """Have the items of a job computed and stored.
+def launch_job(job: LaunchJob, how: Launch) -> None:
+    """Have the tasks of a job computed and stored.
 
     What jobs elsewhere leave behind is launched again until nothing is left or a round has brought nothing; the store
     then lacks it, and the error stream says why. Raises InputError for a launcher that is unknown or not installed, and
     where the store can no longer be written.
     """
-    if how.local:
-        _run_here(job, how)
+    if not job.tasks:
         return
-    folder = job.folder.resolve() / "launches" / uuid.uuid4().hex[:12]
+    if how.local:
+        for text in how.overrides:
+            if not text.lstrip("+").startswith("hydra/launcher="):
+                raise InputError("argument", text, "an option of a launcher: name that too, by hydra/launcher=")
+        with progress_bar(how.progress) as on_look:
+            job.run(replace(job.limits, preload=preloaded()), on_look)
+        return
+    folder = job.store.folder.resolve() / "launches" / uuid.uuid4().hex[:12]
     private = make_private_folder()
     try:
         with _launcher(folder, private, how) as launcher, _watched(job, how.progress):
             _rounds(launcher, job, folder, how)
     finally:
-        for own in (folder, private):  # jobs that still run elsewhere end when they see it
-            shutil.rmtree(own, ignore_errors=True)
+        for place in (folder, private):  # jobs that still run elsewhere end when they see it
+            shutil.rmtree(place, ignore_errors=True)
         with suppress(OSError):
             folder.parent.rmdir()  # unless another run is under way
 
@@ -105,16 +108,8 @@ def preloaded() -> tuple[str, ...]:
     return tuple(OmegaConf.create(files("conf").joinpath("launch.yaml").read_text(encoding="utf-8")).preload)
 
 
-def _run_here(job: Job, how: Launch) -> None:
-    for text in how.overrides:
-        if not text.lstrip("+").startswith("hydra/launcher="):
-            raise InputError("argument", text, "an option of a launcher: name that too, by hydra/launcher=")
-    with progress_bar(how.progress) as on_look:
-        job.run(replace(job.limits, preload=preloaded()), on_look)
-
-
 def run_job(config: Any) -> dict[str, int]:
-    """Run one job: its items that are still to be computed. What every launcher calls."""
+    """Run one job: its tasks that are still to be computed. What every launcher calls."""
     from hydra.core.hydra_config import HydraConfig
 
     path = Path(config.sweep) / f"{config.job}.job"
@@ -128,15 +123,15 @@ def run_job(config: Any) -> dict[str, int]:
             raise InputError("store", path.parent, remedy)
 
     job.part(left).run(limits, on_look)
-    return {"cells": len(job.items), "computed": len(left)}
+    return {"cells": len(job.tasks), "computed": len(left)}
 
 
-def _write(path: Path, job: Job) -> None:
+def _write(path: Path, job: LaunchJob) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         job.write(path)
     except OSError as error:
-        raise InputError("store", job.folder, f"cannot be written ({error.strerror}); make room") from None
+        raise InputError("store", job.store.folder, f"cannot be written ({error.strerror}); make room") from None
 
 
 def _cores(launcher: Any) -> int:
@@ -145,9 +140,9 @@ def _cores(launcher: Any) -> int:
     return int(launcher.get("cpus_per_task") or (ray.get("remote") or {}).get("num_cpus") or 1)
 
 
-def _rounds(launcher: Any, job: Job, folder: Path, how: Launch) -> None:
+def _rounds(launcher: Any, job: LaunchJob, folder: Path, how: Launch) -> None:
     """Launch what is left of a job, as long as a round brings anything."""
-    n_jobs, left = 0, list(job.items)
+    n_jobs, left = 0, list(job.tasks)
     size = how.cells_per_job
     while left:
         jobs: list[list[str]] = []
@@ -173,6 +168,27 @@ def _rounds(launcher: Any, job: Job, folder: Path, how: Launch) -> None:
         say(f"{line} ({lost})" if lost else line)
         if len(left) == before:
             return
+
+
+def make_private_folder() -> Path:
+    """Make a folder that its user alone can write, under the cache: launchers rebuild objects from files in it.
+
+    Raises InputError where the cache (``XDG_CACHE_HOME``, else ``~/.cache``) cannot be written, or others can write.
+    """
+    cache = os.environ.get(CACHE, "")
+    try:
+        place = Path(cache or Path.home() / ".cache").resolve() / OWN_CACHE
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.mkdir(mode=0o700, exist_ok=True)
+        status = place.stat()
+        if status.st_uid != os.geteuid() or status.st_mode & WRITABLE_BY_OTHERS:
+            raise InputError(CACHE, place, "others can write there; name a folder of your own")
+        folder = place / uuid.uuid4().hex
+        folder.mkdir(mode=0o700)
+    except (OSError, RuntimeError) as error:  # there may be no home folder
+        reason = getattr(error, "strerror", None) or "there is no home folder"
+        raise InputError(CACHE, cache, f"cannot be written ({reason}); name another folder") from None
+    return folder
 
 
 @contextmanager
@@ -225,7 +241,7 @@ def _quoted(path: Path) -> str:
 
 
 @contextmanager
-def _watched(job: Job, shown: bool) -> Iterator[None]:
+def _watched(job: LaunchJob, shown: bool) -> Iterator[None]:
     """Show the progress of what is computed elsewhere, by what arrives in the store."""
     over = threading.Event()
     with progress_bar(shown) as on_look:
@@ -233,9 +249,9 @@ def _watched(job: Job, shown: bool) -> Iterator[None]:
         def count() -> float:
             started = time.monotonic()
             left = len(job.left())
-            done = len(job.items) - left
+            done = len(job.tasks) - left
             seconds_left = (started - begun) / done * left if done else math.nan
-            on_look(Look(job.unit, done, len(job.items), "", seconds_left, False))
+            on_look(Look(job.unit, done, len(job.tasks), "", seconds_left, False))
             return time.monotonic() - started
 
         def watch() -> None:

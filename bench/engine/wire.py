@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import pickle
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,12 +19,9 @@ from bench.contract.estimate import Cost, Estimate, Reconstruction, Rescaled, St
 from bench.contract.problem import InitialState
 from bench.dynamics.simulate import SimulatedResponse, displacements
 from bench.isolation.failure import printable
-from bench.systems import System
 
 LONGEST_MESSAGE, LONGEST_NAME = 2000, 100
 """Of a method's message and of the name of a trace (characters)."""
-Plain = Mapping[str, Any]
-"""Nested dictionaries and tuples of strings, numbers and numpy arrays of numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +35,11 @@ class Sampled:
         if not np.array_equal(times, self.times):
             raise ValueError("the displacement is known at the times that were asked for only")
         return self.values
+
+
+PLAIN = (Cost, Draws, Estimate, InitialState, Normal, Sampled, Status)
+REBUILT = {(kind.__module__, kind.__qualname__): kind for kind in PLAIN}
+NUMPY = {"_reconstruct", "ndarray", "dtype", "scalar", "_frombuffer"}
 
 
 def evaluated_together(estimates: Sequence[Estimate], times: Sequence[np.ndarray]) -> Sequence[Estimate]:
@@ -54,15 +56,15 @@ def evaluated_together(estimates: Sequence[Estimate], times: Sequence[np.ndarray
     first = responses[0][0] if responses else None
     if first is None or not first.system.linear or first.system.n_dof > 1:
         return estimates
-    if any(own is None or own.forces or own.system != first.system for own, _, _ in responses):
+    if any(response is None or response.forces or response.system != first.system for response, _, _ in responses):
         return estimates
-    if any(own is not times[0] and not np.array_equal(own, times[0]) for own in times):
+    if any(wanted is not times[0] and not np.array_equal(wanted, times[0]) for wanted in times):
         return estimates
     time, length = (np.array(scale) for scale in list(zip(*responses, strict=True))[1:])
     try:
         sizes = {p.name: time**p.dimension.time * length**p.dimension.length for p in first.system.parameters}
-        parameters = {n: np.array([own.parameters[n] for own, _, _ in responses]) / sizes[n] for n in sizes}
-        starts = [InitialState(own.start.displacement / x, own.start.velocity * t / x) for own, t, x in responses]
+        parameters = {n: np.array([response.parameters[n] for response, _, _ in responses]) / sizes[n] for n in sizes}
+        starts = [InitialState(r.start.displacement / x, r.start.velocity * t / x) for r, t, x in responses]
         (paths,) = displacements(first.system, parameters, starts, times[:1], [()] * len(starts))
     except Exception:  # each is evaluated by itself, and fails by itself
         return estimates
@@ -78,112 +80,77 @@ def _simulated(functions: Sequence[Reconstruction]) -> tuple[Any, float, float]:
     return (function if type(function) is SimulatedResponse else None), time, length
 
 
-def plain(estimate: Estimate, times: np.ndarray) -> dict[str, Any]:
-    """The estimate as plain numbers, its functions evaluated at ``times`` (s, floats); raises what these raise."""
+def plain(estimate: Estimate, times: np.ndarray) -> Estimate:
+    """Return the estimate in plain numbers, without its system, for :func:`pack`.
+
+    Its functions are evaluated at ``times`` (s, floats); raises what these raise, and TypeError and ValueError for
+    what is not as the contract has it.
+    """
     starts, n_dof = estimate.initial_states, estimate.system.n_dof
-    return {
-        "parameters": _plain_belief(estimate.parameters),
-        "groups": _plain_belief(estimate.groups),
-        "times": times,
-        "reconstructions": [_values(function, times, n_dof) for function in estimate.reconstructions],
-        "bands": [_values(function, times, n_dof) for function in estimate.bands],
-        "initial_states": None
-        if starts is None
-        else [(np.array(s.displacement, float), np.array(s.velocity, float)) for s in starts],
-        "offsets": None if estimate.offsets is None else [float(offset) for offset in estimate.offsets],
-        "status": str(Status(estimate.status)),
-        "message": printable(str(estimate.message), LONGEST_MESSAGE),
-        "cost": (int(estimate.cost.evaluations), int(estimate.cost.iterations)),
-        "traces": {
-            printable(str(name), LONGEST_NAME): np.array(values, float) for name, values in estimate.traces.items()
-        },
-    }
-
-
-def rebuilt(answer: Plain, system: System) -> Estimate:
-    """The estimate of a plain answer; its functions of time know the times of :func:`plain` only."""
-    times, starts, offsets = answer["times"], answer["initial_states"], answer["offsets"]
-    groups = _belief(answer["groups"])
+    groups = _plain_belief(estimate.groups)
     assert groups is None or isinstance(groups, Normal)
     return Estimate(
-        system,
-        parameters=_belief(answer["parameters"]),
+        None,  # type: ignore[arg-type]
+        parameters=_plain_belief(estimate.parameters),
         groups=groups,
-        reconstructions=tuple(Sampled(times, values) for values in answer["reconstructions"]),
-        bands=tuple(Sampled(times, values) for values in answer["bands"]),
-        initial_states=None if starts is None else tuple(InitialState(x, v) for x, v in starts),
-        offsets=None if offsets is None else tuple(offsets),
-        status=Status(answer["status"]),
-        message=answer["message"],
-        cost=Cost(*answer["cost"]),
-        traces=answer["traces"],
+        reconstructions=tuple(_sampled(function, times, n_dof) for function in estimate.reconstructions),
+        bands=tuple(_sampled(function, times, n_dof) for function in estimate.bands),
+        initial_states=None
+        if starts is None
+        else tuple(InitialState(np.array(s.displacement, float), np.array(s.velocity, float)) for s in starts),
+        offsets=None if estimate.offsets is None else tuple(float(offset) for offset in estimate.offsets),
+        status=Status(estimate.status),
+        message=printable(str(estimate.message), LONGEST_MESSAGE),
+        cost=Cost(int(estimate.cost.evaluations), int(estimate.cost.iterations)),
+        traces={printable(str(name), LONGEST_NAME): np.array(trace, float) for name, trace in estimate.traces.items()},
     )
 
 
-def _values(function: Reconstruction, times: np.ndarray, n_dof: int) -> np.ndarray:
+def _sampled(function: Reconstruction, times: np.ndarray, n_dof: int) -> Sampled:
     values = np.array(function(times), float)
     if values.shape != (n_dof, times.size):
         raise ValueError(f"a reconstruction of shape {(n_dof, times.size)} was expected, not {values.shape}")
-    return values
+    return Sampled(times, values)
 
 
-def _plain_belief(belief: Belief | None) -> dict[str, Any] | None:
+def _plain_belief(belief: Belief | None) -> Belief | None:
     if belief is None:
         return None
-    names = [str(name) for name in belief.names]
+    names = tuple(str(name) for name in belief.names)
+    n = len(names)
     if isinstance(belief, Draws):
-        return {"kind": "draws", "names": names, "samples": _shaped(belief.samples, (None, len(names)))}
+        return Draws(names, _shaped(belief.samples, (None, n)))
     if not isinstance(belief, Normal):
         raise TypeError(f"a belief is a Normal or Draws, not {type(belief).__name__}")
-    n = len(names)
-    return {
-        "kind": "normal",
-        "names": names,
-        "mean": _shaped(belief.mean, (n,)),
-        "covariance": None if belief.covariance is None else _shaped(belief.covariance, (n, n)),
-        "log": bool(belief.log),
-        "dof": None if belief.dof is None else float(belief.dof),
-    }
+    covariance = None if belief.covariance is None else _shaped(belief.covariance, (n, n))
+    dof = None if belief.dof is None else float(belief.dof)
+    return Normal(names, _shaped(belief.mean, (n,)), covariance, bool(belief.log), dof)
 
 
 def _shaped(values: Any, shape: Sequence[int | None]) -> np.ndarray:
     array = np.array(values, float)
-    fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
-    if not fits:
+    if array.ndim != len(shape) or any(want not in (None, n) for want, n in zip(shape, array.shape, strict=True)):
         wanted = ", ".join("any" if n is None else str(n) for n in shape)
         raise ValueError(f"an array of shape ({wanted}) was expected, not {array.shape}")
     return array
 
 
-def _belief(plain_belief: Plain | None) -> Belief | None:
-    if plain_belief is None:
-        return None
-    names = tuple(plain_belief["names"])
-    if plain_belief["kind"] == "draws":
-        return Draws(names, plain_belief["samples"])
-    return Normal(names, plain_belief["mean"], plain_belief["covariance"], plain_belief["log"], plain_belief["dof"])
-
-
 class _PlainUnpickler(pickle.Unpickler):
-    """Rebuilds numbers, texts and numpy arrays, and nothing that runs code of a method."""
+    """Rebuilds numbers, texts, numpy arrays and estimates, and nothing that runs code of a method."""
 
     def find_class(self, module: str, name: str) -> Any:
-        if module.partition(".")[0] == "numpy" and name in {
-            "_reconstruct",
-            "ndarray",
-            "dtype",
-            "scalar",
-            "_frombuffer",
-        }:
+        if (module, name) in REBUILT:
+            return REBUILT[module, name]
+        if module.partition(".")[0] == "numpy" and name in NUMPY:
             return super().find_class(module, name)
         raise pickle.UnpicklingError(f"{module}.{name} is not plain")
 
 
 def pack(content: Any) -> bytes:
-    """Plain content as bytes."""
+    """Return plain content as bytes."""
     return pickle.dumps(content, protocol=pickle.HIGHEST_PROTOCOL)
 
 
 def unpack(content: bytes) -> Any:
-    """What :func:`pack` was given; raises UnpicklingError for anything that is not plain."""
+    """Return what :func:`pack` was given; raises UnpicklingError for anything that is not plain."""
     return _PlainUnpickler(io.BytesIO(content)).load()

@@ -1,10 +1,11 @@
-"""What of a sweep is there already, and what has to be computed, and why."""
+"""The plan of a sweep: which cells are there already, which are to be computed, and why."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 
 from bench.contract.estimate import Status
 from bench.entrants.registry import missing_package
@@ -19,7 +20,7 @@ FAILURES = frozenset(Status) - {Status.OK, Status.UNSUPPORTED, Status.MISSING_DE
 
 
 class State(StrEnum):
-    """Where a cell stands."""
+    """States of a cell in the store."""
 
     DONE = "done"
     MISSING = "missing"
@@ -42,9 +43,18 @@ class Planned:
     run: bool
     stamp: int = 0
 
+    @property
+    def key(self) -> str:
+        """Return the identity of the cell."""
+        return self.cell.identity
+
+    def stored(self, folder: Path) -> bool:
+        """Return whether a store has another file of the cell than the plan has seen."""
+        return Store(folder).stamp(self.key) not in (0, self.stamp)
+
 
 def read_retry(text: str) -> frozenset[Status]:
-    """The statuses that a command line wants tried again: ``none``, ``failed`` for all, or some by name.
+    """Return the statuses that a command line wants tried again: ``none``, ``failed`` for all, or some by name.
 
     With all of them go the cells whose files are damaged.
     """
@@ -59,7 +69,7 @@ def read_retry(text: str) -> frozenset[Status]:
 
 
 def plan(cells: Sequence[Cell], store: Store, retry: Collection[Status] = ()) -> list[Planned]:
-    """Every cell once, in order.
+    """Return every cell once, in order.
 
     A cell whose file, or that of its arrays, is damaged or foreign is computed anew where all failures are tried again.
     Else a damaged file of a cell raises InputError; arrays are not looked at, since only pictures need them.

@@ -1,0 +1,230 @@
+"""The cells of a run: replicates are fitted and scored in a worker's processes, and complete cells stored.
+
+A scoring process knows the truth, a method's process does not; the driver passes bytes between them unread. A process
+that dies loses the replicates that it was given, and they are tried again one by one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import pickle
+import time
+from collections import deque
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from bench.contract.estimate import Status
+from bench.engine import method_process, scoring_process
+from bench.engine.method_process import reference_fit
+from bench.engine.plan import FAILURES, Planned, State
+from bench.engine.pool import Counted, Job, Limits, Worker
+from bench.engine.scoring_process import Failure, Scored
+from bench.entrants.reference import REFERENCES
+from bench.entrants.registry import make_method, missing_package
+from bench.errors import InputError
+from bench.isolation.processes import Died
+from bench.scoring.row import Row
+from bench.store.provenance import provenance
+from bench.store.store import Store
+
+FIRST_STEP, LARGEST_STEP = 5, 50
+"""Largest numbers of replicates that are fitted in one step, first and later, where a method does not state its own."""
+STEP_S = 0.5
+"""Seconds of fitting in one step, where a replicate takes less."""
+SCORING_S = 120.0
+"""Limit of the harness's own work on one replicate, and on storing a cell (s)."""
+ATTEMPTS = 3
+"""How often a scoring process is asked that is killed from outside."""
+METHOD, SPARE = "method", "spare"
+"""A worker's process for the cell's method, and one that starts for the next cell while this one is scored."""
+
+
+class ScoringError(Exception):
+    """The scoring process raised: a bug of the harness, or of a system."""
+
+    def __init__(self, message: str, log: str) -> None:
+        super().__init__(f"{message}\n{log}")
+        self.message, self.log = message, log
+
+
+def ask(worker: Worker, request: str, *arguments: Any, limit_s: float = SCORING_S) -> Any:
+    """Return an answer of a worker's scoring process; raises Died where it ended or hung, ScoringError."""
+    message = pickle.dumps((request, *arguments))
+    for attempt in range(ATTEMPTS):
+        try:
+            child = worker.process(scoring_process.serve)
+            child.send(message)
+            good, answer = pickle.loads(child.receive(limit_s))
+            break
+        except Died as died:
+            worker.lose(scoring_process.serve)
+            if died.reason == "timeout" or attempt + 1 == ATTEMPTS:
+                raise
+    if not good:
+        raise ScoringError(*answer)
+    return answer
+
+
+class CellJob(Job):
+    """A cell to be computed: the replicates that are still to be fitted, and the rows so far.
+
+    Args:
+        planned: The cell; where it is tried again, the rows that did not fail are taken over.
+        store: Where it is, or will be.
+        limits: Of a fit, and the number of workers that may share the replicates.
+        replicates: The numbers of those that are wanted, which are then not stored; None: all.
+        unbounded: Why it has no bound, if it has none; without one nothing is fitted.
+    """
+
+    def __init__(
+        self,
+        planned: Planned,
+        store: Store,
+        limits: Limits,
+        replicates: Collection[int] | None = None,
+        unbounded: str = "",
+    ) -> None:
+        super().__init__()
+        self.cell, self.stamp = planned.cell, planned.stamp
+        self.store, self.limits, self.bounded = store, limits, not unbounded
+        self.key, self.kind = self.cell.identity, (self.cell.label, self.cell.scenario.label)
+        self.name = f"{self.cell.label} {self.cell.scenario.snr_db:g} dB"
+        self.kept = replicates is None
+        wanted = sorted(range(self.cell.replicates) if replicates is None else replicates)
+        self.size = len(wanted)
+        self.alone: set[int] = set()
+        """Replicates that are fitted one by one."""
+        self.scored = Scored()
+        self._prepare_fit()
+        lacking = missing_package(self.cell.method)
+        if unbounded or lacking:
+            status = Status.INVALID if unbounded else Status.MISSING_DEPENDENCY
+            self.scored.rows = [Row(i, status, unbounded or lacking or "") for i in wanted]
+        elif planned.state is State.FAILED:
+            self._keep_good()
+        there = {row.replicate for row in self.scored.rows}
+        self.done = len(there)
+        self.pending = deque(i for i in wanted if i not in there)
+
+    def _prepare_fit(self) -> None:
+        """Note what is run, the packages that it needs, and how many problems it solves together."""
+        if self.cell.method in REFERENCES:
+            self.fit = pickle.dumps(partial(reference_fit, self.cell.method))
+            self.requires, self.at_once = (), 1
+            return
+        method = make_method(self.cell.method, dict(self.cell.settings))
+        self.fit = pickle.dumps(method.identify_many)
+        self.requires, self.at_once = method.requires, method.problems_at_once
+
+    def _keep_good(self) -> None:
+        """Take over the rows of the stored cell that did not fail; none where it or its arrays are damaged."""
+        with contextlib.suppress(InputError):
+            stored = self.store.load(self.key)
+            if stored is not None:
+                self.scored.arrays = dict(stored.arrays)
+                retried = FAILURES | {Status.MISSING_DEPENDENCY}
+                self.scored.rows = [row for row in stored.rows if row.status not in retried]
+
+    def stored(self) -> bool:
+        if self.store.stamp(self.key) == self.stamp:
+            return False
+        stored = self.store.head(self.key)
+        return stored is not None and self.cell.version.is_that_of(stored.version)
+
+    def take(self) -> tuple[int, ...]:
+        n = 1 if self.pending[0] in self.alone else min(self._step(), len(self.pending))
+        return tuple(self.pending.popleft() for _ in range(n))
+
+    def _step(self) -> int:
+        """Return how many replicates to fit in one step: all workers are to have some to the end."""
+        if self.at_once > 1:
+            return self.at_once
+        workers = self.limits.workers
+        known = [row.wall_s for row in self.scored.rows if np.isfinite(row.wall_s)]
+        if not known:
+            return max(1, min(FIRST_STEP, self.size // (4 * workers)))
+        share = -(-len(self.pending) // (2 * workers))
+        return max(1, min(LARGEST_STEP, share, int(STEP_S / max(float(np.mean(known)), 1e-6))))
+
+    def put_back(self, parts: Sequence[int]) -> None:
+        self.alone.update(parts)
+        self.pending.extendleft(reversed(parts))
+
+    def perform(self, parts: tuple[int, ...], worker: Worker) -> Scored | None:
+        """Fit and score replicates; None where they are to be tried again one by one."""
+        started = time.monotonic()
+        try:
+            answers = self._answers(parts, worker)
+            if not self.pending and worker.tasks.more and SPARE not in worker.processes:
+                worker.processes[SPARE] = worker.children.start(method_process.serve)
+            if isinstance(answers, bytes):
+                return ask(worker, "score", self.cell, answers, limit_s=SCORING_S * len(parts))  # type: ignore[no-any-return]
+            failure = answers
+        except (Died, ScoringError) as error:  # of the scoring process, which is no fault of the method
+            failure = Failure(Status.INVALID, f"its data or its scores failed: {error.message}", error.log)
+        if failure is None or len(parts) > 1:
+            return None
+        wall_s = time.monotonic() - started
+        try:
+            return ask(worker, "fail", self.cell, parts[0], failure, wall_s)  # type: ignore[no-any-return]
+        except (Died, ScoringError):
+            row = Row(parts[0], failure.status, failure.message, wall_s=wall_s)
+            return Scored([row], {parts[0]: failure.log})
+
+    def _answers(self, parts: tuple[int, ...], worker: Worker) -> bytes | Failure | None:
+        """Return the packed answers of the method; else why there are none, or None where that is not known."""
+        n, limits = len(parts), self.limits
+        task = ask(worker, "open", self.cell, self.fit, parts, limits.timeout_s, limit_s=SCORING_S * n)
+        reports: deque[bytes] = deque(maxlen=1)
+        try:
+            if worker.serving is not self:
+                worker.retire(METHOD)
+                worker.serving = self
+            if METHOD not in worker.processes:
+                spare = worker.processes.pop(SPARE, None)
+                ready = method_process.ready(worker.children, spare, self.requires, limits.memory_mb)
+                worker.processes[METHOD] = ready
+            method = worker.processes[METHOD]
+            return method_process.answers(method, task, n, limits.timeout_s, limits.memory_mb, reports.append)
+        except Died as died:
+            worker.lose(METHOD)
+            best = reports[-1] if reports and n == 1 else None
+            return Failure(Status(died.reason), died.message, died.log, best)
+
+    def add(self, outcome: Scored) -> Counted:
+        self.scored.add(outcome)
+        self.done += len(outcome.rows)
+        return Counted(len(outcome.rows), sum(row.status in FAILURES for row in outcome.rows))
+
+    def finish(self, worker: Worker) -> None:
+        """Store the cell; raises InputError where it cannot be stored."""
+        if not self.kept:
+            return
+        try:
+            problem = self._store(worker)
+        except ScoringError as error:
+            self.refuse(f"it cannot be summarised: {error.message}", error.log)
+            problem = self._store(worker)
+        if problem:
+            remedy = f"cannot be written ({problem}); what is stored stays, make room and run the same command again"
+            raise InputError("store", self.store.path(self.key), remedy)
+
+    def _store(self, worker: Worker) -> str:
+        """Have the cell stored; returns why it could not be written, or an empty string. Raises ScoringError."""
+        limits, version = self.limits, self.cell.version
+        come = provenance(version, limits.workers, limits.timeout_s, limits.memory_mb, self.started)
+        content = (self.cell, self.store, self.scored, self.bounded, version.as_json(), come)
+        try:
+            return ask(worker, "finish", *content)  # type: ignore[no-any-return]
+        except Died as died:
+            return died.message
+
+    def refuse(self, message: str, log: str = "") -> None:
+        """Replace all that is known of the cell by the reason why it cannot be scored."""
+        rows = [replace(row, status=Status.INVALID, message=message, scores={}) for row in self.scored.rows]
+        self.scored = Scored(rows, {rows[0].replicate: log})
+        self.bounded = False  # that may have been the reason

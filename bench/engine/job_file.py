@@ -1,0 +1,118 @@
+"""Work that a launcher runs elsewhere: some cells or blocks of the atlas, and the file that takes them there.
+
+The file lies in the store, where whoever shares it can write. So it is data under a seal, checked as any other input: a
+cell or block that the reader would name otherwise is refused.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from bench.atlas.run import Block
+from bench.engine.plan import Planned, State
+from bench.engine.pool import Limits, run_tasks, say
+from bench.engine.progress import OnLook
+from bench.engine.runner import run_cells
+from bench.errors import InputError
+from bench.files import read_regular, write_whole
+from bench.scenario.declaration import STRICT, Positive, validated
+from bench.store.archive import Archive
+from bench.store.cell import Cell
+from bench.store.seal import Unsealed, sealed, unsealed
+from bench.store.store import Store
+
+FORMAT = 4
+LaunchTask = Planned | Block
+
+
+@dataclass(frozen=True)
+class StatedTask:
+    """A cell or block as a file has it; of a cell also where it stood, and where its force was read from, if it was."""
+
+    __pydantic_config__ = STRICT
+    kind: Literal["cell", "block"]
+    key: str
+    content: dict[str, Any]
+    state: State = State.MISSING
+    stamp: int = 0
+    force_file: str | None = None
+
+    @classmethod
+    def of(cls, task: LaunchTask) -> StatedTask:
+        """Return what is written of a task."""
+        if isinstance(task, Block):
+            return cls("block", task.key, task.stated())
+        force = task.cell.scenario.force
+        file = str(Path(force.file).resolve()) if force and force.file else None
+        return cls("cell", task.key, task.cell.stated(), task.state, task.stamp, file)
+
+    def restored(self) -> LaunchTask:
+        """Return the task; raises InputError."""
+        if self.kind == "block":
+            return Block.restored(self.content, self.key)
+        cell = Cell.restored(self.content, self.key, Path(self.force_file) if self.force_file else None)
+        return Planned(cell, self.state, "", True, self.stamp)
+
+
+@dataclass(frozen=True)
+class Content:
+    """The content of a job's file: all but the store, in which it lies."""
+
+    __pydantic_config__ = STRICT
+    timeout_s: Positive
+    memory_mb: Positive
+    archive: str | None
+    tasks: list[StatedTask]
+
+
+@dataclass(frozen=True)
+class LaunchJob:
+    """Cells, or blocks of the atlas, to be computed and stored; all nodes see the store."""
+
+    tasks: tuple[LaunchTask, ...]
+    store: Store
+    limits: Limits
+
+    @property
+    def unit(self) -> str:
+        """Return what a task is called."""
+        return "cell" if isinstance(self.tasks[0], Planned) else "block"
+
+    def left(self) -> list[LaunchTask]:
+        """Return the tasks that are still to be computed."""
+        return [task for task in self.tasks if not task.stored(self.store.folder)]
+
+    def part(self, tasks: Sequence[LaunchTask]) -> LaunchJob:
+        """Return a job of some of the tasks."""
+        return replace(self, tasks=tuple(tasks))
+
+    def run(self, limits: Limits, on_look: OnLook) -> None:
+        """Compute and store the tasks on this machine."""
+        run_cells([task for task in self.tasks if isinstance(task, Planned)], self.store, limits, on_look)
+        blocks = [task for task in self.tasks if isinstance(task, Block)]
+        for key, error in run_tasks(blocks, self.store.folder, limits, ("fit", "block"), on_look).items():
+            say(f"block {key}: {error}")
+
+    def write(self, path: Path) -> None:
+        """Write the job's file; raises OSError."""
+        archive = str(self.store.archive.folder.resolve()) if self.store.archive else None
+        tasks = [StatedTask.of(task) for task in self.tasks]
+        content = Content(self.limits.timeout_s, self.limits.memory_mb, archive, tasks)
+        write_whole(path, sealed(FORMAT, json.dumps(asdict(content))))
+
+
+def read_job(path: Path, folder: Path) -> LaunchJob:
+    """Return the job of a file, for the store in a folder; raises InputError for anything that is none."""
+    try:
+        content = validated(Content, unsealed(FORMAT, read_regular(path)))
+    except OSError as error:
+        raise InputError("job", path, f"cannot be read ({error.strerror}); start the sweep again") from None
+    except Unsealed as reason:
+        raise InputError("job", path, f"not a whole job ({reason}); start the sweep again") from None
+    store = Store(folder, Archive(Path(content.archive)) if content.archive else None)
+    limits = Limits(timeout_s=content.timeout_s, memory_mb=content.memory_mb)
+    return LaunchJob(tuple(task.restored() for task in content.tasks), store, limits)

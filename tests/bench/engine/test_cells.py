@@ -1,0 +1,351 @@
+"""From cells to stored rows: paired, the same in every batch, honest about failures, and blind to the truth."""
+
+from __future__ import annotations
+
+import math
+import pickle
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import misbehaving
+import numpy as np
+import pytest
+from conftest import Plugins, StoreFactory
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from misbehaving import answer
+
+from bench import Estimate, InputError, Normal, Problem, Status
+from bench.engine import cells as cells_of_a_run
+from bench.engine.cells import CellJob, ScoringError
+from bench.engine.method_process import perform
+from bench.engine.plan import Planned, State, plan
+from bench.engine.pool import Limits
+from bench.engine.progress import Look
+from bench.engine.runner import make_bounds, run_cells, run_replicates
+from bench.engine.scoring_process import Scorer
+from bench.engine.wire import LONGEST_MESSAGE, pack
+from bench.entrants.registry import default_settings
+from bench.isolation.processes import Children, Died
+from bench.scenario.scenario import ForceSpec, Scenario
+from bench.scoring.row import Row
+from bench.store.cell import Cell
+from bench.store.store import Store
+from bench.store.stored import StoredCell
+
+
+@pytest.fixture(autouse=True)
+def _plugins(plugins: Plugins) -> None:
+    plugins("Wrong", "Draw", "Spy", "Needy", "FreeOnly", "Exact", "Sole", "Together")
+
+
+@pytest.fixture
+def store(new_store: StoreFactory) -> Store:
+    return new_store()
+
+
+def a_cell(scenario: Scenario, method: str, replicates: int = 3, seed: int = 0, **settings: Any) -> Cell:
+    known = {} if method in ("oracle", "prior") else default_settings(method)
+    return Cell(scenario, method, {**known, **settings}, replicates, seed, method)
+
+
+def run(store: Store, *cells: Cell, workers: int = 2) -> list[StoredCell]:
+    run_cells(plan(cells, store), store, Limits(workers, 60.0, 2000.0))
+    stored = [store.load(cell.identity) for cell in cells]
+    assert all(stored)
+    return [cell for cell in stored if cell]
+
+
+def test_a_method_never_meets_the_truth(reference: Scenario, store: Store) -> None:
+    """The spy searches the bytes it is given and every object in its process, right after the oracle has run."""
+    oracle, spied = run(store, a_cell(reference, "oracle", 4), a_cell(reference, "spy", 4))
+    assert (oracle.n_ok, spied.n_ok) == (4, 4)
+    assert {row.message for row in spied.rows} == {"given [] alive [] saw Problem"}
+    problem, truth = reference.replicates(0, 1)[0]
+    object.__setattr__(problem, "name", truth)
+    message = misbehaving.Spy().identify(problem, np.random.default_rng(0)).message
+    assert "given ['Truth']" in message
+    assert "Scenario" in message.partition("alive")[2]
+
+
+def test_values_without_uncertainty_are_not_judged_by_intervals(reference: Scenario, store: Store) -> None:
+    """The prior's step, which gives them a scale, makes no belief of them."""
+    stated, alone = run(store, a_cell(reference, "exact", 2), a_cell(reference, "sole", 2))
+    assert "k_over_m_coverage_95" in stated.rows[0].scores
+    assert not [name for name in alone.rows[0].scores if "coverage" in name or "pit" in name or "crps" in name]
+    assert alone.rows[0].scores["k_over_m_error_pct"] == pytest.approx(12.5, abs=0.1)
+
+
+def test_a_problem_that_a_method_cannot_take_is_unsupported_with_a_sentence(
+    reference: Scenario, store: Store, any_bound: None
+) -> None:
+    (cell,) = run(store, a_cell(replace(reference, force=ForceSpec(1.0, 0.1, 1.0)), "freeonly", 2))
+    assert cell.status is Status.UNSUPPORTED
+    assert {row.message for row in cell.rows} == {"it cannot use a known force"}
+
+
+def test_a_missing_package_is_a_row_with_the_install_line_and_runs_once_it_is_there(
+    reference: Scenario, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = a_cell(reference, "needy", 2)
+    (stored,) = run(store, cell)
+    assert stored.status is Status.MISSING_DEPENDENCY
+    assert "pip install 'vibration-bench[needy]'" in stored.rows[0].message
+    monkeypatch.setattr(misbehaving.Needy, "requires", ())
+    (now,) = run(store, cell)
+    assert now.status is Status.CRASHED  # it ran: its worker still finds nothing to do but raise
+
+
+def test_rows_are_the_same_however_many_workers_there_are(reference: Scenario, store: Store, tmp_path: Path) -> None:
+    """A replicate's random stream hangs on scenario, seed, method and number, not on who computes it, or when."""
+    other = Store(tmp_path / "other")
+    other.prepare()
+    shutil.copytree(store.bounds, other.bounds)
+    (alone,), (shared,) = run(store, a_cell(reference, "draw", 9), workers=1), run(other, a_cell(reference, "draw", 9))
+    for first, second in zip(alone.rows, shared.rows, strict=True):
+        assert (first.replicate, first.message, first.scores) == (second.replicate, second.message, second.scores)
+    assert len({row.message for row in alone.rows}) == 9
+    (longer,) = run(other, a_cell(reference, "draw", 10))
+    assert [row.message for row in longer.rows[:9]] == [row.message for row in alone.rows]
+
+
+def test_a_cell_is_stored_as_soon_as_it_is_done(reference: Scenario, store: Store, any_bound: None) -> None:
+    """A stop in the middle loses no finished cell, and leaves neither a half one nor a claim."""
+    cells = [a_cell(reference, "prior", 2), a_cell(reference, "wrong", 2, kind="sleep")]
+
+    def stop(look: Look) -> None:
+        if not look.done:
+            return
+        deadline = time.monotonic() + 60
+        while store.load(cells[0].identity) is None and time.monotonic() < deadline:
+            time.sleep(0.05)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_cells(plan(cells, store), store, Limits(1), stop)
+    assert store.load(cells[0].identity) is not None
+    assert store.load(cells[1].identity) is None
+    assert list(store.claims.iterdir()) == []
+
+
+def test_the_oracle_attains_the_bound(reference: Scenario, store: Store) -> None:
+    """Root mean square over bound is near 1; with 40 replicates its standard error is 1/√80 = 0.11, so 4 of them."""
+    (cell,) = run(store, a_cell(reference, "oracle", 40))
+    assert cell.n_ok == 40
+    for metric in ("k_over_m_error_pct", "c_over_m_error_pct", "m_error_pct"):
+        assert cell.summary[metric]["excess"] == pytest.approx(1.0, abs=0.45), metric
+    assert cell.summary["k_over_m_coverage_95"]["mean"] >= 0.8  # 34 of 40 or fewer has probability 1e-3
+    assert cell.prior_share["m"] > 0.99
+    assert (cell.identifiable["m"], cell.identifiable["k_over_m"]) == (False, True)
+
+
+def test_the_prior_row_is_as_good_as_its_width(reference: Scenario, store: Store) -> None:
+    """The error of m is that of a weighing of 2 %: a root mean square of 40 such errors is 2 % within 4 · 11 %."""
+    prior, oracle = run(store, a_cell(reference, "prior", 40), a_cell(reference, "oracle", 3))
+    errors = np.array([row.scores["m_error_pct"] for row in prior.rows])
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(2.0, rel=0.45)
+    coverage = [prior.summary[f"m_coverage_{level}"]["mean"] for level in (50, 80, 95)]
+    assert coverage == pytest.approx([0.50, 0.80, 0.95], abs=0.3)
+    realised = [[row.scores["realised_snr_db"] for row in cell.rows] for cell in (prior, oracle)]
+    assert realised[0] == pytest.approx([20.0] * 40, abs=6.0)
+    assert realised[0][:3] == realised[1], "every method sees the same data"
+
+
+def test_a_stored_cell_describes_itself(reference: Scenario, store: Store) -> None:
+    (cell,) = run(store, a_cell(reference, "prior", 2))
+    assert (cell.cell["method"], cell.cell["data"]["parameters"]) == ("prior", {"m": 1.0, "c": 0.4, "k": 8.0})
+    assert cell.cell["sigma"] == pytest.approx(reference.sigmas(0).tolist())
+    assert {"python", "packages", "cores", "commit", "dirty", "started", "limits", "data"} <= set(cell.provenance)
+    assert cell.version == a_cell(reference, "prior", 2).version.as_json()
+
+
+def test_scores_do_not_depend_on_how_many_are_solved_together(reference: Scenario, new_store: StoreFactory) -> None:
+    few, eight, every = (run(new_store(), a_cell(reference, "together", 20, batch=n))[0].rows for n in (1, 8, 100))
+    assert [row.message for row in eight] == ["8"] * 16 + ["4"] * 4
+    assert {row.message for row in every} == {"20"}
+    assert len({row.scores["k_over_m_error_pct"] for row in few}) == 20
+    for rows in (eight, every):
+        assert [(row.replicate, row.scores) for row in rows] == [(row.replicate, row.scores) for row in few]
+
+
+@pytest.mark.parametrize("settings", [{"alone": True}, {"fails": True}], ids=["killed", "raises"])
+def test_what_goes_wrong_together_is_tried_again_one_by_one(
+    reference: Scenario, store: Store, settings: dict[str, bool]
+) -> None:
+    """With the random streams of the first try, though it has drawn from them."""
+    (cell,) = run(store, a_cell(reference, "together", 20, batch=20, **settings))
+    assert {(row.status, row.message) for row in cell.rows} == {(Status.OK, "1")}
+    (alone,) = run(store, a_cell(reference, "together", 20, batch=1))
+    assert [row.scores for row in cell.rows] == [row.scores for row in alone.rows]
+
+
+@pytest.mark.parametrize(("each_s", "sizes"), [(2.0, [1, 1, 1]), (0.1, [5, 5, 5]), (1e-3, [24, 18, 14])])
+def test_a_step_takes_about_half_a_second_and_leaves_some_for_the_other_workers(
+    reference: Scenario, store: Store, each_s: float, sizes: list[int]
+) -> None:
+    """Of 95 replicates left with two workers a quarter goes out at most; slow fits go out one by one."""
+    job = CellJob(Planned(a_cell(reference, "together", 100), State.MISSING, "", True), store, Limits(2))
+    assert job.take() == (0, 1, 2, 3, 4)
+    job.scored.rows = [Row(i, Status.OK, "", wall_s=each_s) for i in range(4)] + [Row(4, Status.INVALID)]
+    assert [len(job.take()) for _ in sizes] == sizes
+    job.put_back((3, 4))
+    assert [job.take(), job.take()] == [(3,), (4,)]
+
+
+def test_chosen_replicates_are_those_of_the_whole_cell_and_are_not_stored(reference: Scenario, store: Store) -> None:
+    chosen, cell = (3, 4, 11, 19), a_cell(reference, "together", 20)
+    wanted = [(Planned(cell, State.MISSING, "", True), chosen)]
+    rows = run_replicates(wanted, store, Limits(1, 30.0, 1000.0), lambda look: None)[cell.identity]
+    assert store.identities() == []
+    assert tuple(row.replicate for row in rows) == chosen
+    whole = {row.replicate: row for row in run(store, cell)[0].rows}
+    stored_digits = [{name: float(f"{v:.6g}") for name, v in row.scores.items()} for row in rows]
+    assert stored_digits == [whole[i].scores for i in chosen]
+
+
+@pytest.fixture
+def absurd(reference: Scenario) -> Scenario:
+    """A Duffing oscillator over 10^12 s: there is no memory for the steps of its bound."""
+    parameters = {"m": 1.0, "c": 0.4, "k": 8.0, "k3": 4.0}
+    return replace(reference, system="duffing", parameters=parameters, duration=1e12, label="duffing")
+
+
+def test_a_bound_that_cannot_be_computed_costs_the_cells_of_its_scenario(
+    reference: Scenario, absurd: Scenario, store: Store
+) -> None:
+    cells = [a_cell(scenario, "wrong", 2, kind="good") for scenario in (absurd, reference)]
+    lost, good = run(store, *cells)
+    assert good.n_ok == 2
+    assert {(row.status, row.message.partition(": ")[0]) for row in lost.rows} == {
+        (Status.INVALID, "its bound cannot be computed")
+    }
+    assert lost.summary["rmse"]["median"] == math.inf
+    assert [planned.state for planned in plan(cells, store)] == [State.FAILED, State.DONE]
+
+
+@pytest.mark.parametrize(("limits", "why"), [((0.0, 4000.0), "limit of 0 s"), ((100.0, 1.0), "memory limit of 1 MB")])
+def test_the_limits_of_a_fit_hold_for_a_bound(
+    absurd: Scenario, store: Store, limits: tuple[float, float], why: str
+) -> None:
+    """A process has more than 1 MB before it does anything."""
+    cell = a_cell(replace(absurd, duration=10.0), "wrong")
+    with Children() as children:
+        lost = make_bounds([cell], store, children, Limits(1, *limits))
+    assert why in lost[cell.identity]
+
+
+def test_bounds_that_cannot_be_written_are_one_line(reference: Scenario, store: Store) -> None:
+    shutil.rmtree(store.bounds)
+    store.bounds.write_text("no folder")
+    with Children() as children, pytest.raises(InputError, match="the bounds cannot be written"):
+        make_bounds([a_cell(reference, "wrong")], store, children, Limits())
+
+
+LONG_TEXT = st.integers(1, 17).map(lambda n: "x\udc80" * 2**n)
+ANY_TEXT = st.text(st.characters(exclude_categories=()), max_size=20) | LONG_TEXT
+"""Of any character, lone surrogates included, and of up to 2^18 of them."""
+ANY_ARRAY = st.lists(st.floats(), max_size=4) | st.lists(st.lists(st.floats(), min_size=2, max_size=2), max_size=2)
+
+
+@dataclass(frozen=True)
+class Said:
+    """A fit that answers, or raises, as its fields say; ``mean`` and ``names`` replace those of a good estimate."""
+
+    raised: str | None = None
+    message: str = ""
+    mean: tuple[float, ...] | None = None
+    names: tuple[str, ...] = ("k_over_m", "c_over_m")
+    traces: dict[str, Any] = field(default_factory=dict)
+    status: Status = Status.OK
+
+    def __call__(self, payloads: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        if self.raised is not None:
+            raise type(f"Own{self.raised[:3]}".replace("\0", ""), (Exception,), {})(self.raised)
+        (problem,) = payloads
+        good = answer(problem)
+        mean = good.groups.mean if self.mean is None else np.array(self.mean)  # type: ignore[union-attr]
+        groups = Normal(self.names, mean, None, log=False)
+        return [Estimate(problem.system, groups=groups, message=self.message, traces=self.traces, status=self.status)]
+
+
+SAID = st.builds(
+    Said,
+    raised=st.none() | ANY_TEXT,
+    message=ANY_TEXT,
+    mean=st.none() | st.lists(st.floats(), max_size=3).map(tuple),
+    names=st.just(("k_over_m", "c_over_m")) | st.lists(ANY_TEXT, max_size=3).map(tuple),
+    traces=st.dictionaries(ANY_TEXT, ANY_ARRAY, max_size=3),
+    status=st.sampled_from(Status),
+)
+
+
+def complete(said: Said, cell: Cell, store: Store) -> CellJob:
+    """Return a cell whose one row is there, not yet stored."""
+    job, scorer = CellJob(Planned(cell, State.MISSING, "", True), store, Limits()), Scorer()
+    task = pickle.loads(scorer.open(cell, pickle.dumps(said), job.take(), 600.0))
+    job.add(scorer.score(cell, pack((0.0, 0.0, 0.0, perform(task)))))
+    return job
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(said=SAID)
+def test_whatever_a_method_says_is_one_row_that_everybody_can_read(
+    said: Said, reference: Scenario, store: Store
+) -> None:
+    cell = a_cell(reference, "wrong", 1)
+    job = complete(said, cell, store)
+    assert Scorer().finish(cell, store, job.scored, True, {}, {}) == ""
+    stored = Store(store.folder).load(cell.identity)
+    assert stored is not None
+    (row,) = stored.rows
+    assert (row.status is Status.OK) <= (said.raised is None and said.status is Status.OK)
+    assert len(row.message.encode()) <= 6 * LONGEST_MESSAGE
+    dict(stored.arrays)  # can be read
+    (head,) = store.heads()
+    assert (head.problem, head.statuses) == ("", {row.status.value: 1})
+
+
+class Answering:
+    """A worker whose scoring process fails some times, and then answers."""
+
+    def __init__(self, *failures: Any) -> None:
+        self.failures, self.requests = list(failures), list[Any]()
+
+    def process(self, serve: Any) -> Answering:
+        return self
+
+    def lose(self, serve: Any) -> None:
+        """Go on."""
+
+    def send(self, message: bytes) -> None:
+        self.requests.append(pickle.loads(message))
+
+    def receive(self, limit_s: float) -> bytes:
+        failure = self.failures.pop(0) if self.failures else None
+        if isinstance(failure, Died):
+            raise failure
+        return pickle.dumps((False, failure) if failure else (True, ""))
+
+
+def test_an_error_while_a_cell_is_finished_is_its_row(reference: Scenario, store: Store) -> None:
+    job = complete(Said(traces={"loss": [1.0]}), a_cell(reference, "wrong", 1), store)
+    worker = Answering(("UnicodeEncodeError: surrogates", "Traceback"))
+    job.finish(worker)  # type: ignore[arg-type]
+    *_, scored, bounded, _, _ = worker.requests[-1]
+    assert (scored.rows[0].status, scored.rows[0].scores, bounded) == (Status.INVALID, {}, False)
+    assert scored.rows[0].message == "it cannot be summarised: UnicodeEncodeError: surrogates"
+    assert (scored.arrays, scored.facts, scored.tracebacks) == ({}, {}, {0: "Traceback"})
+
+
+def test_a_scoring_process_that_is_killed_is_asked_again() -> None:
+    killed, slow = Died("killed", "ended by SIGKILL", ""), Died("timeout", "stopped after the limit of 1 s", "")
+    assert cells_of_a_run.ask(Answering(killed, killed), "open") == ""  # type: ignore[arg-type]
+    for failures in ((killed,) * 3, (slow,)):
+        with pytest.raises(Died):
+            cells_of_a_run.ask(Answering(*failures), "open")  # type: ignore[arg-type]
+    with pytest.raises(ScoringError):
+        cells_of_a_run.ask(Answering(("an error", "")), "open")  # type: ignore[arg-type]

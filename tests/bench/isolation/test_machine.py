@@ -1,0 +1,66 @@
+"""Cores and descriptors: what the system leaves this process, as opposed to what the machine has."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bench.isolation.machine import FILES_A_WORKER, affordable_workers, quota_of_cores, usable_cores
+
+ROOT, BOX = "sys/fs/cgroup", "sys/fs/cgroup/cpu,cpuacct/box"
+
+
+def run(script: str) -> str:
+    command = [sys.executable, "-c", f"import os, resource\nfrom bench.isolation.machine import *\n{script}"]
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system has no affinities")
+def test_a_process_that_is_tied_to_one_core_has_one() -> None:
+    assert run("os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); print(usable_cores())") == "1\n"
+    assert 1 <= usable_cores() <= (os.cpu_count() or 1)
+
+
+@pytest.mark.parametrize(
+    ("groups", "files", "cores"),
+    [
+        ("", {}, None),
+        ("0::/", {f"{ROOT}/cpu.max": "max 100000"}, None),
+        ("0::/", {f"{ROOT}/cpu.max": "nonsense"}, None),
+        ("0::/", {f"{ROOT}/cpu.max": "150000 100000"}, 1.5),
+        ("0::/box/inner", {f"{ROOT}/box/cpu.max": "200000 1000", f"{ROOT}/box/inner/cpu.max": "max 1000"}, 200.0),
+        ("4:memory:/box\n3:cpu,cpuacct:/box",
+         {f"{BOX}/cpu.cfs_quota_us": "300000", f"{BOX}/cpu.cfs_period_us": "100000"}, 3.0),
+        ("3:cpu,cpuacct:/box", {f"{BOX}/cpu.cfs_quota_us": "-1", f"{BOX}/cpu.cfs_period_us": "100000"}, None),
+    ],
+    ids=["no groups", "no limit", "damaged", "one and a half", "of the group above", "version 1", "no limit of 1"],
+)  # fmt: skip
+def test_the_quota_of_a_container_is_read_whichever_version_it_is_of(
+    tmp_path: Path, groups: str, files: dict[str, str], cores: float | None
+) -> None:
+    for name, text in {"proc/self/cgroup": groups, **files}.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(f"{text}\n" if text else "")
+    assert quota_of_cores(tmp_path) == cores
+
+
+def test_there_are_no_more_workers_than_descriptors_suffice_for() -> None:
+    """Of a limit of 128 some are taken and some reserved: a worker cannot have more than its part."""
+    hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    workers = int(run(f"resource.setrlimit(resource.RLIMIT_NOFILE, (128, {hard})); print(affordable_workers(11))"))
+    assert 1 <= workers <= 128 // FILES_A_WORKER
+    assert affordable_workers(1) == 1
+
+
+def test_the_limit_is_raised_as_far_as_it_may_be() -> None:
+    script = (
+        "hard = min(resource.getrlimit(resource.RLIMIT_NOFILE)[1], 500)\n"
+        "resource.setrlimit(resource.RLIMIT_NOFILE, (64, hard)); raise_file_limit()\n"
+        "print(resource.getrlimit(resource.RLIMIT_NOFILE)[0] == hard)"
+    )
+    assert run(script) == "True\n"
