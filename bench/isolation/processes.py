@@ -218,8 +218,9 @@ class Child:
 
     def receive(self, limit_s: float, memory_mb: float | None = None) -> bytes:
         """Return the next message; raises Died, with the child ended, where none comes within the limits."""
+        deadline = time.monotonic() + limit_s
         with self._lock:
-            self._limits = (time.monotonic() + limit_s, limit_s, memory_mb)
+            self._limits = (deadline, limit_s, memory_mb)
         try:
             message = self._next_message()
         except OSError:
@@ -228,6 +229,8 @@ class Child:
                 self._verdict = "crashed", f"its answer is longer than {LONGEST_MESSAGE >> 20} MB"
         with self._lock:
             self._limits = None
+            if message is not None and time.monotonic() > deadline:
+                self._verdict = self._verdict or ("timeout", _late(limit_s))
         if message is None or self._verdict:
             raise self._died()
         return message
@@ -252,7 +255,7 @@ class Child:
                 return
             deadline, limit_s, memory_mb = self._limits
             if time.monotonic() > deadline:
-                self._verdict = "timeout", f"stopped after the limit of {limit_s:g} s"
+                self._verdict = "timeout", _late(limit_s)
             elif memory_mb is not None and self.resident_mb() > memory_mb:
                 self._verdict = "oom", f"stopped at the memory limit of {memory_mb:g} MB"
             else:
@@ -317,6 +320,10 @@ class Child:
         """Close the connection, once, whoever wants to: by then its number may be another file's."""
         with self._lock, contextlib.suppress(OSError):
             self.connection.close()
+
+
+def _late(limit_s: float) -> str:
+    return f"stopped after the limit of {limit_s:g} s"
 
 
 def serve_child(
