@@ -10,16 +10,14 @@ import sys
 from collections.abc import Iterator, Mapping
 from importlib.metadata import EntryPoint
 from multiprocessing.connection import Connection
-from typing import Any
 
 from bench.config.limits import check_numbers, check_system
 from bench.conformance.check import Checks, Outcome
 from bench.conformance.method_checks import METHOD_CHECKS, Candidate
 from bench.conformance.system_checks import SYSTEM_CHECKS, Specimen
-from bench.conformance.target import KINDS, Subject, Target
+from bench.conformance.target import Subject, Target
 from bench.contract.method import Identifier
 from bench.entrants import registry
-from bench.entrants.registry import make_method, missing_package
 from bench.errors import InputError
 from bench.isolation.failure import one_line
 from bench.isolation.limits import limit_files
@@ -74,7 +72,8 @@ def serve(connection: Connection, target: Target) -> None:
     sys.path[:0] = target.paths
     try:
         subjects = list(target.subjects) or _classes(target)
-        _check_settings(subjects, target.settings)
+        for kind in target.settings.keys() - {subject.kind for subject in subjects}:
+            raise InputError(kind, dict(target.settings[kind]), f"left out: no {kind} is checked")
         made = {subject: _made(subject, target) for subject in subjects}
     except InputError as error:
         connection.send_bytes(pickle.dumps(error))
@@ -106,32 +105,20 @@ def _classes(target: Target) -> list[Subject]:
     return subjects
 
 
-def _check_settings(subjects: list[Subject], settings: Mapping[str, Mapping[str, Any]]) -> None:
-    """Raise InputError for settings of a kind that is not checked, and for options of a system that are no numbers."""
-    for kind in settings.keys() - {subject.kind for subject in subjects}:
-        raise InputError(kind, dict(settings[kind]), f"left out: no {kind} is checked")
-    try:
-        check_numbers({"system": {"options": settings.get("system", {})}})
-    except InputError as error:
-        raise InputError(error.field.replace("system.options.", "system."), error.value, error.remedy) from None
-
-
 def _made(subject: Subject, target: Target) -> Candidate | Specimen:
     """Register a subject in this process, as an installed package has it, and make it with its settings."""
-    points, group = {
-        "method": (registry.registered(), registry.GROUP),
-        "system": (registered_systems(), next(group for group, kind in KINDS.items() if kind == "system")),
-    }[subject.kind]
-    if points.get(subject.name, subject).value != subject.value or subject.name in registry.REFERENCES:
-        raise InputError(subject.kind, subject.name, "the benchmark has one of that name; choose another")
-    points[subject.name] = EntryPoint(subject.name, subject.value, group)
-    settings = dict(target.settings.get(subject.kind, {}))
+    name, settings = subject.name, dict(target.settings.get(subject.kind, {}))
+    points = registry.registered() if subject.kind == "method" else registered_systems()
+    if points.get(name, subject).value != subject.value or name in registry.REFERENCES:
+        raise InputError(subject.kind, name, "the benchmark has one of that name; choose another")
+    points[name] = EntryPoint(name, subject.value, subject.kind)
     if subject.kind == "method":
-        if missing := missing_package(subject.name):
+        if missing := registry.missing_package(name):
             raise InputError("package", target.text, missing)
-        return Candidate(make_method(subject.name, settings))
+        return Candidate(registry.make_method(name, settings))
     try:
-        check_system(subject.name, settings)
+        check_numbers({"system": {"options": settings}})
+        check_system(name, settings)
     except InputError as error:
         raise InputError(error.field.replace("system.options.", "system."), error.value, error.remedy) from None
-    return Specimen(subject.name, settings, make_system(subject.name, settings))
+    return Specimen(name, settings, make_system(name, settings))
