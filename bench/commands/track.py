@@ -152,17 +152,15 @@ def _dofs(field: str, names: Sequence[str], n: int) -> tuple[int, ...]:
 
 
 def _displays(layout: Layout, view: bool, page: bool, port: int) -> list[Display]:
-    """Return the displays that are asked for; raises InputError where a package is missing."""
+    """Return the displays that are asked for; raises InputError where the page cannot be served."""
     displays: list[Display] = []
     if view:
         from bench.twin.terminal import View
 
         displays.append(View(layout))
     if page:
-        try:
-            from bench.twin.page import Page
-        except ImportError as error:
-            raise InputError("page", "true", f"needs {error.name}: pip install 'vibration-bench[twin]'") from None
+        from bench.twin.page import Page
+
         served = Page(layout, port)
         print(f"bench track: {served.url}", file=sys.stderr, flush=True)
         displays.append(served)

@@ -17,7 +17,8 @@ from bench.twin.lines import Form
 
 Policy = Literal["lag", "decimate"]
 MOST_THINNED = 64
-END = None
+FULL, EMPTY = 0.5, 0.1
+"""Parts of the queue from which samples come too fast, and below which the method has caught up."""
 
 
 class Intake:
@@ -26,26 +27,26 @@ class Intake:
     def __init__(self, source: Iterable[str], form: Form, policy: Policy, size: int) -> None:
         self.source, self.form, self.policy = source, form, policy
         self.queue: queue.Queue[Sample | None] = queue.Queue(size)
-        self.size, self.decimated, self.unreadable, self.thinned = size, 0, 0, 1
-        self._said_full = self._ended = False
+        self.decimated, self.unreadable, self.thinned = 0, 0, 1
+        self._late = self._ended = False
         self._error: Exception | None = None
         threading.Thread(target=self._read, daemon=True).start()
 
     @property
     def waiting(self) -> int:
-        """Samples in the queue."""
+        """Number of samples in the queue."""
         return max(self.queue.qsize() - self._ended, 0)
 
     def get(self) -> Sample | None:
-        """The next sample, waited for; None at the end of the stream. Raises what reading it has raised."""
+        """Return the next sample, waited for; None at the end of the stream. Raises what reading it has raised."""
         while True:
             try:
-                found = self.queue.get(timeout=0.2)  # so that an interrupt is heard
+                sample = self.queue.get(timeout=0.2)  # so that an interrupt is heard
             except queue.Empty:
                 continue
-            if found is END and self._error is not None:
+            if sample is None and self._error is not None:
                 raise self._error
-            return found
+            return sample
 
     def _read(self) -> None:
         seen = 0
@@ -53,11 +54,11 @@ class Intake:
             for text in self.source:
                 sample = self.form.sample(text)
                 if sample is None:
-                    self._unread(text)
+                    self._count_unreadable(text)
                     continue
                 seen += 1
-                self._press()
-                if self.policy == "decimate" and seen % self.thinned:
+                self._adapt()
+                if seen % self.thinned:
                     self.decimated += 1
                 else:
                     self.queue.put(sample)
@@ -65,31 +66,29 @@ class Intake:
             self._error = error  # raised where the samples are taken
         finally:
             self._ended = True
-            self.queue.put(END)
+            self.queue.put(None)
 
-    def _press(self) -> None:
-        """Say that samples come too fast, and thin them out where that is the policy."""
-        full = self.waiting / self.size
+    def _adapt(self) -> None:
+        """Report that samples come too fast, and thin them out where that is the policy."""
+        part = self.waiting / self.queue.maxsize
         if self.policy == "decimate":
-            if full > 0.5 and self.thinned < MOST_THINNED:
+            if part > FULL and self.thinned < MOST_THINNED:
                 self.thinned *= 2
-                _say(f"samples come faster than the method: one sample in {self.thinned} is taken (policy=decimate)")
-            elif full < 0.1 and self.thinned > 1:
+                _report(f"samples come faster than the method: one sample in {self.thinned} is taken (policy=decimate)")
+            elif part < EMPTY and self.thinned > 1:
                 self.thinned //= 2
-                _say(f"one sample in {self.thinned} is taken" if self.thinned > 1 else "every sample is taken again")
-        elif full > 0.5 and not self._said_full:
-            self._said_full = True
-            _say(f"samples come faster than the method: {self.waiting} wait, none is left out (policy=lag)")
-        elif full < 0.1 and self._said_full:
-            self._said_full = False
-            _say("the method has caught up")
+                _report(f"one sample in {self.thinned} is taken")
+        elif part > FULL and not self._late:
+            self._late = True
+            _report(f"samples come faster than the method: {self.waiting} wait, none is left out (policy=lag)")
 
-    def _unread(self, text: str) -> None:
+    def _count_unreadable(self, text: str) -> None:
         if text.strip() and not text.lstrip().startswith("#"):
             self.unreadable += 1
-            if self.unreadable in (1, 10, 100, 1000) or self.unreadable % 10_000 == 0:
-                _say(f"{self.unreadable} line(s) left out that do not read {self.form.columns}: {text.strip()[:60]!r}")
+            if str(self.unreadable).strip("0") == "1":  # 1, 10, 100, ...
+                columns = self.form.columns
+                _report(f"{self.unreadable} line(s) left out that do not read {columns}: {text.strip()[:60]!r}")
 
 
-def _say(sentence: str) -> None:
+def _report(sentence: str) -> None:
     print(f"bench track: {sentence}", file=sys.stderr, flush=True)

@@ -4,26 +4,31 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TextIO
 
-from bench.contract.online import OnlineIdentifier, Sample, Tracker
+from bench.contract.online import OnlineIdentifier, Sample, Standing, Tracker
 from bench.errors import InputError
+from bench.online.follow import moments
 from bench.twin.pressure import Intake
-from bench.twin.report import content, line
 from bench.twin.state import save
 
 FIRST_LINES = 20
 """Number of samples from which the sampling interval is taken."""
+Z95 = 1.959963984540054
+WIDEST = 20.0
+"""Standard deviation of a logarithm from which on an estimate is not shown."""
 
 
 class Display(Protocol):
     """What shows each report of a session, on the terminal or as a page."""
 
-    def add(self, found: dict[str, Any]) -> None: ...
+    def add(self, report: dict[str, Any]) -> None: ...
     def close(self) -> None: ...
 
 
@@ -65,10 +70,8 @@ class Session:
                 if last is not None and sample.time <= last:
                     again += 1
                     continue
-                report = content(tracker.samples + 1, sample, tracker.update(sample), tracker.layout, self.alarm)
-                intake = self.intake
-                report |= {"waiting": intake.waiting, "decimated": intake.decimated, "unreadable": intake.unreadable}
-                output.write(line(report))
+                report = self.report(sample, tracker.update(sample))
+                output.write(json.dumps(report, allow_nan=False, separators=(",", ":")))
                 for display in self.displays:
                     display.add(report)
                 if self.state and tracker.samples % self.save_every == 0:
@@ -80,6 +83,44 @@ class Session:
                 display.close()
             if again:
                 print(f"bench track: {again} sample(s) had been seen before; left out", file=sys.stderr)
+
+    def report(self, sample: Sample, standing: Standing) -> dict[str, Any]:
+        """Return the answer to a sample as JSON holds it; null stands for what is not known."""
+        layout = self.tracker.layout
+        means, sds = moments(standing, layout)
+        quantities = {
+            q.name: {
+                "value": _number(math.exp(m)), "low": _number(math.exp(m - Z95 * s)),
+                "high": _number(math.exp(m + Z95 * s)), "unit": q.unit,
+            }
+            for q, m, s in zip(layout.quantities, means.tolist(), sds.tolist(), strict=True)
+            if math.isfinite(m) and s < WIDEST
+        }  # fmt: skip
+        predicted = () if standing.prediction is None else standing.prediction.tolist()
+        return {
+            "sample": self.tracker.samples,
+            "t": _number(sample.time),
+            "status": standing.status.value,
+            "message": standing.message,
+            "quantities": quantities,
+            "measured": _numbers(sample.values),
+            "prediction": _numbers(predicted),
+            "prediction_sd": _numbers(() if standing.prediction_sd is None else standing.prediction_sd.tolist()),
+            "residual": _numbers(y - h for y, h in zip(sample.values, predicted, strict=False)),
+            "alarm": _number(standing.alarm),
+            "ringing": self.alarm is not None and standing.alarm > self.alarm,
+            "waiting": self.intake.waiting,
+            "decimated": self.intake.decimated,
+            "unreadable": self.intake.unreadable,
+        }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _numbers(values: Iterable[float]) -> list[float | None]:
+    return [_number(value) for value in values]
 
 
 class Output:
@@ -117,9 +158,7 @@ def _until(place: Path, seen: int) -> list[str]:
     """Return the lines of an earlier session that the state includes."""
     kept = []
     for text in place.read_text(encoding="utf-8").splitlines(keepends=True) if place.is_file() else []:
-        try:
+        with suppress(ValueError, KeyError):  # half of a line, where a session was killed
             if json.loads(text)["sample"] <= seen:
                 kept.append(text)
-        except (ValueError, KeyError):
-            continue  # half of a line, where a session was killed
     return kept

@@ -1,7 +1,7 @@
-"""The state of a twin in a file: all that its tracker holds, as JSON, so that a killed run goes on where it was.
+"""The state of a twin in a file: all that its tracker holds, as JSON, so that a killed run continues where it was.
 
-Numbers only, nothing that could be executed. A state belongs to one method with its settings, one layout and one
-source: it is refused by any other.
+Numbers only, nothing that could be executed. A state belongs to one method with its settings and one layout: it is
+refused by any other.
 """
 
 from __future__ import annotations
@@ -17,19 +17,17 @@ from bench.contract.online import Layout, OnlineIdentifier, Tracker
 from bench.errors import InputError
 from bench.files import write_whole
 
-FORMAT = 1
-
 
 def digest(method: OnlineIdentifier, layout: Layout) -> str:
-    """What a state belongs to."""
-    return hashlib.sha256(f"{FORMAT} {method!r} {layout!r}".encode()).hexdigest()[:20]
+    """Return the digest of what a state belongs to."""
+    return hashlib.sha256(f"{method!r} {layout!r}".encode()).hexdigest()[:20]
 
 
 def save(path: Path, method: OnlineIdentifier, tracker: Tracker) -> None:
     """Write the state; the file is there whole or as it was. Raises InputError where it cannot be written."""
     content = {
-        "format": FORMAT, "of": digest(method, tracker.layout), "interval": tracker.layout.interval,
-        "samples": tracker.samples, "tracker": {name: plain(value) for name, value in tracker.saved().items()},
+        "of": digest(method, tracker.layout), "interval": tracker.layout.interval, "samples": tracker.samples,
+        "tracker": {name: plain(value) for name, value in tracker.saved().items()},
     }  # fmt: skip
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -39,22 +37,20 @@ def save(path: Path, method: OnlineIdentifier, tracker: Tracker) -> None:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The content of a state file; raises InputError."""
+    """Return the content of a state file; raises InputError."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        if content["format"] != FORMAT:
-            raise InputError("state", path, f"it has format {content['format']}, this version reads {FORMAT}")
-        if not (isinstance(content["tracker"], dict) and 0 < float(content["interval"]) < float("inf")):
-            raise ValueError
-        return dict(content)
+        if isinstance(content["tracker"], dict) and 0 < float(content["interval"]) < float("inf"):
+            return dict(content)
     except FileNotFoundError:
         raise InputError("state", path, "there is no such file; leave resume out to begin") from None
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        raise InputError("state", path, "it is not a state file of this command") from None
+        pass
+    raise InputError("state", path, "it is not a state file of this command")
 
 
 def resumed(path: Path, content: dict[str, Any], method: OnlineIdentifier, layout: Layout) -> Tracker:
-    """The tracker of a state; raises InputError for a state of something else."""
+    """Return the tracker of a state; raises InputError for a state of another method or layout."""
     if content.get("of") != digest(method, layout):
         raise InputError("state", path, "it belongs to another method, setting or layout; give those, or another file")
     try:
@@ -64,7 +60,7 @@ def resumed(path: Path, content: dict[str, Any], method: OnlineIdentifier, layou
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON holds it."""
+    """Return a value as JSON holds it."""
     if isinstance(value, np.ndarray):
         return {"array": value.ravel().tolist(), "shape": list(value.shape), "type": value.dtype.str}
     if isinstance(value, list):
@@ -73,7 +69,7 @@ def plain(value: Any) -> Any:
 
 
 def restored(value: Any) -> Any:
-    """A value from what :func:`plain` made of it."""
+    """Return the value that :func:`plain` was given."""
     if isinstance(value, dict):
         return np.array(value["array"], dtype=np.dtype(value["type"])).reshape(value["shape"])
     return [restored(item) for item in value] if isinstance(value, list) else value

@@ -1,67 +1,77 @@
-"""The twin in the terminal: quantities with their intervals, and how the last estimates ran."""
+"""The twin in the terminal: quantities with their intervals, and the course of the last estimates."""
 
 from __future__ import annotations
 
-import os
-import sys
 import time
 from collections import deque
 from typing import Any
 
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
 from bench.contract.online import Layout
 from bench.reporting.rounding import readable, rounded
-from bench.reporting.terminal import clipped
 
 BARS = "▁▂▃▄▅▆▇█"
-KEPT = 40
-REFRESH_S = 0.1
+KEPT, EACH = 40, 10
+"""Number of values in a course, and of samples from one to the next."""
+LINE_S = 5.0
+"""Time between two lines where there is no terminal (s)."""
 
 
 class View:
-    """Shows what is believed, in place on a terminal, else a line every five seconds; on the error stream."""
+    """Shows the last report in place on a terminal, else a line now and then; on the error stream."""
 
     def __init__(self, layout: Layout) -> None:
-        self.layout = layout
         self.runs: dict[str, deque[float]] = {q.name: deque(maxlen=KEPT) for q in layout.quantities}
-        self.in_place = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
-        self.shown, self.due, self.each = 0, 0.0, 0
-        self.last: dict[str, Any] | None = None
+        self.report: dict[str, Any] = {}
+        self.count, self.due = 0, 0.0
+        self.console = Console(stderr=True)
+        self.live = Live(
+            console=self.console, get_renderable=self._table, refresh_per_second=10, redirect_stdout=False,
+            redirect_stderr=False,
+        )  # fmt: skip
+        if self.console.is_terminal:
+            self.live.start()
 
-    def add(self, found: dict[str, Any]) -> None:
-        """Take an answer in; show it when it is time."""
-        self.each += 1
-        if self.each % 10 == 1:
-            for name, one in found["quantities"].items():
-                self.runs[name].append(one["value"])
-        now = time.monotonic()
-        self.last = found
-        if now >= self.due:
-            self.due = now + (REFRESH_S if self.in_place else 5.0)
-            self._show(found, whole=self.in_place)
+    def add(self, report: dict[str, Any]) -> None:
+        """Take a report in; show it when it is time."""
+        if self.count % EACH == 0:
+            for name, interval in report["quantities"].items():
+                self.runs[name].append(interval["value"])
+        self.count, self.report = self.count + 1, report
+        if not self.console.is_terminal and time.monotonic() >= self.due:
+            self.due = time.monotonic() + LINE_S
+            self.console.print(self._head())
 
     def close(self) -> None:
-        """Show what stood at the end."""
-        if self.last is not None:
-            self._show(self.last, whole=True)
+        """Show the last report."""
+        if self.console.is_terminal:
+            self.live.stop()
+        elif self.report:
+            self.console.print(self._table())
 
-    def _show(self, found: dict[str, Any], whole: bool) -> None:
-        lines = [clipped(text) for text in self._lines(found)]
-        up = f"\x1b[{self.shown}F\x1b[J" if self.in_place and self.shown else ""
-        sys.stderr.write(up + "\n".join(lines if whole else lines[:1]) + "\n")
-        sys.stderr.flush()
-        self.shown = len(lines)
+    def _head(self) -> Text:
+        if not self.report:
+            return Text("no sample so far")
+        r = self.report
+        bell = "  ALARM" if r["ringing"] else ""
+        state = f"{r['status']} {r['message']}{bell}  waiting {r['waiting']}"
+        return Text(f"t = {r['t']:.3f} s  sample {r['sample']}  {state}", overflow="ellipsis", no_wrap=True)
 
-    def _lines(self, found: dict[str, Any]) -> list[str]:
-        bell = "  ALARM" if found["ringing"] else ""
-        head = f"t = {found['t']:.3f} s  sample {found['sample']}  {found['status']} {found['message']}{bell}"
-        lines = [f"{head}  waiting {found['waiting']}"]
-        for name, one in found["quantities"].items():
-            value, low, high = rounded(one["value"], one["low"], one["high"])
-            told = f"{value} [{low}, {high}] {one['unit']}"
-            lines.append(f"{readable(name):18} {told:44} {_bars(list(self.runs[name]))}")
-        return lines
+    def _table(self) -> Table:
+        rows = Table.grid(padding=(0, 2))
+        for name, interval in self.report.get("quantities", {}).items():
+            value, low, high = rounded(interval["value"], interval["low"], interval["high"])
+            rows.add_row(readable(name), Text(f"{value} [{low}, {high}] {interval['unit']}"), _bars(self.runs[name]))
+        table = Table.grid()
+        table.add_row(self._head())
+        table.add_row(rows)
+        return table
 
 
-def _bars(values: list[float]) -> str:
+def _bars(values: deque[float]) -> str:
     low, high = min(values, default=0.0), max(values, default=0.0)
     return "".join(BARS[int((len(BARS) - 1) * (v - low) / (high - low))] if high > low else BARS[3] for v in values)
