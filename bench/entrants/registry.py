@@ -58,17 +58,21 @@ def load_class(points: Mapping[str, EntryPoint], name: str, base: type, names: I
 
 def default_settings(name: str) -> dict[str, Any]:
     """Return the settings of a method with their defaults; none for a reference row."""
-    if name in REFERENCES:
-        return {}
+    known = {} if name in REFERENCES else _defaults(load_method(name), name)
+    return {key: list(value) if isinstance(value, tuple | list) else value for key, value in known.items()}
+
+
+@cache
+def _defaults(cls: type[Identifier], name: str) -> dict[str, Any]:
     settings = {}
-    for field in dataclasses.fields(load_method(name)):  # type: ignore[arg-type]
+    for field in dataclasses.fields(cls):  # type: ignore[arg-type]
         if field.default is not dataclasses.MISSING:
             settings[field.name] = field.default
         elif field.default_factory is not dataclasses.MISSING:
             settings[field.name] = field.default_factory()
         else:
             raise InputError("method", name, f"its setting {field.name} has no default")
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in settings.items()}
+    return settings
 
 
 def make_method(name: str, settings: dict[str, Any]) -> Identifier:

@@ -16,7 +16,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import bdtrc, ndtr, ndtri
 
 from bench.errors import InputError
 from bench.scoring.resampling import counted, counts, lower_medians
@@ -40,18 +40,6 @@ class Errors:
     values: Mapping[str, np.ndarray]
     scenario: np.ndarray
 
-    def __post_init__(self) -> None:
-        for method, own in self.values.items():
-            if own.shape != self.scenario.shape:
-                sentence = (
-                    f"as many as there are data sets ({self.scenario.size}): the same replicates for every method"
-                )
-                raise InputError(f"errors of {method}", own.size, sentence)
-            if np.isnan(own).any() or (own < 0).any():
-                raise InputError(
-                    f"errors of {method}", own[~(own >= 0)][0], "errors of zero or more, infinite if failed"
-                )
-
 
 @dataclass(frozen=True)
 class Comparison:
@@ -73,19 +61,19 @@ class Comparison:
 
     @property
     def tie(self) -> bool:
-        """Not told apart at the 5 % level, or less than 2 % apart."""
+        """True where the difference is not significant at the 5 % level, or below 2 %."""
         return self.adjusted > LEVEL or 1.0 / (1.0 + MARGIN) < self.ratio < 1.0 + MARGIN
 
 
 def log_ratios(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """``log(a / b)`` (n,) of errors; 0 where both failed or both are nil."""
+    """Return ``log(a / b)`` (n,) of errors; 0 where both failed or both are nil."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.log(a) - np.log(b)
     return np.where(np.isnan(ratios), 0.0, ratios)
 
 
 def differences(a: np.ndarray, b: np.ndarray, scenario: np.ndarray) -> np.ndarray:
-    """``a - b`` (n,) over the median error of both in the same scenario; 0 where both failed.
+    """Return ``a - b`` (n,) over the median error of both in the same scenario; 0 where both failed.
 
     Errors of one scenario are of one size, so a test of their differences tells more than one of their logarithms, in
     which the luckiest replicates weigh most.
@@ -102,10 +90,11 @@ def differences(a: np.ndarray, b: np.ndarray, scenario: np.ndarray) -> np.ndarra
 
 
 def signed_rank(values: np.ndarray) -> float:
-    """Two-sided p-value of Wilcoxon's signed-rank test, zeros split (J. W. Pratt, J. Am. Stat. Assoc. 54:655, 1959).
+    """Return the two-sided p-value of Wilcoxon's signed-rank test, zeros split.
 
-    By the normal approximation, corrected for ties (M. Hollander, D. A. Wolfe, Nonparametric Statistical Methods, 2nd
-    edition, 1999, section 3.1). Infinite values have the highest ranks.
+    For zeros see J. W. Pratt, J. Am. Stat. Assoc. 54:655, 1959. By the normal approximation, corrected for ties (M.
+    Hollander, D. A. Wolfe, Nonparametric Statistical Methods, 2nd edition, 1999, section 3.1). Infinite values
+    have the highest ranks.
     """
     if not np.any(values):
         return 1.0
@@ -120,7 +109,7 @@ def signed_rank(values: np.ndarray) -> float:
 
 
 def holm(p_values: Sequence[float]) -> np.ndarray:
-    """Adjusted p-values (S. Holm, Scand. J. Stat. 6:65, 1979), in the order given."""
+    """Return adjusted p-values (S. Holm, Scand. J. Stat. 6:65, 1979), in the order given."""
     p = np.asarray(p_values, float)
     order = np.argsort(p)
     scaled = np.maximum.accumulate(p[order] * np.arange(p.size, 0, -1))
@@ -130,23 +119,21 @@ def holm(p_values: Sequence[float]) -> np.ndarray:
 
 
 def compare(errors: Errors, pairs: Sequence[tuple[str, str]] | None = None) -> list[Comparison]:
-    """Every pair of methods (or the given ones), adjusted together."""
+    """Compare every pair of methods (or the given ones), with p-values adjusted together."""
     pairs = list(itertools.combinations(errors.values, 2)) if pairs is None else list(pairs)
     often = _clustered(errors.scenario)
-    found = []
-    for a, b in pairs:
-        p = signed_rank(differences(errors.values[a], errors.values[b], errors.scenario))
-        found.append(_pair(a, b, log_ratios(errors.values[a], errors.values[b]), often, p))
-    return adjusted(found)
+    return adjusted([_pair(a, b, errors.values[a], errors.values[b], errors.scenario, often) for a, b in pairs])
 
 
 def adjusted(comparisons: Sequence[Comparison]) -> list[Comparison]:
-    """The same comparisons, their p-values adjusted together by Holm's method."""
+    """Return the comparisons with their p-values adjusted together by Holm's method."""
     together = holm([c.p_value for c in comparisons])
     return [replace(c, adjusted=float(p)) for c, p in zip(comparisons, together, strict=True)]
 
 
-def _pair(a: str, b: str, ratios: np.ndarray, often: np.ndarray, p: float) -> Comparison:
+def _pair(a: str, b: str, of_a: np.ndarray, of_b: np.ndarray, scenario: np.ndarray, often: np.ndarray) -> Comparison:
+    """Compare the errors of two methods; ``often`` (n, RESAMPLES) counts each data set in each resample."""
+    p, ratios = signed_rank(differences(of_a, of_b, scenario)), log_ratios(of_a, of_b)
     medians = lower_medians(ratios, often)
     low, high = np.sort(medians)[[math.ceil(level * RESAMPLES) - 1 for level in (0.025, 0.975)]]
     sizes = medians[np.isfinite(medians)]
@@ -159,38 +146,39 @@ def _pair(a: str, b: str, ratios: np.ndarray, often: np.ndarray, p: float) -> Co
 def against_best(
     values: Mapping[str, np.ndarray], candidates: AbstractSet[str] | None = None
 ) -> tuple[str, list[Comparison]]:
-    """The best method on one scenario, and every other compared with it on the data sets that both were given.
+    """Find the best method on one scenario, and compare every other with it on the data sets that both were given.
 
     ``values[method]`` (n,) are errors on the first n replicates. The best has the least median among the ``candidates``
     (by default, and where none of them qualifies, all methods) with most replicates.
     """
-    most = max(own.size for own in values.values())
-    full = [method for method, own in values.items() if own.size == most]
+    full = _most_replicates(values)
     eligible = [method for method in full if candidates is None or method in candidates] or full
     best = min(eligible, key=lambda method: float(_median(values[method])))
-    found = []
-    for method, own in values.items():
-        if method != best:
-            one = np.zeros(own.size, int)
-            found += compare(Errors({method: own, best: values[best][: own.size]}, one), [(method, best)])
-    return best, adjusted(found)
+    return best, adjusted([
+        _pair(method, best, own, values[best][: own.size], np.zeros(own.size, int), counts(own.size, RESAMPLES))
+        for method, own in values.items()
+        if method != best
+    ])  # fmt: skip
+
+
+def _most_replicates(values: Mapping[str, np.ndarray]) -> list[str]:
+    most = max(own.size for own in values.values())
+    return [method for method, own in values.items() if own.size == most]
 
 
 def gross(errors: np.ndarray, bound: float) -> np.ndarray:
-    """Which errors (n,) are gross: beyond five times the bound, or those of a failure; without a bound only these."""
+    """Return which errors (n,) are gross: beyond five times the bound, or of a failure; without a bound only these."""
     limit = GROSS * bound if np.isfinite(bound) and bound > 0 else np.inf
     return np.asarray(~(errors <= limit) | np.isinf(errors))
 
 
 def more_often(a: np.ndarray, b: np.ndarray) -> float:
-    """One-sided p-value that ``a`` is true no more often than ``b`` on the same data sets.
+    """Return the one-sided p-value that ``a`` is true no more often than ``b`` on the same data sets.
 
     The exact sign test of the pairs that differ (Q. McNemar, Psychometrika 12:153, 1947).
     """
-    from scipy.stats import binom
-
     only_a, only_b = int(np.sum(a & ~b)), int(np.sum(b & ~a))
-    return float(binom.sf(only_a - 1, only_a + only_b, 0.5)) if only_a else 1.0
+    return float(bdtrc(only_a - 1, only_a + only_b, 0.5)) if only_a else 1.0
 
 
 @dataclass(frozen=True)
@@ -205,10 +193,9 @@ class Steadiness:
 
 
 def steadiness(values: Mapping[str, np.ndarray], excess: Mapping[str, float], bound: float) -> Steadiness:
-    """Which methods run away: by an excess beyond :data:`STEADY` times the least, or by gross errors, at 5 %."""
+    """Find the methods that run away, by an excess beyond :data:`STEADY` times the least or by gross errors (5 %)."""
     runs = {method: gross(own, bound) for method, own in values.items()}
-    most = max(own.size for own in values.values())
-    full = {method for method, own in values.items() if own.size == most}
+    full = _most_replicates(values)
     rarest = min(full, key=lambda method: float(np.mean(runs[method])))
     least = min((excess.get(method, np.nan) for method in full if excess.get(method, np.nan) > 0), default=np.nan)
     p = {method: more_often(own, runs[rarest][: own.size]) for method, own in runs.items()}
@@ -230,7 +217,7 @@ class Standing:
 
 
 def standing(values: Mapping[str, np.ndarray], excess: Mapping[str, float], bound: float) -> Standing | None:
-    """Where methods stand by their errors ``values[method]`` (n,), their excess and the bound; None for fewer than two.
+    """Rank methods by their errors ``values[method]`` (n,), their excess and the bound; None for fewer than two.
 
     It is the one rule of all tables and of the page; they differ in which methods they put in. NaN errors are failures.
     The best is, of the methods that do not run away, the one of least median error.
@@ -245,7 +232,7 @@ def standing(values: Mapping[str, np.ndarray], excess: Mapping[str, float], boun
 
 
 def profile(errors: Errors, factors: Sequence[float]) -> dict[str, np.ndarray]:
-    """Performance profiles: the share of data sets on which a method's error is within each factor of the least.
+    """Return performance profiles: the share of data sets on which a method's error is within each factor of the least.
 
     E. D. Dolan, J. J. Moré, Math. Program. 91:201, 2002; a failure is within no factor.
     """
@@ -257,7 +244,7 @@ def profile(errors: Errors, factors: Sequence[float]) -> dict[str, np.ndarray]:
 
 
 def _median(values: np.ndarray) -> np.ndarray:
-    """Medians along the last axis where values may be infinite, the lower of the middle two."""
+    """Return medians along the last axis where values may be infinite, the lower of the middle two."""
     middle = (values.shape[-1] - 1) // 2
     return np.asarray(np.partition(values, middle, axis=-1)[..., middle])
 

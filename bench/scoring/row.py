@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, overload
@@ -48,9 +48,9 @@ class Rows(Sequence[Row]):
     """
 
     def __init__(
-        self, statuses: Iterable[Status], column: Callable[[str], Sequence[Any]], score_names: Iterable[str]
+        self, statuses: Iterable[Status], column: Callable[[str], Sequence[Any]], score_names: Collection[str]
     ) -> None:
-        self.statuses, self._column, self._names = tuple(statuses), column, list(score_names)
+        self.statuses, self._column, self._names = tuple(statuses), column, score_names
 
     @classmethod
     def of(cls, rows: Iterable[Row]) -> Rows:

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
+from collections import defaultdict
 from collections.abc import Mapping
 from functools import cached_property, partial
 from pathlib import Path
@@ -34,7 +36,7 @@ SUMS = "SHA256SUMS"
 SUM = re.compile(r"([0-9a-f]{64})  ([a-z0-9_./]+)")
 CELLS, SUMMARIES, ARRAYS, BOUNDS = "cells.parquet", "summaries.parquet", "arrays.parquet", "bounds.parquet"
 STATISTICS = ("mean", "median", "ci_low", "ci_high", "bound", "excess", "n_ok")
-NO_SCORES = ("identity", "status", *PLAIN)
+NO_SCORES = frozenset(("identity", "status", *PLAIN))
 """The columns of a file of rows that are no scores."""
 STATUSES = {status.value: status for status in Status}
 REMEDY = "not a whole file of the archive; fetch it again"
@@ -95,7 +97,13 @@ class ParquetFile:
     def numbers(self, name: str) -> np.ndarray:
         """Return a column of numbers in double precision, NaN where it is empty."""
         if name not in self._numbers:
-            self._numbers[name] = decimal(self.column(name).to_numpy(zero_copy_only=False).astype(float))
+            column = self.column(name).cast("double")
+            valid, data = column.buffers()  # pyarrow's own conversion imports pandas, which takes a quarter of a second
+            values = np.frombuffer(data, float, len(column)).copy()
+            if valid is not None:
+                bits = np.unpackbits(np.frombuffer(valid, np.uint8), count=len(column), bitorder="little")
+                values[bits == 0] = math.nan
+            self._numbers[name] = decimal(values)
         return self._numbers[name]
 
     def items(self, name: str) -> list[Any]:
@@ -110,10 +118,14 @@ class ParquetFile:
                 self._lists[name] = column.to_pylist()
         return self._lists[name]
 
+    @cached_property
+    def scores(self) -> dict[str, None]:
+        """The scores of a file of rows, in order."""
+        return dict.fromkeys(name for name in self.names if name not in NO_SCORES)
+
     def lines(self, name: str, lines: slice) -> Any:
         """Return some lines of a column of a file of rows."""
-        own_type = name not in NO_SCORES or name in NUMBERS
-        return self.numbers(name)[lines] if own_type else self.items(name)[lines]
+        return self.numbers(name)[lines] if name in self.scores or name in NUMBERS else self.items(name)[lines]
 
 
 class Archive:
@@ -137,95 +149,72 @@ class Archive:
         return self._opened[name]
 
     @cached_property
-    def _places(self) -> dict[str, int]:
-        """The line of each cell in ``cells.parquet``."""
-        if not self._sums:
-            if any(self.folder.glob("*.parquet")):
-                raise InputError("archive", self.folder, f"its {SUMS} is missing; {REMEDY}")
-            return {}
-        return {identity: i for i, identity in enumerate(self._of("identity"))}
+    def _identities(self) -> frozenset[str]:
+        if not self._sums and any(self.folder.glob("*.parquet")):
+            raise InputError("archive", self.folder, f"its {SUMS} is missing; {REMEDY}")
+        return frozenset(self.file(CELLS).items("identity") if self._sums else ())
 
     @cached_property
-    def _row_lines(self) -> list[slice]:
-        """The lines of each cell in its file of rows."""
-        ends: dict[str, int] = {}
-        lines = []
-        for experiment, n in zip(self._of("experiment"), self._of("replicates"), strict=True):
-            start = ends.get(experiment, 0)
-            ends[experiment] = start + n
-            lines.append(slice(start, start + n))
-        return lines
-
-    def _of(self, column: str) -> list[Any]:
-        return self.file(CELLS).items(column)
+    def _cells(self) -> dict[str, dict[str, Any]]:
+        """The line of each cell, with the places of its lines in the file of rows and in that of summaries."""
+        file, cells = self.file(CELLS), {}
+        ends: dict[str, int] = defaultdict(int)
+        for line in zip(*map(file.items, file.names), strict=True):
+            cell = dict(zip(file.names, line, strict=True))
+            for place, name, n in (("rows", cell["experiment"], "replicates"), ("summary", SUMMARIES, "metrics")):
+                cell[place] = slice(ends[name], ends[name] + cell[n])
+                ends[name] += cell[n]
+            cells[cell["identity"]] = cell
+        return cells
 
     def identities(self) -> list[str]:
         """Return the identities of all cells, in order."""
-        return sorted(self._places)
+        return sorted(self._identities)
 
     def __contains__(self, identity: object) -> bool:
-        return identity in self._places
+        return identity in self._identities
 
     def path(self, identity: str) -> Path:
         """Return the file that holds the rows of a cell."""
-        return self.folder / rows_file(self._of("experiment")[self._places[identity]])
+        return self.folder / rows_file(self._cells[identity]["experiment"])
 
     def head(self, identity: str) -> Head | None:
         """Return what is known of a cell without its rows, or None."""
-        place = self._places.get(identity)
-        if place is None:
+        if identity not in self:
             return None
-        statuses, seconds = self._json("statuses", place), self._of("wall_s")[place]
-        return Head(identity, self._json("description", place), statuses, self._version(place), seconds)
+        line = self._cells[identity]
+        return Head(identity, _json(line, "description"), _json(line, "statuses"), _version(line), line["wall_s"])
 
     def load(self, identity: str) -> StoredCell | None:
         """Return a cell, or None where the archive has none of that name; its rows are read when they are used."""
-        place = self._places.get(identity)
-        if place is None:
+        if identity not in self:
             return None
-        file, lines = self.file(rows_file(self._of("experiment")[place])), self._row_lines[place]
-        scores = [name for name in file.names if name not in NO_SCORES]
-        statuses = map(STATUSES.__getitem__, file.items("status")[lines])
+        line = self._cells[identity]
+        file, rows = self.file(rows_file(line["experiment"])), line["rows"]
+        statuses = [STATUSES[text] for text in file.items("status")[rows]]
         return StoredCell(
             identity=identity,
-            cell=self._json("description", place),
-            rows=Rows(statuses, partial(file.lines, lines=lines), scores),
-            summary=self._summary(place),
-            prior_share={name: float(value) for name, value in self._json("prior_share", place).items()},
-            identifiable=self._json("identifiable", place),
-            wall_s=self._of("wall_s")[place],
-            provenance=self._json("provenance", place),
-            version=self._version(place),
-            arrays=Arrays(partial(self._arrays, identity)) if self._of("arrays")[place] else {},
-            tracebacks=self._of("tracebacks")[place],
+            cell=_json(line, "description"),
+            rows=Rows(statuses, partial(file.lines, lines=rows), file.scores),
+            summary=self._summary(line["summary"]),
+            prior_share={name: float(value) for name, value in _json(line, "prior_share").items()},
+            identifiable=_json(line, "identifiable"),
+            wall_s=line["wall_s"],
+            provenance=_json(line, "provenance"),
+            version=_version(line),
+            arrays=Arrays(partial(self._arrays, identity)) if line["arrays"] else {},
+            tracebacks=line["tracebacks"],
         )
 
-    def _json(self, column: str, place: int) -> dict[str, Any]:
-        value: dict[str, Any] = json.loads(self._of(column)[place])
-        return value
-
-    def _version(self, place: int) -> dict[str, Any]:
-        return {name: self._of(f"{name}_version")[place] for name in version.NUMBERS}
-
     @cached_property
-    def _statistics(self) -> list[list[float]]:
-        file = self.file(SUMMARIES)
-        rows: list[list[float]] = np.stack([file.numbers(name) for name in STATISTICS], axis=1).tolist()
-        return rows
+    def _statistics(self) -> np.ndarray:
+        return np.stack([self.file(SUMMARIES).numbers(name) for name in STATISTICS], axis=1)
 
-    @cached_property
-    def _metric_ends(self) -> list[int]:
-        ends: list[int] = np.cumsum(self._of("metrics")).tolist()
-        return ends
-
-    def _summary(self, place: int) -> dict[str, dict[str, float]]:
+    def _summary(self, lines: slice) -> dict[str, dict[str, float]]:
         """Return the summary of a cell by metric."""
-        end = self._metric_ends[place]
-        lines = slice(end - self._of("metrics")[place], end)
         metrics = self.file(SUMMARIES).items("metric")[lines]
-        return {
-            m: dict(zip(STATISTICS, row, strict=True)) for m, row in zip(metrics, self._statistics[lines], strict=True)
-        }
+        values = self._statistics[lines].tolist()
+        return {metric: dict(zip(STATISTICS, row, strict=True)) for metric, row in zip(metrics, values, strict=True)}
 
     @cached_property
     def _array_lines(self) -> dict[str, dict[str, int]]:
@@ -257,3 +246,12 @@ class Archive:
             return {}
         file = self.file(BOUNDS)
         return dict(zip(file.items("identity"), file.items("text"), strict=True))
+
+
+def _json(line: Mapping[str, Any], column: str) -> dict[str, Any]:
+    value: dict[str, Any] = json.loads(line[column])
+    return value
+
+
+def _version(line: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: line[f"{name}_version"] for name in version.NUMBERS}

@@ -142,10 +142,6 @@ def test_profile_by_hand() -> None:
     np.testing.assert_allclose(found["b"], [2 / 3, 1.0])
 
 
-def test_ragged_data_are_refused() -> None:
-    with pytest.raises(InputError, match="errors of b"):
-        Errors({"a": np.ones(3), "b": np.ones(2)}, np.zeros(3, int))
-    with pytest.raises(InputError, match="errors of a"):
-        Errors({"a": np.array([1.0, np.nan])}, np.zeros(2, int))
+def test_scenarios_of_unequal_sizes_are_refused() -> None:
     with pytest.raises(InputError, match="as many of every scenario"):
         compare(Errors({"a": np.ones(3), "b": np.ones(3)}, np.array([0, 0, 1])))
