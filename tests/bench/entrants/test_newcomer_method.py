@@ -57,10 +57,3 @@ def test_a_new_method_is_one_file(folder: Path, python: Python, new_store: Store
 def test_it_keeps_the_contract(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What a reader copies passes the checks of anybody's method."""
     assert main(["check", f"package={folder / 'zero_crossings.py'}"]) == 0, capsys.readouterr().out
-
-
-def test_without_its_package_it_is_unknown(python: Python) -> None:
-    done = python("-m", "bench", "method=zero_crossings")
-    assert done.returncode == 2
-    assert "zero_crossings" in done.stderr
-    assert done.stderr.count("\n") == 1

@@ -1,4 +1,4 @@
-"""The whole way of somebody's method: written from the template, run, submitted, and merged by somebody else."""
+"""The whole way of a method: written from the template, tested, run, submitted, and merged by somebody else."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ def test_a_method_from_the_template_is_run_submitted_and_merged(
 ) -> None:
     folder, theirs, ours = tmp_path / "own", new_store(), Store(tmp_path / "ours")
     assert main(["new", "method=quarter_car", f"out={folder}"]) == 0
+    done = python("-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder))
+    assert "1 passed" in done.stdout, done.stdout + done.stderr
     project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     info = folder / "quarter_car-0.1.0.dist-info"  # what pip leaves of it
     info.mkdir()

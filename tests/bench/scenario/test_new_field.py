@@ -13,7 +13,6 @@ import pytest
 
 from bench import InputError
 from bench.config.experiment import expand
-from bench.config.overrides import overrides_of
 from bench.scenario import scenario as declared
 from bench.scenario.declaration import Within
 from bench.scenario.disturbance import kinds
@@ -120,11 +119,3 @@ def test_whole_numbers_are_the_floats_they_stand_for_and_parameters_are_in_the_s
     numbers = [data[name] for name in ("initial", "snr_db", "duration", "samples")]
     assert json.dumps(numbers) == "[[[1.0], [0.0]], 20.0, 4.0, 25]"
     assert list(BASE.parameters) == ["m", "c", "k"]
-
-
-def test_python_and_a_command_line_ask_for_the_same_cells() -> None:
-    python = overrides_of({"snr": (40, 20), "system": {"samples": np.int64(30)}, "seed": range(2), "replicates": 3})
-    assert python == {"snr": [40, 20], "system.samples": [30], "seed": [0, 1], "replicates": [3]}
-    assert type(python["system.samples"][0]) is int
-    with pytest.raises(InputError, match=r"system\.samples=9: given twice"):
-        overrides_of({"system.samples": 8}, {"system": {"samples": 9}})
