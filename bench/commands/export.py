@@ -1,20 +1,30 @@
-"""A scenario, posterior draws or a cell in the formats of other tools."""
+"""The exports of the verb ``share``: a scenario, posterior draws or a cell in the formats of other tools."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
-from bench.config.experiment import sweep
-from bench.config.overrides import read_overrides
+from bench.commands.declaration import Others, Whole
+from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, cell_identity, named_store, one_cell
 from bench.errors import InputError
-from bench.reporting.whole_file import check_file, check_folder, write
-from bench.store.store import Store
+
+SCENARIO = ("system", "prior", "disturbance", "snr", "initial_state", "seed")
+"""Fields, or groups of them, that determine the data of a replicate."""
+CELL = (*SCENARIO, "method", "replicates", "timeout_s", "memory_mb", "store", "workers")
 
 
-def export_petab(scenario: Sequence[str], replicate: int, out: Path) -> int:
-    """Write a replicate as a PEtab problem and print its files; raises InputError."""
+def petab(
+    scenario: Annotated[Sequence[str], Others(SCENARIO), "system=, snr=, initial_state=, prior=, disturbance=, seed="],
+    replicate: Annotated[int, Whole(0, 99_999), "number of the replicate"] = 0,
+    out: Annotated[Path, "folder to write"] = Path("petab"),
+) -> int:
+    """Export a replicate's data, equations and prior as a PEtab problem (version 1, with SBML), and its true values."""
+    from bench.config.experiment import sweep
+    from bench.config.overrides import read_overrides
     from bench.exchange.petab import petab_files
+    from bench.reporting.whole_file import check_folder, write
 
     (job,) = sweep({**read_overrides(scenario), "method": ["oracle"]}, multirun=False)
     check_folder(out)
@@ -24,26 +34,38 @@ def export_petab(scenario: Sequence[str], replicate: int, out: Path) -> int:
     return 0
 
 
-def export_arviz(identity: str, store: Store, out: Path) -> int:
-    """Write the posterior draws of a stored cell as netCDF and print the file; raises InputError."""
-    from bench.commands.stores import one_cell
+def arviz(
+    cell: Annotated[str, cell_identity, "identity of a stored cell, or its start"],
+    store: StoreFolder = OWN,
+    archive: ArchiveFolder = None,
+    out: Annotated[Path | None, "file to write [<cell>.nc]"] = None,
+) -> int:
+    """Export the posterior draws of a stored cell as InferenceData (netCDF)."""
     from bench.exchange.inference_data import inference_data
+    from bench.reporting.whole_file import check_file
 
-    stored = one_cell(store, identity)
-    check_file(out)
+    path = out or Path(f"{cell}.nc")
+    stored = one_cell(named_store(store, archive), cell)
+    check_file(path)
     draws = inference_data(stored)
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        draws.to_netcdf(str(out))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draws.to_netcdf(str(path))
     except OSError as error:
-        raise InputError("out", out, f"cannot be written ({error.strerror}); name another file") from None
-    print(out)
+        raise InputError("out", path, f"cannot be written ({error.strerror}); name another file") from None
+    print(path)
     return 0
 
 
-def export_notebook(cell: Sequence[str], out: Path) -> int:
-    """Write a cell as a notebook and print the file; raises InputError."""
+def notebook(
+    cell: Annotated[Sequence[str], Others(CELL), "method=, system=, snr=, ... as for python -m bench"],
+    out: Annotated[Path, "file to write"] = Path("cell.ipynb"),
+) -> int:
+    """Export a cell as a Jupyter notebook."""
+    from bench.config.experiment import sweep
+    from bench.config.overrides import read_overrides
     from bench.exchange.notebook import notebook
+    from bench.reporting.whole_file import check_file, write
 
     overrides = read_overrides(cell)
     (job,) = sweep(overrides, multirun=False)

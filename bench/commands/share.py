@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
-from bench.commands.declaration import Number, Others, Whole
-from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, cell_identity, named_store
+from bench.commands.declaration import Number, Whole
+from bench.commands.export import arviz, notebook, petab
+from bench.commands.stores import OWN, StoreFolder
 from bench.errors import InputError
 
 MOST_SEED = 2**63 - 1
-SCENARIO = ("system", "prior", "disturbance", "snr", "initial_state", "seed")
-"""Fields, or groups of them, that determine the data of a replicate."""
-CELL = (*SCENARIO, "method", "replicates", "timeout_s", "memory_mb", "store", "workers")
 
 
 def share(action: Annotated[Literal["submit", "merge", "export", "publish"], "what to do"]) -> int:
@@ -57,39 +54,6 @@ def merge(
     from bench.commands.merge import merge_source
 
     return merge_source(submission, store, verify, seed, workers)
-
-
-def petab(
-    scenario: Annotated[Sequence[str], Others(SCENARIO), "system=, snr=, initial_state=, prior=, disturbance=, seed="],
-    replicate: Annotated[int, Whole(0, 99_999), "number of the replicate"] = 0,
-    out: Annotated[Path, "folder to write"] = Path("petab"),
-) -> int:
-    """Export a replicate's data, equations and prior as a PEtab problem (version 1, with SBML), and its true values."""
-    from bench.commands.export import export_petab
-
-    return export_petab(scenario, replicate, out)
-
-
-def arviz(
-    cell: Annotated[str, cell_identity, "identity of a stored cell, or its start"],
-    store: StoreFolder = OWN,
-    archive: ArchiveFolder = None,
-    out: Annotated[Path | None, "file to write [<cell>.nc]"] = None,
-) -> int:
-    """Export the posterior draws of a stored cell as InferenceData (netCDF)."""
-    from bench.commands.export import export_arviz
-
-    return export_arviz(cell, named_store(store, archive), out or Path(f"{cell}.nc"))
-
-
-def notebook(
-    cell: Annotated[Sequence[str], Others(CELL), "method=, system=, snr=, ... as for python -m bench"],
-    out: Annotated[Path, "file to write"] = Path("cell.ipynb"),
-) -> int:
-    """Export a cell as a Jupyter notebook."""
-    from bench.commands.export import export_notebook
-
-    return export_notebook(cell, out)
 
 
 def publish(
