@@ -18,7 +18,7 @@ from conftest import REPOSITORY
 from forked import Call, Forked
 
 from bench.errors import InputError
-from bench.isolation.machine import LONGEST, check_temporary
+from bench.isolation.machine import LONGEST_TMPDIR, check_temporary
 from bench.reporting.whole_file import check_folder, write
 
 FULL = Path("/dev/full")
@@ -102,7 +102,7 @@ def test_a_folder_of_temporary_files_with_a_long_name_is_one_line(shell: Shell, 
     lines = [line for line in (tmp_path / "said").read_text().splitlines() if line.startswith("bench: TMPDIR=")]
     assert done.returncode == 2
     assert len(lines) == 1
-    assert lines[0].endswith(f"a path of at most {LONGEST} letters, which has room for a socket's name")
+    assert lines[0].endswith(f"a path of at most {LONGEST_TMPDIR} letters, which has room for a socket's name")
     assert not list((tmp_path / "rows").glob("*.json"))
 
 
