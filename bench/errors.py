@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 LONGEST_VALUE, LONGEST_LINE = 200, 1900
 
 
@@ -31,3 +33,14 @@ def shortened(value: object, longest: int = LONGEST_VALUE) -> str:
     if len(text) > longest:
         text = f"{text[: longest - 60]}...{text[-50:]}"
     return "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text)
+
+
+def did_you_mean(written: object, names: Collection[str]) -> str:
+    """Return ``did you mean ls? `` with the name that is nearest in spelling; an empty text where none is near."""
+    from difflib import get_close_matches
+
+    text = str(written)[:LONGEST_VALUE]
+    near = get_close_matches(text, names, n=1, cutoff=0.6)
+    if not near and len(text) == 2:  # two letters that changed places are half a match
+        near = [name for name in names if name == text[::-1]]
+    return f"did you mean {near[0]}? " if near else ""

@@ -57,7 +57,7 @@ $CELL snr=nan                                     | snr=nan                     
 $CELL snr=true                                    | snr=True                         | number
 $CELL snr=[20]                                    | snr=[20]                         | number
 $CELL snr=1e308                                   | snr=1e+308                       | 300
-$CELL dry_run=3                                   | dry_run=3                        | true or false
+$CELL dry_run=3                                   | dry_run=3                        | boolean
 $CELL retry=../sdof                               | retry=../sdof                    |
 $CELL store=${oc.env:HOME}                        | store=${oc.env:HOME}             | the value
 $CELL store=file/below                            | store=file/below                 |
@@ -73,7 +73,7 @@ method=ls,rls                                     | method=ls,rls               
 -m method=prior snr=interval(0,10)                | snr=interval(0,10)               | values
 -m method=prior snr=glob(*)                       | snr=glob(*)                      | matches nothing
 -m method=prior seed=range(0,10,0)                | seed=range(0,10,0)               |
--m method=prior seed=range(0,1e300)               | seed=range(0,1e300)              | at most
+-m method=prior seed=range(0,1e300)               | seed=range(0,1e300)              | more than
 -m method=prior seed=range(0,1000) snr=range(0,1000) |                               | at most
 -m experiment=table3 experiment=table4            | experiment=table4                | twice
 -m experiment=open system=open_999999             | system=open_999999               | known
@@ -134,7 +134,7 @@ design want=mass:5% frequency=2 damping=0.02 noise=0.5mm | want=mass:5%         
 design $DECAY samples=20                          | duration=                        | of the test
 design $TEST atlas=good.csv                       | atlas=good.csv                   | experiment=atlas
 identifiability measured=[9]                      | measured=                        |
-status watch=true                                 | watch=                           | name the sweep
+status watch=5                                    | watch=                           | name the sweep
 tables store=empty archive=none                   | store=empty                      | no cell
 report store=store out=.                          | out=.                            | new, empty
 reproduce cell=zz                                 | cell=zz                          | identity
@@ -145,7 +145,7 @@ track from=random                                 | stream=                     
 -m experiment=measured set=nonsense               | set=nonsense                     | one of
 -m experiment=online system=sdof scenario=ramp,ramp | scenario=ramp                  | once
 -m experiment=online system=sdof system.varying.k=jump dry_run=true | system.varying.k.kind=jump |
--m experiment=atlas shard=5/4 dry_run=true        | shard=5/4                        | 3/10
+-m experiment=atlas part=phases dry_run=true     | part=phases                      | some of points
 # ---- the kit
 check package=missing.py                          | package=missing.py               | no such file
 check package=folder                              | package=folder                   | pyproject.toml

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from bench.commands.declaration import Choice, Others, Whole
+from bench.commands.declaration import Choice, Others, Within
 from bench.config.atlas import SAMPLED, TESTS, atlas_blocks, atlas_methods, atlas_slices, part_names
 from bench.config.fields import MOST_WORKERS
 from bench.config.of_hydra import check_of_hydra
@@ -28,38 +26,20 @@ def _every_method() -> list[str]:
     return list(dict.fromkeys(name for test in TESTS for name in atlas_methods(test)))
 
 
-def _shard(field: str, text: str) -> tuple[int, int]:
-    """The number of a shard, from 1, and of all; of no text, this job's in an array of Slurm, or all there is."""
-    if not text and "SLURM_ARRAY_TASK_ID" in os.environ:
-        first = int(os.environ.get("SLURM_ARRAY_TASK_MIN", "1"))
-        return int(os.environ["SLURM_ARRAY_TASK_ID"]) - first + 1, int(os.environ.get("SLURM_ARRAY_TASK_COUNT", "1"))
-    text = text or "1/1"
-    number, _, shards = text.partition("/")
-    if not re.fullmatch(r"[0-9]{1,6}/[0-9]{1,6}", text) or not 1 <= int(number) <= int(shards):
-        raise InputError(field, text, "<number>/<of how many>, as 3/10")
-    return int(number), int(shards)
-
-
 def atlas(
     test: Annotated[str, Choice(tuple(TESTS)), "kind of test"] = "free_decay",
     part: Annotated[tuple[str, ...], "empty: all parts of the test, which are points and its slices"] = (),
-    method: Annotated[tuple[str, ...], Choice(_every_method, several=True), "empty: all"] = (),
-    points: Annotated[int | None, Whole(), "the first so many points of the sequence or slice"] = None,
-    workers: Annotated[int | None, Whole(most=MOST_WORKERS), "processes; empty: one a core"] = None,
+    method: Annotated[tuple[str, ...], Choice(_every_method), "empty: all"] = (),
+    points: Annotated[int | None, Within(ge=1), "the first so many points of the sequence or slice"] = None,
+    workers: Annotated[int | None, Within(ge=1, le=MOST_WORKERS), "processes; empty: one a core"] = None,
     store: Annotated[Path, "folder of finished blocks"] = Path("outputs/atlas"),
     out: Annotated[Path, "folder of the atlas, its tables and maps"] = Path("results"),
     fit: Annotated[bool, "false: write what is stored"] = True,
-    shard: Annotated[
-        tuple[int, int] | None,
-        _shard,
-        "3/10: every tenth block from the third on, as one of ten jobs that share the store; they write blocks alone. "
-        "A job of a Slurm array takes its own",
-    ] = None,
     launcher: Annotated[
-        list[str],
+        Sequence[str],
         Others(("hydra/launcher", "hydra", "+hydra")),
         "hydra/launcher=ray, submitit_slurm: a cluster, all of whose nodes see the store; hydra.launcher.<option>=",
-    ] = [],  # noqa: B006 - read_arguments gives a list of its own
+    ] = (),
     dry_run: Annotated[bool, "say how far it is, what it took, and what is left"] = False,
 ) -> int:
     """Compute the atlas: the error of every method over the space of tests, or what is missing of it.
@@ -71,15 +51,13 @@ def atlas(
     from bench.store.store import Store
 
     check_of_hydra(launcher)
-    number, shards = shard or _shard("shard", "")
     tasks = {name: atlas_blocks(name, method, points, test) for name in part or part_names(test)}
     workers = workers or usable_cores()
     if not dry_run:
         check_folder(store, "store")
-        if shards == 1:
-            check_folder(out)
-            _check_packages()
-    every = [task for own in tasks.values() for task in own][number - 1 :: shards]
+        check_folder(out)
+        _check_packages()
+    every = [task for own in tasks.values() for task in own]
     left = [block for block in every if not block.stored(store)]
     if len(left) == len(every) and not fit and not dry_run:
         raise InputError("store", store, "a folder with finished blocks; without fit=false they are made")
@@ -90,8 +68,6 @@ def atlas(
         return 0
     if left and fit:
         _run(LaunchJob(tuple(left), Store(store), Limits(workers)), tuple(launcher))
-    if shards > 1:
-        return 0
     chosen = {"test": test if test != "free_decay" else "", "part": ",".join(part), "points": points or ""}
     return _write(test, tasks, store, out, " ".join([COMMAND, *(f"{k}={v}" for k, v in chosen.items() if v)]))
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
-from bench.commands.declaration import Others, Whole, command_line
+from bench.commands.declaration import Others, Within, command_line
 from bench.errors import InputError
 
 RECORD = (
@@ -22,7 +22,7 @@ def certify(
     data: Annotated[str, "measured record, or several of one rig: run1.csv,run2.csv"],
     record: Annotated[list[str], Others(RECORD), "columns=, units=, ... as for python -m bench data="],
     out: Annotated[Path, "folder of certificate.html and certificate.json"] = Path("certificate"),
-    twins: Annotated[int, Whole(0, 100_000), "simulated repeats on which the intervals are checked; 0: none"] = 200,
+    twins: Annotated[int, Within(ge=0, le=100_000), "simulated repeats that check the intervals; 0: none"] = 200,
     system: Annotated[str, "system, or auto: the best of the model classes"] = "auto",
     method: Annotated[tuple[str, ...], "methods, the primary one first, or fast: those that take seconds"] = ("fast",),
 ) -> int:

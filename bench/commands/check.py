@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Annotated, Literal
 
-from bench.commands.declaration import Number, Others, read_settings
+from bench.commands.declaration import Others, Within, settings_of
 
 LOG_LINES = 12
 
@@ -15,7 +15,7 @@ LOG_LINES = 12
 def check(
     package: Annotated[str, "file, folder with a pyproject.toml, installed package, or a registered name"],
     settings: Annotated[Sequence[str], Others(("method", "system")), "method.<setting>=, system.<option>="],
-    timeout_s: Annotated[float, Number(0.0, 1e9, "a positive number"), "time limit of one check, and the import"] = 300,
+    timeout_s: Annotated[float, Within(gt=0, le=1e9), "time limit of one check, and the import"] = 300,
     format: Annotated[Literal["table", "json"], "json: one line per check"] = "table",
 ) -> int:
     """Check that a method or a system keeps the contract, each check in its own process.
@@ -29,7 +29,7 @@ def check(
     from bench.reporting.terminal import wrapped
 
     subjects, outcomes = [], []
-    for subject, outcome in checked(read_target(package, read_settings(settings)), timeout_s):
+    for subject, outcome in checked(read_target(package, settings_of(settings)), timeout_s):
         if subject not in subjects:
             subjects.append(subject)
             if format == "table":

@@ -9,48 +9,48 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from bench.commands.certify import RECORD
-from bench.commands.declaration import Choice, File, Number, Others, Whole
+from bench.commands.declaration import Choice, Others, Parsed, Within, file
 from bench.errors import InputError
+from bench.scenario.declaration import value_of
 
-LEAST, MOST, LEAST_SHARE, MOST_SHARE = 1e-9, 1e9, 1e-6, 1000.0
-"""Limits of every quantity (SI units) and of every percentage."""
 QUANTITIES = ("k_over_m", "c_over_m", "natural_frequency", "damping_ratio")
 ATLAS = Path("results/atlas.csv.gz")
 Uncertain = tuple[float, float]
 """A value and the standard deviation of its logarithm."""
-positive = Number(LEAST * (1 - 1e-12), MOST, f"a positive number from {LEAST:g}")
-share = Number(LEAST_SHARE * (1 - 1e-12), MOST_SHARE, f"a percentage from {LEAST_SHARE:g}")
+Size = Annotated[float, Within(ge=1e-9, le=1e9)]
+"""Limits of every quantity (SI units)."""
 
 
-def _percentage(field: str, text: str, shown: str) -> float:
+def percentage(text: str) -> float:
+    """Read a percentage, with its sign."""
     if not text.endswith("%"):
-        raise InputError(field, shown, "a percentage, as 5%")
-    return share(field, text[:-1], shown) / 100.0
+        raise ValueError("a percentage, as 5%")
+    return value_of(Annotated[float, Within(ge=1e-6, le=1000.0)], text[:-1], "") / 100.0  # type: ignore[no-any-return]
 
 
-def wanted(field: str, text: str) -> tuple[str, float]:
+def wanted(text: str) -> tuple[str, float]:
     """Read a quantity and the error of its logarithm: c_over_m:5%."""
     quantity, _, error = text.partition(":")
     if quantity not in QUANTITIES:
-        raise InputError(field, text, f"<quantity>:<error>%, of {', '.join(QUANTITIES)}")
-    return quantity, _percentage(field, error, text)
+        raise ValueError(f"<quantity>:<error>%, of {', '.join(QUANTITIES)}")
+    return quantity, percentage(error)
 
 
-def uncertain(field: str, text: str) -> Uncertain:
+def uncertain(text: str) -> Uncertain:
     """Read a positive number, with or without a standard deviation: 2 or 2:10%."""
     value, colon, deviation = text.partition(":")
-    return positive(field, value, text), _percentage(field, deviation, text) if colon else 0.0
+    return value_of(Size, value, ""), percentage(deviation) if colon else 0.0
 
 
-def length(field: str, text: str) -> float:
+def length(text: str) -> float:
     """Read a length with its unit, in metres."""
     from bench.measured.reading.units import unit_of
 
     parts = re.fullmatch(r"\s*([-+.\deE]+)\s*([^\d\s].*)", text)
     unit = unit_of(parts[2]) if parts else None
     if parts is None or unit is None or unit.symbol != "m":
-        raise InputError(field, text, "a length with its unit, as 0.5mm")
-    return positive(field, parts[1], text) * unit.size
+        raise ValueError("a length with its unit, as 0.5mm")
+    return float(value_of(Size, parts[1], "")) * unit.size
 
 
 def methods() -> Sequence[str]:
@@ -60,16 +60,17 @@ def methods() -> Sequence[str]:
     return choices("method")
 
 
-Want = Annotated[tuple[str, float], wanted, "<quantity>:<error>% with the error a standard deviation, of k_over_m, "
-                 "c_over_m, natural_frequency, damping_ratio"]  # fmt: skip
-Frequency = Annotated[Uncertain, uncertain, "natural frequency (Hz), 2 or 2:10% with its uncertainty"]
-Damping = Annotated[Uncertain, uncertain, "damping ratio, 0.02 or 0.02:50% with its uncertainty"]
-Noise = Annotated[float, length, "standard deviation of a sample, as 0.5mm"]
-Amplitude = Annotated[float, length, "initial displacement, as 1cm"]
-Duration = Annotated[float, positive, "duration (s)"]
-Few = Annotated[int, Whole(8, 500), "number of samples"]
+Want = Annotated[
+    tuple[str, float], Parsed(wanted), f"<quantity>:<error>%, a standard deviation, of {', '.join(QUANTITIES)}"
+]
+Frequency = Annotated[Uncertain, Parsed(uncertain), "natural frequency (Hz), 2 or 2:10% with its uncertainty"]
+Damping = Annotated[Uncertain, Parsed(uncertain), "damping ratio, 0.02 or 0.02:50% with its uncertainty"]
+Noise = Annotated[float, Parsed(length), "standard deviation of a sample, as 0.5mm"]
+Amplitude = Annotated[float, Parsed(length), "initial displacement, as 1cm"]
+Duration = Annotated[Size, "duration (s)"]
+Few = Annotated[int, Within(ge=8, le=500), "number of samples"]
 Method = Annotated[str | None, Choice(methods), "method that fits [the first that reaches the bound]"]
-Verify = Annotated[int, Whole(0, 100_000), "number of simulations of each proposed test"]
+Verify = Annotated[int, Within(ge=0, le=100_000), "number of simulations of each proposed test"]
 
 
 def design(
@@ -77,10 +78,10 @@ def design(
     frequency: Frequency,
     damping: Damping,
     noise: Noise,
-    amplitude: Annotated[float | None, length, "initial displacement, as 1cm [several are tried]"] = None,
-    rate: Annotated[float | None, positive, "sampling rate (1/s) [any]"] = None,
-    samples: Annotated[int | None, Whole(8, 100_000), "with duration=: number of samples of a given test"] = None,
-    duration: Annotated[float | None, positive, "with samples=: duration of a given test (s)"] = None,
+    amplitude: Annotated[float | None, Parsed(length), "initial displacement, as 1cm [several are tried]"] = None,
+    rate: Annotated[Size | None, "sampling rate (1/s) [any]"] = None,
+    samples: Annotated[int | None, Within(ge=8, le=100_000), "with duration=: samples of a given test"] = None,
+    duration: Annotated[Size | None, "with samples=: duration of a given test (s)"] = None,
     method: Method = None,
     verify: Verify = 0,
 ) -> int:
@@ -141,8 +142,8 @@ def best_force(
     noise: Noise,
     samples: Few,
     duration: Duration,
-    energy: Annotated[float, positive, "integral of the squared force (N² s)"],
-    mass: Annotated[float, positive, "mass as far as it is known (kg)"],
+    energy: Annotated[Size, "integral of the squared force (N² s)"],
+    mass: Annotated[Size, "mass as far as it is known (kg)"],
     out: Annotated[Path | None, "file for the best force, a record without the motion"] = None,
     method: Method = None,
     verify: Verify = 0,
@@ -166,7 +167,7 @@ def best_force(
 def longer(
     given: Annotated[str, "record of a free decay"],
     record: Annotated[Sequence[str], Others(RECORD), "columns=, units=, ... as for python -m bench data="],
-    want: Annotated[tuple[str, float] | None, wanted, "<quantity>:<error>%"] = None,
+    want: Annotated[tuple[str, float] | None, Parsed(wanted), "<quantity>:<error>%"] = None,
     method: Method = None,
 ) -> int:
     """State what a record of a free decay would determine, were it longer or taken again."""
@@ -184,16 +185,15 @@ def longer(
 
 
 def expected(
-    samples: Annotated[int, Whole(4, 100_000), "number of samples of the displacement, evenly spread"],
-    cycles: Annotated[float, Number(0.0, 1e6, "a positive number"), "undamped periods in the record"],
-    damping: Annotated[float, Number(0.0, 100.0, "a positive number"), "damping ratio"],
-    snr: Annotated[float, Number(-100.0, 300.0, "decibels above -100"), "mean square of the noise-free samples over "
-                   "the noise's variance (dB)"],
-    phase: Annotated[float, Number(), "initial phase (degrees): 0 released from rest, 90 after an impact"] = 0.0,
+    samples: Annotated[int, Within(ge=4, le=100_000), "number of samples of the displacement, evenly spread"],
+    cycles: Annotated[float, Within(gt=0, le=1e6), "undamped periods in the record"],
+    damping: Annotated[float, Within(gt=0, le=100), "damping ratio"],
+    snr: Annotated[float, Within(gt=-100, le=300), "mean square of the clean samples over the noise's variance (dB)"],
+    phase: Annotated[float, "initial phase (degrees): 0 released from rest, 90 after an impact"] = 0.0,
     initial_state: Annotated[Literal["unknown", "known"], "whether methods are given the initial state"] = "unknown",
     quantity: Annotated[Literal["k_over_m", "c_over_m"], "quantity whose errors are expected"] = "k_over_m",
     atlas: Annotated[Path, "atlas of free decays, as experiment=atlas writes it"] = ATLAS,
-) -> int:  # fmt: skip
+) -> int:
     """State the errors that each method is expected to have at a free decay, from the atlas."""
     from bench.atlas.model import ensembles
     from bench.atlas.point import FreeDecay
@@ -202,7 +202,7 @@ def expected(
     ensembles()  # before the work, where the package is missing
     if atlas == ATLAS and not atlas.exists():  # in another folder than the clone
         atlas = Path(__file__).parents[2] / atlas
-    File("a file that python -m bench -m experiment=atlas has written")("atlas", str(atlas))
+    file("atlas", atlas, "a file that python -m bench -m experiment=atlas has written")
     point = FreeDecay(samples, cycles, damping, snr, math.radians(phase % 180.0), initial_state == "known")
     print(expected_page(point, read_atlas(atlas, quantity), quantity))
     return 0

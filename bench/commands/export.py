@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from bench.commands.declaration import Others, Whole
-from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, cell_identity, named_store, one_cell
+from bench.commands.declaration import Others, Within
+from bench.commands.stores import OWN, ArchiveFolder, CellIdentity, StoreFolder, named_store, one_cell
 from bench.errors import InputError
 
 SCENARIO = ("system", "prior", "disturbance", "snr", "initial_state", "seed")
@@ -17,7 +17,7 @@ CELL = (*SCENARIO, "method", "replicates", "timeout_s", "memory_mb", "store", "w
 
 def petab(
     scenario: Annotated[Sequence[str], Others(SCENARIO), "system=, snr=, initial_state=, prior=, disturbance=, seed="],
-    replicate: Annotated[int, Whole(0, 99_999), "number of the replicate"] = 0,
+    replicate: Annotated[int, Within(ge=0, le=99_999), "number of the replicate"] = 0,
     out: Annotated[Path, "folder to write"] = Path("petab"),
 ) -> int:
     """Export a replicate's data, equations and prior as a PEtab problem (version 1, with SBML), and its true values."""
@@ -35,7 +35,7 @@ def petab(
 
 
 def arviz(
-    cell: Annotated[str, cell_identity, "identity of a stored cell, or its start"],
+    cell: CellIdentity,
     store: StoreFolder = OWN,
     archive: ArchiveFolder = None,
     out: Annotated[Path | None, "file to write [<cell>.nc]"] = None,

@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from bench.commands.declaration import Others
+from bench.commands.declaration import Others, Parsed
 from bench.errors import InputError
 
 SCENARIO = ("system", "snr", "initial_state", "prior", "seed")
 
 
-def dofs(field: str, text: str) -> tuple[int, ...]:
+def dofs(text: str) -> tuple[int, ...]:
     """Read one DOF or a list of DOFs, counted from 0."""
     try:
-        value = json.loads(text)
-    except (ValueError, RecursionError):
-        value = None
-    value = [value] if type(value) is int else value
-    if not isinstance(value, list) or not value or not all(type(entry) is int for entry in value):
-        raise InputError(field, text, "a list of DOFs counted from 0, such as [0,1]")
-    return tuple(value)
+        return tuple(int(part) for part in text.strip("[]").split(","))
+    except ValueError:
+        raise ValueError("a list of DOFs counted from 0, such as [0,1]") from None
 
 
 def identifiability(
     scenario: Annotated[
         Sequence[str], Others(SCENARIO), "system=, system.<field>=, snr=, initial_state=, prior=, seed="
     ],
-    measured: Annotated[tuple[int, ...] | None, dofs, "DOFs whose displacement is measured [all], as [0,1]"] = None,
+    measured: Annotated[tuple[int, ...] | None, Parsed(dofs), "DOFs with a sensor [all], as [0,1]"] = None,
     profile: Annotated[bool, "profile likelihoods of one replicate, printed and drawn"] = False,
     out: Annotated[Path, "folder of the picture"] = Path("results/figures"),
 ) -> int:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from bench.commands.declaration import Choice, Whole, folder
+from bench.commands.declaration import Choice, Within, folder
 from bench.config.choices import check_choice
 from bench.config.records import track_methods
 from bench.measured.sets import set_names
@@ -23,10 +23,10 @@ MEMORY_MB = 16384.0
 
 
 def measured(
-    data_root: Annotated[Path | None, folder, "where records lie that do not travel with the package"] = None,
-    set: Annotated[tuple[str, ...], Choice(tuple(set_names()), several=True), "empty: all"] = (),
+    data_root: Annotated[Path | None, "where records lie that do not travel with the package"] = None,
+    set: Annotated[tuple[str, ...], Choice(set_names), "empty: all"] = (),
     method: Annotated[tuple[str, ...], "methods; empty: those of the track"] = (),
-    timeout_s: Annotated[int, Whole(), "s, limit of a fit"] = 120,
+    timeout_s: Annotated[int, Within(ge=1), "s, limit of a fit"] = 120,
     store: Annotated[Path, "folder of finished fits"] = Path("outputs/measured"),
     out: Annotated[Path, "folder of the table"] = Path("results"),
     page: Annotated[Path, "the same as a page with pictures"] = Path("build/table11.html"),
@@ -42,7 +42,11 @@ def measured(
     from bench.measured.track import read_fit, tasks
     from bench.reporting.tables.track_table import Track
 
-    root, names, methods = data_root, set or set_names(), list(method) or track_methods()
+    root, names, methods = (
+        data_root and folder("data_root", data_root),
+        set or set_names(),
+        list(method) or track_methods(),
+    )
     for name in methods:
         check_choice("method", name)
     if not dry_run:

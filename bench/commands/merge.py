@@ -8,7 +8,7 @@ import secrets
 from datetime import UTC, datetime
 from pathlib import Path
 
-from bench.commands.declaration import File
+from bench.commands.declaration import file
 from bench.engine.runner import compute_bounds
 from bench.errors import InputError
 from bench.exchange.merging import merge, merge_store, summarised, understood, verify
@@ -26,7 +26,7 @@ def merge_source(source: Path, folder: Path, share: float, seed: int | None, wor
     if os.path.isdir(source):
         print(merge_store(source, into))
         return 0
-    File("a submission, or the folder of a store")("submission", str(source))
+    file("submission", source, "a submission, or the folder of a store")
     drawn = secrets.randbits(48) if seed is None else seed
     return _merge_submission(source, into, share, drawn, workers or usable_cores())
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from bench.commands.declaration import Choice, Others, Whole
+from bench.commands.declaration import Choice, Others, Within
 from bench.config.fields import MOST_WORKERS
 from bench.config.online import VARYING, online_scenario, online_track, own_scenarios, scenario_names
 from bench.errors import InputError
@@ -28,24 +28,22 @@ COMMAND = "python -m bench -m experiment=online"
 
 
 def online(
-    scenario: Annotated[
-        tuple[str, ...], Choice(scenario_names, several=True), f"empty: all of {', '.join(scenario_names())}"
-    ] = (),
+    scenario: Annotated[tuple[str, ...], Choice(scenario_names), f"empty: all of {', '.join(scenario_names())}"] = (),
     method: Annotated[tuple[str, ...], "trackers, or window_<batch method>; empty: those of the track"] = (),
     system: Annotated[str, "a system of conf/system in place of the scenarios"] = "",
     varying: Annotated[
-        list[str],
+        Sequence[str],
         Others(("system",)),
         "system.varying.<parameter>=constant, step, ramp, sinusoid or random_walk, several with commas, or written "
         "out: 'system.varying.k={kind: step, change: -0.3, at: 0.5}'",
-    ] = [],  # noqa: B006 - read_arguments gives a list of its own
+    ] = (),
     snr: Annotated[str, "dB, of that system; empty: 20"] = "",
     samples: Annotated[str, "of that system; empty: 2000"] = "",
     rate: Annotated[str, "samples a second; empty: 20 a cycle"] = "",
     force: Annotated[str, "multisine, white, coloured, impulses or '{kind: white, told: false}'"] = "",
-    replicates: Annotated[int | None, Whole(), "at most so many; empty: those of the track"] = None,
-    seed: Annotated[int, Whole(0, 2**63 - 1), "of all random streams"] = 0,
-    workers: Annotated[int | None, Whole(most=MOST_WORKERS), "processes; empty: one a core"] = None,
+    replicates: Annotated[int | None, Within(ge=1), "at most so many; empty: those of the track"] = None,
+    seed: Annotated[int, Within(ge=0, lt=2**63), "of all random streams"] = 0,
+    workers: Annotated[int | None, Within(ge=1, le=MOST_WORKERS), "processes; empty: one a core"] = None,
     store: Annotated[Path, "folder of finished runs"] = Path("outputs/online"),
     out: Annotated[Path | None, "folder of table and picture; empty: results, with system= outputs/online_own"] = None,
     fit: Annotated[bool, "false: the table of what is stored"] = True,

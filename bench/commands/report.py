@@ -29,7 +29,7 @@ def report(
 
         opened = named_store(store, archive, filled=True)
         if results != RESULTS:  # an installed package has none, and shows what is in the store
-            folder("results", str(results))
+            folder("results", results)
         check_folder(out)
         write_folder(out, site_files(opened, results))
     except ImportError as error:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
 
-from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, cell_identity, named_store, one_cell
+from bench.commands.stores import OWN, ArchiveFolder, CellIdentity, StoreFolder, named_store, one_cell
 from bench.exchange.comparison import SAME_DIGITS, TOLERANCE, score_differences
 from bench.exchange.recomputing import recompute, widest_limits
 from bench.isolation.machine import usable_cores
@@ -18,7 +17,7 @@ MOST_NAMED = 5
 
 
 def reproduce(
-    cell: Annotated[str, cell_identity, "identity of a stored cell, or its start"],
+    cell: CellIdentity,
     store: StoreFolder = OWN,
     archive: ArchiveFolder = None,
 ) -> int:

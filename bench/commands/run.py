@@ -111,18 +111,14 @@ def _experiment(name: str, words: list[str], options: Options) -> int:
 def _usage() -> str:
     from bench.commands.verbs import summaries
     from bench.config.choices import GROUPS, choices, default_choices
-    from bench.config.fields import choices_of, declared, defaults, help_text
-    from bench.reporting.terminal import wrapped
+    from bench.config.fields import declared
+    from bench.reporting.terminal import help_page
 
-    shown = {**default_choices(), **defaults()}
-    lines = []
-    for name in declared():
-        names = choices(name) if name in GROUPS else choices_of(name)
-        default = "" if shown.get(name) in (None, {}) else f"[{str(shown[name]).lower()}] "
-        lines.append(f"  {name:<{WIDE}}  {default}{help_text(name)}{': ' if names else ''}{', '.join(names)}")
+    lines = [field.line(WIDE) for name, field in declared().items() if name not in GROUPS]
+    groups = [f"  {name:<{WIDE}}  [{default_choices()[name]}] {declared()[name].text}: {', '.join(choices(name))}"
+              for name in declared() if name in GROUPS]  # fmt: skip
     experiments = ", ".join([*choices("experiment"), *OF_THEIR_OWN])
-    text = USAGE.format(verbs=summaries(), fields="\n".join(lines), experiments=experiments)
-    return "\n".join(wrapped(line, " " * (WIDE + 4)) for line in text.splitlines())
+    return help_page(USAGE.format(verbs=summaries(), fields="\n".join([*groups, *lines]), experiments=experiments))
 
 
 def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from bench.commands.declaration import Number, Whole
+from bench.commands.declaration import Within
 from bench.commands.export import arviz, notebook, petab
 from bench.commands.stores import OWN, StoreFolder
 from bench.errors import InputError
@@ -38,10 +38,10 @@ def submit(
 def merge(
     submission: Annotated[Path, "submission, or folder of another store"],
     store: StoreFolder = OWN,
-    verify: Annotated[float, Number(0.1 - 1e-12, 1.0, "a number from 0.1"), "share of a submission's rows that is "
+    verify: Annotated[float, Within(ge=0.1, le=1), "share of a submission's rows that is "
                       "recomputed"] = 0.1,
-    seed: Annotated[int | None, Whole(0, MOST_SEED), "seed of the choice of these rows [drawn]"] = None,
-    workers: Annotated[int | None, Whole(1, 1024), "worker processes [one per core]"] = None,
+    seed: Annotated[int | None, Within(ge=0, le=MOST_SEED), "seed of the choice of these rows [drawn]"] = None,
+    workers: Annotated[int | None, Within(ge=1, le=1024), "worker processes [one per core]"] = None,
 ) -> int:  # fmt: skip
     """Merge a submission, or another store, into a store.
 

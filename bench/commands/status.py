@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
-from bench.commands.declaration import Number, Others
-from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, cell_identity, named_store, one_cell
-from bench.commands.watch import Progress, follow
+from bench.commands.declaration import Others, Within
+from bench.commands.stores import OWN, ArchiveFolder, CellIdentity, StoreFolder, named_store, one_cell
+from bench.commands.watch import follow
 from bench.config.overrides import settable
 from bench.contract.estimate import Status
 from bench.engine.plan import State, plan, read_retry, standing
@@ -29,7 +28,6 @@ from bench.systems import registered_systems
 MOST_REASONS = 3
 FOREIGN = "foreign"
 """The state of a cell whose method or system is not installed."""
-WATCH_S, SHORTEST_S, LONGEST_S = 2.0, 0.1, 3600.0
 
 
 @dataclass(frozen=True)
@@ -102,20 +100,12 @@ def _short(text: str) -> str:
     return text if len(text) <= 160 else f"{text[:157]}..."
 
 
-def seconds_of(field: str, text: str) -> float:
-    """Read the seconds between two looks; 0 for none."""
-    if text in ("false", "true"):
-        return WATCH_S if text == "true" else 0.0
-    wanted = f"true, false, or the seconds between two looks, at least {SHORTEST_S:g}"
-    return Number(math.nextafter(SHORTEST_S, 0.0), LONGEST_S, wanted)(field, text)
-
-
 def status(
     sweep: Annotated[Sequence[str], Others(settable), "experiment=, method=, ... as for python -m bench -m: a sweep"],
     store: StoreFolder = OWN,
     archive: ArchiveFolder = None,
-    watch: Annotated[float, seconds_of, "true, or seconds between two looks: follow a running sweep"] = 0.0,
-    cell: Annotated[str, cell_identity, "identity of a stored cell, or its start: show it, with its tracebacks"] = "",
+    watch: Annotated[float | None, Within(ge=0.1, le=3600), "seconds between two looks: follow a running sweep"] = None,
+    cell: Annotated[CellIdentity | None, "show this cell, with its tracebacks"] = None,
 ) -> int:
     """Show what is stored, failed, stale and missing, and why.
 
@@ -128,13 +118,13 @@ def status(
         print(opened.whereabouts(stored.identity), stored.tracebacks, sep="\n")
         return 0
     if watch and not sweep:
-        raise InputError("watch", "true", "name the sweep: experiment=<name>, or its fields")
+        raise InputError("watch", watch, "name the sweep: experiment=<name>, or its fields")
     cells = _sweep(sweep) if sweep else None  # first, so that a misspelt field is named whatever the store is
     opened = named_store(store, archive)
     if cells is None:
         print(store_page(opened))
     elif watch:
-        follow(Progress(cells[0], opened, cells[1]), watch)
+        follow(cells[0], opened, cells[1], watch)
     else:
         print(listing(plan(cells[0], opened, cells[1]), opened, usable_cores()))
     return 0

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from bench.commands.declaration import folder
+from bench.commands.declaration import Parsed, folder
 from bench.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,20 +28,23 @@ def named_store(store: Path, archive: str | None, filled: bool = False) -> Store
     from bench.store.store import NONE, open_store
 
     if archive and archive != NONE:
-        archive = str(folder("archive", archive))
+        archive = str(folder("archive", Path(os.path.expanduser(archive))))
     opened = open_store(store, archive)
     if store != OWN or opened.archive is None:
-        folder("store", str(store))
+        folder("store", store)
     if filled and not opened.identities():
         raise InputError("store", store, "no cell is there; run python -m bench -m experiment=table5 first")
     return opened
 
 
-def cell_identity(field: str, text: str) -> str:
+def cell_identity(text: str) -> str:
     """Read the identity of a cell, or its start."""
     if set(text) - set("0123456789abcdef"):
-        raise InputError(field, text, "an identity of hexadecimal digits, or its start; python -m bench status")
+        raise ValueError("an identity of hexadecimal digits, or its start; python -m bench status")
     return text
+
+
+CellIdentity = Annotated[str, Parsed(cell_identity), "identity of a stored cell, or its start"]
 
 
 def one_cell(store: Store, text: str) -> StoredCell:

@@ -93,8 +93,8 @@ def figures(
 def claims(
     store: StoreFolder = OWN,
     archive: ArchiveFolder = None,
-    results: Annotated[Path, folder, "folder of tables"] = RESULTS,
-    root: Annotated[Path, folder, "folder of README.md, paper, docs and results/README.md"] = Path("."),
+    results: Annotated[Path, "folder of tables"] = RESULTS,
+    root: Annotated[Path, "folder of README.md, paper, docs and results/README.md"] = Path("."),
     write: Annotated[bool, "fill in the numbers of the documents, and the panels of tables"] = False,
 ) -> int:
     """Check every claim of the documents against the results it rests on.
@@ -106,8 +106,8 @@ def claims(
     from bench.reporting.claims.evidence import Evidence
     from bench.reporting.whole_file import write as write_file
 
-    evidence = Evidence(folder("results", str(results)), named_store(store, archive))
-    pages = documents(folder("root", str(root)))
+    evidence = Evidence(folder("results", results), named_store(store, archive))
+    pages = documents(folder("root", root))
     checked = list(check(pages, evidence))
     filled = [page.written(checked, results) for page in pages]
     if write and filled != pages:

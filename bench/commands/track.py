@@ -3,30 +3,30 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from bench.commands.declaration import Choice, File, Number, Others, Whole, path_of, read_settings
+from bench.commands.declaration import Choice, Others, Parsed, Within, file, settings_of
 from bench.errors import InputError
+from bench.scenario.declaration import value_of
 
 if TYPE_CHECKING:
     from bench.contract.online import Layout, Sensor
     from bench.systems import System
     from bench.twin.session import Display
 
-rate_of = Number(1e-9, 1e9, "samples per second, a positive number")
 
-
-def limits_of(field: str, text: str) -> tuple[float, float]:
+def limits_of(text: str) -> tuple[float, float]:
     """Read the range of a sensor, lo:hi."""
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
         low, high = math.nan, math.nan
     if not low < high:
-        raise InputError(field, text, "lo:hi, the lower first, e.g. -0.1:0.1")
+        raise ValueError("lo:hi, the lower first, e.g. -0.1:0.1")
     return low, high
 
 
@@ -52,21 +52,20 @@ def track(
     sensors: Annotated[tuple[str, ...], "displacement:0,acceleration:1 [displacement of every DOF]"] = (),
     forced: Annotated[tuple[str, ...], "DOFs whose force is in the lines, e.g. 0 [none]"] = (),
     ambient: Annotated[tuple[str, ...], "DOFs under an unmeasured force [none]"] = (),
-    limits: Annotated[tuple[float, float] | None, limits_of, "lo:hi, the range of the sensors"] = None,
-    rate: Annotated[float | None, rate_of, "sampling rate (1/s) [of the first lines]"] = None,
+    limits: Annotated[tuple[float, float] | None, Parsed(limits_of), "lo:hi, the range of the sensors"] = None,
+    rate: Annotated[float | None, Within(ge=1e-9, le=1e9), "sampling rate (1/s) [of the first lines]"] = None,
     from_: Annotated[str, "file or named pipe; - is standard input"] = "-",
     follow: Annotated[bool, "wait for more lines at the end of a file"] = False,
     out: Annotated[str, "destination of the JSON lines: a file, - or none"] = "-",
     view: Annotated[bool, "show the twin in the terminal (on the error stream)"] = False,
     page: Annotated[bool, "serve a page on this machine alone"] = False,
-    port: Annotated[int, Whole(0, 65535), "port of the page; 0: any free one"] = 0,
+    port: Annotated[int, Within(ge=0, le=65535), "port of the page; 0: any free one"] = 0,
     policy: Annotated[Literal["lag", "decimate"], "where samples come faster than the method"] = "lag",
-    queue: Annotated[int, Whole(10), "number of samples that may wait"] = 2000,
+    queue: Annotated[int, Within(ge=10), "number of samples that may wait"] = 2000,
     state: Annotated[Path | None, "file of the state, from which resume=true continues"] = None,
-    save_every: Annotated[int, "samples between two writes of the state"] = 1000,
+    save_every: Annotated[int, Within(ge=1), "samples between two writes of the state"] = 1000,
     resume: Annotated[bool, "continue from the state; no sample is counted twice"] = False,
-    alarm: Annotated[float | None, Number(wanted="a number, compared with the method's alarm"), "threshold of the "
-                     "method's alarm [none]"] = None,
+    alarm: Annotated[float | None, "threshold of the method's alarm [none]"] = None,
 ) -> int:  # fmt: skip
     """Track the parameters of a system in a stream of samples.
 
@@ -85,7 +84,7 @@ def track(
 
     compiled_single_threaded()
     name = method or first_online()
-    identifier = make_online(name, read_settings(settings).get("method", {}))
+    identifier = make_online(name, settings_of(settings).get("method", {}))
     equations = _equations(system)
     measured, n = _sensors(sensors, equations, limits), equations.n_dof
     driven = _dofs("forced", forced, n), _dofs("ambient", ambient, n)
@@ -96,7 +95,7 @@ def track(
     objection = identifier.objection(layout(1.0))
     if objection:
         raise InputError("method", name, objection)
-    path = path_of("out", out)
+    path = Path(os.path.expanduser(out))
     if out not in ("-", "none") and not is_special(path):  # a pipe or a device is not tried
         check_file(path)
     if state is not None:
@@ -105,7 +104,7 @@ def track(
         raise InputError("follow", "true", "with from=<file>; standard input is waited on anyway")
     if resume and state is None:
         raise InputError("resume", "true", "with state=<file>")
-    kept = read(File("a state file of this command; leave resume out to begin")("state", str(state))) if resume else {}
+    kept = read(file("state", state, "a state file of this command")) if resume and state else {}
     form = Form(len(measured), len(driven[0]))
     intake = Intake(lines(opened(from_), from_, follow), form, policy, queue)
     first = [] if kept or rate else first_samples(intake)
@@ -148,7 +147,7 @@ def _sensors(names: Sequence[str], system: System, limits: tuple[float, float] |
 
 
 def _dofs(field: str, names: Sequence[str], n: int) -> tuple[int, ...]:
-    return tuple(Whole(0, n - 1)(field, name) for name in names)
+    return tuple(value_of(Annotated[int, Within(ge=0, lt=n)], name, field) for name in names)
 
 
 def _displays(layout: Layout, view: bool, page: bool, port: int) -> list[Display]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from importlib import import_module
 
-from bench.errors import InputError
+from bench.errors import InputError, did_you_mean
 
 VERBS = {
     "certify": "Write the certificate of a measured record, as a page and as JSON.",
@@ -38,7 +38,6 @@ def variants(name: str) -> dict[str, Callable[..., int]]:
     Raises InputError where there is no such verb.
     """
     from bench.config.choices import choices
-    from bench.config.suggest import did_you_mean
 
     if name not in VERBS:
         near = f"did you mean method={name}? " if name in choices("method") else did_you_mean(name, list(VERBS))
@@ -69,7 +68,6 @@ def execute(name: str, words: Sequence[str]) -> int:
 
 def _selected(keys: Collection[str], words: Sequence[str]) -> str:
     """Return the key of the function that the words select; raises InputError for a choice that selects none."""
-    from bench.config.suggest import did_you_mean
 
     parts = [part for key in keys for part in key.split()]
     for word in words:

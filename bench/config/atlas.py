@@ -13,9 +13,8 @@ from bench.atlas.design import Slice, blocks, made, sobol
 from bench.atlas.forced import Forced
 from bench.atlas.point import FreeDecay, Point
 from bench.atlas.run import Block
-from bench.config.suggest import did_you_mean
 from bench.entrants.registry import make_method
-from bench.errors import InputError
+from bench.errors import InputError, did_you_mean
 
 FREE_DECAY, FORCED = "free_decay", "forced"
 TESTS: Mapping[str, type[Point]] = {FREE_DECAY: FreeDecay, FORCED: Forced}

@@ -12,9 +12,8 @@ from bench.config import fields
 from bench.config.drawn import drawn_ranges, drawn_scenario
 from bench.config.files import file_names, read_yaml
 from bench.config.own_file import read_own_system
-from bench.config.suggest import did_you_mean
 from bench.entrants.registry import default_settings, load_method, method_names, registered
-from bench.errors import InputError
+from bench.errors import InputError, did_you_mean
 
 GROUPS = (*fields.GROUPS, "experiment")
 """Fields whose value is chosen by name."""

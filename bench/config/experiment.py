@@ -11,11 +11,11 @@ from typing import Any
 
 from bench.config.choices import GROUPS, check_choice, choices, default_choices
 from bench.config.composition import Part, composed, part_of
+from bench.config.declaration import written
 from bench.config.drawn import drawn_scenarios
 from bench.config.fields import GROUPS as COMPOSED
 from bench.config.fields import SWEPT
-from bench.config.limits import check_names
-from bench.config.overrides import DELETED, Overrides, check_of_records, read_overrides, written
+from bench.config.overrides import DELETED, Overrides, check_of_records, read_overrides
 from bench.config.schema import Job, config_from
 from bench.errors import InputError
 from bench.scenario.scenario import Scenario
@@ -139,8 +139,6 @@ def _product(sweep: Overrides, experiment: Mapping[str, Any], explicit: frozense
     every = [dict(zip(sweep, values, strict=True)) for values in itertools.product(*sweep.values())]
     parts = [{group: _part(group, chosen) for group in COMPOSED} for chosen in every]
     contents = composed([part for own in parts for part in own.values()])
-    for part in {part for own in parts for part in own.values()}:
-        check_names(part.group, contents[part])
     return [
         _job(chosen, {group: contents[part] for group, part in own.items()}, experiment, explicit)
         for chosen, own in zip(every, parts, strict=True)

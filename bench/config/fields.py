@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import types
-import typing
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from bench.config.declaration import Field, fields_of
 from bench.contract.problem import Hold
 from bench.scenario.declaration import STRICT, Positive, Within
 
@@ -88,45 +87,21 @@ RECORD = (
 
 
 @cache
-def declared() -> dict[str, Any]:
-    """Return the type of each field with its limits and text, by the name that is written: ``from`` for ``from_``."""
-    kinds = typing.get_type_hints(Config, include_extras=True)
-    return {f.name.rstrip("_"): kinds[f.name] for f in fields(Config)}
+def declared() -> dict[str, Field]:
+    """Return the fields by the name that is written: ``from`` for ``from_``."""
+    return fields_of(Config)
 
 
 @cache
 def taken_as_written() -> tuple[str, ...]:
     """Return the fields whose value is a text or a path, which may hold any letter."""
-    bare = typing.get_type_hints(Config)
-    return tuple(name.rstrip("_") for name, kind in bare.items() if {str, Path} & {kind, *_alternatives(kind)})
-
-
-@cache
-def flags() -> tuple[str, ...]:
-    """Return the fields that are true or false."""
-    return tuple(name for name, kind in typing.get_type_hints(Config).items() if kind is bool)
-
-
-def help_text(name: str) -> str:
-    """Return the text of a field."""
-    return str(next(part for part in typing.get_args(declared()[name]) if isinstance(part, str)))
-
-
-def choices_of(name: str) -> tuple[str, ...]:
-    """Return the values of a field that is one of some names; of any other field none."""
-    kind = typing.get_type_hints(Config)[name.replace("from", "from_")]
-    return typing.get_args(kind) if typing.get_origin(kind) is Literal else ()
+    return tuple(name for name, field in declared().items() if field.types & {str, Path})
 
 
 def defaults() -> dict[str, Any]:
     """Return the default of each field outside the groups, as a configuration file writes it."""
     stated = {}
-    for f in fields(Config):
+    for f in fields(Config)[len(GROUPS) :]:
         value = f.default if f.default_factory is MISSING else f.default_factory()
-        if value is not MISSING:
-            stated[f.name.rstrip("_")] = str(value) if isinstance(value, Path) else value
+        stated[f.name.rstrip("_")] = str(value) if isinstance(value, Path) else value
     return stated
-
-
-def _alternatives(kind: Any) -> tuple[Any, ...]:
-    return typing.get_args(kind) if typing.get_origin(kind) in (typing.Union, types.UnionType) else ()

@@ -10,7 +10,8 @@ from unittest.mock import patch
 
 from bench.config.choices import default_choices, is_choice, own_file, register_own_file
 from bench.config.composition import composed, literal, part_of
-from bench.config.overrides import DELETED, Overrides, written
+from bench.config.declaration import written
+from bench.config.overrides import DELETED, Overrides
 from bench.config.sources import hydra_ready, register_plugins
 from bench.errors import InputError
 

@@ -15,8 +15,7 @@ from bench.config.choices import check_choice, own_file
 from bench.config.drawn import drawn_scenario
 from bench.config.files import read_yaml
 from bench.config.own_file import read_own_system
-from bench.config.suggest import did_you_mean
-from bench.errors import InputError
+from bench.errors import InputError, did_you_mean
 from bench.online.course import Course
 from bench.online.forces import HeldForce
 from bench.online.scenario import OnlineScenario

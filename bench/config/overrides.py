@@ -5,17 +5,16 @@ A command line, in Hydra's grammar, and a call from Python become the same mappi
 
 from __future__ import annotations
 
-import math
+import itertools
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from bench.config.choices import GROUPS, check_choice, choices
-from bench.config.fields import RECORD, choices_of, declared, taken_as_written
+from bench.config.fields import RECORD, declared, taken_as_written
 from bench.config.files import ENDING
-from bench.config.suggest import did_you_mean
-from bench.errors import InputError
+from bench.errors import InputError, did_you_mean
 
 BRANCHED = (*GROUPS, "fixed", "nominal")
 """Fields that have others below them."""
@@ -47,17 +46,16 @@ def overrides_of(*settings: Mapping[str, Any]) -> Overrides:
     """
     overrides: dict[str, list[Any]] = {}
     for field, value in [item for part in settings for item in part.items() if item[1] is not None]:
-        below = {f"{field}.{key}": item for key, item in value.items()} if isinstance(value, Mapping) else None
-        for key, item in (below or {field: value}).items() if below != {} else ():
+        below = (
+            {f"{field}.{key}": item for key, item in value.items()} if isinstance(value, Mapping) else {field: value}
+        )
+        for key, item in below.items():
             check_field(key, item)
-            _add(overrides, key, _listed(item), str(item))
-            if key.partition(".")[0] in GROUPS and "." not in key:
-                for choice in overrides[key]:
-                    check_choice(key, choice)
+            _add(overrides, key, _values(item), str(item))
     return overrides
 
 
-def _listed(item: Any) -> list[Any]:
+def _values(item: Any) -> list[Any]:
     """Return the values to sweep over, as Python's own numbers."""
     if hasattr(item, "tolist"):  # of numpy: an array, or one number
         item = item.tolist()
@@ -66,13 +64,19 @@ def _listed(item: Any) -> list[Any]:
     return [str(item) if isinstance(item, Path) else item]
 
 
-def _add(overrides: dict[str, list[Any]], field: str, values: list[Any], written: str) -> None:
+def _add(overrides: dict[str, list[Any]], field: str, values: list[Any], text: str, of_record: bool = False) -> None:
+    """Add a field with its values; ``of_record``: its system and methods are looked up where records are read."""
     if field in overrides:
-        raise InputError(field, written, "given twice; give it once")
+        raise InputError(field, text, "given twice; give it once")
     if not values:
-        raise InputError(field, written, "sweeps over nothing")
+        raise InputError(field, text, "sweeps over nothing")
+    if len(values) > MOST_VALUES:
+        raise InputError(field, text, f"more than {MOST_VALUES} values")
     if any("${" in str(value) for value in values):
-        raise InputError(field, written, "write the value itself; ${...} is not looked up")
+        raise InputError(field, text, "write the value itself; ${...} is not looked up")
+    if field in GROUPS and not (of_record and (field == "system" or values == ["all"])):
+        for value in values:
+            check_choice(field, value)
     overrides[field] = values
 
 
@@ -97,21 +101,9 @@ def read_overrides(texts: Sequence[str]) -> Overrides:
     of_record = any(text.startswith("data=") and text != "data=null" for text in texts)
     overrides: dict[str, list[Any]] = {}
     for text in texts:
-        key, values = _deleted(text) if text.startswith("~") else _assigned(text.removeprefix("+").removeprefix("+"))
-        _add(overrides, key, values, text.partition("=")[2])
-        if key in GROUPS and not (of_record and (key == "system" or (key, values) == ("method", ["all"]))):
-            for value in values:
-                check_choice(key, value)
+        key, values = _deleted(text) if text.startswith("~") else _assigned(text.lstrip("+"))
+        _add(overrides, key, values, text.partition("=")[2], of_record)
     return overrides
-
-
-def _assigned(text: str) -> tuple[str, list[Any]]:
-    key, equals, value = text.partition("=")
-    if not key:
-        raise InputError("argument", repr(text), _how_to_write(text))
-    if equals and (key in taken_as_written() or (key == "system" and _is_path(value))):
-        return key, [_unquoted(key, value)]
-    return _parsed(text)
 
 
 def _deleted(text: str) -> tuple[str, list[Any]]:
@@ -124,25 +116,15 @@ def _deleted(text: str) -> tuple[str, list[Any]]:
     return field, [NONE[field]]
 
 
-def _parsed(text: str) -> tuple[str, list[Any]]:
-    """Return the field of an argument and its values by Hydra's own parser; raises InputError."""
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-    from hydra.errors import HydraException
-
-    try:
-        override = OverridesParser.create().parse_override(text)
-        key = override.get_key_element()
-        check_field(key, text.partition("=")[2])
-        return key, _swept(override, key, text.partition("=")[2])
-    except InputError:
-        raise
-    except (HydraException, ValueError, TypeError, ArithmeticError, RecursionError):
-        raise _not_understood(text) from None
-
-
-def _is_path(text: str) -> bool:
-    """Return whether a value is the path of one file, whatever letters are in it."""
-    return text.endswith(ENDING) and not set(text) & set(",()")
+def _assigned(text: str) -> tuple[str, list[Any]]:
+    key, equals, value = text.partition("=")
+    if not key or not equals:
+        named = [name for name in settable() if text in (choices(name) if name in GROUPS else declared()[name].choices)]
+        near = f"did you mean {named[0]}={text}? " if named else ""
+        raise InputError("argument", repr(text), f"{near}write field=value, without spaces or dashes, see --help")
+    if key in taken_as_written() or (key == "system" and value.endswith(ENDING) and not set(value) & set(",()")):
+        return key, [_unquoted(key, value)]
+    return _parsed(text, value)
 
 
 def _unquoted(field: str, text: str) -> str | None:
@@ -154,56 +136,34 @@ def _unquoted(field: str, text: str) -> str | None:
     return None if text == "null" else os.path.expanduser(text)
 
 
-def _not_understood(text: str) -> InputError:
-    """Return what is wrong with an argument that Hydra's grammar does not accept."""
-    field, equals, value = text.partition("=")
-    if equals and field.split(".")[0] in settable():
-        quoted = value.replace("'", "")
-        remedy = f"""not understood; a text with signs in it is quoted: "{field}='{quoted}'\""""
-        return InputError(field, value, remedy)
-    return InputError("argument", repr(text), _how_to_write(text))
+def _parsed(text: str, value: str) -> tuple[str, list[Any]]:
+    """Return the field of an argument and its values by Hydra's own parser; raises InputError."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.core.override_parser.types import Glob, IntervalSweep, QuotedString
+    from hydra.errors import HydraException
 
-
-def _how_to_write(text: str) -> str:
-    """Return what is wrong with an argument that is no ``field=value``."""
-    fitting = [name for name in settable() if text in (choices(name) if name in GROUPS else choices_of(name))]
-    if fitting:
-        return f"did you mean {fitting[0]}={text}? write field=value, see --help"
-    return "write field=value, without spaces or dashes, see --help"
-
-
-def _swept(override: Any, key: str, text: str) -> list[Any]:
-    """Return the values of one argument: one, or those of its sweep."""
-    from hydra.core.override_parser.types import Glob, IntervalSweep, QuotedString, RangeSweep
-
-    if not override.is_sweep_override():
-        value = override.value()
-        return [value.text if isinstance(value, QuotedString) else value]
-    if isinstance(override.value(), Glob):
-        matches = override.value().filter(choices(key)) if key in GROUPS else []
-        if not matches:
-            raise InputError(key, text, "matches nothing")
-        return list(matches)
-    if isinstance(override.value(), IntervalSweep):
-        raise InputError(key, text, "an interval has no values to run; list some, or write range(1,10)")
-    if isinstance(override.value(), RangeSweep):
-        _check_range(key, text, override.value())
-    return [v.text if isinstance(v, QuotedString) else v for v in override.sweep_iterator()]
-
-
-def _check_range(field: str, text: str, sweep: Any) -> None:
-    """Raise InputError for a range without end, or with too many values."""
-    start = sweep.start or 0.0
-    if not sweep.step or not all(map(math.isfinite, (start, sweep.stop, sweep.step))):
-        raise InputError(field, text, "range(start,stop,step) of finite numbers, with a step that is not 0")
-    count = (sweep.stop - start) / sweep.step
-    if count > MOST_VALUES:
-        raise InputError(field, text, f"it stands for {count:.3g} values; at most {MOST_VALUES}")
-
-
-def written(values: Sequence[Any]) -> str:
-    """Return values as a command line has them."""
-    return ",".join(str(value).lower() if isinstance(value, bool) else str(value) for value in values)
+    key = text.partition("=")[0]
+    try:
+        override = OverridesParser.create().parse_override(text)
+        key = override.get_key_element()
+        check_field(key, value)
+        read = override.value()
+        values: list[Any] = [read]
+        if isinstance(read, Glob):
+            values = read.filter(choices(key)) if key in GROUPS else []
+            if not values:
+                raise InputError(key, value, "matches nothing")
+        elif isinstance(read, IntervalSweep):
+            raise InputError(key, value, "an interval has no values to run; list some, or write range(1,10)")
+        elif override.is_sweep_override():
+            values = list(itertools.islice(override.sweep_iterator(), MOST_VALUES + 1))
+    except InputError:
+        raise
+    except (HydraException, ValueError, TypeError, ArithmeticError, RecursionError):
+        check_field(key, value)
+        remedy = f"""not understood; a text with signs in it is quoted: "{key}='{value.replace("'", "")}'\""""
+        raise InputError(key, value, remedy) from None
+    return key, [item.text if isinstance(item, QuotedString) else item for item in values]
 
 
 def check_of_records(overrides: Overrides) -> None:

@@ -6,23 +6,23 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, get_args
 
-from bench.config.fields import Config, flags
-from bench.config.limits import check_numbers
+from bench.config.fields import Config, declared
+from bench.config.limits import check_numbers, check_system
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import default_settings, make_method
-from bench.errors import InputError
-from bench.scenario import scenario as declared
+from bench.errors import InputError, did_you_mean
+from bench.scenario import scenario as declaration
 from bench.scenario.declaration import validated
 from bench.scenario.disturbance import Disturbance
 from bench.scenario.scenario import KEY, PriorSpec, Scenario, config_path
 from bench.store.cell import Cell
+from bench.systems.contract import Kind
 
-SCENARIO = ("system", "prior", "disturbance")
-"""Groups that hold the numbers of a scenario."""
-WRITTEN = {"from_": "from"}
-"""Fields of a run that are written otherwise than their attribute."""
+SCENARIO = ("system", "prior", "disturbance", "snr", "initial_state")
+"""Fields of a run that make the scenario; the first three are groups."""
+KINDS = get_args(Kind)
 
 
 @dataclass(frozen=True)
@@ -37,18 +37,18 @@ class Job:
     @cached_property
     def scenario(self) -> Scenario:
         """The scenario; raises InputError where it does not make sense."""
-        names = {config_path(f).partition(".")[0] for f in fields(declared.Scenario)}
-        stated = {name: getattr(self.config, name) for name in sorted(names)}
-        return _shared_scenario(json.dumps(stated, default=str))
+        return _shared_scenario(json.dumps({name: getattr(self.config, name) for name in SCENARIO}, default=str))
 
     def prior_spec(self) -> PriorSpec | None:
-        """The prior, None for none."""
+        """Return the prior, None for none."""
         return _prior(self.config.prior)
 
     def settings(self) -> dict[str, Any]:
-        """All settings of the method, defaults included, as validated plain values."""
+        """Return all settings of the method, defaults included, as validated plain values."""
         name, given = self.config.method["name"], {k: v for k, v in self.config.method.items() if k != "name"}
         if name in REFERENCES:
+            for key, value in given.items():
+                raise InputError(f"method.{key}", value, f"no such field; {name} has none")
             return {}
         for key, default in default_settings(name).items():
             if isinstance(given.get(key), bool) and not isinstance(default, bool):
@@ -57,7 +57,7 @@ class Job:
         return {key: getattr(method, key) for key in default_settings(name)}
 
     def cell(self) -> Cell:
-        """The cell; raises InputError where the scenario or a setting does not make sense."""
+        """Return the cell; raises InputError where the scenario or a setting does not make sense."""
         return Cell(
             scenario=self.scenario,
             method=self.config.method["name"],
@@ -71,23 +71,23 @@ class Job:
 def config_from(content: Mapping[str, Any]) -> Config:
     """Return the validated fields of a run; raises InputError."""
     for name, value in content.items():
-        if isinstance(value, bool) and name not in flags():
+        if isinstance(value, bool) and bool not in declared()[name].types:
             raise InputError(name, value, "a number or a name, not true or false")
-        if name in flags() and not isinstance(value, bool):
-            raise InputError(name, value, "true or false")
-    return validated(Config, {"from_" if name == "from" else name: value for name, value in content.items()}, WRITTEN)
+    values = {declared()[name].parameter: value for name, value in content.items()}
+    return validated(Config, values, {field.parameter: name for name, field in declared().items()})
 
 
 @lru_cache(maxsize=1024)
 def _shared_scenario(stated: str) -> Scenario:
-    """The scenario of what is stated as JSON: one for the cells of all methods, which share what it works out."""
+    """Return the scenario of JSON: one for the cells of all methods, which share what it works out."""
     return scenario_from(json.loads(stated))
 
 
 def scenario_from(content: Mapping[str, Any]) -> Scenario:
-    """The scenario of a composed configuration: each field from where its declaration says; raises InputError."""
-    check_numbers({name: content[name] for name in SCENARIO})
-    kind = declared.Scenario
+    """Return the scenario of a composed configuration, each field from where it is declared; raises InputError."""
+    check_numbers({name: content[name] for name in SCENARIO[:3]})
+    check_system(content["system"].get("kind"), content["system"].get("options"))
+    kind = declaration.Scenario
     paths = {f.name: config_path(f) for f in fields(kind)}
     system = {name: value for name, value in content["system"].items() if name != "default_prior"}
     given = {**content, "prior": _prior(content["prior"]), "disturbance": _disturbance(content["disturbance"])}
@@ -100,13 +100,18 @@ def scenario_from(content: Mapping[str, Any]) -> Scenario:
             values[f.name] = system.pop(name)
         elif f.name in ("label", *KEY):
             raise InputError(paths[f.name], "", "field required")
+    for name, value in system.items():
+        known = [path.removeprefix("system.") for path in paths.values() if path.startswith("system.")]
+        remedy = f"no such field; {did_you_mean(name, known)}there are {', '.join(known)}"
+        raise InputError(f"system.{name}", value, remedy)
     return validated(kind, values, paths)
 
 
 def _prior(content: Mapping[str, Any]) -> PriorSpec | None:
-    if content["sd_by_kind"] is None:
-        return None
-    return validated(PriorSpec, content, {f.name: f"prior.{f.name}" for f in fields(PriorSpec)})
+    for name, value in (content["sd_by_kind"] or {}).items():
+        if name not in KINDS:
+            raise InputError(f"prior.sd_by_kind.{name}", value, f"no such field; there are {', '.join(KINDS)}")
+    return validated(PriorSpec, content, "prior") if content["sd_by_kind"] is not None else None
 
 
 def _disturbance(content: Mapping[str, Any]) -> Disturbance | None:

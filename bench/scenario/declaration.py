@@ -6,6 +6,7 @@ it is left out of an identity.
 
 from __future__ import annotations
 
+import re
 import types
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
@@ -14,12 +15,31 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_typ
 
 from annotated_types import Interval as Within
 
-from bench.errors import InputError
+from bench.errors import InputError, did_you_mean
 
 Validated = TypeVar("Validated")
 STRICT: Any = {"extra": "forbid", "allow_inf_nan": False}
 """pydantic's configuration of what is read from files and command lines: known fields and finite numbers only."""
 Positive = Annotated[float, Within(gt=0.0)]
+
+
+class Parsed:
+    """A text that a function of ours turns into a value; it raises ValueError with what would be right."""
+
+    def __init__(self, parse: Callable[[str], Any]) -> None:
+        self.parse = parse
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+        """Call the function in place of pydantic's reading."""
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_plain_validator_function(self._read)
+
+    def _read(self, text: str) -> Any:
+        try:
+            return self.parse(text)
+        except InputError as error:  # of a part; the whole text is shown
+            raise ValueError(error.remedy) from None
 
 
 class WrittenAs:
@@ -71,27 +91,58 @@ def _plain(hint: Any, value: Any) -> Any:
     return float(value) if hint is float else value
 
 
-def validated(kind: type[Validated], values: Mapping[str, Any], paths: Mapping[str, str] | None = None) -> Validated:
-    """Return an instance of a dataclass; raises InputError that names the field by its path in the configuration.
+def validated(kind: type[Validated], values: Mapping[str, Any], paths: Mapping[str, str] | str = "") -> Validated:
+    """Return an instance of a model or dataclass; raises InputError that names the field as the user wrote it.
 
-    ``paths`` are by field; that of the empty name stands for the whole, of which a class's own check may complain.
+    Args:
+        kind: the class, whose types are the limits.
+        values: plain values by field.
+        paths: by field where the configuration has it, that of "" being the whole; or what stands before all fields.
     """
+    if isinstance(paths, str):
+        paths = {name: f"{paths}.{name}" if paths else name for name in values} | {"": paths}
+    return _read(_adapter(kind), dict(values), paths, kind)  # type: ignore[no-any-return,arg-type]
+
+
+def value_of(kind: Any, value: Any, field: str) -> Any:
+    """Return the value of one field by its type, read from a text or taken as it is; raises InputError."""
+    return _read(_value_adapter(kind), value, {"": field}, kind)
+
+
+def _read(adapter: Any, values: Any, paths: Mapping[str, str], kind: Any) -> Any:
     from pydantic import ValidationError
 
     try:
-        return _adapter(kind).validate_python(dict(values))  # type: ignore[no-any-return,arg-type]
+        return adapter.validate_python(values)
     except ValidationError as error:
-        first = error.errors()[0]
-        cause = first.get("ctx", {}).get("error")
-        if isinstance(cause, InputError):
-            raise cause from None
-        where, *below = [str(part) for part in first["loc"]] or [""]
-        field = ".".join([(paths or {}).get(where, where), *below])
-        raise InputError(field, first["input"], first["msg"].lower()) from None
+        raise _bad_input(error.errors()[0], paths, kind) from None
+
+
+def _bad_input(error: Any, paths: Mapping[str, str], kind: Any) -> InputError:
+    """Return pydantic's first objection in the words of a command line."""
+    where, *below = [str(part) for part in error["loc"]] or [""]
+    field, value = ".".join([paths.get(where, where), *below]), error["input"]
+    reason = error.get("ctx", {}).get("error")
+    if isinstance(reason, InputError):
+        return InputError(reason.field or field, reason.value, reason.remedy)
+    if error["type"] == "unexpected_keyword_argument":
+        known = [f.name for f in fields(kind) if f.name not in ("name", "kind")] if is_dataclass(kind) else []
+        return InputError(field, value, f"no such field; {did_you_mean(where, known)}there are {', '.join(known)}")
+    if error["type"] == "literal_error":
+        known = re.findall("'(.*?)'", error["msg"])
+        return InputError(field, value, f"{did_you_mean(value, known)}one of {', '.join(known)}")
+    return InputError(field, value, str(reason) if isinstance(reason, ValueError) else error["msg"].lower())
 
 
 @cache
 def _adapter(kind: type[Any]) -> Any:
+    """Return pydantic's validation of a class, made once."""
     from pydantic import TypeAdapter
 
     return TypeAdapter(kind)
+
+
+def _value_adapter(kind: Any) -> Any:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(kind, config={"allow_inf_nan": False})

@@ -60,7 +60,7 @@ class Disturbance:
         names = [field.name for field in fields(known[kind])]
         if set(settings) != set(names):
             raise InputError("disturbance", kind, f"its settings are {' and '.join(names)}, and each is needed")
-        return validated(known[kind], settings, {name: f"disturbance.{name}" for name in settings})
+        return validated(known[kind], settings, "disturbance")
 
     def check(self, system: System, duration: float, forced: bool) -> None:
         """Raise InputError where the disturbance does not go with a system, or with a record of that duration (s)."""

@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from bench.commands.guard import guarded
-from bench.config.suggest import did_you_mean
-from bench.errors import InputError
+from bench.errors import InputError, did_you_mean
 
 LARGEST = 10**9
 """The largest whole number that a command takes where none of its own says otherwise."""

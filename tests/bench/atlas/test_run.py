@@ -72,7 +72,7 @@ def test_every_method_of_the_atlas_can_be_made_and_a_million_fits_are_planned() 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [("part=slices", "part=slices"), ("method=shoting", "did you mean shooting"), ("points=0", "points=0"),
-     ("fit=maybe", "true or false"), ("snr=3", "snr"), ("shard=4/3", "3/10"), ("shard=2", "3/10")],
+     ("fit=maybe", "boolean"), ("snr=3", "snr")],
 )  # fmt: skip
 def test_a_mistype_is_one_line(arguments, said, capsys) -> None:
     assert main(["-m", "experiment=atlas", arguments]) == 2
@@ -95,15 +95,6 @@ def test_a_slice_is_drawn_from_its_first_row_on(tmp_path) -> None:
     assert (tmp_path / "figures" / "atlas_cycles_snr.png").exists()
 
 
-def test_shards_are_all_of_the_blocks_and_none_twice(tmp_path) -> None:
-    given = ["-m", "experiment=atlas", "part=points", "method=log_decrement", "points=64", f"store={tmp_path}"]
-    for number in (1, 2, 3):
-        assert main([*given, f"out={tmp_path / 'out'}", f"shard={number}/3", "workers=1"]) == 0
-    assert len(list(tmp_path.glob("*.result"))) == 4
-    assert not (tmp_path / "out").exists()
-    assert main([*given, "dry_run=true"]) == 0
-
-
 def test_progress_and_hours_are_those_of_the_blocks(tmp_path) -> None:
     tasks = [replace(BLOCK, seed=seed) for seed in range(4)]
     run_tasks(tasks[:3], tmp_path, Limits(), ("fit", "block"))
@@ -116,7 +107,7 @@ def test_progress_and_hours_are_those_of_the_blocks(tmp_path) -> None:
 
 
 def test_a_launcher_computes_the_blocks_that_this_machine_does_and_writes_the_atlas(tmp_path) -> None:
-    given = ["-m", "experiment=atlas", "part=points", "method=log_decrement", "points=32", "shard=1/1"]
+    given = ["-m", "experiment=atlas", "part=points", "method=log_decrement", "points=32"]
     here, there = tmp_path / "here", tmp_path / "there"
     assert main([*given, f"store={here}", f"out={tmp_path / 'out'}", "workers=1"]) == 0
     assert main([*given, f"store={there}", f"out={tmp_path / 'out2'}", "hydra/launcher=basic"]) == 0

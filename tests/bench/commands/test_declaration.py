@@ -11,35 +11,39 @@ import pytest
 
 from bench.commands.declaration import (
     Choice,
-    File,
-    Number,
     Others,
-    Whole,
+    Parsed,
+    Within,
     command_line,
     completions,
-    fields_of,
-    flag,
-    folder,
     help_page,
-    names_of,
     read_arguments,
-    read_settings,
+    settings_of,
 )
 from bench.commands.main import main
 from bench.commands.verbs import VERBS, completed, variants
+from bench.config.declaration import fields_of
 from bench.errors import InputError
+
+
+def even(text: str) -> int:
+    """Read an even number."""
+    if int(text) % 2:
+        raise ValueError("an even number")
+    return int(text)
 
 
 def measure(
     data: Annotated[str, "measured record"],
     record: Annotated[Sequence[str], Others(("columns", "system")), "columns=, system="],
-    count: Annotated[int, Whole(0, 100), "number of repeats"] = 20,
-    level: Annotated[float, Number(0.0, 10.0, "a positive number"), "a level"] = 0.5,
+    count: Annotated[int, Within(ge=0, le=100), "number of repeats"] = 20,
+    level: Annotated[float, Within(gt=0, le=10), "a level"] = 0.5,
     mode: Annotated[Literal["fast", "slow"], "how"] = "fast",
-    method: Annotated[tuple[str, ...], Choice(("ls", "rls", "shooting"), several=True), "methods"] = ("ls",),
+    method: Annotated[tuple[str, ...], Choice(("ls", "rls", "shooting")), "methods"] = ("ls",),
     dry: Annotated[bool, "no work"] = False,
-    from_: Annotated[float | None, Number(), "start (s)"] = None,
+    from_: Annotated[float | None, "start (s)"] = None,
     out: Annotated[Path, "folder to write"] = Path("here"),
+    pair: Annotated[int, Parsed(even), "a pair"] = 2,
 ) -> int:
     """Measure something.
 
@@ -48,74 +52,56 @@ def measure(
     return 0
 
 
-def error(*words: str) -> str:
-    with pytest.raises(InputError) as caught:
-        read_arguments(measure, words)
-    return str(caught.value)
-
-
 def test_words_become_values_of_the_declared_types() -> None:
     words = ["data=a,b.csv", "count=3", "level=1e-3", "mode=slow", "method=rls,ls", "dry=true", "from=-1", "out=~/x"]
-    values = read_arguments(measure, [*words, "system.n=2", "columns=t:0"])
+    values = read_arguments(measure, [*words, "pair=4", "system.n=2", "columns=t:0"])
     assert values == {
         "data": "a,b.csv", "count": 3, "level": 1e-3, "mode": "slow", "method": ("rls", "ls"), "dry": True,
-        "from_": -1.0, "out": Path.home() / "x", "record": ["system.n=2", "columns=t:0"],
+        "from_": -1.0, "out": Path.home() / "x", "pair": 4, "record": ["system.n=2", "columns=t:0"],
     }  # fmt: skip
     assert read_arguments(measure, ["data=x"]) == {"data": "x", "record": []}  # the others have their defaults
 
 
 @pytest.mark.parametrize(
-    ("word", "remedy"),
+    ("word", "said"),
     [
         ("cuont=3", "cuont=3: not a field; did you mean count?"),
         ("count=", "count=: give a value, or leave the field out"),
         ("clean.csv", "argument=clean.csv: write data=clean.csv"),
         ("slow", "argument=slow: write mode=slow"),
-        ("count", "argument=count: write count=<value>"),
         ("--count", "argument=--count: write count=<value>"),
         ("-x", "argument=-x: options are --help and --version"),
         ("data=y", "data=y: given twice"),
-        ("mode=fsat", "mode=fsat: did you mean fast? fast or slow"),
+        ("mode=fsat", "mode=fsat: did you mean fast? one of fast, slow"),
         ("method=ls,rsl", "method=rsl: did you mean rls? one of ls, rls, shooting"),
-        ("method=ls,ls", "method=ls,ls: every name once"),
-        ("method=ls,", "method=ls,: one name, or several"),
-        ("dry=yes", "dry=yes: true or false"),
-        ("from=nan", "from=nan: a number"),
+        ("method=ls,ls", "method=ls,ls: names with a comma between two, each once"),
+        ("method=ls,", "method=ls,: names with a comma"),
+        ("dry=maybe", "dry=maybe: input should be a valid boolean"),
+        ("from=nan", "from=nan: input should be a finite number"),
+        ("from=1e999", "from=1e999: input should be a finite number"),
+        ("count=2.5", "count=2.5: input should be a valid integer"),
+        ("count=101", "count=101: input should be less than or equal to 100"),
+        ("level=0", "level=0: input should be greater than 0"),
+        ("pair=3", "pair=3: an even number"),
     ],
 )
-def test_a_word_that_makes_no_sense_is_named_with_what_would_be_right(word: str, remedy: str) -> None:
-    assert remedy in error("data=x", word)
-
-
-@pytest.mark.parametrize("text", ["abc", "2.5", "-1", "²", "1e3", "101", "9" * 5000])
-def test_what_is_no_whole_number_within_limits_is_refused(text: str) -> None:
-    assert "a whole number from 0 to 100" in error("data=x", f"count={text}")
-
-
-@pytest.mark.parametrize("text", ["abc", "nan", "-inf", "1e999", "0x1F", "1,5", "true", "0", "-1", "11"])
-def test_what_is_no_finite_number_within_limits_is_refused(text: str) -> None:
-    assert "a positive number, at most 10" in error("data=x", f"level={text}")
+def test_a_word_that_makes_no_sense_is_named_with_what_would_be_right(word: str, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_arguments(measure, ["data=x", word])
+    assert str(caught.value).startswith(said)
 
 
 def test_a_required_field_is_named_where_it_is_missing() -> None:
-    assert error("count=3") == "data=: needed: measured record"
+    with pytest.raises(InputError, match="data=: needed: measured record"):
+        read_arguments(measure, ["count=3"])
 
 
-def test_files_and_folders_to_read_must_exist(tmp_path: Path) -> None:
-    for read, text in ((File(), "nowhere"), (File(), str(tmp_path)), (folder, "nowhere"), (folder, __file__)):
-        with pytest.raises(InputError, match="not"):
-            read("place", text)
-    assert File()("place", __file__) == Path(__file__)
-    assert folder("place", str(tmp_path)) == tmp_path
-    assert (flag("dry", "false"), names_of("method", "a, b")) == (False, ("a", "b"))
-
-
-def test_settings_are_read_as_yaml_has_them_and_an_exponent_as_a_number() -> None:
-    words = ["method.width=32", "method.rate=1e-3", "system.n=[1, 2]", "method.kind=word"]
-    assert read_settings(words) == {"method": {"width": 32, "rate": 1e-3, "kind": "word"}, "system": {"n": [1, 2]}}
-    for wrong in ("method.=3", "method.x={", "method.x="):
+def test_settings_are_read_by_the_grammar_of_a_run() -> None:
+    words = ["method.width=32", "method.rate=1e-3", "system.n=[1,2]", "method.kind=word"]
+    assert settings_of(words) == {"method": {"width": 32, "rate": 1e-3, "kind": "word"}, "system": {"n": [1, 2]}}
+    for wrong in ("method.=3", "method.x={", "method=ls", "method.x=1,2"):
         with pytest.raises(InputError):
-            read_settings([wrong])
+            settings_of([wrong])
 
 
 def test_the_help_shows_every_field_with_its_default_and_its_values() -> None:
@@ -123,19 +109,14 @@ def test_the_help_shows_every_field_with_its_default_and_its_values() -> None:
     assert lines[0] == "usage: python -m bench measure data=<value> [field=value ...]"
     assert lines[2] == "Measure something."
     shown = {line.split()[0]: line for line in lines if line.startswith("  ")}
-    assert set(shown) == {"data", "count", "level", "mode", "method", "dry", "from", "out", "..."}
+    assert set(shown) == {"data", "count", "level", "mode", "method", "dry", "from", "out", "pair", "..."}
     assert "[20] number of repeats" in shown["count"]
-    assert "[fast] fast, slow; how" in shown["mode"]
+    assert "[fast] how; fast, slow" in shown["mode"]
 
 
 @pytest.mark.parametrize(
     ("word", "offered"),
-    [
-        ("co", ["count="]),
-        ("mode=", ["mode=fast", "mode=slow"]),
-        ("dry=t", ["dry=true"]),
-        ("nothing=", []),
-    ],
+    [("co", ["count="]), ("mode=", ["mode=fast", "mode=slow"]), ("dry=t", ["dry=true"]), ("nothing=", [])],
 )
 def test_the_shell_completes_fields_and_their_values(word: str, offered: list[str]) -> None:
     assert completions(measure, word) == offered
@@ -148,7 +129,6 @@ def test_the_shell_completes_fields_and_their_values(word: str, offered: list[st
         ("vibration-bench tables what=f", ["what=figures"]),
         ("vibration-bench share action=export form=ar", ["form=arviz"]),
         ("vibration-bench tables what=figures sv", ["svg="]),
-        ("vibration-bench certify tw", ["twins="]),
         ("vibration-bench method=sh", []),
     ],
 )
@@ -163,30 +143,14 @@ def test_a_command_line_says_what_is_no_default() -> None:
 
 
 @pytest.mark.parametrize("name", VERBS)
-def test_every_verb_has_a_line_a_description_and_texts_of_its_fields(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_verb_has_a_description_and_texts_of_its_fields(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     for verb in variants(name).values():
-        description = inspect.getdoc(verb)
-        assert description
-        assert description.split("\n")[0].endswith((".", ";"))
-        assert all(field.text for field in fields_of(verb))
-    assert main([name, "--help"]) == 0
-    assert capsys.readouterr().out.startswith(f"usage: python -m bench {name}")
-    assert main([name, "--version"]) == 0
-    assert capsys.readouterr().out == main_version(capsys)
-
-
-def main_version(capsys: pytest.CaptureFixture[str]) -> str:
-    assert main(["--version"]) == 0
-    return capsys.readouterr().out
-
-
-@pytest.mark.parametrize("word", ["run", "identify"])
-def test_a_run_may_be_called_by_its_name(word: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([word, "method=ls", "data=nowhere.csv"]) == main(["method=ls", "data=nowhere.csv"]) == 2
-    first, second = capsys.readouterr().err.splitlines()
-    assert first == second
+        assert (inspect.getdoc(verb) or "").split("\n")[0].endswith((".", ";"))
+        assert all(field.text for field in fields_of(verb).values())
+    assert main([name, "--help"]) == main([name, "--version"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(f"usage: python -m bench {name}")
+    assert max(map(len, out.splitlines())) <= 80
 
 
 @pytest.mark.parametrize(
@@ -197,9 +161,11 @@ def test_a_run_may_be_called_by_its_name(word: str, capsys: pytest.CaptureFixtur
         (["tables", "what=clams"], "what=clams: did you mean claims?"),
         (["share"], "action=: needed"),
         (["share", "action=export"], "form=: petab, arviz or notebook"),
+        (["run", "method=ls", "data=nowhere.csv"], "data=nowhere.csv: cannot be read"),
+        (["identify", "method=ls", "data=nowhere.csv"], "data=nowhere.csv: cannot be read"),
     ],
 )
-def test_a_verb_that_is_mistyped_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_verb_is_looked_up_by_the_first_word(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(words) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)

@@ -37,71 +37,6 @@ def snapshot(folder: Path) -> dict[str, tuple[int, bytes]]:
     }
 
 
-BAD: dict[str, tuple[str, str, str]] = {
-    # command line: (field, value, part of the remedy)
-    "method=pin": ("method", "pin", "known: "),
-    "method=": ("method", "", "known: "),
-    "snr=20": ("method", "", "choose one"),
-    "method=oracle snr=nan": ("snr", "nan", "finite"),
-    "method=oracle snr=-inf": ("snr", "-inf", "finite"),
-    "method=oracle snr=abc": ("snr", "abc", "number"),
-    "method=oracle snr=": ("snr", "", "number"),
-    "method=oracle snr=[20]": ("snr", "[20]", "number"),
-    "method=oracle +foo=1": ("foo", "1", "not a field"),
-    "method=oracle foo=1": ("foo", "1", "not a field; fields: method"),
-    "~method": ("~method", "", "can be left out"),
-    "method=oracle method": ("argument", "'method'", "field=value"),
-    "method=oracle system.parameters.m=-1": ("system.parameters.m", "-1", "greater than 0"),
-    "method=oracle system.parameters.q=1": ("system.parameters.q", "1", ""),
-    "method=oracle system.colour=red": ("system.colour", "red", "no such field"),
-    "method=oracle system=beam": ("system", "beam", "known: "),
-    "method=oracle prior=flat": ("prior", "flat", "known: "),
-    "method=ls disturbance=foo": ("disturbance", "foo", "known: added_friction, bias, coloured"),
-    "method=oracle disturbance=jitter disturbance.size=0": ("disturbance.size", "0.0", "above 0, at most 0.25"),
-    "method=oracle disturbance=jitter disturbance.size=abc": ("disturbance.size", "abc", "number"),
-    "method=oracle disturbance=bias disturbance.size=nan": ("disturbance.size", "nan", "finite"),
-    "method=oracle disturbance=bias disturbance.size=null": ("disturbance", "bias", "its settings are size"),
-    "method=oracle disturbance=bias disturbance.share=0.1": ("disturbance.share", "0.1", "no such field"),
-    "method=oracle disturbance=bias disturbance.kind=foo": ("disturbance.kind", "foo", "known: none, integrator"),
-    "method=oracle disturbance.size=0.1": ("disturbance.size", "0.1", "no such field"),
-    "method=oracle disturbance=outliers disturbance.share=1": ("disturbance.share", "1.0", "between 0 and 1"),
-    "method=oracle disturbance=late_trigger system=sdof_forced": ("disturbance", "late_trigger", "free vibration"),
-    "-m method=oracle disturbance=late_trigger disturbance.size=0.02,10": ("disturbance.size", "10.0", "duration"),
-    "method=ls disturbance=bias data=nowhere.csv": ("disturbance", "bias", "taken as it is"),
-    "method=oracle replicates=0": ("replicates", "0", "greater than or equal to 1"),
-    "method=oracle replicates=2.5": ("replicates", "2.5", "integer"),
-    "method=oracle seed=-1": ("seed", "-1", "greater than or equal to 0"),
-    "method=oracle workers=0": ("workers", "0", "greater than or equal to 1"),
-    "method=oracle timeout_s=0": ("timeout_s", "0", "greater than 0"),
-    "method=oracle initial_state=maybe": ("initial_state", "maybe", "'known' or 'unknown'"),
-    "method=oracle format=xml": ("format", "xml", "'table' or 'json'"),
-    "-m method=glob(x*)": ("method", "glob(x*)", "matches nothing"),
-    "-m method=oracle snr=range(0,0)": ("snr", "range(0,0)", "sweeps over nothing"),
-    "method=oracle,prior": ("method", "oracle,prior", "-m"),
-    "method=oracle snr=40,20": ("snr", "40,20", "-m"),
-    "-m method=oracle snr=20,nan": ("snr", "nan", "finite"),
-    "experiment=table9": ("experiment", "table9", "known: "),
-    "method=oracle --resume": ("option", "--resume", "options are"),
-    "method=oracle method.depth=3": ("method.depth", "3", "no such field"),
-    "method=ls data=nowhere.csv": ("data", "nowhere.csv", "cannot be read"),
-}
-
-
-@pytest.mark.parametrize("line", BAD)
-def test_bad_input_is_one_line_with_field_value_and_remedy_and_leaves_the_store(
-    line: str, store: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    field, value, remedy = BAD[line]
-    before = snapshot(store)
-    assert main([*line.split(), f"store={store}"]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert len(err.splitlines()) == 1
-    assert err.startswith(f"bench: {field}={value}: "), err
-    assert remedy in err
-    assert snapshot(store) == before
-
-
 def test_a_bad_cell_late_in_a_sweep_stops_it_before_the_first_runs(
     store: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -314,13 +249,3 @@ def test_a_dry_run_lists_the_cells_and_computes_nothing(store: Path, capsys: pyt
     assert "2 cells: 2 missing; 2 to run" in out
     assert "nothing known of oracle, prior" in out
     assert not store.exists() or not list(store.glob("*.json"))
-
-
-@pytest.mark.parametrize(
-    "bad", ["retry=sometimes", "memory_mb=1", "dry_run=maybe", "cells_per_job=0", "hydra/launcher=moon"]
-)
-def test_bad_fields_of_a_run_are_one_line(bad: str, store: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["method=prior", "replicates=2", bad, f"store={store}"]) == 2
-    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("bench:")]
-    assert len(lines) == 1
-    assert bad.partition("=")[0] in lines[0]

@@ -64,7 +64,7 @@ def test_what_is_wrong_in_a_file_of_ones_own_is_said_by_its_own_name(tmp_path: P
     path = tmp_path / "mine.yaml"
     path.write_text(OWN, encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        expand(["method=prior", f"system={path}", "system.colour=red"], False)
+        expand(["method=prior", f"system={path}", "system.colour=red"], False)[0].cell()
     assert "file_" not in str(caught.value)
 
 

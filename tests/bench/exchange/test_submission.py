@@ -419,9 +419,7 @@ def test_of_two_answers_the_present_codes_is_kept_and_then_the_one_with_more_fit
         ([], "submission=: needed"),
         (["submission=nowhere.submission"], "file not found"),
         (["submission=."], "no cell is stored there"),
-        (["submission=nowhere", "verify=0.01"], "verify=0.01: a number from 0.1, at most 1"),
-        (["submission=nowhere", "verify=all"], "verify=all: a number from 0.1, at most 1"),
-        (["submission=nowhere", "seed=x"], "seed=x: a whole number"),
+        (["submission=nowhere", "verify=0.01"], "verify=0.01: input should be greater than or equal to 0.1"),
         (["submission=.", "store=."], "not merged with itself"),
     ],
 )

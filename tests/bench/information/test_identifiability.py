@@ -348,7 +348,7 @@ def test_the_picture_is_written_the_same_each_time(
         (["system=sdfo"], "system=sdfo"),
         (["snr=nan"], "snr"),
         (["snr=10,20"], "several values"),
-        (["profile=yes"], "profile=yes: true or false"),
+        (["profile=maybe"], "profile=maybe: input should be a valid boolean"),
         (["measured=[1]"], "measured=[1]: a list of DOFs"),
         (["measured=[]"], "measured=[]"),
         (["measured=first"], "measured=first"),

@@ -142,7 +142,7 @@ def test_the_command_compares_forces_and_writes_the_best_as_a_record(tmp_path, c
 
 @pytest.mark.parametrize(
     ("fields", "said"),
-    [(["force=best"], "force=best: one of optimal"), (["energy=0"], "a positive number"),
+    [(["force=best"], "force=best: one of optimal"), (["energy=0"], "greater than"),
      (["samples=8"], "at least 21"), (["duration=0.1"], "duration"), (["amplitude=1cm"], "amplitude"),
      (["times=optimal"], "times"), (["samples=501"], "500"), (["force=none"], "leave it out"),
      (["out=/dev/null/force.csv"], "cannot be written")],

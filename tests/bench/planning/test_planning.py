@@ -111,7 +111,7 @@ def test_the_command_proposes_and_simulates(
 
 @pytest.mark.parametrize(
     ("field", "said"),
-    [("want=c:5%", "want=c:5%"), ("want=c_over_m:5", "a percentage"), ("frequency=-1", "a positive number"),
+    [("want=c:5%", "want=c:5%"), ("want=c_over_m:5", "a percentage"), ("frequency=-1", "frequency=-1"),
      ("damping=0.02:x%", "damping=0.02:x%"), ("noise=0.5", "with its unit"), ("noise=0.5s", "with its unit"),
      ("amplitude=ten mm", "amplitude"), ("rate=0", "rate=0"), ("method=shoting", "shooting"), ("verify=-1", "verify"),
      ("samples=40", "duration=")],

@@ -99,7 +99,7 @@ def test_what_stood_at_the_end_is_shown_where_there_is_no_terminal() -> None:
         (["method=efk"], "did you mean ekf"),
         (["from=nowhere.csv"], "there is no such file"),
         (["resume=true"], "with state=<file>"),
-        (["rate=fast", "method=rls"], "samples per second"),
+        (["rate=fast", "method=rls"], "rate=fast: input should be a valid number"),
         (["method=rls", "ambient=0"], "the force is not known"),
         (["limits=3", "method=rls"], "lo:hi"),
         (["method=rls", "method.factor=2"], "method.factor"),
