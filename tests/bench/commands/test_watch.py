@@ -53,7 +53,7 @@ def test_a_watch_of_what_is_done_ends_at_once_and_counts_failures(
     store: Store, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["status", "method=prior,ls", "replicates=2", f"store={store.folder}", "watch=3600"]) == 0
-    assert "2/2 cells, 4/4 fits, 2 failed" in capsys.readouterr().err
+    assert "2/2 cells, 2 failed, 4/4 fits" in capsys.readouterr().err
 
 
 def test_a_running_sweep_is_followed_to_its_end(new_store: StoreFactory) -> None:
