@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated
 
 from bench.commands.declaration import Others, Within
@@ -14,7 +13,7 @@ from bench.config.overrides import settable
 from bench.contract.estimate import Status
 from bench.engine.plan import State, plan, read_retry, standing
 from bench.entrants.registry import method_names
-from bench.errors import InputError
+from bench.errors import InputError, shortened
 from bench.isolation.machine import usable_cores
 from bench.reporting.plan_table import listing
 from bench.reporting.terminal import table, wrapped
@@ -30,74 +29,50 @@ FOREIGN = "foreign"
 """The state of a cell whose method or system is not installed."""
 
 
-@dataclass(frozen=True)
-class Standing:
-    """A stored cell, where it stands and why."""
-
-    head: Head
-    state: str
-    why: str
-
-
-def standings(store: Store) -> list[Standing]:
-    """Say of every stored cell whether it is current, stale, failed, foreign or damaged."""
-    return [Standing(head, *_standing(head)) for head in store.heads()]
+def standings(store: Store) -> list[tuple[Head, str, str]]:
+    """Say of every stored cell whether it is current, stale, failed, foreign or damaged, and why."""
+    return [(head, *_standing(head)) for head in store.heads()]
 
 
 def _standing(head: Head) -> tuple[str, str]:
     if head.problem:
         return State.DAMAGED.value, head.problem
     method, system = str(head.cell.get("method")), str(head.cell.get("data", {}).get("system"))
-    if method not in method_names():
-        return FOREIGN, f"no method {method} is installed here"
-    if system not in registered_systems():
-        return FOREIGN, f"no system {system} is installed here"
+    for kind, name, known in (("method", method, method_names()), ("system", system, registered_systems())):
+        if name not in known:
+            return FOREIGN, f"no {kind} {name} is installed here"
     state, why = standing(head, method, cell_version(method, system))
     return state.value, why
 
 
 def store_page(store: Store) -> str:
     """Describe the store by method and state, with the reasons of what is not current."""
-    found = standings(store)
-    if not found:
+    cells = standings(store)
+    if not cells:
         return f"{store.folder}: no cells yet; python -m bench method=ls computes a first one"
-    total = Counter(one.state for one in found)
-    order = [name for name in (*(s.value for s in State), FOREIGN) if total[name]]
+    counts = Counter((head.label, state) for head, state, _ in cells)
+    total = Counter(state for _, state, _ in cells)
+    order = [state for state in (*(s.value for s in State), FOREIGN) if total[state]]
     rows = []
-    for label in sorted({one.head.label for one in found}):
-        own = [one for one in found if one.head.label == label]
-        counts = Counter(one.state for one in own)
-        fits, spent = sum(one.head.replicates for one in own), sum(one.head.wall_s for one in own)
-        rows.append([label, *(str(counts[name] or "") for name in order), str(fits), f"{spent:.0f}"])
-    said = f"{len(found)} cells: " + ", ".join(f"{total[name]} {name}" for name in order)
-    lines = [table(rows, ["method", *order, "fits", "fit s"]), "", wrapped(said), *_places(found, store)]
-    return "\n".join([*lines, *_reasons(found)])
-
-
-def _places(found: Sequence[Standing], store: Store) -> list[str]:
-    """Say which folders the cells lie in."""
-    if store.archive is None:
-        return [f"store: {store.folder}"]
-    own = sum(one.head.stamp > 0 for one in found)
-    return [
+    for label in sorted({label for label, _ in counts}):
+        heads = [head for head, _, _ in cells if head.label == label]
+        fits, spent = sum(head.replicates for head in heads), sum(head.wall_s for head in heads)
+        rows.append([label, *(str(counts[label, state] or "") for state in order), str(fits), f"{spent:.0f}"])
+    own = sum(head.stamp > 0 for head, _, _ in cells)
+    lines = [
+        table(rows, ["method", *order, "fits", "fit s"]), "",
+        wrapped(f"{len(cells)} cells: " + ", ".join(f"{total[state]} {state}" for state in order)),
         f"store: {store.folder} ({own} cells)",
-        f"published archive: {store.archive.folder} ({len(found) - own} cells)",
-    ]
-
-
-def _reasons(found: Sequence[Standing]) -> list[str]:
-    lines = []
+    ]  # fmt: skip
+    if store.archive is not None:
+        lines.append(f"published archive: {store.archive.folder} ({len(cells) - own} cells)")
     for state in (State.STALE.value, State.FAILED.value, FOREIGN, State.DAMAGED.value):
-        reasons = Counter(one.why for one in found if one.state == state)
+        reasons = Counter(why for _, own_state, why in cells if own_state == state)
         for why, n in reasons.most_common(MOST_REASONS):
-            labels = sorted({one.head.label for one in found if one.state == state and one.why == why} - {"?"})[:6]
-            said = f"{state}: {n} x {_short(why)}" + (f" ({', '.join(labels)})" if labels else "")
-            lines.append(wrapped(said, "    ", "  "))
-    return lines
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 160 else f"{text[:157]}..."
+            labels = sorted({head.label for head, *reason in cells if reason == [state, why]} - {"?"})[:6]
+            named = f" ({', '.join(labels)})" if labels else ""
+            lines.append(wrapped(f"{state}: {n} x {shortened(why)}{named}", "    ", "  "))
+    return "\n".join(lines)
 
 
 def status(

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -17,14 +15,10 @@ from typing import NamedTuple, Protocol
 from bench.errors import InputError
 from bench.files import read_regular, write_whole
 from bench.information.fisher import Bound, compute_bound, own_times
-from bench.isolation.secrecy import without_main
 from bench.scenario.scenario import Scenario
 from bench.store.seal import sealed, unsealed_text
 from bench.store.store import BOUND_FORMAT
 from bench.store.version import bound_version
-
-UNWRITABLE = 74
-"""Exit status of the process that computes bounds where it cannot store them."""
 
 
 class Bounded(Protocol):
@@ -70,56 +64,20 @@ def bound_path(wanted: Bounded, folder: Path) -> Path:
     return folder / f"{bound_identity(wanted)}.bound"
 
 
-def keep_bound(wanted: Bounded, folder: Path) -> None:
-    """Compute a bound here and write its file; raises InputError where ``folder`` cannot be written."""
-    text = json.dumps(asdict(compute_bound(wanted.scenario, wanted.seed, wanted.replicates)))
+def keep_bound(wanted: Bounded, folder: Path) -> Bound:
+    """Compute a bound and write its file; raises InputError where ``folder`` cannot be written."""
+    bound = compute_bound(wanted.scenario, wanted.seed, wanted.replicates)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_whole(bound_path(wanted, folder), sealed(BOUND_FORMAT, text))
+        write_whole(bound_path(wanted, folder), sealed(BOUND_FORMAT, json.dumps(asdict(bound))))
     except OSError:
-        raise _unwritable(folder) from None
-
-
-def _unwritable(folder: Path) -> InputError:
-    return InputError("store", folder, "the bounds cannot be written; make room, or name another folder")
-
-
-def _keep_all(wanted: Sequence[Bounded], folder: Path) -> None:
-    """Compute bounds in a process of their own."""
-    try:
-        for item in wanted:
-            keep_bound(item, folder)
-    except InputError:
-        sys.exit(UNWRITABLE)
+        raise InputError("store", folder, "the bounds cannot be written; make room, or name another folder") from None
+    return bound
 
 
 def load_bounds(wanted: Sequence[Bounded], folder: Path) -> list[Bound]:
-    """Return the bounds kept in a folder.
-
-    What is missing or damaged is computed first: of linear systems here, of others in one process of its own, so that
-    jax never shares a process with a fit. Raises InputError where ``folder`` cannot be written.
-    """
-    paths = [bound_path(item, folder) for item in wanted]
-    kept = {path: kept_bound(path) for path in dict.fromkeys(paths)}
-    missing = {path: item for path, item in zip(paths, wanted, strict=True) if kept[path] is None}.values()
-    others = [item for item in missing if not item.scenario.make_system().linear]
-    for item in missing:
-        if item not in others:
-            keep_bound(item, folder)
-    if others:
-        process = multiprocessing.get_context("spawn").Process(target=_keep_all, args=(others, folder))
-        with without_main():
-            process.start()
-        process.join()
-        if process.exitcode == UNWRITABLE:
-            raise _unwritable(folder)
-        if process.exitcode != 0:
-            raise RuntimeError(f"the computation of {len(others)} bound(s) failed (exit {process.exitcode})")
-    bounds = [kept[path] or kept_bound(path) for path in paths]
-    for path, bound in zip(paths, bounds, strict=True):
-        if bound is None:
-            raise InputError("store", path, "the bound that was written there cannot be read; run again")
-    return [bound for bound in bounds if bound is not None]
+    """Return the bounds kept in a folder; what is missing or damaged is computed and kept, see :func:`keep_bound`."""
+    return [kept_bound(bound_path(item, folder)) or keep_bound(item, folder) for item in wanted]
 
 
 def kept_bound(path: Path) -> Bound | None:

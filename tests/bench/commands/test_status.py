@@ -116,6 +116,6 @@ def test_a_cell_that_lacked_its_package_is_no_more_done_in_the_store_s_page_than
     (one,) = (
         planned for planned in plan([stored_as_cell(cell) for cell in store], store) if planned.cell.label == "prior"
     )
-    page = {line.head.identity: line for line in status.standings(store)}
-    assert one.state.value == page[one.cell.identity].state == "failed"
-    assert page[one.cell.identity].why == one.why
+    page = {head.identity: (state, why) for head, state, why in status.standings(store)}
+    assert page[one.cell.identity] == (one.state.value, one.why)
+    assert one.state.value == "failed"

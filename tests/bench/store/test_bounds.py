@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,46 +20,22 @@ from bench.store.store import BOUND_FORMAT
 
 SDOF_TRUE = {"m": 1.0, "c": 0.4, "k": 8.0}
 SDOF_FREE = Scenario("sdof", SDOF_TRUE, ((1.0,), (0.0,)), 20.0)
-DUFFING_FREE = Scenario("duffing", {**SDOF_TRUE, "k3": 5.0}, ((1.0,), (0.0,)), 20.0, 4.0, samples=40)
 MULTISINE = ForceSpec(1.0, 0.1, 1.0, tones=5, samples=41)
 NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
 
 
-SCRIPT = """if __name__ == "__main__":
-    import sys
-    from dataclasses import replace
-    from pathlib import Path
-    from bench.store.bounds import Replicates, load_bounds
-    from bench.scenario.scenario import Scenario
-    linear = Scenario("sdof", {"m": 1.0, "c": 0.4, "k": 8.0}, ((1.0,), (0.0,)), 20.0, dense=25, forecast=0.5)
-    other = replace(linear, system="duffing", parameters={**linear.parameters, "k3": 5.0})
-    print(repr(load_bounds([Replicates(linear), Replicates(linear, 1), Replicates(other)], Path(sys.argv[1]))))
-    assert "jax" not in sys.modules, "jax is here"
-"""
-
-
-def test_bounds_are_computed_without_jax_here_and_then_read(
-    tmp_path: Path, python: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """jax stays out of the process that asks; whoever asks again finds the bound and computes nothing."""
-    (tmp_path / "ask.py").write_text(SCRIPT)
-    asked = python(str(tmp_path / "ask.py"), str(tmp_path / "cache"))
-    assert asked.returncode == 0, asked.stderr
-    assert [path.suffix for path in (tmp_path / "cache").iterdir()] == [".bound", ".bound"]
+def test_a_bound_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     linear = replace(SDOF_FREE, dense=25, forecast=0.5)
-    other = replace(linear, system="duffing", parameters=DUFFING_FREE.parameters)
-    expected = [compute_bound(linear), compute_bound(other)]
-    for name in ("multiprocessing", "compute_bound"):
-        monkeypatch.setattr(bound_module, name, None)
-    assert load_bounds([Replicates(linear, 5), Replicates(other, 5)], tmp_path / "cache") == expected
-    assert asked.stdout.strip() == repr([expected[0], expected[0], expected[1]])
+    assert load_bounds([Replicates(linear), Replicates(linear, 1)], tmp_path) == [compute_bound(linear)] * 2
+    assert [path.suffix for path in tmp_path.iterdir()] == [".bound"]
+    monkeypatch.setattr(bound_module, "compute_bound", None)
+    assert load_bounds([Replicates(linear, 5)], tmp_path)[0].names == ("m", "c", "k")
 
 
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder that not even root can write")
-@pytest.mark.parametrize("scenario", [SDOF_FREE, DUFFING_FREE], ids=["here", "in its own process"])
-def test_a_bound_that_cannot_be_written_is_said_in_one_line(scenario: Scenario) -> None:
+def test_a_bound_that_cannot_be_written_is_one_line() -> None:
     with pytest.raises(InputError, match="store=/proc/self: the bounds cannot be written") as caught:
-        load_bounds([Replicates(scenario)], Path("/proc/self"))
+        load_bounds([Replicates(SDOF_FREE)], Path("/proc/self"))
     assert len(str(caught.value).splitlines()) == 1
 
 

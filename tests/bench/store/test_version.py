@@ -46,11 +46,11 @@ def test_each_number_makes_stale_and_is_named(number: str, monkeypatch: pytest.M
     store.prepare()
     for method in ("ls", "shooting"):
         save(store, described(method), scored(method, 3))
-    assert [one.state for one in standings(store)] == ["done", "done"]
+    assert [state for _, state, _ in standings(store)] == ["done", "done"]
     owner = {"method": load_method("ls"), "system": load_system("sdof"), "scoring": scoring}[number]
     monkeypatch.setattr(owner, "VERSION" if number == "scoring" else "version", 2, raising=True)
     cell_version.cache_clear()
-    by_label = {one.head.label: (one.state, one.why) for one in standings(store)}
+    by_label = {head.label: (state, why) for head, state, why in standings(store)}
     expected = ("stale", f"{number} version 1, today 2")
     assert by_label["ls"] == expected
     assert by_label["shooting"] == (("done", "") if number == "method" else expected)
@@ -65,7 +65,7 @@ def test_a_cell_without_numbers_is_stale_and_one_of_a_foreign_method_is_said_to_
     stored = save(store, described("ls"), scored("ls", 3))
     store.save(replace(stored, version={}))
     save(store, described("nobody"), scored("nobody", 3))
-    found = {one.head.label: (one.state, one.why) for one in standings(store)}
+    found = {head.label: (state, why) for head, state, why in standings(store)}
     assert found["ls"][0] == "stale"
     assert "method version not stated, today 1" in found["ls"][1]
     assert found["nobody"] == ("foreign", "no method nobody is installed here")
