@@ -1,4 +1,4 @@
-"""A submission, or another store, brought into a store."""
+"""``share action=merge``: a submission, or another store, brought into a store."""
 
 from __future__ import annotations
 
@@ -7,53 +7,64 @@ import os
 import secrets
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Annotated
 
-from bench.commands.declaration import file
-from bench.engine.runner import compute_bounds
+from bench.commands.declaration import Within, file
+from bench.commands.stores import OWN, StoreFolder
 from bench.errors import InputError
-from bench.exchange.merging import merge, merge_store, summarised, understood, verify
-from bench.exchange.recomputing import widest_limits
-from bench.exchange.submission import unpack
-from bench.isolation.machine import usable_cores
-from bench.reporting.terminal import wrapped
-from bench.store.bounds import load_bounds
-from bench.store.store import Store
 
 
-def merge_source(source: Path, folder: Path, share: float, seed: int | None, workers: int | None) -> int:
-    """Merge a submission or a store; returns 1 where a submission does not agree; raises InputError."""
-    into = Store(folder)
-    if os.path.isdir(source):
-        print(merge_store(source, into))
+def merge(
+    submission: Annotated[Path, "submission, or folder of another store"],
+    store: StoreFolder = OWN,
+    verify: Annotated[float, Within(ge=0.1, le=1), "share of a submission's rows that is recomputed"] = 0.1,
+    seed: Annotated[int | None, Within(ge=0, le=2**63 - 1), "seed of the choice of these rows [drawn]"] = None,
+    workers: Annotated[int | None, Within(ge=1, le=1024), "worker processes [one per core]"] = None,
+) -> int:
+    """Merge a submission, or another store, into a store.
+
+    Of a submission some rows, drawn at random over all its cells, are recomputed first. Only where every score and
+    status agrees is anything added; tables show the cells as submitted. Of two answers to one question the better is
+    kept: one's own rather than a submitted one, a current one rather than a stale one, the one with more successful
+    fits; else the one that was there.
+    Exit status: 0, 1 where a submission does not agree, 2 for bad input.
+    """
+    from bench.engine.runner import compute_bounds
+    from bench.exchange.merging import add_cells, add_store, summarised, understood, verified
+    from bench.exchange.recomputing import widest_limits
+    from bench.exchange.submission import unpack
+    from bench.isolation.machine import usable_cores
+    from bench.reporting.terminal import wrapped
+    from bench.store.bounds import load_bounds
+    from bench.store.store import Store
+
+    into = Store(store)
+    if os.path.isdir(submission):
+        print(add_store(submission, into))
         return 0
-    file("submission", source, "a submission, or the folder of a store")
+    file("submission", submission, "name a submission, or the folder of a store")
     drawn = secrets.randbits(48) if seed is None else seed
-    return _merge_submission(source, into, share, drawn, workers or usable_cores())
-
-
-def _merge_submission(path: Path, into: Store, share: float, seed: int, workers: int) -> int:
-    manifest, submitted = unpack(path)
-    pairs = [(stored, understood(stored, manifest, path)) for stored in submitted]
-    cells = [cell for _, cell in pairs]
+    manifest, submitted = unpack(submission)
+    cells = [understood(stored, manifest, submission) for stored in submitted]
     into.prepare()
-    limits = widest_limits(submitted, workers)
+    limits = widest_limits(submitted, workers or usable_cores())
     for identity, why in compute_bounds(cells, into, limits).items():
-        raise InputError("submission", path, f"cell {identity[:8]}: {why}")
-    verification = verify(pairs, share, seed, limits)
+        raise InputError("submission", submission, f"cell {identity[:8]}: {why}")
+    verification = verified(list(zip(submitted, cells, strict=True)), verify, drawn, limits)
     print(wrapped(str(verification)))
     if verification.different:
-        again = f"python -m bench share action=merge submission={path} seed={seed}"
+        again = f"python -m bench share action=merge submission={submission} seed={drawn}"
         print(f"nothing was added; {again} draws the same rows again")
         return 1
     facts = {
         **{name: manifest.get(name, "") for name in ("by", "made", "class", "benchmark")},
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "sha256": hashlib.sha256(submission.read_bytes()).hexdigest(),
         "merged": datetime.now(UTC).isoformat(timespec="seconds"),
-        "seed": seed,
+        "seed": drawn,
         **verification.facts(),
     }
     bounds = load_bounds(cells, into.bounds)
-    print(merge([
+    print(add_cells([
         summarised(stored, bound).marked({**facts, "replicates": list(verification.compared.get(stored.identity, ()))})
         for stored, bound in zip(submitted, bounds, strict=True)
     ], into))  # fmt: skip

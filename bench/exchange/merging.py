@@ -100,7 +100,7 @@ def draw(pairs: Sequence[Pair], share: float, seed: int) -> dict[str, tuple[int,
     return drawn
 
 
-def verify(pairs: Sequence[Pair], share: float, seed: int, limits: Limits) -> Verification:
+def verified(pairs: Sequence[Pair], share: float, seed: int, limits: Limits) -> Verification:
     """Compute some of the rows again, and compare every score that does not depend on the machine's speed."""
     chosen = draw(pairs, share, seed)
     rows = recompute([(cell, chosen[cell.identity]) for _, cell in pairs if cell.identity in chosen], limits)
@@ -127,7 +127,7 @@ def summarised(stored: StoredCell, bound: Bound) -> StoredCell:
     return replace(stored, summary=summary, prior_share=bound.prior_share, identifiable=bound.identifiable)
 
 
-def merge(cells: Iterable[StoredCell], into: Store) -> str:
+def add_cells(cells: Iterable[StoredCell], into: Store) -> str:
     """Bring cells into a store; returns how many were added, replaced and kept.
 
     Of two answers to one question the better is kept: one's own rather than a submitted one, the present code's rather
@@ -148,15 +148,15 @@ def merge(cells: Iterable[StoredCell], into: Store) -> str:
     return f"{into.folder}: {added} cells added, {replaced} in the place of others, {kept} kept as they were"
 
 
-def merge_store(source: Path, into: Store) -> str:
-    """Bring all cells of another store into a store; returns what :func:`merge` does."""
+def add_store(source: Path, into: Store) -> str:
+    """Bring all cells of another store into a store; returns what :func:`add_cells` does."""
     if source.resolve() == into.folder.resolve():
         raise InputError("store", into.folder, "a store is not merged with itself; name another")
     cells = list(Store(source))
     if not cells:
         raise InputError("submission", source, "no cell is stored there")
     into.prepare()
-    return merge(cells, into)
+    return add_cells(cells, into)
 
 
 def _rank(stored: StoredCell) -> tuple[bool, bool, int]:

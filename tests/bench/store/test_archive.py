@@ -17,10 +17,10 @@ import pytest
 from stored import VERSION
 
 from bench import InputError, Status
-from bench.commands.publish import Described, publish
 from bench.config.experiment import expand
 from bench.engine.launch import complete
 from bench.engine.pool import Limits
+from bench.exchange.publishing import Described, write_published
 from bench.scoring.row import Row
 from bench.store.archive import STATISTICS, Archive
 from bench.store.cell_file import cell_file
@@ -96,7 +96,7 @@ PLACES = {f"{seed:020x}": f"table{seed % 3}" for seed in range(9)}
 @pytest.fixture
 def archive(store: Store, tmp_path: Path) -> Archive:
     folder = tmp_path / "archive"
-    publish(store, Archive(folder), Described(PLACES))
+    write_published(store, Archive(folder), Described(PLACES))
     return Archive(folder)
 
 
@@ -152,7 +152,7 @@ def test_six_digits_come_back_exactly() -> None:
 
 
 def test_of_drawn_scenarios_rows_are_published_and_curves_are_not(store: Store, tmp_path: Path) -> None:
-    publish(store, Archive(tmp_path / "drawn"), Described(PLACES, drawn=("table1",)))
+    write_published(store, Archive(tmp_path / "drawn"), Described(PLACES, drawn=("table1",)))
     found = Archive(tmp_path / "drawn")
     for cell in store:
         drawn = PLACES.get(cell.identity) == "table1"
@@ -164,15 +164,15 @@ def test_of_drawn_scenarios_rows_are_published_and_curves_are_not(store: Store, 
 
 def test_bounds_that_no_experiment_uses_are_not_published(store: Store, tmp_path: Path) -> None:
     (store.bounds / "4567.bound").write_bytes(sealed(BOUND_FORMAT, '{"rmse": 1.0}'))
-    publish(store, Archive(tmp_path / "used"), Described(PLACES, bounds=("0123",)))
+    write_published(store, Archive(tmp_path / "used"), Described(PLACES, bounds=("0123",)))
     assert list(Archive(tmp_path / "used").bounds()) == ["0123"]
 
 
 def test_the_same_cells_are_the_same_bytes_and_are_not_written_again(store: Store, archive: Archive) -> None:
     before = contents(archive)
-    assert publish(store, Archive(archive.folder), Described(PLACES)) == []
+    assert write_published(store, Archive(archive.folder), Described(PLACES)) == []
     nothing = Store(store.folder.parent / "nothing")
-    assert publish(nothing, Archive(archive.folder), Described(PLACES)) == []
+    assert write_published(nothing, Archive(archive.folder), Described(PLACES)) == []
     assert contents(archive) == before
 
 
@@ -182,13 +182,13 @@ def test_a_changed_cell_changes_its_own_rows_alone(store: Store, archive: Archiv
     other.prepare()
     changed = replace(random_cell(4), wall_s=7.0, rows=random_cell(77).rows)
     other.save(changed)
-    publish(other, Archive(archive.folder), Described(PLACES))
+    write_published(other, Archive(archive.folder), Described(PLACES))
     after = contents(archive)
     assert {name for name in after if after[name] != before[name] and "rows/" in name} == {"rows/table1.parquet"}
     again = Archive(archive.folder)
     assert again.identities() == store.identities()
     assert again.load(changed.identity).wall_s == 7.0  # type: ignore[union-attr]
-    publish(other, again, Described())
+    write_published(other, again, Described())
     assert {name for name in contents(archive) if "rows/" in name} == {"rows/other.parquet"}
 
 
@@ -203,7 +203,7 @@ def test_a_write_that_fails_leaves_the_archive_of_before(
 
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(OSError, match="No space"):
-        publish(store, Archive(archive.folder), Described(PLACES))
+        write_published(store, Archive(archive.folder), Described(PLACES))
     assert contents(archive) == before
 
 
@@ -284,6 +284,6 @@ def test_a_cell_gives_way_to_one_that_asks_the_same_of_more_replicates(tmp_path:
     asked = Described({more.identity: "table1"}, {more.question: more.identity})
     for cell, kept in ((few, [few.identity]), (more, [more.identity])):
         complete([cell], store, Limits(1, 60.0))
-        publish(store, archive, asked)
+        write_published(store, archive, asked)
         archive = Archive(archive.folder)
         assert archive.identities() == kept

@@ -1,0 +1,90 @@
+"""The published archive, written anew from a store and what it holds already.
+
+A cell of the store takes the place of the archive's, and a cell of an experiment that of one that asked the same with
+another number of replicates. A file of the archive holds the cells of one experiment (those of several stand with the
+first: tables by number, then the others by name; those of none, in ``other``). The files are replaced together once all
+of them are written; where that is interrupted, restore the folder (``git restore results/archive``) and run it again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from bench.config.choices import choices
+from bench.config.drawn import drawn_scenarios
+from bench.config.experiment import Experiment
+from bench.errors import InputError
+from bench.files import read_regular
+from bench.store.archive import Archive
+from bench.store.cell import stored_as_cell
+from bench.store.publication import write_archive
+from bench.store.seal import Unsealed, unsealed_text
+from bench.store.store import BOUND_FORMAT, Store
+from bench.store.stored import StoredCell
+
+OTHER = "other"
+
+
+@dataclass(frozen=True)
+class Described:
+    """What the experiments describe.
+
+    ``places``: the file of each cell by identity. ``questions``: those identities by the cell's question, whatever its
+    replicates. ``bounds``: the identities of all their bounds. ``drawn``: the experiments that draw their scenarios, of
+    which no curve is shown, and none is published.
+    """
+
+    places: Mapping[str, str] = field(default_factory=dict)
+    questions: Mapping[str, str] = field(default_factory=dict)
+    bounds: Collection[str] = ()
+    drawn: Collection[str] = ()
+
+
+def described() -> Described:
+    """Read the experiments: tables by number, then the others by name."""
+    numbers = {name: Experiment(name).table.get("number") for name in choices("experiment")}
+    places, questions, bounds = dict[str, str](), dict[str, str](), set[str]()
+    for name in sorted(numbers, key=lambda own: (numbers[own] is None, numbers[own] or 0, own)):
+        for cell in Experiment(name).cells():
+            places.setdefault(cell.identity, name)
+            questions.setdefault(cell.question, cell.identity)
+            bounds.add(cell.bound_identity)
+    return Described(places, questions, bounds, [name for name in numbers if drawn_scenarios(name)])
+
+
+def superseded(stored: StoredCell, own: Described, both: Store) -> bool:
+    """Return whether a cell of no experiment asks what one of an experiment does, of other replicates."""
+    try:
+        cell = stored_as_cell(stored)
+    except InputError:
+        return False  # its configuration means something else now: nothing that an experiment asks
+    identity = own.questions.get(cell.question, stored.identity)
+    return identity != stored.identity and both.holds(identity)
+
+
+def write_published(store: Store, archive: Archive, own: Described) -> list[Path]:
+    """Write an archive anew, with the cells of a store; returns the files that have changed.
+
+    Raises InputError for a damaged cell, OSError without room.
+    """
+    both = Store(store.folder, archive)
+    experiments: dict[str, list[StoredCell]] = {}
+    for identity in both.identities():
+        name, cell = own.places.get(identity, OTHER), both.load(identity)
+        assert cell is not None
+        if name == OTHER and superseded(cell, own, both):
+            continue
+        experiments.setdefault(name, []).append(replace(cell, arrays={}) if name in own.drawn else cell)
+    return write_archive(archive.folder, experiments, _bounds(both, archive, own.bounds))
+
+
+def _bounds(both: Store, archive: Archive, used: Collection[str]) -> dict[str, str]:
+    """Return the texts of bounds by identity, but for files that are not whole: who needs these computes them anew."""
+    texts = archive.bounds()
+    for path in both.bounds.glob("*.bound"):
+        with contextlib.suppress(OSError, Unsealed):
+            texts[path.stem] = unsealed_text(BOUND_FORMAT, read_regular(path))
+    return {name: text for name, text in texts.items() if not used or name in used}
