@@ -10,6 +10,8 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
+from bench.conformance.check import Refusal
+
 HARNESS = "bench"
 MODULE = re.compile(r"bench(\.\w+)+")
 """A module of the harness, written as a word: whoever imports it by its name alone."""
@@ -36,10 +38,13 @@ def foreign_imports(path: Path, allowed: Sequence[str] = (HARNESS,)) -> tuple[st
     return tuple(lines)
 
 
-def package_files(cls: type) -> list[Path]:
-    """Return the files of the package of a class, tests apart, or its module where it is in none."""
+def check_imports(cls: type, allowed: Sequence[str] = (HARNESS,)) -> None:
+    """Raise Refusal where the package of a class, tests apart, or its module where it is in none, imports more."""
     root = sys.modules[cls.__module__.partition(".")[0]]
-    if root.__file__ is None or not hasattr(root, "__path__"):
-        return [Path(str(sys.modules[cls.__module__].__file__))]
-    folder = Path(root.__file__).parent
-    return [path for path in sorted(folder.rglob("*.py")) if "tests" not in path.relative_to(folder).parts]
+    paths = [Path(str(sys.modules[cls.__module__].__file__))]
+    if root.__file__ is not None and hasattr(root, "__path__"):
+        folder = Path(root.__file__).parent
+        paths = [path for path in sorted(folder.rglob("*.py")) if "tests" not in path.relative_to(folder).parts]
+    lines = [line for path in paths for line in foreign_imports(path, allowed)]
+    if lines:
+        raise Refusal("; ".join(lines[:3]))

@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.conformance.check import Checks, Refusal
 from bench.conformance.decoys import fit_among_decoys
-from bench.conformance.imports import foreign_imports, package_files
+from bench.conformance.imports import check_imports
 from bench.conformance.problems import DIFFICULT, PLANT, forced_problem, free_problem
 from bench.contract.estimate import Estimate, Status
 from bench.contract.method import Card, Identifier
@@ -142,9 +142,7 @@ def card(candidate: Candidate) -> str:
 @METHOD_CHECKS.add("imports", "import the names of bench itself (bench.__all__), and no module below it")
 def only_the_contract(candidate: Candidate) -> None:
     """Its modules import public names of the contract only."""
-    lines = [line for path in package_files(type(candidate.method)) for line in foreign_imports(path)]
-    if lines:
-        raise Refusal("; ".join(lines[:3]))
+    check_imports(type(candidate.method))
 
 
 @METHOD_CHECKS.add(

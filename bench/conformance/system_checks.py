@@ -12,7 +12,7 @@ from typing import Any, get_args
 import numpy as np
 
 from bench.conformance.check import Checks, Refusal
-from bench.conformance.imports import HARNESS, foreign_imports, package_files
+from bench.conformance.imports import HARNESS, check_imports
 from bench.contract.problem import InitialState, Units
 from bench.dynamics.mechanics import mass_matrix
 from bench.dynamics.ops import array_ops, float_ops, numpy_ops
@@ -102,9 +102,7 @@ def only_systems(specimen: Specimen) -> str:
     """Its modules import public names of bench and bench.systems only."""
     if type(specimen.system).__module__.partition(".")[0] == HARNESS:
         return "a system of the benchmark itself"
-    lines = [line for path in package_files(type(specimen.system)) for line in foreign_imports(path, ALLOWED)]
-    if lines:
-        raise Refusal("; ".join(lines[:3]))
+    check_imports(type(specimen.system), ALLOWED)
     return ""
 
 

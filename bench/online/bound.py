@@ -70,20 +70,14 @@ def _covariances(scenario: OnlineScenario, stream: Stream) -> np.ndarray:
 
 
 def _exponents(layout: Layout) -> np.ndarray:
-    """The power of the gauge that makes each free parameter a ratio; 1 for those that scale with the mass.
+    """Return the power of the gauge that makes each free parameter a ratio; 1 for those that scale with the mass.
 
     Raises ValueError for a system with a parameter that is not proportional to a mass.
     """
-    by_gauge = {q.name: q for q in layout.system.groups}
-    ratios = {name for q in by_gauge.values() for name, power in q.exponents.items() if power == 1.0}
-    own = {name: 1.0 if layout.system.gauge in _group(by_gauge, name) else 0.0 for name in layout.free}
-    if not set(layout.free) <= ratios:
+    groups = {name: group.exponents for group in layout.system.groups for name in group.exponents}
+    if any(groups.get(name, {}).get(name) != 1.0 for name in layout.free):
         raise ValueError(f"{layout.system.name}: not every parameter stands in a group")
-    return np.array([own[name] for name in layout.free])
-
-
-def _group(groups: dict[str, Any], name: str) -> set[str]:
-    return next(set(q.exponents) for q in groups.values() if name in q.exponents)
+    return np.array([float(layout.system.gauge in groups[name]) for name in layout.free])
 
 
 def riccati(
