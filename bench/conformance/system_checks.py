@@ -28,7 +28,7 @@ SYSTEM_CHECKS = Checks()
 NEAR = 1e-9
 """Relative to the largest number beside it: the same but for rounding."""
 SAME_PATH = 1e-5
-"""Of the largest displacement: a fixed step against an integrator with tight tolerance."""
+"""Difference over the largest displacement: a fixed step against an integrator with tight tolerance."""
 OTHER_UNITS = Units(mass=3.0, length=5.0, time=7.0)
 ALLOWED = ("bench", "bench.systems")
 POINTS = 5

@@ -24,7 +24,7 @@ from bench.systems import registered_systems
 
 Kind = Literal["method", "system"]
 KINDS: Mapping[str, Kind] = {registry.GROUP: "method", SYSTEMS: "system"}
-"""What is registered in each group of entry points."""
+"""The kind of subject that is registered in each group of entry points."""
 
 
 class Subject(NamedTuple):
@@ -37,7 +37,7 @@ class Subject(NamedTuple):
 
 @dataclass(frozen=True)
 class Target:
-    """What a command line names.
+    """The methods and systems that a command line names.
 
     Attributes:
         text: The name as it was written.

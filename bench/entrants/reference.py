@@ -22,7 +22,7 @@ NOISE_ROUNDS = 6
 
 
 def prior_estimate(problem: Problem, truth: Truth) -> Estimate:
-    """The nominal values and the prior's own covariance: what is known before any measurement."""
+    """Return the nominal values and the covariance of the prior: what is known before any measurement."""
     if problem.prior is None:
         return Estimate.failed(problem.system, Status.UNSUPPORTED, "there is no prior in this scenario")
     prior = problem.prior
@@ -32,11 +32,11 @@ def prior_estimate(problem: Problem, truth: Truth) -> Estimate:
 
 
 def oracle_estimate(problem: Problem, truth: Truth) -> Estimate:
-    """Maximum a posteriori from the truth, noise level estimated from the residuals (N - p degrees of freedom).
+    """Return the maximum a posteriori from the truth; noise level from the residuals (N - p degrees of freedom).
 
     Fit and noise level, one for all channels, are iterated to a fixed point. p counts the directions that the data
     inform: groups where nothing but the prior sets the scale, else parameters; and the initial state where it is not
-    told.
+    known.
     """
     from scipy.optimize import least_squares  # slow to import, and few need it
 
@@ -58,8 +58,8 @@ def oracle_estimate(problem: Problem, truth: Truth) -> Estimate:
     scale, covariance = np.linalg.norm(fit.jac, axis=0), None
     if np.all(scale > 0) and np.all(np.isfinite(fit.jac)):  # else a parameter ran to zero: no interval of its logarithm
         covariance = np.linalg.pinv((fit.jac / scale).T @ (fit.jac / scale)) / np.outer(scale, scale)
-    found = estimate_at(model, theta, covariance, p_data, Cost(evaluations=evaluations), str(fit.message))
-    return replace(found, offsets=None)
+    estimate = estimate_at(model, theta, covariance, p_data, Cost(evaluations=evaluations), str(fit.message))
+    return replace(estimate, offsets=None)
 
 
 REFERENCES: dict[str, Callable[[Problem, Truth], Estimate]] = {"prior": prior_estimate, "oracle": oracle_estimate}

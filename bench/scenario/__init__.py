@@ -1,3 +1,3 @@
-"""Scenarios: which system, under which force, disturbed how, told what; and the truth that no method sees."""
+"""Scenarios: which system, under which force, disturbed how, what is known; and the truth that no method sees."""
 
-from bench.scenario import model_error as model_error  # its kinds of disturbance are found where they are loaded
+from bench.scenario import model_error as model_error  # its kinds of disturbance are known once they are loaded

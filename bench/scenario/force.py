@@ -169,5 +169,5 @@ SHAPES: dict[Shape, tuple[Maker, tuple[str, ...]]] = {
     "band_limited_noise": (_band_limited_noise, ("low_hz", "high_hz")),
     "column": (_column, ("file",)),
 }
-"""What makes each kind of force, and the settings that it uses beside the common ones."""
+"""The function that makes each kind of force, and the settings that it uses beside the common ones."""
 assert set(SHAPES) == set(get_args(Shape))

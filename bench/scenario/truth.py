@@ -25,7 +25,7 @@ from bench.systems.linear import SDOF
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What scores an estimate. No method ever receives one.
+    """The truth that scores an estimate. No method ever receives one.
 
     ``dense_displacement`` has shape (n_dof, n_dense) on ``dense_times`` (s, over the record), ``forecast_displacement``
     likewise over what follows the record. ``sigma`` is the noise standard deviation of each channel (in its unit),

@@ -26,7 +26,7 @@ WIDEST = 20.0
 
 
 class Display(Protocol):
-    """What shows each report of a session, on the terminal or as a page."""
+    """Shows each report of a session, on the terminal or as a page."""
 
     def add(self, report: dict[str, Any]) -> None: ...
     def close(self) -> None: ...
