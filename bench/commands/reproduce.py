@@ -65,7 +65,8 @@ def changes(stored: StoredCell, cell: Cell) -> list[str]:
     """Describe what has changed since a cell was computed: versions, packages, machine."""
     now = circumstances(cell.version)
     then = {**{key: stored.provenance.get(key) for key in now}, **stored.provenance.get("packages", {})}
-    return cell.version.changes(stored.version) + [
+    versions = cell.version.changed_since(stored.version)
+    return ([versions] if versions else []) + [
         f"{name} {then.get(name) or 'absent'}, now {value or 'absent'}"
         for name, value in now.items()
         if then.get(name) != value

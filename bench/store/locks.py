@@ -9,15 +9,14 @@ from __future__ import annotations
 import contextlib
 import errno
 import getpass
-import json
 import os
 import platform
 import tempfile
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.errors import InputError
+from bench.errors import InputError, shortened
+from bench.files import read_regular
 
 if TYPE_CHECKING:
     from filelock import FileLock
@@ -76,12 +75,11 @@ class Claims:
 
     def holder(self, identity: str) -> str:
         """Describe who has claimed a cell."""
-        try:
-            claim = json.loads((self.folder / f"{identity}.claim").read_bytes())
-            process, user, host = int(claim["process"]), str(claim["user"]), str(claim["host"])
-        except (OSError, ValueError, TypeError, KeyError):
-            return "which one, its claim does not say"
-        return f"process {process} of {user} on {host}{_state(process, host)}"
+        with contextlib.suppress(OSError):
+            text = read_regular(self.folder / f"{identity}.claim")[:LONGEST].decode(errors="replace")
+            if text.startswith("process "):
+                return shortened(text)
+        return "which one, its claim does not say"
 
     def release(self, identity: str) -> None:
         """Give a cell back; the file goes while it is still locked, so that nobody locks one that is going."""
@@ -98,16 +96,12 @@ class Claims:
             self.release(identity)
 
     def _sign(self, handle: int) -> None:
-        with contextlib.suppress(OSError):  # a full disk
-            os.pwrite(handle, self._signature, 0)
-
-    @cached_property
-    def _signature(self) -> bytes:
         try:
             user = getpass.getuser()
         except (OSError, KeyError):  # a number without a name, as in a container
             user = str(os.getuid())
-        return json.dumps({"process": os.getpid(), "user": user, "host": platform.node()}).ljust(LONGEST).encode()
+        with contextlib.suppress(OSError):  # a full disk
+            os.pwrite(handle, f"process {os.getpid()} of {user} on {platform.node()}".ljust(LONGEST).encode(), 0)
 
     def _unusable(self, error: OSError) -> InputError:
         try:
@@ -116,19 +110,6 @@ class Claims:
             owner = ""
         remedy = f"cells cannot be claimed in it ({error.strerror}{owner}); let all who share the store write there"
         return InputError("store", self.folder, remedy)
-
-
-def _state(process: int, host: str) -> str:
-    """Describe what keeps a process of this machine, if anything does."""
-    import psutil  # a look at claims does without
-
-    if host != platform.node():
-        return ""
-    try:
-        stopped = psutil.Process(process).status() == psutil.STATUS_STOPPED
-    except psutil.Error:
-        return ", which has ended or is in another container"
-    return f", which is stopped (kill -CONT {process} lets it go on)" if stopped else ""
 
 
 def under_way(folder: Path) -> dict[str, float]:

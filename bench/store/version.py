@@ -43,21 +43,17 @@ class Version:
         """Return what a stored cell states."""
         return {name: getattr(self, name) for name in NUMBERS}
 
+    def changed_since(self, stored: Mapping[str, Any]) -> str:
+        """Describe each number that differs from a stored version's, in one line; nothing where none does."""
+        return ", ".join(
+            f"{name} version {stored.get(name, 'not stated')}, today {number}"
+            for name, number in self.as_json().items()
+            if stored.get(name) != number
+        )
+
     def is_that_of(self, stored: Mapping[str, Any]) -> bool:
         """Return whether a stored version has the same three numbers."""
-        return all(stored.get(name) == getattr(self, name) for name in NUMBERS)
-
-    def changes(self, stored: Mapping[str, Any]) -> list[str]:
-        """Describe each number that differs from a stored version's."""
-        return [
-            f"{name} version {stored.get(name, 'not stated')}, today {getattr(self, name)}"
-            for name in NUMBERS
-            if stored.get(name) != getattr(self, name)
-        ]
-
-    def changed_since(self, stored: Mapping[str, Any]) -> str:
-        """Describe the same in one line."""
-        return ", ".join(self.changes(stored))
+        return not self.changed_since(stored)
 
 
 @cache

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import getpass
 import os
-import signal
+import platform
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import psutil
 import pytest
 
 from bench import InputError
@@ -44,18 +42,12 @@ def other(claims: Claims) -> Iterator[int]:
         process.kill()
 
 
-def test_a_claim_says_who_holds_it_and_whether_that_is_stopped(claims: Claims, other: int) -> None:
+def test_a_claim_states_who_holds_it(claims: Claims, other: int) -> None:
     assert not claims.take("held")
-    assert claims.holder("held").startswith(f"process {other} of {getpass.getuser()} on ")
-    assert "stopped" not in claims.holder("held")
-    os.kill(other, signal.SIGSTOP)
-    deadline = time.monotonic() + 60
-    while psutil.Process(other).status() != psutil.STATUS_STOPPED and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert claims.holder("held").endswith(f", which is stopped (kill -CONT {other} lets it go on)")
+    assert claims.holder("held") == f"process {other} of {getpass.getuser()} on {platform.node()}"
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"process": "x"}', "null"])
+@pytest.mark.parametrize("text", ["", "{", "\x1b[2J"])
 def test_a_claim_that_says_nothing_is_no_error(claims: Claims, text: str) -> None:
     claims.prepare()
     (claims.folder / "held.claim").write_text(text)
