@@ -131,7 +131,7 @@ def save(
 ) -> StoredCell:
     """Store a cell under the hash of what it says of itself."""
     identity = hashlib.sha256(json.dumps(dict(cell), sort_keys=True).encode()).hexdigest()[:20]
-    summary = {name: vars(line) for name, line in summarise(rows, bound).items()}
+    summary = summarise(rows, bound)
     kept = dict(arrays or {})
     stored = StoredCell(identity, dict(cell), tuple(rows), summary, {}, {}, 1.0, {}, dict(VERSION), kept, tracebacks)
     store.save(stored)
@@ -180,7 +180,7 @@ def fill_family(store: Store) -> list[StoredCell]:
     cells = [cell for cell in Experiment(name).cells() if cell.scenario.snr_db == 20]
     for i, cell in enumerate(cell for cell in cells if cell.scenario.initial_state == "known"):
         rows = trained(3, partial(_falling, 0.5 + 0.01 * i), 0.02 * 1.15**i)
-        summary = {name: vars(line) for name, line in summarise(rows, BOUND).items()}
+        summary = summarise(rows, BOUND)
         what = {**cell.description(), "label": cell.label, "snr_db": 20.0, "initial_state": "known"}
         kept.append(StoredCell(cell.identity, what, tuple(rows), summary, {}, {}, 1.0))
         store.save(kept[-1])

@@ -188,7 +188,7 @@ class Scorer:
             identity=cell.identity,
             cell={**cell.stated(), **scenario, **known},
             rows=rows,
-            summary={name: dict(vars(summary)) for name, summary in summarise(rows, bound).items()},
+            summary=summarise(rows, bound),
             prior_share=bound.prior_share,
             identifiable=bound.identifiable,
             wall_s=float(np.nansum([row.wall_s for row in rows])),

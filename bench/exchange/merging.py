@@ -123,7 +123,7 @@ def _named(stored: StoredCell) -> str:
 
 def summarised(stored: StoredCell, bound: Bound) -> StoredCell:
     """Return the cell with its summary and bound computed from its rows."""
-    summary = {name: dict(vars(line)) for name, line in summarise(stored.rows, bound).items()}
+    summary = summarise(stored.rows, bound)
     return replace(stored, summary=summary, prior_share=bound.prior_share, identifiable=bound.identifiable)
 
 

@@ -37,6 +37,14 @@ NUMBERS = ("wall_s", "cpu_s", "peak_memory_mb")
 PLAIN = ("replicate", "message", *NUMBERS, "evaluations", "data")
 """What a row has beside its status and its scores."""
 
+STATISTICS = ("mean", "median", "ci_low", "ci_high", "bound", "excess", "n_ok")
+"""What is stated of a metric over the replicates. Failed ones count as infinite errors in mean, median and interval.
+
+``excess`` is the root mean square over the successful replicates divided by ``bound`` (1 is the best an unbiased method
+can do); for a coverage, mean and interval are of the fraction (Wilson's interval), over the successful; for a level at
+the truth (``_pit``) and a share of the record, they are of the mean, likewise.
+"""
+
 
 class Rows(Sequence[Row]):
     """Replicates by column, so that a table reads a score of all of them without making any row.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import gammaincinv, ndtri, stdtrit
@@ -12,7 +11,7 @@ from scipy.special import gammaincinv, ndtri, stdtrit
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
 from bench.scoring.resampling import RESAMPLES, counts, medians
-from bench.scoring.row import Row, score_columns
+from bench.scoring.row import STATISTICS, Row, score_columns
 
 Z95 = float(ndtri(0.975))
 ALWAYS = ("rmse", "rmse_simulated", "rmse_forecast")
@@ -22,22 +21,8 @@ LARGEST_BOUND_PCT = 50.0
 """A bound that is larger is no limit: it is of a linearisation, and errors of positive numbers are bounded below."""
 
 
-@dataclass(frozen=True)
-class Summary:
-    """One metric of one cell. Failed replicates count as infinite errors in mean, median and interval.
-
-    ``excess`` is the root mean square over the successful replicates divided by ``bound`` (1 is the best an unbiased
-    method can do); for a coverage, mean and interval are of the fraction (Wilson's interval), over the successful; for
-    a level at the truth (``_pit``) and a share of the record, they are of the mean, likewise.
-    """
-
-    mean: float
-    median: float
-    ci_low: float
-    ci_high: float
-    bound: float
-    excess: float
-    n_ok: int
+Line = dict[str, float]
+"""The statistics of a metric by name."""
 
 
 def metric_bounds(bound: Bound) -> dict[str, float]:
@@ -62,7 +47,7 @@ def below_chance(excess: float, bound_pct: float, n: int) -> bool:
     return excess < least and bound_pct <= LARGEST_BOUND_PCT
 
 
-def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Summary]:
+def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Line]:
     """Summarise every metric that any replicate has, and those that every cell has (NaN where none succeeded)."""
     bounds = metric_bounds(bound)
     good = np.array([i for i, row in enumerate(rows) if row.status is Status.OK], int)
@@ -85,13 +70,17 @@ def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Summary]:
     return result
 
 
-def _error(values: np.ndarray, bound: float) -> Summary:
+def _error(values: np.ndarray, bound: float) -> Line:
     good = values[np.isfinite(values)]
     resampled = np.sort(medians(values, counts(values.size)))
     low, high = resampled[[math.ceil(level * RESAMPLES) - 1 for level in (0.025, 0.975)]]
     excess = float(np.sqrt(np.mean(good**2)) / bound) if good.size and np.isfinite(bound) and bound > 0 else np.nan
     mean = float(np.mean(values)) if good.size == values.size else float("inf")
-    return Summary(mean, _median(values), float(low), float(high), bound, excess, int(good.size))
+    return _line(mean, _median(values), float(low), float(high), bound, excess, int(good.size))
+
+
+def _line(*values: float) -> Line:
+    return dict(zip(STATISTICS, values, strict=True))
 
 
 def _median(values: np.ndarray) -> float:
@@ -99,23 +88,23 @@ def _median(values: np.ndarray) -> float:
     return float(medians(values, np.ones((values.size, 1), np.float32))[0])
 
 
-def _share(values: np.ndarray) -> Summary:
+def _share(values: np.ndarray) -> Line:
     """Of numbers between 0 and 1 that are not errors, over the successful; the interval is the mean's (Student's t)."""
     nan = float("nan")
     if values.size < 2:
         only = float(values[0]) if values.size else nan
-        return Summary(only, only, nan, nan, nan, nan, int(values.size))
+        return _line(only, only, nan, nan, nan, nan, int(values.size))
     half = float(stdtrit(values.size - 1, 0.975) * values.std(ddof=1) / np.sqrt(values.size))
     mean = float(values.mean())
-    return Summary(mean, float(np.median(values)), mean - half, mean + half, nan, nan, int(values.size))
+    return _line(mean, float(np.median(values)), mean - half, mean + half, nan, nan, int(values.size))
 
 
-def _coverage(hits: np.ndarray) -> Summary:
+def _coverage(hits: np.ndarray) -> Line:
     nan = float("nan")
     if not hits.size:
-        return Summary(nan, nan, nan, nan, nan, nan, 0)
+        return _line(nan, nan, nan, nan, nan, nan, 0)
     low, high = wilson_interval(int(hits.sum()), hits.size)
-    return Summary(float(hits.mean()), _median(hits), low, high, nan, nan, int(hits.size))
+    return _line(float(hits.mean()), _median(hits), low, high, nan, nan, int(hits.size))
 
 
 def wilson_interval(k: int, n: int) -> tuple[float, float]:

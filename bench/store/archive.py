@@ -23,7 +23,7 @@ import numpy as np
 from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.files import read_regular
-from bench.scoring.row import NUMBERS, PLAIN, Rows
+from bench.scoring.row import NUMBERS, PLAIN, STATISTICS, Rows
 from bench.store import version
 from bench.store.digits import decimal
 from bench.store.stored import Arrays, Head, StoredCell
@@ -35,7 +35,6 @@ SUMS = "SHA256SUMS"
 """The list of the checksums of all files, which ``sha256sum -c`` reads, too."""
 SUM = re.compile(r"([0-9a-f]{64})  ([a-z0-9_./]+)")
 CELLS, SUMMARIES, ARRAYS, BOUNDS = "cells.parquet", "summaries.parquet", "arrays.parquet", "bounds.parquet"
-STATISTICS = ("mean", "median", "ci_low", "ci_high", "bound", "excess", "n_ok")
 NO_SCORES = frozenset(("identity", "status", *PLAIN))
 """The columns of a file of rows that are no scores."""
 STATUSES = {status.value: status for status in Status}

@@ -14,7 +14,8 @@ import numpy as np
 
 from bench.files import write_together
 from bench.scoring.row import NUMBERS as NUMBERS_OF_FIT
-from bench.store.archive import ARRAYS, BOUNDS, CELLS, STATISTICS, SUMMARIES, SUMS, read_sums, rows_file
+from bench.scoring.row import STATISTICS
+from bench.store.archive import ARRAYS, BOUNDS, CELLS, SUMMARIES, SUMS, read_sums, rows_file
 from bench.store.cell_file import EXACT_DIGITS, to_json
 from bench.store.digits import BITS, binary
 from bench.store.stored import StoredCell

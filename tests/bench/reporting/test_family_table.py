@@ -42,7 +42,7 @@ def cell(scenario: Scenario, rows: Sequence[Row] | None, settings: dict[str, Any
     usual = default_settings(method)
     label = " ".join([method, *(f"{name}={value}" for name, value in (settings or {}).items())])
     own = Cell(scenario, method, {**usual, **(settings or {})}, len(rows or [0]), 1907, label)
-    summary = {name: vars(line) for name, line in summarise(rows, BOUND).items()} if rows else {}
+    summary = summarise(rows, BOUND) if rows else {}
     return Result.of_cell(own, StoredCell(own.identity, {}, tuple(rows), summary, {}, {}, 1.0) if rows else None)
 
 

@@ -39,7 +39,7 @@ def stored(cell: Cell, scale: float = 1.0, covered: float = 1.0, failures: int =
         scores["k_over_m_coverage_95"] = float(i < covered * cell.replicates)
         failed = i >= cell.replicates - failures
         rows.append(Row(i, Status.DIVERGED, "too large") if failed else Row(i, Status.OK, scores=scores))
-    summary = {name: vars(line) for name, line in summarise(rows, BOUND).items()}
+    summary = summarise(rows, BOUND)
     return StoredCell(cell.identity, cell.description(), tuple(rows), summary, {}, {}, 1.0, {})
 
 

@@ -86,7 +86,7 @@ def stored(
         "snr_db": snr, "initial_state": told, "told": {"initial_state": told, "prior": prior}, "sigma": [0.0375],
     }  # fmt: skip
     identity = hashlib.sha256(repr((label, system, snr, told)).encode()).hexdigest()[:20]
-    summary = {name: dict(vars(line)) for name, line in summarise(rows, BOUND).items()}
+    summary = summarise(rows, BOUND)
     origin = {"commit": "c" * 40, "packages": {"numpy": "2"}, "started": "2026-01-01T00:00:00+00:00"}
     return StoredCell(identity, what, rows, summary, BOUND.prior_share, BOUND.identifiable, 1.0, origin)
 
@@ -279,7 +279,7 @@ def with_gross(label: str, every: int, worse: float = 1.0) -> StoredCell:
         replace(row, scores={**row.scores, "k_over_m_error_pct": 10.0}) if i % every == 0 else row
         for i, row in enumerate(cell.rows)
     )
-    return replace(cell, rows=rows, summary={name: dict(vars(line)) for name, line in summarise(rows, BOUND).items()})
+    return replace(cell, rows=rows, summary=summarise(rows, BOUND))
 
 
 def test_gross_errors_are_counted_apart_from_the_error_over_the_bound() -> None:
@@ -652,7 +652,7 @@ def test_errors_in_percent_are_those_of_the_rows() -> None:
     cell = stored("ls")
     rows = [replace(row, scores={**row.scores, "k_over_m_error_pct": 1.0}) for row in cell.rows]
     rows[0] = replace(rows[0], scores={**rows[0].scores, "k_over_m_error_pct": 1000.0})
-    summary = {name: dict(vars(line)) for name, line in summarise(rows, BOUND).items()}
+    summary = summarise(rows, BOUND)
     panel = panel_of(replace(cell, rows=tuple(rows), summary=summary))
     assert told.accuracy([panel], "ls").startswith("k/m 1 %, ")
     assert told.tells([panel]) == "tells k/m and c/m, not m, c or k"

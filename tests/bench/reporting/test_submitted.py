@@ -25,7 +25,7 @@ def keep(store: Store, cells: list[Cell]) -> None:
         rows = scored(cell.identity, 10)
         what = {**cell.description(), "label": cell.label, "system": cell.scenario.label, "sigma": [0.05],
                 "snr_db": cell.scenario.snr_db, "initial_state": cell.scenario.initial_state}  # fmt: skip
-        summary = {name: vars(line) for name, line in summarise(rows, BOUND).items()}
+        summary = summarise(rows, BOUND)
         store.save(StoredCell(cell.identity, what, tuple(rows), summary, {}, {}, 1.0).marked({"by": "somebody"}))
 
 

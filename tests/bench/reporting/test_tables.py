@@ -76,7 +76,7 @@ def stored(cell: Cell, scale: float = 1.0, failures: int = 0) -> StoredCell:
         scores |= {"rmse_simulated": scores["rmse"], "rmse_forecast": 0.006, "realised_snr_db": 20.0}
         failed = i >= cell.replicates - failures
         rows.append(Row(i, Status.DIVERGED, "took too large a step") if failed else Row(i, Status.OK, scores=scores))
-    summary = {name: vars(line) for name, line in summarise(rows, BOUND).items()}
+    summary = summarise(rows, BOUND)
     described = {**cell.description(), "label": cell.label}
     shares, known = dict(BOUND.prior_share), dict(BOUND.identifiable)
     return StoredCell(cell.identity, described, tuple(rows), summary, shares, known, 1.0, {})

@@ -78,7 +78,7 @@ def test_a_method_that_has_the_truth_is_flagged_and_one_at_the_bound_is_not(refe
         for i, mean in enumerate(means):
             belief = Normal(("k_over_m", "c_over_m"), mean, np.diag((sds * groups) ** 2), log=False)
             rows.append(Row(i, Status.OK, scores=score(Estimate(problem.system, groups=belief), problem, truth)))
-        summary = {name: dict(vars(own)) for name, own in summarise(rows, bound).items()}
+        summary = summarise(rows, bound)
         assert verdict(StoredCell("0" * 20, {}, rows, summary, {}, bound.identifiable, 0.0)).startswith(said)
 
 

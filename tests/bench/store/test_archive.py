@@ -21,8 +21,8 @@ from bench.config.experiment import expand
 from bench.engine.launch import complete
 from bench.engine.pool import Limits
 from bench.exchange.publishing import Described, write_published
-from bench.scoring.row import Row
-from bench.store.archive import STATISTICS, Archive
+from bench.scoring.row import STATISTICS, Row
+from bench.store.archive import Archive
 from bench.store.cell_file import cell_file
 from bench.store.digits import binary, decimal
 from bench.store.publication import ARRAY_BITS
