@@ -44,3 +44,9 @@ def did_you_mean(written: object, names: Collection[str]) -> str:
     if not near and len(text) == 2:  # two letters that changed places are half a match
         near = [name for name in names if name == text[::-1]]
     return f"did you mean {near[0]}? " if near else ""
+
+
+def check_name(field: str, value: object, names: Collection[str], more: str = "") -> None:
+    """Raise InputError for a value that is none of some names, with the one that may have been meant."""
+    if value not in names:
+        raise InputError(field, value, f"{did_you_mean(value, names)}one of {', '.join(names)}{more}")

@@ -71,7 +71,7 @@ method=ls,rls                                     | method=ls,rls               
 -m method=prior snr=20,                           | snr=20,                          | not understood
 -m method=prior snr=20,20,nan                     | snr=nan                          | finite
 -m method=prior snr=interval(0,10)                | snr=interval(0,10)               | values
--m method=prior snr=glob(*)                       | snr=glob(*)                      | matches nothing
+-m method=prior snr=glob(*)                       | snr=glob(*)                      | no value
 -m method=prior seed=range(0,10,0)                | seed=range(0,10,0)               |
 -m method=prior seed=range(0,1e300)               | seed=range(0,1e300)              | more than
 -m method=prior seed=range(0,1000) snr=range(0,1000) |                               | at most
@@ -145,7 +145,7 @@ track from=random                                 | stream=                     
 -m experiment=measured set=nonsense               | set=nonsense                     | one of
 -m experiment=online system=sdof scenario=ramp,ramp | scenario=ramp                  | once
 -m experiment=online system=sdof system.varying.k=jump dry_run=true | system.varying.k.kind=jump |
--m experiment=atlas part=phases dry_run=true     | part=phases                      | some of points
+-m experiment=atlas part=phases dry_run=true     | part=phases                      | one of points
 # ---- the kit
 check package=missing.py                          | package=missing.py               | no such file
 check package=folder                              | package=folder                   | pyproject.toml

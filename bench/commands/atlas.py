@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from bench.commands.declaration import Choice, Others, Within
+from bench.commands.work import DryRun, Fit, Work, Workers
 from bench.config.atlas import SAMPLED, TESTS, atlas_blocks, atlas_methods, atlas_slices, part_names
-from bench.config.fields import MOST_WORKERS
-from bench.config.of_hydra import check_of_hydra
 from bench.errors import InputError
 from bench.isolation.machine import usable_cores
-from bench.reporting.whole_file import check_folder
 
 if TYPE_CHECKING:
     from bench.atlas.run import Block
-    from bench.engine.job_file import LaunchJob
 
 COMMAND = "python -m bench -m experiment=atlas"
 
@@ -28,48 +24,37 @@ def _every_method() -> list[str]:
 
 def atlas(
     test: Annotated[str, Choice(tuple(TESTS)), "kind of test"] = "free_decay",
-    part: Annotated[tuple[str, ...], "empty: all parts of the test, which are points and its slices"] = (),
-    method: Annotated[tuple[str, ...], Choice(_every_method), "empty: all"] = (),
-    points: Annotated[int | None, Within(ge=1), "the first so many points of the sequence or slice"] = None,
-    workers: Annotated[int | None, Within(ge=1, le=MOST_WORKERS), "processes; empty: one a core"] = None,
+    part: Annotated[tuple[str, ...], "parts of the test, which are points and its slices [all]"] = (),
+    method: Annotated[tuple[str, ...], Choice(_every_method), "methods [all]"] = (),
+    points: Annotated[int | None, Within(ge=1), "the first so many points of the sequence or slice [all]"] = None,
+    workers: Workers = None,
     store: Annotated[Path, "folder of finished blocks"] = Path("outputs/atlas"),
     out: Annotated[Path, "folder of the atlas, its tables and maps"] = Path("results"),
-    fit: Annotated[bool, "false: write what is stored"] = True,
+    fit: Fit = True,
     launcher: Annotated[
         Sequence[str],
         Others(("hydra/launcher", "hydra", "+hydra")),
-        "hydra/launcher=ray, submitit_slurm: a cluster, all of whose nodes see the store; hydra.launcher.<option>=",
+        "hydra/launcher=ray or submitit_slurm, whose nodes see the store; hydra.launcher.<option>=",
     ] = (),
-    dry_run: Annotated[bool, "say how far it is, what it took, and what is left"] = False,
+    dry_run: DryRun = False,
 ) -> int:
     """Compute the atlas: the error of every method over the space of tests, or what is missing of it.
 
     Finished blocks are kept in the store, and the same command goes on from them.
     """
-    from bench.engine.job_file import LaunchJob
+    from bench.config.of_hydra import check_of_hydra
     from bench.engine.pool import Limits
-    from bench.store.store import Store
 
     check_of_hydra(launcher)
-    tasks = {name: atlas_blocks(name, method, points, test) for name in part or part_names(test)}
-    workers = workers or usable_cores()
+    blocks = {name: atlas_blocks(name, method, points, test) for name in part or part_names(test)}
     if not dry_run:
-        check_folder(store, "store")
-        check_folder(out)
         _check_packages()
-    every = [task for own in tasks.values() for task in own]
-    left = [block for block in every if not block.stored(store)]
-    if len(left) == len(every) and not fit and not dry_run:
-        raise InputError("store", store, "a folder with finished blocks; without fit=false they are made")
-    fits, left_fits = sum(block.size for block in every), sum(block.size for block in left)
-    print(f"bench: {fits:,} fits in {len(every):,} blocks, {left_fits:,} in {len(left):,} to do", file=sys.stderr)
-    if dry_run:
-        print(_progress(every, store, workers))
+    work = Work(store, out, Limits(workers or usable_cores()), fit, dry_run, tuple(launcher))
+    if not work.complete([block for own in blocks.values() for block in own], "fit"):
         return 0
-    if left and fit:
-        _run(LaunchJob(tuple(left), Store(store), Limits(workers)), tuple(launcher))
-    chosen = {"test": test if test != "free_decay" else "", "part": ",".join(part), "points": points or ""}
-    return _write(test, tasks, store, out, " ".join([COMMAND, *(f"{k}={v}" for k, v in chosen.items() if v)]))
+    stated = {"test": test if test != "free_decay" else "", "part": ",".join(part), "points": points or ""}
+    _write(test, blocks, work, " ".join([COMMAND, *(f"{k}={v}" for k, v in stated.items() if v)]))
+    return 0
 
 
 def _check_packages() -> None:
@@ -83,54 +68,21 @@ def _check_packages() -> None:
         raise InputError("package", error.name, "installed: pip install 'vibration-bench[figures]'") from None
 
 
-NODES = (1, 10, 100)
-
-
-def _progress(blocks: Sequence[Block], store: Path, workers: int) -> str:
-    """How far each method is, and what the whole takes on one machine and on many."""
-    from bench.atlas.cost import hours, progress
-    from bench.reporting.terminal import table, wrapped
-
-    lines = progress(blocks, store)
-    rows = [
-        [one.label, f"{one.done} of {one.blocks}", f"{one.fits_done:,} of {one.fits:,}",
-         f"{1e3 * one.fit_s:.1f}" if one.done else "-", f"{one.fits_done * one.fit_s / 3600:.2f}" if one.done else "-",
-         f"{(one.fits - one.fits_done) * one.fit_s / 3600:.2f}" if one.done else "-"]
-        for one in lines
-    ]  # fmt: skip
-    text = table(rows, ["method", "blocks", "fits", "ms a fit", "hours of a core", "left"])
-    known = {one.label: one.fit_s for one in lines if one.done}
-    measured = [block for block in blocks if block.label in known]
-    if not measured:
-        return text
-    took = ", ".join(f"{hours(measured, known, n * workers):.2g}" for n in NODES)
-    nodes = ", ".join(map(str, NODES))
-    whole = f"Whole, for the methods with a time, on {nodes} nodes with {workers} workers each: {took} hours."
-    return f"{text}\n\n{wrapped(whole, '')}"
-
-
-def _run(job: LaunchJob, launcher: tuple[str, ...]) -> None:
-    from bench.engine.launch import Launch, launch_job
-
-    launch_job(job, Launch(launcher))
-
-
-def _write(test: str, tasks: dict[str, list[Block]], store: Path, out: Path, again: str) -> int:
+def _write(test: str, blocks: dict[str, list[Block]], work: Work, command: str) -> None:
+    """Write the atlas, its tables and maps, and print their paths."""
     from bench.reporting.atlas import PAGES, atlas_frame, packed, written
     from bench.reporting.figures.atlas import draw_atlas
     from bench.reporting.figures.atlas_regions import draw_regions
 
-    every = atlas_slices(test)
-    if SAMPLED in tasks:
-        frame = atlas_frame(tasks[SAMPLED], store)
+    out, slices = work.out, [s for s in atlas_slices(test) if s.name in blocks]
+    frames = [(s, atlas_frame(blocks[s.name], work.store)) for s in slices]
+    stored = [(s, frame) for s, frame in frames if not frame.empty]
+    paths = [packed(frame, out / f"atlas_{s.name}.csv.gz") for s, frame in stored]
+    if SAMPLED in blocks:
+        frame = atlas_frame(blocks[SAMPLED], work.store)
         if frame.empty:
-            raise InputError("store", store, "a folder with finished blocks; without fit=false they are made")
+            raise InputError("store", work.store, "a folder with finished blocks; without fit=false they are made")
         page = next(page for page in PAGES if page.kind is TESTS[test])
-        for place in [*written(frame, page, out, again), *(draw_regions(every, frame, out) if page.modelled else [])]:
-            print(place)
-    slices = {s.name: s for s in every if s.name in tasks}
-    frames = {name: atlas_frame(tasks[name], store) for name in slices}
-    there = [(slices[name], frame) for name, frame in frames.items() if not frame.empty]
-    for place in [*(packed(frame, out / f"atlas_{own.name}.csv.gz") for own, frame in there), *draw_atlas(there, out)]:
-        print(place)
-    return 0
+        paths += [*written(frame, page, out, command)]
+        paths += draw_regions(atlas_slices(test), frame, out) if page.modelled else []
+    print(*paths, *draw_atlas(stored, out), sep="\n")

@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from bench.commands.declaration import Choice, Within, folder
+from bench.commands.work import DryRun, Fit, Work
 from bench.config.choices import check_choice
 from bench.config.records import track_methods
 from bench.measured.sets import set_names
-from bench.reporting.whole_file import check_file, check_folder, write
+from bench.reporting.whole_file import check_file, write
 
 if TYPE_CHECKING:
-    from bench.measured.track import Fit, MeasuredFit
+    from bench.measured.track import Fit as Fitted
+    from bench.measured.track import MeasuredFit
     from bench.reporting.tables.track_table import FreeRun, Panel, Track
 
 COMMAND = "python -m bench -m experiment=measured data_root=<folder>"
@@ -30,59 +32,41 @@ def measured(
     store: Annotated[Path, "folder of finished fits"] = Path("outputs/measured"),
     out: Annotated[Path, "folder of the table"] = Path("results"),
     page: Annotated[Path, "the same as a page with pictures"] = Path("build/table11.html"),
-    dry_run: Annotated[bool, "count the fits to do"] = False,
-    fit: Annotated[bool, "false: write the table of what is stored"] = True,
+    dry_run: DryRun = False,
+    fit: Fit = True,
 ) -> int:
     """Fit real records by every method: the measured track, Table 11.
 
     Finished fits are kept in the store, and the same command goes on from them. A record that is not found is a row
     that says so.
     """
+    from bench.engine.pool import Limits
     from bench.measured.sets import measured_set
     from bench.measured.track import read_fit, tasks
     from bench.reporting.tables.track_table import Track
 
-    root, names, methods = (
-        data_root and folder("data_root", data_root),
-        set or set_names(),
-        list(method) or track_methods(),
-    )
+    root, names = data_root and folder("data_root", data_root), set or set_names()
+    methods = list(method) or track_methods()
     for name in methods:
         check_choice("method", name)
     if not dry_run:
         check_file(page, "page")
-        check_folder(store, "store")
-        check_folder(out)
-    every = {name: list(tasks(name, measured_set(name), methods, root, float(timeout_s))) for name in names}
-    missing = [task for own in every.values() for task in own if not task.stored(store)]
-    print(f"bench: {sum(map(len, every.values()))} fits, {len(missing)} to do", file=sys.stderr)
-    if dry_run:
+    by_set = {name: list(tasks(name, measured_set(name), methods, root, float(timeout_s))) for name in names}
+    # one fit after another, since the time of a fit is a result
+    work = Work(store, out, Limits(memory_mb=MEMORY_MB), fit, dry_run)
+    if not work.complete([task for fits in by_set.values() for task in fits], "fit"):
         return 0
-    if fit and missing:
-        _fit(missing, store)
-    panels, free_runs = [], []
-    for name, own in every.items():
-        fits = [stored for task in own if (stored := read_fit(store, task.key))]
-        set_panels = _panels(name, own, fits, root)
-        panels += set_panels
-        free_runs += [free_run for panel in set_panels for free_run in _free_runs(panel, root)]
-    _write(Track(panels, free_runs, sum(not task.stored(store) for task in missing)), out, page)
+    panels, missing = [], 0
+    for name, wanted in by_set.items():
+        missing += sum(not task.stored(store) for task in wanted)
+        fits = [stored for task in wanted if (stored := read_fit(store, task.key))]
+        panels += _panels(name, wanted, fits, root)
+    free_runs = [free_run for panel in panels for free_run in _free_runs(panel, root)]
+    _write(Track(panels, free_runs, missing), out, page)
     return 0
 
 
-def _fit(missing: Sequence[MeasuredFit], store: Path) -> None:
-    """Fit one sibling after another, since the time of a fit is a result."""
-    from bench.engine.pool import Limits, run_tasks
-    from bench.engine.progress import progress_bar
-
-    with progress_bar() as on_look:
-        errors = run_tasks(missing, store, Limits(memory_mb=MEMORY_MB), ("fit", ""), on_look)
-    for task in missing:
-        if error := errors.get(task.key):
-            print(f"bench: {' '.join(task.kind)}: {error}", file=sys.stderr)
-
-
-def _panels(name: str, own: Sequence[MeasuredFit], fits: Sequence[Fit], root: Path | None) -> list[Panel]:
+def _panels(name: str, own: Sequence[MeasuredFit], fits: Sequence[Fitted], root: Path | None) -> list[Panel]:
     """A panel a system of a set; one that says so where its files are not there."""
     from bench.measured.sets import measured_set
     from bench.reporting.tables.track_table import Panel

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from bench.commands.declaration import Choice, Others, Within
-from bench.config.fields import MOST_WORKERS
+from bench.commands.declaration import Choice, Others, Parsed, Within
+from bench.commands.work import DryRun, Fit, Work, Workers
 from bench.config.online import VARYING, online_scenario, online_track, own_scenarios, scenario_names
 from bench.errors import InputError
 from bench.isolation.machine import usable_cores
-from bench.reporting.whole_file import check_folder, write
+from bench.reporting.whole_file import write
 
 if TYPE_CHECKING:
     from bench.online.follow import Followed
-    from bench.online.paths import OnlinePath, Tracking
+    from bench.online.paths import Tracking
     from bench.online.scenario import OnlineScenario
     from bench.reporting.tables.online_table import Line
 
@@ -27,9 +27,21 @@ OWN = Path("outputs/online_own")
 COMMAND = "python -m bench -m experiment=online"
 
 
+def force_of(text: str) -> Any:
+    """Read a force: its kind, or its fields."""
+    from bench.config.overrides import values_of
+
+    forces = values_of("force", text)
+    if len(forces) > 1:
+        raise ValueError("one force")
+    return forces[0] if isinstance(forces[0], Mapping) else {"kind": forces[0]}
+
+
 def online(
-    scenario: Annotated[tuple[str, ...], Choice(scenario_names), f"empty: all of {', '.join(scenario_names())}"] = (),
-    method: Annotated[tuple[str, ...], "trackers, or window_<batch method>; empty: those of the track"] = (),
+    scenario: Annotated[
+        tuple[str, ...], Choice(scenario_names), f"those of the track [all]: {', '.join(scenario_names())}"
+    ] = (),
+    method: Annotated[tuple[str, ...], "trackers, or window_<batch method> [those of the track]"] = (),
     system: Annotated[str, "a system of conf/system in place of the scenarios"] = "",
     varying: Annotated[
         Sequence[str],
@@ -37,64 +49,61 @@ def online(
         "system.varying.<parameter>=constant, step, ramp, sinusoid or random_walk, several with commas, or written "
         "out: 'system.varying.k={kind: step, change: -0.3, at: 0.5}'",
     ] = (),
-    snr: Annotated[str, "dB, of that system; empty: 20"] = "",
-    samples: Annotated[str, "of that system; empty: 2000"] = "",
-    rate: Annotated[str, "samples a second; empty: 20 a cycle"] = "",
-    force: Annotated[str, "multisine, white, coloured, impulses or '{kind: white, told: false}'"] = "",
-    replicates: Annotated[int | None, Within(ge=1), "at most so many; empty: those of the track"] = None,
+    snr: Annotated[float | None, "dB, of that system [20]"] = None,
+    samples: Annotated[int | None, Within(ge=50), "of that system [2000]"] = None,
+    rate: Annotated[float | None, Within(gt=0, le=1e9), "samples a second [20 a cycle]"] = None,
+    force: Annotated[
+        Mapping[str, Any] | None,
+        Parsed(force_of),
+        "multisine, white, coloured, impulses or '{kind: white, told: false}'",
+    ] = None,
+    replicates: Annotated[int | None, Within(ge=1), "at most so many [those of the track]"] = None,
     seed: Annotated[int, Within(ge=0, lt=2**63), "of all random streams"] = 0,
-    workers: Annotated[int | None, Within(ge=1, le=MOST_WORKERS), "processes; empty: one a core"] = None,
+    workers: Workers = None,
     store: Annotated[Path, "folder of finished runs"] = Path("outputs/online"),
-    out: Annotated[Path | None, "folder of table and picture; empty: results, with system= outputs/online_own"] = None,
-    fit: Annotated[bool, "false: the table of what is stored"] = True,
-    dry_run: Annotated[bool, "count the runs to do"] = False,
+    out: Annotated[Path | None, "folder of table and picture [results, with system= outputs/online_own]"] = None,
+    fit: Fit = True,
+    dry_run: DryRun = False,
 ) -> int:
     """Follow streams whose parameters change, sample by sample: the online track, Table 10.
 
     Finished runs are kept in the store, and the same command goes on from them.
     """
-    from bench.online.paths import missing_paths
+    from bench.engine.pool import Limits
+    from bench.online.paths import in_order
 
-    of_system = {"snr": snr, "samples": samples, "rate": rate, "force": force}
-    scenarios = _scenarios(scenario, system, of_system, dict(map(_varying, varying)))
-    every, refused = _tasks(scenarios, method, replicates, seed)
-    out = out or (OWN if system else Path("results"))
-    if not dry_run:
-        check_folder(store, "store")
-        check_folder(out)
-    missing = missing_paths(every, store)
-    print(f"bench: {sum(of.replicates for of in every)} runs, {len(missing)} to do", file=sys.stderr)
-    if dry_run:
-        return 0
-    if missing and fit:
-        _run(missing, store, workers or usable_cores())
-    _write(every, refused, store, out)
+    of_system = {"force": force, "snr": snr, "samples": samples, "rate": rate}
+    scenarios = _scenarios(scenario, system, of_system, varying)
+    trackings, refused = _trackings(scenarios, method, replicates, seed)
+    work = Work(store, out or (OWN if system else Path("results")), Limits(workers or usable_cores()), fit, dry_run)
+    if work.complete(in_order(trackings), "run"):
+        _write(trackings, refused, store, work.out)
     return 0
 
 
-def _varying(text: str) -> tuple[str, str]:
-    """A parameter and its courses."""
-    key, _, value = text.partition("=")
-    if not value or key == VARYING:
-        raise InputError("argument", text, "write system.varying.<parameter>=<kind>, e.g. system.varying.k=step")
-    return key.removeprefix(VARYING), value
-
-
 def _scenarios(
-    scenario: Sequence[str], system: str, of_system: Mapping[str, str], varying: Mapping[str, str]
+    names: Sequence[str], system: str, of_system: Mapping[str, Any], varying: Sequence[str]
 ) -> list[OnlineScenario]:
     """Return the scenarios of the track that are asked for, or those of a system of your own."""
+    from bench.config.overrides import values_of
+
+    if system and names:
+        raise InputError("scenario", ",".join(names), "left out, where system= is given")
+    stated = {name: value for name, value in of_system.items() if value is not None}
+    courses = {}
+    for word in varying:
+        key, _, text = word.partition("=")
+        if not key.startswith(VARYING):
+            raise InputError(key, text, "write system.varying.<parameter>=<kind>, e.g. system.varying.k=step")
+        courses[key.removeprefix(VARYING)] = values_of(key, text)
     if system:
-        if scenario:
-            raise InputError("scenario", ",".join(scenario), "left out, where system= is said")
-        return own_scenarios(system, of_system, varying)
-    for name, value in {**of_system, **{f"{VARYING}{name}": text for name, text in varying.items()}}.items():
-        if value:
-            raise InputError(name, value, "with system=<name>; the track's scenarios have their own")
-    return [online_scenario(name) for name in scenario or scenario_names()]
+        return own_scenarios(system, courses, **stated)
+    for name, value in {**stated, **{f"{VARYING}{name}": values for name, values in courses.items()}}.items():
+        raise InputError(name, value, "with system=<name>; the track's scenarios have their own")
+    return [online_scenario(name) for name in names or scenario_names()]
 
 
-def _tasks(
+def _trackings(
     scenarios: Sequence[OnlineScenario], method: Sequence[str], most: int | None, seed: int
 ) -> tuple[list[Tracking], list[Line]]:
     """Return what is to be computed, and a line for each method that cannot take a scenario."""
@@ -129,17 +138,6 @@ def _title(label: str, method: str) -> str:
 
     title = online_card(method).title
     return title if label == method else f"{title} ({label.removeprefix(method).strip('_')})"
-
-
-def _run(missing: Sequence[OnlinePath], store: Path, workers: int) -> None:
-    from bench.engine.pool import Limits, run_tasks
-    from bench.engine.progress import progress_bar
-
-    with progress_bar() as on_look:
-        errors = run_tasks(missing, store, Limits(workers), ("run", ""), on_look)
-    for path in missing:
-        if error := errors.get(path.key):
-            print(f"{path.of.scenario.label}, {path.of.label}, replicate {path.replicate}: {error}", file=sys.stderr)
 
 
 def _write(tasks: Sequence[Tracking], refused: Sequence[Line], store: Path, out: Path) -> None:

@@ -60,13 +60,13 @@ def run(options: Options, early: bool = False) -> int:
         return 0
     if options.completes:
         from bench.commands.verbs import completed
-        from bench.config.inspection import complete
+        from bench.config.inspection import ask_hydra
 
         offered = completed(os.environ.get("COMP_LINE", ""))
         if offered:
             print(*offered)
             return 0
-        return complete(options.shown, options.words)
+        return ask_hydra(options.shown, options.words)
     from bench.config.of_hydra import check_of_hydra, is_of_hydra, prepared
     from bench.config.overrides import read_overrides
 
@@ -74,11 +74,11 @@ def run(options: Options, early: bool = False) -> int:
     check_of_hydra(of_hydra)
     overrides = read_overrides([text for text in options.words if text not in of_hydra])
     if options.shown:
-        from bench.config.inspection import show
+        from bench.config.inspection import ask_hydra, in_place
 
         if options.multirun:
             raise InputError("option", "-m", f"{options.shown[0]} shows one cell; dry_run=true lists those of a sweep")
-        return show(options.shown, overrides, of_hydra)
+        return ask_hydra(options.shown, [*in_place(overrides), *of_hydra])
     if early and usable_cores() > 1 and not of_hydra and "dry_run" not in overrides:
         from bench.isolation.processes import start_server
 

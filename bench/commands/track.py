@@ -124,11 +124,11 @@ def track(
 
 def _equations(name: str) -> System:
     """Return the equations of a system, without its true values."""
-    from bench.config.online import system_content
+    from bench.config.composition import content_of
     from bench.systems import make_system
 
-    content = system_content(name)
-    return make_system(content["kind"], content["options"])
+    content = content_of("system", name)
+    return make_system(content["kind"], content.get("options", {}))
 
 
 def _sensors(names: Sequence[str], system: System, limits: tuple[float, float] | None) -> tuple[Sensor, ...]:

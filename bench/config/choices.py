@@ -10,8 +10,7 @@ from typing import Any
 
 from bench.config import fields
 from bench.config.drawn import drawn_ranges, drawn_scenario
-from bench.config.files import file_names, read_yaml
-from bench.config.own_file import read_own_system
+from bench.config.files import ENDING, file_names, read_own_system, read_yaml
 from bench.entrants.registry import default_settings, load_method, method_names, registered
 from bench.errors import InputError, did_you_mean
 
@@ -52,15 +51,17 @@ def check_choice(group: str, value: Any) -> None:
 
 def own_file(group: str, value: Any) -> bool:
     """Return whether a choice is a file of your own: ``system=<path>.yaml``; raises InputError if it does not exist."""
-    named = group == "system" and isinstance(value, str) and value.endswith(".yaml")
+    named = group == "system" and isinstance(value, str) and value.endswith(ENDING)
     if named and not os.path.isfile(os.path.expanduser(value)):
         raise InputError(group, value, "there is no such file; give the path of a file like those of conf/system")
     return named
 
 
-def register_own_file(path: str) -> str:
-    """Make a scenario in a file of your own a choice; return its name. Raises InputError."""
-    stated = read_own_system(os.path.expanduser(path))
+def name_for_hydra(group: str, choice: Any) -> str:
+    """Return the name by which Hydra knows a choice, which for a file of your own is made of its content."""
+    if not own_file(group, choice):
+        return str(choice)
+    stated = read_own_system(os.path.expanduser(choice))
     name = f"file_{hashlib.sha256(json.dumps(stated, default=str).encode()).hexdigest()[:16]}"
     _OWN[name] = stated
     return name

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from bench.config.choices import content, own_file, register_own_file
+from bench.config.choices import content, name_for_hydra
 from bench.config.overrides import DELETED
 from bench.errors import InputError
 
@@ -23,10 +22,10 @@ OF_HYDRA = ("job_logging", "hydra_logging", "output", "help", "hydra_help", "lau
 
 @dataclass(frozen=True)
 class Part:
-    """One choice of a group with the fields that are set in it.
+    """One choice of a group, by the name that Hydra knows, with the fields that are set in it.
 
-    ``name`` is that by which Hydra knows the choice, ``fields`` are overrides in Hydra's grammar, of ``{0}`` the place
-    of the part in the configuration; ``written`` is the choice as the user wrote it.
+    ``fields`` are overrides in Hydra's grammar, with ``{0}`` for the place of the part in the configuration;
+    ``written`` is the choice as the user wrote it.
     """
 
     group: str
@@ -42,14 +41,13 @@ class Part:
 _COMPOSED: dict[Part, dict[str, Any]] = {}
 
 
-def part_of(group: str, choice: Any, below: Mapping[str, Any]) -> Part:
+def part_of(group: str, choice: Any, below: Mapping[str, Any] | None = None) -> Part:
     """Return the part of a choice, with values of fields by their names below the group; raises InputError."""
-    written = str(choice)
-    name = register_own_file(os.path.expanduser(written)) if own_file(group, choice) else written
     fields = (
-        f"~{{0}}.{key}" if value is DELETED else f"++{{0}}.{key}={literal(value)}" for key, value in below.items()
+        f"~{{0}}.{key}" if value is DELETED else f"++{{0}}.{key}={literal(value)}"
+        for key, value in (below or {}).items()
     )
-    return Part(group, name, tuple(fields), written)
+    return Part(group, name_for_hydra(group, choice), tuple(fields), str(choice))
 
 
 def composed(parts: Collection[Part]) -> Mapping[Part, dict[str, Any]]:
@@ -70,6 +68,12 @@ def composed(parts: Collection[Part]) -> Mapping[Part, dict[str, Any]]:
     return _COMPOSED
 
 
+def content_of(group: str, choice: Any) -> dict[str, Any]:
+    """Return the composed content of one choice; raises InputError."""
+    part = part_of(group, choice)
+    return composed([part])[part]
+
+
 def _compose(parts: Sequence[Part]) -> list[dict[str, Any]]:
     from hydra import compose
     from hydra.errors import HydraException
@@ -82,17 +86,17 @@ def _compose(parts: Sequence[Part]) -> list[dict[str, Any]]:
     lines = [part.overrides(f"part{number}") for number, part in enumerate(parts)]
     try:
         with hydra_ready():
-            found = OmegaConf.to_container(compose(None, [*unused, *itertools.chain(*lines)]), resolve=True)
+            contents = OmegaConf.to_container(compose(None, [*unused, *itertools.chain(*lines)]), resolve=True)
     except (HydraException, OmegaConfBaseException) as error:
         if len(parts) > 1:
             return [_compose([part])[0] for part in parts]  # one of these raises, with its name
-        raise _refused(parts[0], error) from None
-    assert isinstance(found, dict)
-    return [found[f"part{number}"] for number in range(len(parts))]
+        raise _bad_input(parts[0], error) from None
+    assert isinstance(contents, dict)
+    return [contents[f"part{number}"] for number in range(len(parts))]
 
 
-def _refused(part: Part, error: Exception) -> InputError:
-    """Return what Hydra says against a part as bad input, in the words of the command line."""
+def _bad_input(part: Part, error: Exception) -> InputError:
+    """Return Hydra's objection to a part in the words of the command line."""
     reason = str(error).splitlines()[0].replace("part0", part.group).replace(part.name, part.written)
     if not part.fields:
         return InputError(part.group, part.written, reason)

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any
 
 from bench.config.choices import GROUPS, check_choice, choices, default_choices
-from bench.config.composition import Part, composed, part_of
+from bench.config.composition import Part, composed, content_of, part_of
 from bench.config.declaration import written
 from bench.config.drawn import drawn_scenarios
 from bench.config.fields import GROUPS as COMPOSED
@@ -37,19 +37,16 @@ class Experiment:
     name: str
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise InputError("experiment", self.name, f"the name of one: {', '.join(choices('experiment'))}")
-        check_choice("experiment", self.name)
+        check_choice("experiment", str(self.name))
 
     @cached_property
     def content(self) -> Mapping[str, Any]:
-        """Return its file over the experiments that it starts from."""
-        part = Part("experiment", self.name)
-        return composed([part])[part]
+        """Its file over the experiments that it starts from."""
+        return content_of("experiment", self.name)
 
     @property
     def table(self) -> Mapping[str, Any]:
-        """What is said of its table: ``title``, ``number``, ``form``, ``release``; empty where it describes none."""
+        """The description of its table: ``title``, ``number``, ``form``, ``release``; empty where there is none."""
         release = {"release": drawn["release"]} if (drawn := self.content.get("draw")) else {}
         return {**table, **release} if (table := self.content.get("table")) else {}
 
@@ -65,70 +62,65 @@ class Experiment:
         return [dict(first), *({**first, **block} for block in self.content.get("also", []))]
 
     def jobs(self, overrides: Overrides | None = None) -> list[Job]:
-        """Its jobs; what is overridden is no longer the part of it that a further sweep describes."""
-        own = overrides or {}
-        if "experiment" in own:
-            raise InputError("experiment", own["experiment"][0], "given twice; give it once")
-        blocks = self._overridden(own)
-        return [job for block in blocks for job in _product(block, self.content, frozenset(own))]
-
-    def _overridden(self, own: Overrides) -> list[dict[str, list[Any]]]:
-        """The sweeps where some fields are overridden; of drawn scenarios those that are named, if any are."""
-        if self.content.get("draw"):
-            rest = {field: values for field, values in own.items() if field != "system"}
-            return [{**b, **rest} for b in self.blocks if b["system"][0] in own.get("system", b["system"])]
-        further = self.content.get("also", [])
-        kept = [b for b, extra in zip(self.blocks, [{}, *further], strict=True) if not set(extra) & set(own)]
-        return [{**block, **own} for block in kept]
+        """Return its jobs; a further sweep that sets an overridden field is left out."""
+        given = overrides or {}
+        if "experiment" in given:
+            raise InputError("experiment", given["experiment"][0], "given twice; give it once")
+        if self.content.get("draw"):  # of the drawn scenarios those that are named, if any are
+            rest = {field: values for field, values in given.items() if field != "system"}
+            blocks = [{**b, **rest} for b in self.blocks if b["system"][0] in given.get("system", b["system"])]
+        else:
+            further = [{}, *self.content.get("also", [])]
+            kept = [b for b, extra in zip(self.blocks, further, strict=True) if not extra.keys() & given.keys()]
+            blocks = [{**block, **given} for block in kept]
+        return [job for block in blocks for job in _product(block, self.content, frozenset(given))]
 
     def cells(self, overrides: Overrides | None = None) -> list[Cell]:
-        """Its cells in order; one that stands in several of its sweeps stands here as often."""
+        """Return its cells in order; one that stands in several of its sweeps stands here as often."""
         return [job.cell() for job in self.jobs(overrides)]
 
     def scenarios(self) -> Iterator[tuple[Scenario, int]]:
-        """Its scenarios with their seeds, method apart: all methods of a sweep have the same."""
+        """Give its scenarios with their seeds, method apart: all methods of a sweep have the same."""
         for block in self.blocks:
             for job in _product({**block, "method": block.get("method", ["oracle"])[:1]}, self.content):
                 yield job.scenario, job.config.seed
 
 
 def sweep(overrides: Overrides, multirun: bool = True, measured: bool = False) -> list[Job]:
-    """The jobs of some overrides, over those of the experiments among them.
+    """Return the jobs of overrides, over those of the experiments among them.
 
-    ``measured``: they are of a record, though none is named, as where it is given as arrays. Raises InputError for what
-    makes no sense, and for several values without ``multirun``.
+    Args:
+        overrides: fields with their values.
+        multirun: whether a field may have several.
+        measured: the jobs are of a record though no file is named, as where it is given as arrays.
+
+    Raises:
+        InputError: for what makes no sense.
     """
+    experiments = [name for name in overrides.get("experiment", []) if name is not None]
     if not multirun:
-        _check_single(overrides)
-    own = {field: values for field, values in overrides.items() if field != "experiment"}
-    if not measured and all(value is None for value in own.get("data", [])):
-        check_of_records(own)
-    found: list[Job] = []
-    for name in overrides.get("experiment", [None]):
-        found += _product(own, {}, frozenset(own)) if name is None else Experiment(name).jobs(own)
-    return found
+        swept = {**(Experiment(experiments[0]).blocks[0] if experiments else {}), **overrides}
+        for field, values in swept.items():
+            if len(values) > 1:
+                raise InputError(field, written(values), "several values need -m: python -m bench -m ...")
+    given = {field: values for field, values in overrides.items() if field != "experiment"}
+    if not measured and all(value is None for value in given.get("data", [])):
+        check_of_records(given)
+    if not experiments:
+        return _product(given, {}, frozenset(given))
+    return [job for name in experiments for job in Experiment(name).jobs(given)]
 
 
 def expand(texts: Sequence[str], multirun: bool) -> list[Job]:
-    """The jobs of a command line; raises InputError."""
+    """Return the jobs of a command line; raises InputError."""
     return sweep(read_overrides(texts), multirun)
 
 
-def _check_single(overrides: Overrides) -> None:
-    names = [name for name in overrides.get("experiment", []) if name is not None]
-    swept = {**(Experiment(names[0]).blocks[0] if names else {}), **overrides}
-    for field, values in swept.items():
-        if len(values) > 1:
-            raise InputError(field, written(values), "several values need -m: python -m bench -m ...")
-
-
 def _product(sweep: Overrides, experiment: Mapping[str, Any], explicit: frozenset[str] = frozenset()) -> list[Job]:
+    """Return a job for every combination of values; raises InputError."""
     for field, values in sweep.items():
         if len(values) > 1 and field.partition(".")[0] not in SWEPT:
             raise InputError(field, written(values), "one value: it is of the run, not of a cell")
-    for group in set(GROUPS) & set(sweep):
-        for value in sweep[group]:
-            check_choice(group, value)
     if "method" not in sweep:
         raise InputError("method", "", f"choose one: {', '.join(choices('method'))}")
     number = math.prod(map(len, sweep.values()))
@@ -136,12 +128,12 @@ def _product(sweep: Overrides, experiment: Mapping[str, Any], explicit: frozense
         widest = max(sweep, key=lambda field: len(sweep[field]))
         remedy = f"{number} cells in all, at most {MOST_CELLS}; sweep over less at a time"
         raise InputError(widest, f"{len(sweep[widest])} values", remedy)
-    every = [dict(zip(sweep, values, strict=True)) for values in itertools.product(*sweep.values())]
-    parts = [{group: _part(group, chosen) for group in COMPOSED} for chosen in every]
-    contents = composed([part for own in parts for part in own.values()])
+    combinations = [dict(zip(sweep, values, strict=True)) for values in itertools.product(*sweep.values())]
+    parts = [{group: _part(group, chosen) for group in COMPOSED} for chosen in combinations]
+    contents = composed([part for by_group in parts for part in by_group.values()])
     return [
-        _job(chosen, {group: contents[part] for group, part in own.items()}, experiment, explicit)
-        for chosen, own in zip(every, parts, strict=True)
+        _job(chosen, {group: contents[part] for group, part in by_group.items()}, experiment, explicit)
+        for chosen, by_group in zip(combinations, parts, strict=True)
     ]
 
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from typing import Any
 from unittest.mock import patch
 
-from bench.config.choices import default_choices, is_choice, own_file, register_own_file
-from bench.config.composition import composed, literal, part_of
+from bench.config.choices import check_choice, default_choices, name_for_hydra
+from bench.config.composition import content_of, literal
 from bench.config.declaration import written
 from bench.config.overrides import DELETED, Overrides
 from bench.config.sources import hydra_ready, register_plugins
@@ -25,18 +25,13 @@ def in_place(overrides: Overrides) -> list[str]:
     for field, values in overrides.items():
         if len(values) > 1:
             raise InputError(field, written(values), "one cell is shown; a sweep by dry_run=true")
-        (value,) = values
-        if value is DELETED:
-            lines.append(f"~{field}")
-            continue
-        if field == "system" and own_file(field, value):
-            value = register_own_file(str(value))
-        if field == "system" and not is_choice(field, str(value)):
-            raise InputError(field, value, "it has no file of conf/system, whose content could be shown")
-        lines.append(f"{'++' if '.' in field else ''}{field}={literal(value)}")
+        value = values[0]
+        if field == "system":
+            check_choice(field, value)
+            value = name_for_hydra(field, value)
+        lines.append(f"~{field}" if value is DELETED else f"{'++' if '.' in field else ''}{field}={literal(value)}")
     if "prior" not in overrides:
-        system = part_of("system", overrides.get("system", [default_choices()["system"]])[0], {})
-        prior = composed([system])[system].get("default_prior")
+        prior = content_of("system", overrides.get("system", [default_choices()["system"]])[0]).get("default_prior")
         lines += [f"prior={prior}"] if prior else []
     return lines
 
@@ -51,13 +46,8 @@ def compose_in_place(overrides: Overrides) -> dict[str, Any]:
         return OmegaConf.to_container(compose("config", lines), resolve=True)  # type: ignore[return-value]
 
 
-def show(options: Sequence[str], overrides: Overrides, of_hydra: Sequence[str] = ()) -> int:
-    """Have Hydra print what options ask for of one cell; raises InputError."""
-    return complete(options, [*in_place(overrides), *of_hydra])
-
-
-def complete(options: Sequence[str], words: Sequence[str]) -> int:
-    """Hand the words of a command line to Hydra as they are; raises InputError."""
+def ask_hydra(options: Sequence[str], words: Sequence[str]) -> int:
+    """Have Hydra print what its options ask for, with the words of a command line; raises InputError."""
     import hydra
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException

@@ -124,7 +124,8 @@ def _assigned(text: str) -> tuple[str, list[Any]]:
         raise InputError("argument", repr(text), f"{near}write field=value, without spaces or dashes, see --help")
     if key in taken_as_written() or (key == "system" and value.endswith(ENDING) and not set(value) & set(",()")):
         return key, [_unquoted(key, value)]
-    return _parsed(text, value)
+    check_field(key, value)
+    return key, values_of(key, value)
 
 
 def _unquoted(field: str, text: str) -> str | None:
@@ -136,34 +137,30 @@ def _unquoted(field: str, text: str) -> str | None:
     return None if text == "null" else os.path.expanduser(text)
 
 
-def _parsed(text: str, value: str) -> tuple[str, list[Any]]:
-    """Return the field of an argument and its values by Hydra's own parser; raises InputError."""
+def values_of(field: str, text: str) -> list[Any]:
+    """Return the values of a text by Hydra's parser: one, or those of a sweep; raises InputError."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.core.override_parser.types import Glob, IntervalSweep, QuotedString
     from hydra.errors import HydraException
 
-    key = text.partition("=")[0]
     try:
-        override = OverridesParser.create().parse_override(text)
-        key = override.get_key_element()
-        check_field(key, value)
-        read = override.value()
-        values: list[Any] = [read]
-        if isinstance(read, Glob):
-            values = read.filter(choices(key)) if key in GROUPS else []
-            if not values:
-                raise InputError(key, value, "matches nothing")
-        elif isinstance(read, IntervalSweep):
-            raise InputError(key, value, "an interval has no values to run; list some, or write range(1,10)")
+        override = OverridesParser.create().parse_override(f"x={text}")
+        value = override.value()
+        values: list[Any] = [value]
+        if isinstance(value, Glob):
+            values = value.filter(choices(field)) if field in GROUPS else []
+        elif isinstance(value, IntervalSweep):
+            raise InputError(field, text, "an interval has no values to run; list some, or write range(1,10)")
         elif override.is_sweep_override():
             values = list(itertools.islice(override.sweep_iterator(), MOST_VALUES + 1))
     except InputError:
         raise
     except (HydraException, ValueError, TypeError, ArithmeticError, RecursionError):
-        check_field(key, value)
-        remedy = f"""not understood; a text with signs in it is quoted: "{key}='{value.replace("'", "")}'\""""
-        raise InputError(key, value, remedy) from None
-    return key, [item.text if isinstance(item, QuotedString) else item for item in values]
+        remedy = f"""not understood; a text with signs in it is quoted: "{field}='{text.replace("'", "")}'\""""
+        raise InputError(field, text, remedy) from None
+    if not values:
+        raise InputError(field, text, "stands for no value")
+    return [item.text if isinstance(item, QuotedString) else item for item in values]
 
 
 def check_of_records(overrides: Overrides) -> None:

@@ -95,12 +95,14 @@ def read_paths(folder: Path, of: Tracking) -> dict[int, Followed]:
     return stored
 
 
-def missing_paths(every: Sequence[Tracking], folder: Path) -> list[OnlinePath]:
-    """Return the paths that are to be computed, stream by stream: methods share what they compile for one.
+def in_order(trackings: Sequence[Tracking]) -> list[OnlinePath]:
+    """Return the paths of trackings, stream by stream: methods share what they compile for one.
 
     What is compiled from now on uses one thread, since paths share the cores.
     """
     compiled_single_threaded()
-    places = {scenario: i for i, scenario in enumerate(dict.fromkeys(of.scenario.identity for of in every))}
-    missing = [path for of in every for path in of.paths() if not path.stored(folder)]
-    return sorted(missing, key=lambda path: (places[path.of.scenario.identity], path.replicate))
+    places = {scenario: i for i, scenario in enumerate(dict.fromkeys(of.scenario.identity for of in trackings))}
+    return sorted(
+        (path for of in trackings for path in of.paths()),
+        key=lambda path: (places[path.of.scenario.identity], path.replicate),
+    )

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from bench import Card, Estimate, Identifier
-from bench.atlas.cost import hours, progress
 from bench.atlas.point import FreeDecay
 from bench.atlas.run import Block, at_point, read_block, write_block
 from bench.commands.main import main
@@ -93,17 +92,6 @@ def test_a_slice_is_drawn_from_its_first_row_on(tmp_path) -> None:
     given = ["part=cycles_snr", "method=frequency", "points=3", f"store={tmp_path / 'store'}", f"out={tmp_path}"]
     assert main(["-m", "experiment=atlas", *given, "workers=1"]) == 0
     assert (tmp_path / "figures" / "atlas_cycles_snr.png").exists()
-
-
-def test_progress_and_hours_are_those_of_the_blocks(tmp_path) -> None:
-    tasks = [replace(BLOCK, seed=seed) for seed in range(4)]
-    run_tasks(tasks[:3], tmp_path, Limits(), ("fit", "block"))
-    (line,) = progress(tasks, tmp_path)
-    assert (line.done, line.blocks, line.fits_done, line.fits) == (3, 4, 60, 80)
-    assert 0 < line.fit_s < 10
-    assert hours(tasks, {BLOCK.label: 180.0}, 1) == pytest.approx(4.0)  # four blocks of 20 fits of three minutes
-    assert hours(tasks, {BLOCK.label: 180.0}, 3) == pytest.approx(2.0)
-    assert hours(tasks, {BLOCK.label: 180.0}, 100) == pytest.approx(1.0)
 
 
 def test_a_launcher_computes_the_blocks_that_this_machine_does_and_writes_the_atlas(tmp_path) -> None:

@@ -6,8 +6,6 @@ import pytest
 from bench.commands.main import main
 from bench.config.online import online_scenario, own_scenarios, scenario_names
 
-USUAL = {"snr": "", "samples": "", "rate": "", "force": ""}
-
 
 def test_every_scenario_of_the_track_is_one() -> None:
     for name in scenario_names():
@@ -15,7 +13,7 @@ def test_every_scenario_of_the_track_is_one() -> None:
 
 
 def test_courses_compose_with_any_system() -> None:
-    found = own_scenarios("duffing", USUAL | {"snr": "30"}, {"k": "step,{kind: ramp, change: -0.2}", "c": "step"})
+    found = own_scenarios("duffing", {"k": ["step", {"kind": "ramp", "change": -0.2}], "c": ["step"]}, snr=30)
     assert [one.varying["k"].kind for one in found] == ["step", "ramp"]
     assert found[1].varying["k"].change == -0.2
     assert all(one.varying["c"].kind == "step" and one.snr_db == 30 for one in found)
@@ -29,13 +27,13 @@ def test_courses_compose_with_any_system() -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["system=sdof", "system.varying.q=step"], "parameters of sdof: m, c, k"),
+        (["system=sdof", "system.varying.q=step"], "one of m, c, k, the parameters of sdof"),
         (["system=sdof", "system.varying.k=stpe"], "system.varying.k.kind=stpe"),
         (["system=sdof", "system.varying.k={kind: step, change: -2}"], "system.varying.k.change"),
         (["system=sdof", "system.varying.k={kind: "], "system.varying.k"),
         (["system=sdfo"], "did you mean sdof"),
         (["system.varying.k=step"], "with system=<name>"),
-        (["system=sdof", "snr=loud"], "snr=loud: a number"),
+        (["system=sdof", "snr=loud"], "snr=loud: input should be a valid number"),
         (["system=sdof", "force=loud"], "force.kind=loud"),
         (["system=sdof", "scenario=ramp"], "left out"),
         (["snr=3"], "with system=<name>"),
