@@ -25,11 +25,10 @@ def check(
     Exit status: 0, 1 where a check failed, 2 for bad input.
     """
     from bench.conformance.process import CHECKS, checked
-    from bench.conformance.target import read_target
     from bench.reporting.terminal import wrapped
 
     subjects, outcomes = [], []
-    for subject, outcome in checked(read_target(package, settings_of(settings)), timeout_s):
+    for subject, outcome in checked(package, settings_of(settings), timeout_s):
         if subject not in subjects:
             subjects.append(subject)
             if format == "table":

@@ -9,7 +9,7 @@ from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 
-from bench.conformance.target import Kind
+from bench.conformance.subjects import Kind
 from bench.entrants.registry import method_names
 from bench.errors import InputError
 from bench.systems import registered_systems
