@@ -30,7 +30,7 @@ WARM = (
     ["method=ls", "snr=nan"], ["method=ls", "data=nowhere.csv"], ["experiment=online", "x=1"],
     ["experiment=atlas", "x=1"], ["experiment=measured", "x=1"], ["method=ls", "system.duration=-1"],
     ["certify", "data=nowhere.csv"], ["track", "from=nowhere.csv"], ["identifiability", "snr=nan"],
-    ["check", "package=nowhere.py"], ["new", "method=new", "out=/dev/null"], ["design", "given=nowhere.csv"],
+    ["new", "method=new", "out=/dev/null"], ["design", "given=nowhere.csv"],
     ["report", "out=/dev/null"], *(["tables", f"what={what}", "archive=nowhere"] for what in ("tables", "claims")),
     ["tables", "what=figures", "out=/dev/null"], ["status", "method=nobody"], ["reproduce", "cell=00", "store=nowhere"],
     ["share", "action=submit", "method=nobody"], ["share", "action=merge", "submission=nowhere"],
