@@ -106,7 +106,8 @@ def validated(kind: type[Validated], values: Mapping[str, Any], paths: Mapping[s
 
 def value_of(kind: Any, value: Any, field: str) -> Any:
     """Return the value of one field by its type, read from a text or taken as it is; raises InputError."""
-    return _read(_value_adapter(kind), value, {"": field}, kind)
+    parts = map(str, range(len(value) if isinstance(value, tuple) else 0))
+    return _read(_value_adapter(kind), value, {"": field, **dict.fromkeys(parts, field)}, kind)
 
 
 def _read(adapter: Any, values: Any, paths: Mapping[str, str], kind: Any) -> Any:

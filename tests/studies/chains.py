@@ -1,10 +1,4 @@
-"""``python -m tests.studies.chains``: how far each method reaches as the number of masses grows, and what it costs.
-
-Chains of 1 to 20 masses, every displacement measured, 30 dB, the first mass released from 1 m, start told, nominal
-prior. The cells are computed by the harness's own runner and kept in its store, so a second run makes the table and the
-picture only. At each size every method first gets one data set; one that gives no answer within the limits is not asked
-again, neither for more data sets of that size nor for longer chains.
-"""
+"""How far each method reaches as the number of masses grows, and what it costs."""
 
 from __future__ import annotations
 
@@ -12,16 +6,15 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
-from tabulate import tabulate
 
-from bench.config.experiment import expand
+from bench.config.declaration import Choice
 from bench.contract.estimate import Status
 from bench.engine.launch import complete
 from bench.engine.pool import Limits
@@ -30,14 +23,17 @@ from bench.entrants.registry import default_settings, method_names
 from bench.errors import InputError
 from bench.reporting import frame, labels
 from bench.reporting.rounding import excess_text, number
+from bench.reporting.tables.common import markdown_table
 from bench.reporting.tables.pooling import pooled_excess
+from bench.scenario.declaration import Positive
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.store import DEFAULT_STORE, Store, open_store
 from bench.store.stored import StoredCell
 from bench.systems import Chain
 from tests.studies.chains_picture import caption, picture
-from tests.studies.fields import command, flag, read_fields, whole
+from tests.studies.common import RESULTS, Count, Out, publish, study
+from tests.studies.common import scenario as common_scenario
 
 SIZES = (1, 2, 3, 5, 10, 20)
 SEED = 0
@@ -49,9 +45,6 @@ DENSE = 1000
 """Fewest times at which the displacement is scored."""
 ASTRAY = 3.0
 """An excess of the displacement error from which on a method is said to have missed the solution."""
-USAGE = """usage: python -m tests.studies.chains [sizes=1,2,3,5,10,20] [methods=<a,b>] [timeout_s=120] [workers=1]
-                                          [store=outputs/rows] [out=results] [fit=true]
-fit=false: table, page and picture of what is stored; nothing is computed"""
 
 
 def true_parameters(n: int) -> dict[str, float]:
@@ -79,7 +72,7 @@ def scenario(n: int) -> Scenario:
 
     The times at which the displacement is scored, and forecast, are the samples' and equal parts of their steps.
     """
-    common = expand(["method=prior", "system=chain2", "snr=30"], multirun=False)[0].scenario
+    common = common_scenario(system="chain2", snr=30)
     frequencies = natural_frequencies(n)
     duration = float(math.ceil(PERIODS * 2.0 * math.pi / frequencies[0]))
     steps = math.ceil(PER_PERIOD * duration * frequencies[-1] / (2.0 * math.pi))
@@ -200,7 +193,8 @@ def entry(at: Mapping[str, Any]) -> list[str]:
 TEXT = """Regenerate: `python -m tests.studies.chains` (what is stored already is not computed again).
 
 Chains of n masses, every displacement measured, 30 dB, the first mass released from 1 m, start told, nominal prior,
-{n_fits}; true values along the chain from the ground on, over and over: masses {m} kg, dampers {c} N·s/m, springs {k}
+5 data sets up to five masses, 3 above; true values along the chain from the ground on, over and over: masses {m} kg, \
+dampers {c} N·s/m, springs {k}
 N/m. A record lasts {periods:g} periods of the slowest mode, in whole seconds, and has {per:g} samples a period of the
 fastest: the scenario is designed from the true natural frequencies, the methods get its record alone. One setting a
 method, its default; limit {timeout:g} s by the clock and 4 GB a fit; one thread. A method that has no answer to the
@@ -220,10 +214,8 @@ def page(data: pd.DataFrame, timeout_s: float) -> str:
     joined = {
         key: "/".join(f"{v:g}" for v in values) for key, values in (("m", MASSES), ("c", DAMPERS), ("k", SPRINGS))
     }
-    n_fits = "5 data sets up to five masses, 3 above"
-    parts = ["# Chains: reach and cost", TEXT.format(
-        n_fits=n_fits, periods=PERIODS, per=PER_PERIOD, timeout=timeout_s, **joined
-    )]  # fmt: skip
+    text = TEXT.format(periods=PERIODS, per=PER_PERIOD, timeout=timeout_s, **joined)
+    parts = ["# Chains: reach and cost", text]
     methods = list(dict.fromkeys(data.method))
     served = [m for m in methods if not (data[data.method == m].status == Status.UNSUPPORTED.value).all()]
     lines = [f"| {labels.title(m)} {reach(data[data.method == m])}" for m in served if m != "prior"]
@@ -237,8 +229,7 @@ def page(data: pd.DataFrame, timeout_s: float) -> str:
         cell_scenario = scenario(int(n))
         rows = [[labels.title(at["method"]), *entry(at)] for at in own.to_dict("records") if _asked(at)]
         size = f"{3 * n} parameters, {cell_scenario.samples} samples of each mass over {cell_scenario.duration:g} s"
-        table = tabulate(rows, headers=columns, tablefmt="github", disable_numparse=True)
-        parts += [f"## n = {n}: {size}", table]
+        parts += [f"## n = {n}: {size}", markdown_table(rows, columns)]
     unsupported = data[data.status == Status.UNSUPPORTED.value].drop_duplicates("method")
     if len(unsupported):
         said = "\n".join(f"- {labels.title(at.method)}: {at.message} (n = {at.n})" for at in unsupported.itertuples())
@@ -253,68 +244,40 @@ def _asked(at: Mapping[str, Any]) -> bool:
 # ------------------------------------------------------------------------------------------------ command line
 
 
-@dataclass(frozen=True)
-class Options:
-    """What the command line says."""
+def chains(
+    sizes: Annotated[tuple[Count, ...], "numbers of masses"] = SIZES,
+    methods: Annotated[tuple[str, ...], Choice(method_names), "methods; left out: all"] = (),
+    timeout_s: Annotated[Positive, "s by the clock, limit of a fit"] = 120.0,
+    workers: Annotated[Count, "processes that fit"] = 1,
+    store: Annotated[Path, "folder of finished cells, which are not computed again"] = Path(DEFAULT_STORE),
+    out: Out = RESULTS,
+    fit: Annotated[bool, "false: table, page and picture of what is stored"] = True,
+) -> int:
+    """Measure how far each method reaches as the number of masses grows, and what it costs.
 
-    sizes: tuple[int, ...]
-    methods: tuple[str, ...]
-    timeout_s: float
-    workers: int
-    store: Path
-    out: Path
-    fit: bool
-
-
-def read_options(arguments: Sequence[str]) -> Options:
-    """The arguments, checked; raises InputError."""
-    texts = {
-        "sizes": ",".join(map(str, SIZES)), "methods": "", "timeout_s": "120", "workers": "1",
-        "store": DEFAULT_STORE, "out": "results", "fit": "true",
-    }  # fmt: skip
-    texts = read_fields(arguments, texts)
-    methods = tuple(name for name in texts["methods"].split(",") if name) or (*REFERENCES, *_others())
-    for name in methods:
-        if name not in method_names():
-            raise InputError("methods", name, f"known: {', '.join(method_names())}")
-    sizes = tuple(whole("sizes", text) for text in texts["sizes"].split(","))
-    try:
-        timeout_s = float(texts["timeout_s"])
-    except ValueError:
-        timeout_s = math.nan
-    if not (math.isfinite(timeout_s) and timeout_s > 0):
-        raise InputError("timeout_s", texts["timeout_s"], "a positive number of seconds")
-    workers, fit = whole("workers", texts["workers"]), flag("fit", texts["fit"])
-    return Options(sizes, methods, timeout_s, workers, Path(texts["store"]), Path(texts["out"]), fit)
+    Chains of 1 to 20 masses, every displacement measured, 30 dB, the first mass released from 1 m, start told, nominal
+    prior. At each size every method first gets one data set; one that gives no answer within the limits is not asked
+    again, neither for more data sets of that size nor for longer chains.
+    """
+    opened, names = open_store(store), methods or (*REFERENCES, *_others())
+    opened.prepare()
+    if fit:
+        compute(sizes, names, opened, Limits(workers, timeout_s))
+    data = tidy(sizes, names, opened)
+    if not fit and (data.status == "not tried").all():
+        raise InputError("store", store, "one with cells of these chains; without fit=false they are computed")
+    publish(out / "chains.md", page(data, timeout_s))
+    publish(out / "chains.csv", data.to_csv(index=False, float_format="%.5g"))
+    print(*picture(data, out / "figures", ASTRAY), sep="\n")
+    return 0
 
 
 def _others() -> list[str]:
-    """The registered methods in the order of the other tables, any others behind."""
+    """Return the registered methods in the order of the other tables, any others behind."""
     return labels.in_order(name for name in method_names() if name not in REFERENCES)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Compute what is lacking, then write table, CSV and picture; exit status 2 for bad input, 130 interrupted."""
-    kept = "interrupted; the same command goes on from here"
-    return command("tests.studies.chains", f"{USAGE}\n\n{__doc__}", argv, _main, kept)
-
-
-def _main(arguments: Sequence[str]) -> int:
-    chosen = read_options(arguments)
-    store = open_store(chosen.store)
-    for folder in (chosen.store, chosen.out, chosen.out / "figures"):
-        Store(folder).prepare()
-    if chosen.fit:
-        compute(chosen.sizes, chosen.methods, store, Limits(chosen.workers, chosen.timeout_s))
-    data = tidy(chosen.sizes, chosen.methods, store)
-    if not chosen.fit and (data.status == "not tried").all():
-        raise InputError("store", chosen.store, "one with cells of these chains; without fit=false they are computed")
-    (chosen.out / "chains.csv").write_text(data.to_csv(index=False, float_format="%.5g"), encoding="utf-8")
-    (chosen.out / "chains.md").write_text(page(data, chosen.timeout_s), encoding="utf-8")
-    for path in (chosen.out / "chains.md", chosen.out / "chains.csv", *picture(data, chosen.out / "figures", ASTRAY)):
-        print(path)
-    return 0
-
+main = partial(study, chains, "tests.studies.chains", interrupted="interrupted; the same command goes on from here")
 
 if __name__ == "__main__":
     sys.exit(main())

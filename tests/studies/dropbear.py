@@ -1,21 +1,12 @@
-"""A beam whose support moves while it vibrates: its first frequency, followed sample by sample.
-
-``python -m tests.studies.dropbear data=<folder with ten_steps.txt> out=results`` writes ``online_dropbear.md`` and a
-picture. The record (A. Vereen, A. Downey, J. Dodson, A. G. Moura, DROPBEAR, 2023) is not part of this repository.
-
-The acceleration is band-passed about the first mode by a causal filter, taken down to 250 samples a second, and given
-to the tracker as that of one degree of freedom under an unknown force: the moving support excites the beam. The tracker
-is not told when it moves. The reference frequencies were read off a spectrogram with bins of 1.2 Hz, so they are no
-better than about one percent themselves; so the table also has the peak of the spectrum of each stay alone, which sees
-all of its samples at once.
-"""
+"""A beam whose support moves while it vibrates: its first frequency, followed sample by sample."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -23,7 +14,7 @@ from bench import InputError, Layout, Sample, Sensor
 from bench.entrants.online import make_online
 from bench.reporting.tables.common import markdown_table
 from bench.systems import make_system
-from tests.studies.fields import command, folder_of, path_of, read_fields
+from tests.studies.common import RESULTS, Out, publish, study
 
 RATE, KEPT_EVERY, HEADER = 5000.0, 20, 9
 BAND = (15.0, 70.0)
@@ -169,24 +160,29 @@ beside what a spectrogram with bins of 1.2 Hz says, and the peak of the spectrum
 is the median over the second half of a stay."""
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """``python -m tests.studies.dropbear data=<folder> [out=results]``."""
+def dropbear(
+    data: Annotated[Path, "folder of ten_steps.txt"],
+    out: Out = RESULTS,
+) -> int:
+    """Follow the first frequency of a beam whose support moves: online_dropbear.md and a picture.
 
-    def body(arguments: list[str]) -> int:
-        fields = read_fields(arguments, {"data": "", "out": "results"})
-        out, record = path_of(fields["out"]), read(folder_of("data", fields["data"]))
-        found, sds = followed(record)
-        out.mkdir(parents=True, exist_ok=True)
-        text = (
-            f"{HEAD}\n\n{table(record, found, sds)}\n\nRegenerate: `python -m tests.studies.dropbear data=<folder>`\n"
-        )
-        (out / "online_dropbear.md").write_text(text, encoding="utf-8")
-        draw(record, found, sds, out / "figures")
-        print(text)
-        return 0
+    The record (A. Vereen, A. Downey, J. Dodson, A. G. Moura, DROPBEAR, 2023) is not part of this repository.
 
-    return command("tests.studies.dropbear", __doc__ or "", argv, body)
+    The acceleration is band-passed about the first mode by a causal filter, taken down to 250 samples a second, and
+    given to the tracker as that of one degree of freedom under an unknown force: the moving support excites the beam.
+    The tracker is not told when it moves. The reference frequencies were read off a spectrogram with bins of 1.2 Hz, so
+    they are no better than about one percent themselves; so the table also has the peak of the spectrum of each stay
+    alone, which sees all of its samples at once.
+    """
+    record = read(data)
+    found, sds = followed(record)
+    text = f"{HEAD}\n\n{table(record, found, sds)}\n\nRegenerate: `python -m tests.studies.dropbear data=<folder>`\n"
+    publish(out / "online_dropbear.md", text)
+    draw(record, found, sds, out / "figures")
+    return 0
 
+
+main = partial(study, dropbear, "tests.studies.dropbear")
 
 if __name__ == "__main__":
     sys.exit(main())

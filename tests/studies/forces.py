@@ -1,15 +1,12 @@
-"""``python -m tests.studies.forces``: writes ``forces.md``: what an optimal force gains over usual ones of its energy.
-
-Tests are drawn at random; for each the forces are found, and tests with a hammer blow and with the best force are
-simulated and fitted with a real method.
-"""
+"""What an optimal force gains over usual ones of its energy."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
+from typing import Annotated
 
 import numpy as np
 
@@ -22,14 +19,8 @@ from bench.planning.forces import Forces, Told, told_by
 from bench.planning.search import Likely
 from bench.planning.verify import counted, simulated_forced
 from bench.reporting.tables.common import markdown_table
-from tests.studies.fields import command, read_fields, whole
+from tests.studies.common import RESULTS, Count, Out, publish, study
 
-FIELDS = {"requests": "12", "tests": "20", "out": "results"}
-USAGE = """usage: python -m tests.studies.forces [requests=12] [tests=20] [out=results]
-
-  requests  random tests, for each of which forces are found
-  tests     simulations of each test, with a blow and with the best force
-  out       where forces.md goes"""
 RATE = 16.0
 """Samples a cycle."""
 ERRORS = {"k_over_m": 0.002, "c_over_m": 0.02}
@@ -51,7 +42,7 @@ class Request:
         return self.test.duration * self.likely.frequency
 
 
-def requests(number: int) -> list[tuple[Request, dict[str, Told]]]:
+def drawn(number: int) -> list[tuple[Request, dict[str, Told]]]:
     """Random tests with their forces; half of them with doubt about the oscillator."""
     rng, found = np.random.default_rng(2027), []
     for i in range(number):
@@ -75,30 +66,28 @@ def _forces(one: Request) -> dict[str, Told]:
     return {title: told_by(one.likely, one.test, force) for title, force in every.items()}
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Find, simulate, write."""
-    return command("tests.studies.forces", USAGE, argv, made)
+def forces(
+    requests: Annotated[Count, "random tests, for each of which forces are found"] = 12,
+    tests: Annotated[Count, "simulations of each test, with a blow and with the best force"] = 20,
+    out: Out = RESULTS,
+) -> int:
+    """Measure what an optimal force gains over usual ones of its energy: forces.md.
 
-
-def made(arguments: Sequence[str]) -> int:
-    """Raises InputError."""
-    fields = read_fields(arguments, FIELDS)
-    number, tests = whole("requests", fields["requests"]), whole("tests", fields["tests"])
+    Tests are drawn at random; for each the forces are found, and tests with a hammer blow and with the best force are
+    simulated and fitted by a method.
+    """
     single_threaded()
     name = on_the_bound()[0]
-    method, planned = make_method(name, {}), requests(number)
+    method, planned = make_method(name, {}), drawn(requests)
     shares: dict[str, list[float]] = {title: [] for title in SIMULATED}
-    with counter("test", number * tests * len(SIMULATED)) as advance:
+    with counter("test", requests * tests * len(SIMULATED)) as advance:
         for one, found in planned:
             for title in SIMULATED:
                 told = found[title]
                 errors = simulated_forced(one.likely, one.test, told.force, one.quantity, method, tests, advance)
                 shares[title] += list(errors / told.median[one.quantity])
-    out = Path(fields["out"])
-    out.mkdir(parents=True, exist_ok=True)
     said = {title: counted(np.array(values)) for title, values in shares.items()}
-    (out / "forces.md").write_text(page(planned, said, name, tests), encoding="utf-8")
-    print(out / "forces.md")
+    publish(out / "forces.md", page(planned, said, name, tests))
     return 0
 
 
@@ -136,6 +125,9 @@ REGENERATE = "Regenerate: `python -m tests.studies.forces` (from a clone)"
 
 def _known(value: float, sd: float) -> str:
     return f"{value:.3g}" + (f" : {100 * sd:.0f} %" if sd else "")
+
+
+main = partial(study, forces, "tests.studies.forces")
 
 
 if __name__ == "__main__":

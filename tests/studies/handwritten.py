@@ -1,52 +1,43 @@
-"""``python -m tests.studies.handwritten``: shooting and output error beside what an engineer would otherwise write.
-
-That is ``scipy.optimize.least_squares`` around ``scipy.integrate.solve_ivp``, some twenty lines, started once from the
-nominal values. All methods fit the same data sets in one process, in turn, so that their times can be compared.
-"""
+"""Shooting and output error beside what an engineer would otherwise write."""
 
 from __future__ import annotations
 
 import math
 import sys
-import tempfile
 import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 from statistics import median
+from typing import Annotated
 
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
-from tabulate import tabulate
 
 from bench import Estimate, Normal, Problem, Status
-from bench.config.experiment import expand
 from bench.engine.progress import counter
 from bench.entrants.registry import make_method
+from bench.information.fisher import compute_bound
 from bench.isolation.failure import one_line
 from bench.isolation.limits import limited
 from bench.isolation.machine import single_threaded
 from bench.reporting.rounding import excess_text, number
+from bench.reporting.tables.common import markdown_table
 from bench.scenario.scenario import METHOD, Scenario
 from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import score
 from bench.scoring.summary import wilson_interval
-from bench.store.bounds import Replicates, load_bounds
-from bench.store.store import Store
-from tests.studies.fields import command, read_fields, whole
+from tests.studies.common import RESULTS, Count, Out, publish, scenario, study
 
 SEED = 4242
 """A seed that nothing was tuned on and no table uses."""
 SNRS = (40, 20)
 WITHIN = 3.0
 """A fit succeeds if it says so itself and its displacement error is below so many times the bound."""
-USAGE = """usage: python -m tests.studies.handwritten [duffing=20] [chain5=5] [timeout_s=120] [out=results]
-duffing, chain5: data sets of each; timeout_s: processor seconds a fit"""
-
 # ------------------------------------------------------------------------------------------------ by hand
 
 Rates = Callable[[float, np.ndarray, np.ndarray], np.ndarray]
@@ -146,8 +137,7 @@ def measure(
     Before these, each fits one data set more that does not count: it loads and builds what a first fit needs.
     """
     fits, outcomes = contenders(), {name: list[Outcome]() for name in contenders()}
-    with tempfile.TemporaryDirectory() as folder:
-        bound = load_bounds([Replicates(scenario, SEED)], Store(Path(folder)).bounds)[0].rmse
+    bound = compute_bound(scenario, SEED).rmse
     make = scenario.maker(SEED)
     for i in (replicates, *range(replicates)):
         problem, truth = make(i)
@@ -196,42 +186,33 @@ def row(label: str, snr: float, name: str, outcomes: Sequence[Outcome]) -> list[
 def page(rows: Sequence[Sequence[str]], limit: float) -> str:
     """The table as a page."""
     headers = ["system", "dB", "what", "success", "excess", "time, median (s)", "largest (s)", "what failed"]
-    table = tabulate(rows, headers=headers, tablefmt="github", disable_numparse=True)
-    return "\n\n".join(["# Beside a fit by hand", TEXT.format(limit=limit, within=WITHIN), table]) + "\n"
+    text = TEXT.format(limit=limit, within=WITHIN)
+    return "\n\n".join(["# Beside a fit by hand", text, markdown_table(rows, headers)]) + "\n"
 
 
-def read_options(arguments: Sequence[str]) -> dict[str, str]:
-    """The arguments, checked; raises InputError."""
-    found = {"duffing": "20", "chain5": "5", "timeout_s": "120", "out": "results"}
-    found = read_fields(arguments, found)
-    for name in ("duffing", "chain5", "timeout_s"):
-        whole(name, found[name])
-    return found
+def handwritten(
+    duffing: Annotated[Count, "data sets of the Duffing oscillator"] = 20,
+    chain5: Annotated[Count, "data sets of the chain of five masses"] = 5,
+    timeout_s: Annotated[Count, "s of the processor, limit of a fit"] = 120,
+    out: Out = RESULTS,
+) -> int:
+    """Measure shooting and output error beside what an engineer would otherwise write: handwritten.md.
 
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Measure and write the page; exit status 2 for bad input."""
-    return command("tests.studies.handwritten", f"{USAGE}\n\n{__doc__}", argv, _main)
-
-
-def _main(arguments: Sequence[str]) -> int:
+    That is scipy.optimize.least_squares around scipy.integrate.solve_ivp, some twenty lines, started once from the
+    nominal values. All methods fit the same data sets in one process, in turn, so that their times can be compared.
+    """
     single_threaded()
-    chosen = read_options(arguments)
-    out = Path(chosen["out"])
-    Store(out).prepare()
-    rows, limit = [], float(chosen["timeout_s"])
-    counts = {label: int(chosen[label]) for label in ("duffing", "chain5")}
-    total = len(SNRS) * sum(count + 1 for count in counts.values())
-    with counter("data set", total) as advance:
+    rows, counts = [], {"duffing": duffing, "chain5": chain5}
+    with counter("data set", len(SNRS) * sum(count + 1 for count in counts.values())) as advance:
         for label, count in counts.items():
             for snr in SNRS:
-                jobs = expand(["method=prior", f"system={label}", f"snr={snr}"], multirun=False)
-                outcomes = measure(jobs[0].scenario, count, limit, advance)
+                outcomes = measure(scenario(system=label, snr=snr), count, float(timeout_s), advance)
                 rows += [row(label, snr, name, own) for name, own in outcomes.items()]
-    (out / "handwritten.md").write_text(page(rows, limit), encoding="utf-8")
-    print(out / "handwritten.md")
+    publish(out / "handwritten.md", page(rows, timeout_s))
     return 0
 
+
+main = partial(study, handwritten, "tests.studies.handwritten")
 
 if __name__ == "__main__":
     sys.exit(main())

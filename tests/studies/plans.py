@@ -1,7 +1,4 @@
-"""``python -m tests.studies.plans``: writes ``plans.md``: whether proposed tests keep what they promise.
-
-Requests are drawn at random, each is planned, and the test that is proposed is simulated and fitted with a real method.
-"""
+"""Whether proposed tests keep what they promise."""
 
 from __future__ import annotations
 
@@ -9,7 +6,8 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
+from typing import Annotated
 
 import numpy as np
 from scipy.stats import binom, norm
@@ -22,14 +20,8 @@ from bench.planning.free_decay import QUANTITIES, Decay, errors, information
 from bench.planning.search import MOST_SAMPLES, WITHIN, Likely, Proposal, cheapest, not_exceeded
 from bench.planning.verify import reached, simulated
 from bench.reporting.tables.common import markdown_table
-from tests.studies.fields import command, read_fields, whole
+from tests.studies.common import RESULTS, Count, Out, publish, study
 
-FIELDS = {"requests": "20", "tests": "500", "out": "results"}
-USAGE = """usage: python -m tests.studies.plans [requests=20] [tests=500] [out=results]
-
-  requests  random requests, each planned
-  tests     simulations of each proposed test
-  out       where plans.md goes"""
 MOST = 2000
 """Samples of a test, beyond which a request is drawn anew: it would take long to simulate."""
 HABIT = 10.0
@@ -46,7 +38,7 @@ class Request:
     amplitude: float
 
 
-def requests(number: int) -> list[tuple[Request, Proposal]]:
+def drawn(number: int) -> list[tuple[Request, Proposal]]:
     """Random requests with the test that is proposed for each; half of them with doubt about the oscillator."""
     rng = np.random.default_rng(2027)
     found = list[tuple[Request, Proposal]]()
@@ -79,30 +71,27 @@ def doubled(one: Request) -> int | None:
     return None
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Plan, simulate, write."""
-    return command("tests.studies.plans", USAGE, argv, made)
+def plans(
+    requests: Annotated[Count, "random requests, each planned"] = 20,
+    tests: Annotated[Count, "simulations of each proposed test"] = 500,
+    out: Out = RESULTS,
+) -> int:
+    """Measure whether proposed tests keep what they promise: plans.md.
 
-
-def made(arguments: Sequence[str]) -> int:
-    """Raises InputError."""
-    fields = read_fields(arguments, FIELDS)
-    number, tests = whole("requests", fields["requests"]), whole("tests", fields["tests"])
+    Requests are drawn at random, each is planned, and the test that is proposed is simulated and fitted by a method.
+    """
     single_threaded()
     name = on_the_bound()[0]
     method, lines, inside = make_method(name, {}), [], 0
-    planned = requests(number)
-    with counter("test", number * tests) as advance:
+    planned = drawn(requests)
+    with counter("test", requests * tests) as advance:
         for one, plan in planned:
             found = reached(simulated(one.likely, plan.decay, one.quantity, method, tests, advance), one.error)
             share = expected_share(one, plan.decay)
             low, high = (float(value) / tests for value in binom.interval(0.95, tests, share))
             inside += low <= found <= high
             lines.append((one, plan, share, found, low <= found <= high, doubled(one)))
-    out = Path(fields["out"])
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "plans.md").write_text(page(lines, name, tests, inside), encoding="utf-8")
-    print(out / "plans.md")
+    publish(out / "plans.md", page(lines, name, tests, inside))
     return 0
 
 
@@ -145,6 +134,8 @@ REGENERATE = "Regenerate: `python -m tests.studies.plans` (from a clone)"
 def _known(value: float, sd: float) -> str:
     return f"{value:.3g}" + (f" : {100 * sd:.0f} %" if math.isfinite(sd) and sd else "")
 
+
+main = partial(study, plans, "tests.studies.plans")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,11 +1,4 @@
-"""``python -m tests.studies.twins``: whether intervals that were corrected by twins hold the truth.
-
-Free vibrations of 1 Hz with 2 % damping, start and offset unknown, in three hard records: 5 samples a cycle, 5 dB, and
-coloured noise (first order, rho = 0.8) at 20 dB. Of each case many records are made and fitted by output error, and of
-each record twins. The table shows how often 95 % intervals hold the truth: the method's own, which takes the noise for
-white; the stated one; the one that the twins correct where they show that it is wrong; and the one that is always
-multiplied by the twins' stretch.
-"""
+"""Whether intervals that were corrected by twins hold the truth."""
 
 from __future__ import annotations
 
@@ -13,13 +6,15 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Annotated
 
 import numpy as np
 
+from bench.commands.declaration import Choice, Within
 from bench.contract.estimate import Status
 from bench.contract.problem import Channel, Problem, Record
 from bench.entrants.registry import make_method
-from bench.errors import InputError
 from bench.likelihood.autoregression import Autoregression
 from bench.measured.finding import Finding, judged
 from bench.measured.fit import Outcome
@@ -30,14 +25,13 @@ from bench.reporting.tables.common import markdown_table
 from bench.scenario.truth import closed_form
 from bench.scoring.summary import wilson_interval
 from bench.systems.linear import SDOF
-from tests.studies.fields import command, read_fields, whole
+from tests.studies.common import Count, study
 
 METHOD = "output_error"
 RATE, RATIO = 2 * math.pi, 0.02
 TRUTH = {"m": 1.0, "c": 2 * RATIO * RATE, "k": RATE**2}
 SHOWN = ("natural_frequency", "damping_ratio")
 KINDS = ("white", "stated", "corrected", "always")
-USAGE = "usage: python -m tests.studies.twins [records=100] [twins=60] [cases=few,loud,coloured] [seed=1]"
 
 
 @dataclass(frozen=True)
@@ -101,7 +95,7 @@ def holds(finding: Finding, answers: Answers) -> dict[tuple[str, str], bool]:
     return told
 
 
-def study(name: str, records: int, twins: int, seed: int) -> list[list[str]]:
+def coverage(name: str, records: int, twins: int, seed: int) -> list[list[str]]:
     """The rows of a case."""
     case, told = CASES[name], list[dict[tuple[str, str], bool]]()
     lacking = refused = 0
@@ -131,22 +125,26 @@ def _share(held: Sequence[bool]) -> str:
     return f"{100 * sum(held) / len(held):.0f} % ({100 * low:.0f}-{100 * high:.0f})"
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Print the table; exit status 2 for bad input."""
-    return command("tests.studies.twins", f"{USAGE}\n\n{__doc__}", argv, _main, "interrupted")
+def twins(
+    records: Annotated[Count, "records of each case"] = 100,
+    twins: Annotated[int, Within(ge=20, le=10**6), "twins of each record"] = 60,
+    cases: Annotated[tuple[str, ...], Choice(tuple(CASES)), "kinds of records"] = tuple(CASES),
+    seed: Annotated[int, Within(ge=0), "seed of all records"] = 1,
+) -> int:
+    """Measure whether intervals that were corrected by twins hold the truth.
 
-
-def _main(arguments: Sequence[str]) -> int:
-    usual = {"records": "100", "twins": "60", "cases": ",".join(CASES), "seed": "1"}
-    fields = read_fields(arguments, usual)
-    names = fields["cases"].split(",")
-    if unknown := [name for name in names if name not in CASES]:
-        raise InputError("cases", unknown[0], f"one of: {', '.join(CASES)}")
-    records, twins, seed = whole("records", fields["records"], 1), whole("twins", fields["twins"], 20), fields["seed"]
-    table = [row for name in names for row in study(name, records, twins, whole("seed", seed, 0))]
+    Free vibrations of 1 Hz with 2 % damping, start and offset unknown, in three hard records: 5 samples a cycle, 5 dB,
+    and coloured noise (first order, rho = 0.8) at 20 dB. Of each case many records are made and fitted by output error,
+    and of each record twins. The table shows how often 95 % intervals hold the truth: the method's own, which takes the
+    noise for white; the stated one; the one that the twins correct where they show that it is wrong; and the one that
+    is always multiplied by the twins' stretch.
+    """
+    table = [row for name in cases for row in coverage(name, records, twins, seed)]
     print(markdown_table(table, ["record", "quantity", "records", *KINDS]))
     return 0
 
+
+main = partial(study, twins, "tests.studies.twins")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -133,7 +133,12 @@ def test_a_second_run_computes_nothing(tmp_path: Path, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize(
     ("argument", "words"),
-    [("sizes=0", "from 1"), ("methods=pin", "known"), ("timeout_s=nan", "positive"), ("snr=20", "sizes=")],
+    [
+        ("sizes=0", "sizes"),
+        ("methods=pin", "did you mean pinn?"),
+        ("timeout_s=nan", "finite"),
+        ("snr=20", "fields: sizes"),
+    ],
 )
 def test_a_wrong_argument_is_one_line(argument: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([argument]) == 2

@@ -18,7 +18,7 @@ from bench.information.fisher import compute_bound
 from bench.scenario.truth import closed_form
 from tests.studies import chains
 from tests.studies.engines import children, floors, page, peers, results, rivals
-from tests.studies.engines.__main__ import main, read_options
+from tests.studies.engines.__main__ import main
 from tests.studies.engines.children import ROOT, Outcome, answered
 from tests.studies.engines.floors import Rates
 from tests.studies.engines.picture import caption, lifted, picture, stored_growths
@@ -277,13 +277,20 @@ def test_a_row_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "bound of a new linear scenario" in (tmp_path / "engines.md").read_text(encoding="utf-8")
 
 
-def test_arguments(capsys: pytest.CaptureFixture[str]) -> None:
-    every = read_options([])
-    assert every.rows == tuple(rows())
-    assert every.scaling
-    assert every.rivals
-    assert not read_options(["rows=ml"]).rivals
-    assert read_options(["rows=none", "rivals=true"]).rows == ()
+def test_named_rows_come_without_curves_and_other_engines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def measured(names: list[str], before: Path | None, scaling: bool, python: str, limit_s: float) -> page.Study:
+        asked.append((names, scaling, bool(python)))
+        return page.Study([], [], [], UNIT, limit_s)
+
+    monkeypatch.setattr("tests.studies.engines.__main__.measured", measured)
+    for words in ([], ["rows=ml"], ["rows=none", "rivals=true"]):
+        assert main([*words, f"out={tmp_path}"]) == 0
+    assert asked == [(list(rows()), True, True), (["ml"], False, False), ([], False, True)]
+
+
+def test_a_wrong_argument_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     for wrong in ("rows=nothing", "before=/nowhere", "rivals=perhaps", "limit_s=0", "rival_python=/nowhere", "what=1"):
         assert main([wrong]) == 2
         assert capsys.readouterr().err.count("\n") == 1

@@ -19,7 +19,7 @@ def stream():
 
 def test_a_part_that_is_not_there_is_said(capsys) -> None:
     assert main(["part=konstant"]) == 2
-    assert "some of constant" in capsys.readouterr().err
+    assert "one of constant" in capsys.readouterr().err
 
 
 def test_thresholds_of_the_table_are_those_of_the_methods() -> None:

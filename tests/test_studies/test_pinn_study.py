@@ -10,9 +10,9 @@ import pytest
 
 from bench.reporting.figures.png import caption_of
 from bench.scenario.scenario import Scenario
-from tests.studies.pinn.__main__ import main, options, page
+from tests.studies.pinn.__main__ import main, page
 from tests.studies.pinn.common import Comparison
-from tests.studies.pinn.scaling import COUNT, GROWN, chain, horizon, ratios, settings
+from tests.studies.pinn.scaling import GROWN, chain, horizon, ratios, settings
 
 torch = pytest.importorskip("torch")
 
@@ -24,10 +24,10 @@ from tests.studies.pinn.products import product_sizes, roofline  # noqa: E402
     ("argument", "words"),
     [
         ("part=speed", "speed"),
-        ("replicates=none", "whole number"),
-        ("seeds=0", "from 1"),
+        ("replicates=none", "integer"),
+        ("seeds=0", "greater"),
         ("peers=/nowhere", "naive_fit.py"),
-        ("snr=20", "snr=20"),
+        ("snr=20", "fields: part"),
     ],
 )
 def test_a_wrong_argument_is_one_line(argument: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -40,7 +40,6 @@ def test_a_wrong_argument_is_one_line(argument: str, words: str, capsys: pytest.
 def test_help_names_the_parts(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
     assert "starting_values" in capsys.readouterr().out
-    assert options([])["replicates"] == "100"
 
 
 def test_the_rivals_loss_is_theirs() -> None:
@@ -91,13 +90,6 @@ def test_the_network_is_fitted_where_it_takes_less_than_minutes() -> None:
     assert ("masses", 5) in network
     assert ("masses", 10) not in network
     assert ("cycles", 200) not in network
-    # 5 times two methods, 3 of 4 chains and 5 of 8 records with the network, all of these with two others
-    assert COUNT == 5 * 2 + (3 + 4 * 2) + (5 + 8 * 2)
-
-
-def test_the_reach_counts_what_it_measures() -> None:
-    """Of eight lines four are of two methods, and three of three; the products are of two."""
-    assert reach.COUNT == 3 * 3 + 4 * 2 + 2
 
 
 def test_errors_of_groups_are_pooled_over_their_bounds() -> None:

@@ -260,7 +260,7 @@ def test_corrected_intervals_hold_the_truth_under_coloured_noise() -> None:
 
     Where 95 % hold the truth, six studies in 10,000 have fewer than 24.
     """
-    rows = study.study("coloured", 30, 40, 5)
+    rows = study.coverage("coloured", 30, 40, 5)
     white, corrected = ([float(row[i].partition(" ")[0]) for row in rows] for i in (3, 5))
     assert min(corrected) >= 80.0
     assert min(white) < 90.0

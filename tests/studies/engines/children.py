@@ -141,11 +141,5 @@ def measured(task: dict[str, Any], folder: Path = ROOT) -> Outcome:
     found = answered(["-P", str(ROW)], task, folder)
     if isinstance(found, str):
         return Outcome(failure=found)
-    return Outcome(
-        seconds=tuple(found["seconds"]),
-        answers=tuple(found["answers"]),
-        data=found["data"],
-        peak_mb=found["peak_mb"],
-        grown_mb=found["grown_mb"],
-        modules=tuple(found.get("modules", ())),
-    )
+    lists = {name: tuple(value) for name, value in found.items() if isinstance(value, list)}
+    return Outcome(**{**found, **lists})

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from tabulate import tabulate
 
 from bench.reporting import labels
 from bench.reporting.rounding import number
+from bench.reporting.tables.common import markdown_table
 from tests.studies.engines.floors import FORMULAS, Rates
 from tests.studies.engines.peers import Peer
 from tests.studies.engines.picture import caption
@@ -189,20 +189,17 @@ def page(study: Study) -> str:
     )  # fmt: skip
     parts = ["# What the engines cost", text]
     if study.results:
-        parts += [said_of_rows(study.results), _table(map(line, study.results), COLUMNS), said_of_floors(study.results)]
+        table = markdown_table([line(result) for result in study.results], COLUMNS)
+        parts += [said_of_rows(study.results), table, said_of_floors(study.results)]
     if study.growths:
         image = "![Time against size](figures/engines_scaling.png)"
         parts += ["## Growth", image, caption(study.growths), said_of_growth(study.growths)]
     if study.peers:
         own = study.peers[0].seconds
         columns = ("engine", "start", "time (ms)", "over ours, alone", "solved")
-        rows = [peer_line(peer, own) for peer in study.peers]
-        parts += ["## Other engines", RIVALS.format(solved=SOLVED), said_of_peers(study.peers), _table(rows, columns)]
+        table = markdown_table([peer_line(peer, own) for peer in study.peers], columns)
+        parts += ["## Other engines", RIVALS.format(solved=SOLVED), said_of_peers(study.peers), table]
     return "\n\n".join(parts) + "\n"
-
-
-def _table(rows: Any, columns: Sequence[str]) -> str:
-    return str(tabulate(list(rows), headers=columns, tablefmt="github", disable_numparse=True))
 
 
 def tidy(study: Study) -> pd.DataFrame:

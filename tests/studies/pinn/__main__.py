@@ -1,109 +1,94 @@
-"""``python -m tests.studies.pinn``: what the PINN engine costs and how far it can be trusted, as a page.
-
-Each part is stored when it is done (``<out>/pinn/<part>.json``), and the page ``<out>/pinn.md`` and its pictures are
-made from what is stored; ``part=`` runs some of them only, ``fit=false`` none. Rival scripts are timed where ``peers=``
-names their folder.
-"""
+"""What the PINN engine costs and how far it can be trusted, as a page."""
 
 from __future__ import annotations
 
 import json
 import platform
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
+from typing import Annotated
 
-from tabulate import tabulate
-
+from bench.commands.declaration import Choice
 from bench.config.experiment import expand
-from bench.engine.progress import counter
 from bench.errors import InputError
 from bench.isolation.machine import single_threaded
-from bench.store.store import Store
-from tests.studies.fields import command, flag, read_fields, whole
+from bench.reporting.tables.common import markdown_table
+from bench.reporting.whole_file import write
+from tests.studies.common import RESULTS, Count, Out, publish, study
 from tests.studies.pinn import pictures
 from tests.studies.pinn.common import Part
 
 PARTS = (
-    "rivals",
-    "memory",
-    "accuracy",
-    "systems",
-    "initialisations",
-    "starting_values",
-    "loss",
-    "steps",
-    "reach",
+    "rivals", "memory", "accuracy", "systems", "initialisations", "starting_values", "loss", "steps", "reach",
     "scaling",
+)  # fmt: skip
+MACHINE = (
+    "with `peers=` and `peer_python=` for the rivals' times. The rivals' part is timed by the clock on one core, the "
+    "others in processor seconds; compare times within one part only."
 )
-USAGE = """usage: python -m tests.studies.pinn [part=<a,b>] [replicates=100] [out=results] [fit=true]
-                                        [peers=<folder of rival scripts> [peer_python=<python with DeepXDE>] [seeds=3]]
-parts: """ + ", ".join(PARTS)
 
 
-def options(arguments: Sequence[str]) -> dict[str, str]:
-    """The arguments, checked; raises InputError."""
-    found = {
-        "part": ",".join(PARTS),
-        "replicates": "100",
-        "out": "results",
-        "peers": "",
-        "peer_python": "",
-        "seeds": "3",
-        "fit": "true",
-    }
-    found = read_fields(arguments, found)
-    for part in found["part"].split(","):
-        if part not in PARTS:
-            raise InputError("part", part, f"one of {', '.join(PARTS)}")
-    flag("fit", found["fit"])
-    for name in ("replicates", "seeds"):
-        whole(name, found[name])
-    if found["peers"] and not (Path(found["peers"]) / "naive_fit.py").is_file():
-        raise InputError("peers", found["peers"], "a folder that holds naive_fit.py")
-    if found["peer_python"] and not Path(found["peer_python"]).is_file():
-        raise InputError("peer_python", found["peer_python"], "the path of a Python interpreter")
-    return found
+def pinn(
+    part: Annotated[tuple[str, ...], Choice(PARTS), "parts to run; left out: all"] = (),
+    replicates: Annotated[Count, "data sets of a scenario"] = 100,
+    out: Out = RESULTS,
+    fit: Annotated[bool, "false: page and pictures of what is stored"] = True,
+    peers: Annotated[Path | None, "folder of rival scripts, which are then timed"] = None,
+    peer_python: Annotated[Path | None, "interpreter that has DeepXDE"] = None,
+    seeds: Annotated[Count, "fits of each rival"] = 3,
+) -> int:
+    """Measure what the PINN engine costs and how far it can be trusted: pinn.md and its pictures.
+
+    Each part is stored when it is done (<out>/pinn/<part>.json); the page is made from what is stored.
+    """
+    if peers and not (peers / "naive_fit.py").is_file():
+        raise InputError("peers", peers, "a folder that holds naive_fit.py")
+    if peer_python and not peer_python.is_file():
+        raise InputError("peer_python", peer_python, "the path of a Python interpreter")
+    single_threaded()
+    folder, compute = out / "pinn", parts(replicates, peers, peer_python, seeds) if fit else {}
+    for name in (part or PARTS) if fit else ():
+        result = compute[name]()
+        print(f"\n{result.title}\n\n{markdown_table(result.rows, result.columns)}", flush=True)
+        content = {**asdict(result), "python": platform.python_version()}
+        write(folder / f"{name}.json", json.dumps(content, indent=1) + "\n", out)
+    for path in drawn(folder, out / "figures"):
+        print(path)
+    publish(out / "pinn.md", page(folder))
+    return 0
 
 
-def run(part: str, chosen: dict[str, str]) -> Part:
-    """One part, with a progress bar where it is long."""
+def parts(replicates: int, peers: Path | None, peer_python: Path | None, seeds: int) -> dict[str, Callable[[], Part]]:
+    """Return what computes each part."""
     from tests.studies.pinn import reach, rivals, robustness, scaling
 
     adam = dict(expand(["method=pinn_adam"], multirun=False)[0].cell().settings)
-    replicates = int(chosen["replicates"])
-    few = max(1, min(5, replicates))
-    peers = Path(chosen["peers"]) if chosen["peers"] else None
-    parts: dict[str, tuple[int, Callable[[], Part]]] = {
-        "rivals": (
-            0,
-            lambda: rivals.rivals(peers, chosen["peer_python"] or None, int(chosen["seeds"]), sys.executable, adam),
-        ),
-        "memory": (0, lambda: robustness.memory(adam)),
-        "accuracy": (20 * replicates, lambda: robustness.accuracy(replicates, advance)),
-        "systems": (8 * max(1, replicates // 2), lambda: robustness.systems(max(1, replicates // 2), advance)),
-        "initialisations": (100, lambda: robustness.initialisations(50, advance)),
-        "starting_values": (400, lambda: robustness.starting_values(advance)),
-        "loss": (0, lambda: robustness.loss(adam)),
-        "steps": (len(robustness.BUDGETS) * 6, lambda: robustness.steps(adam, advance)),
-        "reach": (reach.COUNT, lambda: reach.reach(few, advance)),
-        "scaling": (scaling.COUNT, lambda: scaling.scaling(few, advance)),
+    few = min(5, replicates)
+    return {
+        "rivals": lambda: rivals.rivals(peers, peer_python, seeds, adam),
+        "memory": lambda: robustness.memory(adam),
+        "accuracy": lambda: robustness.accuracy(replicates),
+        "systems": lambda: robustness.systems(max(1, replicates // 2)),
+        "initialisations": lambda: robustness.initialisations(50),
+        "starting_values": robustness.starting_values,
+        "loss": lambda: robustness.loss(adam),
+        "steps": lambda: robustness.steps(adam),
+        "reach": lambda: reach.reach(few),
+        "scaling": lambda: scaling.scaling(few),
     }
-    number, compute = parts[part]
-    with counter("fit", number) as advance:
-        return compute()
 
 
 def page(folder: Path) -> str:
-    """All stored parts as one page."""
-    sections = ["# The PINN engine", "Regenerate: `python -m tests.studies.pinn`, " + MACHINE]
+    """Return all stored parts as one page."""
+    sections = ["# The PINN engine", f"Regenerate: `python -m tests.studies.pinn`, {MACHINE}"]
     for name in PARTS:
         path = folder / f"{name}.json"
         if path.is_file():
             part = json.loads(path.read_text(encoding="utf-8"))
-            table = tabulate(part["rows"], headers=part["columns"], tablefmt="github", disable_numparse=True)
-            sections += [f"## {part['title']}", part["text"], table]
+            sections += [f"## {part['title']}", part["text"], markdown_table(part["rows"], part["columns"])]
             if part["data"]:
                 caption = getattr(pictures, f"{name}_caption")(part["data"])
                 sections += [f"![{part['title']}](figures/pinn_{name}.png)", caption]
@@ -111,43 +96,15 @@ def page(folder: Path) -> str:
 
 
 def drawn(folder: Path, out: Path) -> list[Path]:
-    """The pictures of all stored parts that have numbers for one."""
-    found: list[Path] = []
+    """Draw the pictures of all stored parts that have numbers for one."""
+    files: list[Path] = []
     for path in (folder / f"{name}.json" for name in PARTS):
         data = json.loads(path.read_text(encoding="utf-8"))["data"] if path.is_file() else {}
-        found += getattr(pictures, f"{path.stem}_picture")(data, out) if data else []
-    return found
+        files += getattr(pictures, f"{path.stem}_picture")(data, out) if data else []
+    return files
 
 
-MACHINE = (
-    "with `peers=` and `peer_python=` for the rivals' times. The rivals' part is timed by the clock on one core, the "
-    "others in processor seconds; compare times within one part only."
-)
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the parts and write the page; exit status 2 for bad input."""
-    return command("tests.studies.pinn", f"{USAGE}\n\n{__doc__}", argv, _main)
-
-
-def _main(arguments: Sequence[str]) -> int:
-    single_threaded()
-    chosen = options(arguments)
-    out = Path(chosen["out"])
-    folder = out / "pinn"
-    Store(folder).prepare()
-    Store(out / "figures").prepare()
-    for name in chosen["part"].split(",") if flag("fit", chosen["fit"]) else []:
-        part = run(name, chosen)
-        print(f"\n{part.title}\n\n{tabulate(part.rows, headers=part.columns, disable_numparse=True)}", flush=True)
-        content = {**asdict(part), "python": platform.python_version()}
-        (folder / f"{name}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    for path in drawn(folder, out / "figures"):
-        print(path)
-    (out / "pinn.md").write_text(page(folder), encoding="utf-8")
-    print(out / "pinn.md")
-    return 0
-
+main = partial(study, pinn, "tests.studies.pinn")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bench import Identifier, Problem
-from bench.config.experiment import expand
 from bench.entrants.reference import oracle_estimate
+from bench.information.fisher import compute_bound
 from bench.scenario.scenario import METHOD, Scenario
 from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import score
 from bench.scoring.summary import metric_bounds
-from bench.store.bounds import Replicates, load_bounds
-from bench.store.store import Store
 
 SEED = 31337
 """A seed that nothing was tuned on and no table uses."""
@@ -36,12 +32,6 @@ class Part:
     columns: list[str]
     rows: list[list[str]]
     data: dict[str, Any] = field(default_factory=dict)
-
-
-def scenario(**fields: Any) -> Scenario:
-    """A scenario by fields of the configuration, e.g. ``system="sdof", snr=20``."""
-    arguments = [f"{name}={value}" for name, value in {"method": "prior", **fields}.items()]
-    return expand(arguments, multirun=False)[0].scenario
 
 
 def root_mean_squares(scores: Sequence[dict[str, float]], names: Sequence[str]) -> np.ndarray:
@@ -77,12 +67,13 @@ def trials(scenario: Scenario, replicates: int, bound: bool = False, oracle: boo
     pairs, names = scenario.replicates(SEED, replicates), error_names(scenario)
     unknown = np.full(len(names), np.nan)
     theirs = [score(oracle_estimate(problem, truth), problem, truth) for problem, truth in pairs] if oracle else []
+    bounds = metric_bounds(compute_bound(scenario, SEED)) if bound else {}
     return Trials(
         scenario,
         pairs,
         names,
         root_mean_squares(theirs, names) if oracle else unknown,
-        bound_values(scenario, names) if bound else unknown,
+        np.array([bounds[name] for name in names]) if bound else unknown,
     )
 
 
@@ -122,10 +113,3 @@ def compare(method: Identifier, on: Trials) -> Comparison:
         sum(not s for s in own),
         capped,
     )
-
-
-def bound_values(scenario: Scenario, names: Sequence[str]) -> np.ndarray:
-    """The bound of each score."""
-    with tempfile.TemporaryDirectory() as folder:
-        bounds = metric_bounds(load_bounds([Replicates(scenario, SEED)], Store(Path(folder)).bounds)[0])
-    return np.array([bounds[name] for name in names])

@@ -10,9 +10,10 @@ import numpy as np
 
 from bench.entrants.registry import make_method
 from bench.scenario.scenario import METHOD, Scenario
-from tests.studies.pinn.common import METHODS, SEED, Comparison, Part, compare, scenario, trials
+from tests.studies.common import scenario, tracked
+from tests.studies.pinn.common import METHODS, SEED, Comparison, Part, compare, trials
 from tests.studies.pinn.products import roofline
-from tests.studies.pinn.scaling import Advance, chain, horizon, ratios
+from tests.studies.pinn.scaling import chain, horizon, ratios
 
 SHORT = 40
 """Samples a channel of the shorter chains."""
@@ -85,20 +86,17 @@ QUESTIONS = (
 )
 WITH_PRODUCTS = (NETWORK, SPLINE)
 """The methods whose fit is held against its matrix products."""
-COUNT = sum(len(question.methods) for question in QUESTIONS) + len(WITH_PRODUCTS)
-"""Entries of the table that are measured."""
 
 
-def reach(replicates: int, advance: Advance) -> Part:
+def reach(replicates: int) -> Part:
     """The table: what, before, asked, and by method what is measured now."""
     rows: list[list[str]] = []
-    for question in QUESTIONS:
+    for question in tracked(QUESTIONS, "question"):
         on, entries = trials(question.scenario(), replicates, bound=True), dict.fromkeys(METHODS, "-")
         for name in question.methods:
             entries[name] = question.show(compare(make_method(name, {}), on))
-            advance(1)
         rows.append([question.what, question.before, question.asked, *entries.values()])
-    rows.append(["reference fit / its matrix products", "-", "2", *_over_products(advance), "-"])
+    rows.append(["reference fit / its matrix products", "-", "2", *_over_products(), "-"])
     columns = ["what", "before", "asked", *METHODS]
     text = (
         f"{replicates} data sets an entry; processor time of a fit; errors pooled as below. *Before*: the engine as it "
@@ -109,7 +107,7 @@ def reach(replicates: int, advance: Advance) -> Part:
     return Part("reach", "Reach, beside before", text, columns, rows)
 
 
-def _over_products(advance: Advance) -> list[str]:
+def _over_products() -> list[str]:
     """Of a fit of the reference record, by method: its time over that of its products."""
     cell = scenario(system="sdof", snr=20)
     problem, _ = cell.replicates(SEED, 1)[0]
@@ -119,5 +117,4 @@ def _over_products(advance: Advance) -> list[str]:
         method.identify(problem, cell.stream(METHOD, SEED, 0))  # imports and caches apart
         measured = roofline(lambda method=method: method.identify(problem, cell.stream(METHOD, SEED, 0)))  # type: ignore[misc]
         found.append(f"{measured.ratio:.1f}")
-        advance(1)
     return found

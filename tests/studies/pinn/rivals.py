@@ -12,6 +12,7 @@ import os
 import re
 import statistics
 import subprocess
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +30,8 @@ from methods.pinn.engine import torch_threads
 from methods.pinn.levenberg import Walk
 from methods.pinn.method import PINN
 from methods.pinn.residuals import Residuals
-from tests.studies.pinn.common import Part, scenario
+from tests.studies.common import scenario
+from tests.studies.pinn.common import Part
 
 DURATION, SAMPLES, COLLOCATION, WEIGHT = 10.0, 25, 200, 0.1
 FIRST = {"k": 4.0, "c": 1.0}
@@ -108,12 +110,12 @@ class Rival:
     loss: float
 
 
-def run_rivals(folder: Path, python: str | None, seeds: int, ours: str) -> list[Rival]:
+def run_rivals(folder: Path, python: Path | None, seeds: int) -> list[Rival]:
     """The rival scripts over the seeds, one core and one thread."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "DDE_BACKEND": "pytorch"}
-    commands = {"naive PyTorch": [ours, "naive_fit.py", "f32", str(ADAM), str(seeds), str(LBFGS)]}
+    commands = {"naive PyTorch": [sys.executable, "naive_fit.py", "f32", str(ADAM), str(seeds), str(LBFGS)]}
     if python:
-        commands["DeepXDE"] = [python, "dde_peer.py", "fit", "f32", str(ADAM), str(seeds), str(LBFGS)]
+        commands["DeepXDE"] = [str(python.absolute()), "dde_peer.py", "fit", "f32", str(ADAM), str(seeds), str(LBFGS)]
     found = []
     for name, command in commands.items():
         print(f"{name}: {seeds} fits, half a minute each ...", flush=True)
@@ -137,7 +139,7 @@ def shipped_seconds(name: str, settings: dict[str, object], fits: int) -> float:
     return statistics.median(seconds[1:])
 
 
-def rivals(folder: Path | None, python: str | None, seeds: int, ours: str, adam: dict[str, object]) -> Part:
+def rivals(folder: Path | None, python: Path | None, seeds: int, adam: dict[str, object]) -> Part:
     """The table of times, and ratios where the rivals could be run."""
     fits: list[Descent] = []
     minima = []
@@ -146,7 +148,7 @@ def rivals(folder: Path | None, python: str | None, seeds: int, ours: str, adam:
         longest = [descend(seed, np.random.default_rng([seed, i]), 400, 1e-12) for i in range(3)]
         minima.append(min(descent.losses[-1] for descent in longest))
         fits.append(descend(seed, np.random.default_rng([seed, 99]), 200, 1e-9))
-    found = run_rivals(folder, python, seeds, ours) if folder else []
+    found = run_rivals(folder, python, seeds) if folder else []
     cases: list[tuple[str, str, dict[str, object], int]]
     cases = [("pinn", "pinn", {}, 20), ("collocation", "collocation", {}, 20), ("pinn_adam", "pinn", adam, 5)]
     shipped = {name: shipped_seconds(method, settings, n) for name, method, settings, n in cases}

@@ -9,9 +9,9 @@ import numpy as np
 
 from bench.entrants.registry import make_method
 from bench.scenario.scenario import Scenario
-from tests.studies.pinn.common import METHODS, Comparison, Part, compare, scenario, trials
+from tests.studies.common import scenario, tracked
+from tests.studies.pinn.common import METHODS, Comparison, Part, compare, trials
 
-Advance = Callable[[int], object]
 COLLOCATIONS = (100, 200, 400, 1000, 2000)
 MASSES = (2, 3, 5, 10)
 CYCLES = (2, 5, 10, 20, 30, 50, 100, 200)
@@ -78,15 +78,11 @@ def settings(kind: str, n: int) -> Mapping[str, Mapping[str, int]]:
     return {name: {} for name in METHODS if name != network or n <= NETWORK_UP_TO[kind]}
 
 
-COUNT = sum(len(settings(kind, n)) for kind, (sizes, _) in GROWN.items() for n in sizes)
-"""Rows of the table."""
-
-
-def scaling(replicates: int, advance: Advance) -> Part:
+def scaling(replicates: int) -> Part:
     """The table, and its numbers for the picture."""
     rows: list[list[str]] = []
     data: dict[str, list[dict[str, float | str]]] = {kind: [] for kind in GROWN}
-    for kind, n in ((kind, n) for kind, (sizes, _) in GROWN.items() for n in sizes):
+    for kind, n in tracked([(kind, n) for kind, (sizes, _) in GROWN.items() for n in sizes], "size"):
         size, on = n + 25 * (kind == "residuals"), trials(GROWN[kind][1](n), replicates, bound=True)
         for name, own in settings(kind, n).items():
             found = compare(make_method(name, dict(own)), on)
@@ -95,7 +91,6 @@ def scaling(replicates: int, advance: Advance) -> Part:
             verdict = "" if ratio.groups < ASTRAY and not found.failed else "not at the oracle"
             numbers = [f"{found.seconds:.3f}", f"{ratio.groups:.2f}", f"{ratio.displacement:.2f}", verdict]
             rows.append([f"{size} {kind}", name, *numbers])
-            advance(1)
     columns = ["size", "method", "CPU s a fit", "groups / oracle", "displacement / oracle", ""]
     text = (
         f"{replicates} data sets each; root mean square errors over those of the oracle on the same data: of all "

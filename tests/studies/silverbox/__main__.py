@@ -1,19 +1,14 @@
-"""``python -m tests.studies.silverbox data=FOLDER``: the methods on a measured Duffing oscillator, as a page.
-
-Shooting fits a stretch of the training part, then is simulated freely over the official test parts. The other methods
-get a short window, and are simulated over the first samples of the test multisine.
-"""
+"""The methods on a measured Duffing oscillator, as a page."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
-from tabulate import tabulate
 
 from bench import (
     Estimate,
@@ -27,17 +22,17 @@ from bench import (
     rk4_step,
     simulate,
 )
+from bench.commands.declaration import Choice, Within
 from bench.config.experiment import expand
 from bench.contract.problem import Hold
 from bench.engine.pool import Limits
 from bench.entrants.registry import make_method, missing_package, registered
-from bench.errors import InputError
 from bench.isolation.machine import single_threaded
 from bench.measured.fit import Outcome, fit_alone
+from bench.reporting.tables.common import markdown_table
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import point_parameters
-from bench.store.store import Store
-from tests.studies.fields import command, read_fields, whole
+from tests.studies.common import RESULTS, Out, publish, study, tracked
 from tests.studies.silverbox.record import (
     ARROW,
     RATE,
@@ -57,6 +52,7 @@ SHORT = 2_000
 """Samples of the test multisine over which the methods of the second table are simulated."""
 STEPS = 6
 VARIANTS = ("ls_spline",)
+METHODS = (*registered(), *VARIANTS)
 REFERENCES = (
     ("the same equation, all training samples", 0.404, 0.492, 0.387),
     ("GRU", 1.49, 2.80, 0.95),
@@ -66,28 +62,6 @@ REFERENCES = (
     ("FIR-MLP", 18.9, 20.2, 15.3),
 )
 """Root mean square errors (mV) elsewhere: test multisine, whole arrow, arrow without extrapolation."""
-USAGE = """usage: python -m tests.studies.silverbox data=<folder> [samples=4096] [window=300] [timeout=40]
-                                         [method=<a,b>] [out=results]"""
-
-
-def options(arguments: Sequence[str]) -> dict[str, str]:
-    """The arguments, checked; raises InputError."""
-    known = (*registered(), *VARIANTS)
-    found = {"data": "", "samples": "4096", "window": "300", "timeout": "40", "method": ",".join(known)}
-    found["out"] = "results"
-    found = read_fields(arguments, found)
-    if not found["data"]:
-        raise InputError("data", "", "a folder that holds SNLS80mV.csv (nonlinearbenchmark.org)")
-    for name, least, most in (
-        ("samples", 100, TRAINING.stop - TRAINING.start),
-        ("window", 50, SHORT),
-        ("timeout", 1, 3600),
-    ):
-        whole(name, found[name], least, most)
-    for name in found["method"].split(","):
-        if name not in known:
-            raise InputError("method", name, f"one of {', '.join(known)}")
-    return found
 
 
 def fitted(name: str, problem: Problem, timeout_s: float) -> Outcome:
@@ -200,14 +174,12 @@ def _misfit(system: System, p: Mapping[str, float], record: Record) -> np.ndarra
     return np.asarray(channel.values - simulate(system, p, start, channel.times, record.forces).displacement[0])
 
 
-def page(rows: list[list[str]], values: list[list[str]], windows: list[list[str]], chosen: Mapping[str, str]) -> str:
-    """The page."""
-
-    def table(headers: list[str], body: list[list[str]]) -> str:
-        return tabulate(body, headers=headers, tablefmt="github", disable_numparse=True)
-
+def page(
+    tables: tuple[list[list[str]], list[list[str]], list[list[str]]], samples: int, window: int, timeout: int
+) -> str:
+    """Return the page of errors on the test parts, parameters, and errors of every method on a window."""
+    rows, values, windows = tables
     elsewhere = [[name, *(f"{error:.3g}" for error in errors), ""] for name, *errors in REFERENCES]
-    samples, window, timeout = chosen["samples"], chosen["window"], chosen["timeout"]
     command = f"python -m tests.studies.silverbox data=<folder> samples={samples} window={window} timeout={timeout}"
     sections = [
         "# Silverbox",
@@ -216,47 +188,51 @@ def page(rows: list[list[str]], values: list[list[str]], windows: list[list[str]
         "clock, of a whole fit in a process of its own, beside whatever else the machine did.",
         "## Free simulation of the test parts",
         "Root mean square error in mV. Model: `m y'' + c y' + k y + k3 y³ = u + u0` in continuous time, fitted to the "
-        f"first {int(samples):,} of the 65,062 training samples; no prior, start and noise unknown. The sign of u0 is "
+        f"first {samples:,} of the 65,062 training samples; no prior, start and noise unknown. The sign of u0 is "
         "that of a regression on a spline through the training output. The first 50 samples of a test part give its "
         "first state and are not scored. How the input runs between its samples, a cubic spline or lines, is part of "
         "the model, in the fit and in the simulation alike.",
-        table(["model", "test multisine", "arrow", "arrow, no extrapolation", "fit s"], rows + elsewhere),
+        markdown_table(rows + elsewhere, ["model", "test multisine", "arrow", "arrow, no extrapolation", "fit s"]),
         "After the rows of `shooting`: the same equation with cubic input, fitted to all training samples by another "
         "program (Runge-Kutta steps, least squares); then networks, from the results published with arXiv:2405.10779.",
         f"Parameters found with {HOLDS[0]} input. The intervals hold for independent residuals; what is left here "
         "is the error of the model, so they are too narrow.",
-        table(["parameter", "unit", "value", "95 % interval of its size"], values),
+        markdown_table(values, ["parameter", "unit", "value", "95 % interval of its size"]),
         "## Every method on a short window",
-        f"The first {window} training samples ({int(window) / RATE:.2f} s), cubic input, at most {timeout} s a fit, "
+        f"The first {window} training samples ({window / RATE:.2f} s), cubic input, at most {timeout} s a fit, "
         "defaults throughout. Errors in mV: of a simulation over the window from the start that fits it best, and of a "
         f"free simulation over the first {SHORT:,} samples of the test multisine. Methods that are made for free decay "
         "or linear systems say so.",
-        table(["method", "status", "window", "test", "s", "message"], windows),
+        markdown_table(windows, ["method", "status", "window", "test", "s", "message"]),
     ]
     return "\n\n".join(sections) + "\n"
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Fit, simulate and write the page; exit status 2 for bad input."""
-    return command("tests.studies.silverbox", f"{USAGE}\n\n{__doc__}", argv, _main)
+def silverbox(
+    data: Annotated[Path, "folder of SNLS80mV.csv (nonlinearbenchmark.org)"],
+    samples: Annotated[int, Within(ge=100, le=TRAINING.stop - TRAINING.start), "training samples of shooting"] = 4096,
+    window: Annotated[int, Within(ge=50, le=SHORT), "training samples of every other method"] = 300,
+    timeout: Annotated[int, Within(ge=1, le=3600), "s, limit of a fit to the window"] = 40,
+    method: Annotated[tuple[str, ...], Choice(METHODS), "methods on the window; left out: all"] = (),
+    out: Out = RESULTS,
+) -> int:
+    """Measure the methods on the Silverbox, a measured Duffing oscillator: silverbox.md.
 
-
-def _main(arguments: Sequence[str]) -> int:
+    Shooting fits a stretch of the training part, then is simulated freely over the official test parts. The other
+    methods get a short window, and are simulated over the first samples of the test multisine.
+    """
     single_threaded()
-    chosen = options(arguments)
-    data = read(Path(chosen["data"]))
-    out = Path(chosen["out"])
-    Store(out).prepare()
-    system = signed(data)
-    rows, values = shooting_rows(data, system, int(chosen["samples"]))
-    path, windows = out / "silverbox.md", []
-    for name in track(chosen["method"].split(","), "method", console=Console(stderr=True)):
-        windows.append(window_row(name, data, system, int(chosen["window"]), float(chosen["timeout"])))
-        print("  ".join(windows[-1]), flush=True)
-        path.write_text(page(rows, values, windows, chosen), encoding="utf-8")
-    print(path)
+    record = read(data)
+    system = signed(record)
+    rows, values = shooting_rows(record, system, samples)
+    windows = [
+        window_row(name, record, system, window, float(timeout)) for name in tracked(method or METHODS, "method")
+    ]
+    publish(out / "silverbox.md", page((rows, values, windows), samples, window, timeout))
     return 0
 
+
+main = partial(study, silverbox, "tests.studies.silverbox")
 
 if __name__ == "__main__":
     sys.exit(main())
