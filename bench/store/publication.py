@@ -8,7 +8,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,13 +21,12 @@ from bench.store.digits import BITS, binary
 from bench.store.stored import StoredCell
 from bench.store.version import NUMBERS
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-
 ARRAY_BITS = 17
 """Binary digits behind the first of the numbers of arrays: five decimal ones."""
 TRACE, SINGLE_BITS = "trace_", 23
 """Traces of a search keep all digits of single precision: pictures show differences of objectives."""
+FEW = 256
+"""A column with fewer different floats takes less room in a dictionary."""
 LARGEST_SINGLE = 3e38
 """A column with a larger finite number is kept in double precision."""
 
@@ -42,10 +41,11 @@ def write_archive(
     ordered = {name: sorted(cells, key=_place) for name, cells in sorted(experiments.items())}
     cells = [cell for group in ordered.values() for cell in group]
     files = {rows_file(name): _rows_bytes(group) for name, group in ordered.items()}
-    files[CELLS] = _lines_bytes([_line(name, cell) for name, group in ordered.items() for cell in group])
+    lines = [_line(name, cell) for name, group in ordered.items() for cell in group]
+    files[CELLS] = _parquet({column: [line[column] for line in lines] for column in (lines[0] if lines else ())})
     files[SUMMARIES] = _summaries_bytes(cells)
     files[ARRAYS] = _arrays_bytes(cells)
-    files[BOUNDS] = _lines_bytes([{"identity": name, "text": text} for name, text in sorted(bounds.items())])
+    files[BOUNDS] = _parquet({"identity": sorted(bounds), "text": [bounds[name] for name in sorted(bounds)]})
     return _replace(folder, files)
 
 
@@ -82,7 +82,7 @@ def _line(experiment: str, cell: StoredCell) -> dict[str, Any]:
         "experiment": experiment,
         **{name: what.get(name) for name in ("method", "label", "system")},
         "equations": data.get("system"),
-        "snr_db": _float(what.get("snr_db")),
+        "snr_db": None if what.get("snr_db") is None else float(what["snr_db"]),
         "initial_state": what.get("initial_state"),
         "disturbance": (data.get("disturbance") or {}).get("kind", "none"),
         "seed": what.get("seed"),
@@ -99,37 +99,33 @@ def _line(experiment: str, cell: StoredCell) -> dict[str, Any]:
     }
 
 
-def _float(value: Any) -> float | None:
-    return None if value is None else float(value)
-
-
 def _rows_bytes(cells: Sequence[StoredCell]) -> bytes:
-    names = sorted({name for cell in cells for name in cell.columns.score_names})
-    columns = {
-        "identity": [cell.identity for cell in cells for _ in range(len(cell.columns))],
-        "replicate": _whole(cells, "replicate"),
+    def joined(name: str) -> np.ndarray:
+        return np.concatenate([cell.columns.numbers(name) for cell in cells])
+
+    scores = sorted({name for cell in cells for name in cell.columns.score_names})
+    return _parquet({
+        "identity": [cell.identity for cell in cells for _ in cell.columns.statuses],
+        "replicate": joined("replicate").astype(int),
         "status": [status.value for cell in cells for status in cell.columns.statuses],
         **{name: [text for cell in cells for text in cell.columns.texts(name)] for name in ("message", "data")},
-        "evaluations": _whole(cells, "evaluations"),
-    }
-    numbers = {name: np.concatenate([cell.columns.numbers(name) for cell in cells]) for name in NUMBERS_OF_FIT}
-    numbers |= {name: np.concatenate([cell.columns.scores(name) for cell in cells]) for name in names}
-    return _table_bytes(columns, {name: _single(values) for name, values in numbers.items()})
-
-
-def _whole(cells: Sequence[StoredCell], name: str) -> np.ndarray:
-    return np.concatenate([cell.columns.numbers(name) for cell in cells]).astype(int)
+        "evaluations": joined("evaluations").astype(int),
+        **{name: _single(joined(name)) for name in NUMBERS_OF_FIT},
+        **{name: _single(np.concatenate([cell.columns.scores(name) for cell in cells])) for name in scores},
+    })  # fmt: skip
 
 
 def _summaries_bytes(cells: Sequence[StoredCell]) -> bytes:
     lines = [(cell.identity, metric, line) for cell in cells for metric, line in cell.summary.items()]
-    columns = {"identity": [line[0] for line in lines], "metric": [line[1] for line in lines]}
-    numbers = {name: np.array([line[2].get(name, np.nan) for line in lines], float) for name in STATISTICS}
-    return _table_bytes(columns, {name: binary(values) for name, values in numbers.items()})
+    numbers = {name: np.array([line.get(name, np.nan) for *_, line in lines], float) for name in STATISTICS}
+    names = {"identity": [identity for identity, *_ in lines], "metric": [metric for _, metric, _ in lines]}
+    return _parquet({**names, **{name: binary(values) for name, values in numbers.items()}})
 
 
 def _arrays_bytes(cells: Iterable[StoredCell]) -> bytes:
     """An array that an earlier cell has under the same name is not written again, but refers to it."""
+    import pyarrow as pa
+
     first: dict[tuple[str, str], str] = {}
     lines = []
     for cell in cells:
@@ -138,12 +134,14 @@ def _arrays_bytes(cells: Iterable[StoredCell]) -> bytes:
             same_as = first.setdefault(key, cell.identity)
             own = same_as == cell.identity
             bits = SINGLE_BITS if name.startswith(TRACE) else ARRAY_BITS
-            lines.append({
-                "identity": cell.identity, "name": name, "shape": list(values.shape),
-                "whole": values.dtype.kind == "i", "same_as": None if own else same_as,
-                "values": _single(values.ravel().astype(float), bits) if own else np.empty(0, np.float32),
-            })  # fmt: skip
-    return _lines_bytes(lines, lists="values")
+            kept = _single(values.ravel().astype(float), bits) if own else np.empty(0, np.float32)
+            whole = values.dtype.kind == "i"
+            lines.append((cell.identity, name, list(values.shape), whole, None if own else same_as, kept))
+    names = ("identity", "name", "shape", "whole", "same_as", "values")
+    types = {"shape": pa.list_(pa.int32()), "same_as": pa.string(), "values": pa.list_(pa.float32())}
+    return _parquet({
+        name: pa.array([line[i] for line in lines], types.get(name)) for i, name in enumerate(names)
+    })  # fmt: skip
 
 
 def _single(values: np.ndarray, bits: int = BITS) -> np.ndarray:
@@ -153,33 +151,18 @@ def _single(values: np.ndarray, bits: int = BITS) -> np.ndarray:
     return values if finite.size and finite.max() > LARGEST_SINGLE else values.astype(np.float32)
 
 
-def _lines_bytes(lines: Sequence[Mapping[str, Any]], lists: str = "") -> bytes:
+def _parquet(columns: Mapping[str, Any]) -> bytes:
+    """Return the bytes of a file; columns of many different floats are stored by byte, which compresses best."""
     import pyarrow as pa
-
-    columns = {name: [line[name] for line in lines] for name in (lines[0] if lines else ())}
-    types = {lists: pa.list_(pa.float32()), "shape": pa.list_(pa.int32()), "same_as": pa.string()}
-    table = pa.table({name: pa.array(values, types.get(name)) for name, values in columns.items()})
-    return _written(table, [f"{lists}.list.element"] if lists else [])
-
-
-def _table_bytes(columns: Mapping[str, Any], numbers: Mapping[str, np.ndarray]) -> bytes:
-    import pyarrow as pa
-
-    arrays = {name: pa.array(values, from_pandas=True) for name, values in numbers.items()}
-    split = [name for name, values in numbers.items() if not _repetitive(values)]
-    return _written(pa.table({**columns, **arrays}), split)
-
-
-def _repetitive(values: np.ndarray) -> bool:
-    """Return whether a column has few different values, which a dictionary holds in less room."""
-    return len(np.unique(values)) < 256
-
-
-def _written(table: pa.Table, split: Sequence[str]) -> bytes:
-    """Return the bytes of a table; columns of many different floats are stored by byte, which compresses best."""
     import pyarrow.parquet as pq
 
-    leaves = [f"{name}.list.element" if name in ("values", "shape") else name for name in table.column_names]
+    floats = [name for name, values in columns.items() if isinstance(values, np.ndarray) and values.dtype.kind == "f"]
+    table = pa.table({
+        name: pa.array(values, from_pandas=True) if name in floats else values for name, values in columns.items()
+    })  # fmt: skip
+    split = ["values.list.element", *(name for name in floats if len(np.unique(columns[name])) >= FEW)]
+    leaves = [f"{name}.list.element" if name in ("values", "shape") else name for name in columns]
+    split = [name for name in split if name in leaves]
     buffer = io.BytesIO()
     pq.write_table(
         table, buffer, compression="zstd", compression_level=19, row_group_size=max(1, table.num_rows),
