@@ -11,7 +11,6 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -75,33 +74,31 @@ def same(one: StoredCell, other: StoredCell) -> bool:
     return repr(replace(one, rows=tuple(one.rows))) == repr(replace(other, rows=tuple(other.rows)))
 
 
+NAME = "k_over_m_error_pct"
+
+
+def as_it_is(stored: StoredCell) -> StoredCell:
+    return stored
+
+
 def better_numbers(stored: StoredCell) -> StoredCell:
-    """All errors of k/m halved, in rows and summary."""
-    name = "k_over_m_error_pct"
-    rows = tuple(replace(row, scores={**row.scores, name: row.scores[name] / 2}) for row in stored.rows)
-    halved = {key: value / 2 for key, value in stored.summary[name].items()}
-    return replace(stored, rows=rows, summary={**stored.summary, name: halved})
+    """All errors of k/m halved."""
+    return replace(
+        stored,
+        rows=tuple(replace(row, scores={**row.scores, NAME: row.scores[NAME] / 2}) for row in stored.rows),
+    )
 
 
-def better_summary(stored: StoredCell) -> StoredCell:
-    """As if the median error were a tenth, in the summary alone."""
-    name = "k_over_m_error_pct"
-    return replace(stored, summary={**stored.summary, name: {**stored.summary[name], "median": 1e-3}})
+def embellished(stored: StoredCell) -> StoredCell:
+    """A small median in the summary alone; other packages; computed within limits that are none."""
+    limits = {"timeout_s": math.inf, "memory_mb": 1e300, "workers": math.nan}
+    packages = {**stored.provenance["packages"], "numpy": "1.0"}
+    summary = {**stored.summary, NAME: {**stored.summary[NAME], "median": 1e-3}}
+    return replace(stored, summary=summary, provenance={**stored.provenance, "limits": limits, "packages": packages})
 
 
 def other_code(stored: StoredCell) -> StoredCell:
     return replace(stored, version={**stored.version, "method": 2})
-
-
-def other_packages(stored: StoredCell) -> StoredCell:
-    packages = {**stored.provenance["packages"], "numpy": "1.0"}
-    return replace(stored, provenance={**stored.provenance, "packages": packages})
-
-
-def endless(stored: StoredCell) -> StoredCell:
-    """Computed, it says, within limits that are none."""
-    limits = {"timeout_s": math.inf, "memory_mb": 1e300, "workers": math.nan}
-    return replace(stored, provenance={**stored.provenance, "limits": limits})
 
 
 def a_reference(stored: StoredCell) -> StoredCell:
@@ -245,18 +242,37 @@ def test_scores_of_the_clock_are_known_by_their_names() -> None:
 
 # ---- merged
 
+Merge = Callable[..., tuple[int, str]]
+
+
+@pytest.fixture
+def merge(into: Store, capsys: pytest.CaptureFixture[str]) -> Merge:
+    """Merge a file or a folder into the empty store; returns the exit status, and all that was printed."""
+
+    def run(source: Path, *words: str) -> tuple[int, str]:
+        capsys.readouterr()
+        end = main(["share", "action=merge", f"submission={source}", f"store={into.folder}", "workers=1", *words])
+        return end, "".join(capsys.readouterr())
+
+    return run
+
 
 def test_a_submission_is_verified_added_and_marked(
-    computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    computed: Store, into: Store, tmp_path: Path, merge: Merge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = submission(computed, tmp_path / "ls.submission")
-    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 0
-    out = capsys.readouterr().out
-    assert "5 of 24 rows computed again, and all come out the same" in out
+    """Its summary is not believed; other packages are no hindrance; limits that no run takes do not widen any."""
+    limits: list[Limits] = []
+    run = merging.recompute
+    monkeypatch.setattr(merging, "recompute", lambda chosen, given: (limits.append(given), run(chosen, given))[1])
+    end, out = merge(submission(computed, tmp_path / "ls.submission", embellished))
+    assert (end, "5 of 24 rows computed again, and all come out the same" in out) == (0, True)
     assert "2 cells added" in out
+    assert [(own.timeout_s, own.memory_mb) for own in limits] == [(Limits().timeout_s, Limits().memory_mb)]
     for before, after in zip(of_method(computed), into, strict=True):
         assert after.cell == {**before.cell, "label": "ls (submitted)"}
         assert [row.scores for row in after.rows] == [row.scores for row in before.rows]
+        assert after.summary[NAME]["median"] == pytest.approx(before.summary[NAME]["median"], rel=1e-4)
+        assert after.provenance["packages"]["numpy"] == "1.0"
         facts = after.provenance["submitted"]
         assert (facts["by"], facts["rows_compared"], facts["of_rows"]) == ("somebody", 5, 24)
         # of 24 rows 2 are changed: C(22, 5) / C(24, 5)
@@ -267,108 +283,46 @@ def test_a_submission_is_verified_added_and_marked(
 
 
 def test_rows_made_better_are_found_and_nothing_is_added(
-    computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    computed: Store, into: Store, tmp_path: Path, merge: Merge
 ) -> None:
-    path = submission(computed, tmp_path / "ls.submission", better_numbers)
-    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 1
-    out = capsys.readouterr().out
-    assert "come out otherwise" in out
-    assert "ls on sdof" in out
+    end, out = merge(submission(computed, tmp_path / "ls.submission", better_numbers))
+    assert (end, "come out otherwise" in out, "ls on sdof" in out) == (1, True, True)
     assert into.identities() == []
-
-
-def test_a_summary_is_not_believed(computed: Store, into: Store, tmp_path: Path) -> None:
-    path = submission(computed, tmp_path / "ls.submission", better_summary)
-    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 0
-    name = "k_over_m_error_pct"
-    for before, after in zip(of_method(computed), into, strict=True):
-        assert after.summary[name]["median"] == pytest.approx(before.summary[name]["median"], rel=1e-4)
-
-
-def test_other_packages_are_no_hindrance_where_the_numbers_are_the_same(
-    computed: Store, into: Store, tmp_path: Path
-) -> None:
-    path = submission(computed, tmp_path / "ls.submission", other_packages)
-    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 0
-    assert {stored.provenance["packages"]["numpy"] for stored in into} == {"1.0"}
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "facts", "words"),
     [
-        (other_code, "method version 2, today 1; install"),
-        (fewer_rows, "lacks some of its 12 rows"),
-        (a_reference, "is of oracle, the submission of ls"),
-        (another_question, "means nothing here: cell="),
+        (other_code, {}, "method version 2, today 1; install"),
+        (fewer_rows, {}, "lacks some of its 12 rows"),
+        (a_reference, {}, "is of oracle, the submission of ls"),
+        (another_question, {}, "means nothing here: cell="),
+        (absurd, {}, "its bound cannot be computed"),
+        (as_it_is, {"class": "somebody.methods:LS"}, "by somebody.methods:LS, and ls is methods.regression.ls:LS here"),
     ],
 )
 def test_what_could_not_be_computed_again_is_bad_input(
-    change: Change, words: str, computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    change: Change, facts: dict[str, str], words: str, computed: Store, into: Store, tmp_path: Path, merge: Merge
 ) -> None:
-    path = submission(computed, tmp_path / "ls.submission", change)
-    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}"]) == 2
-    error = capsys.readouterr().err
+    end, error = merge(submission(computed, tmp_path / "ls.submission", change, **facts))
+    assert (end, error.count("\n")) == (2, 1)
     assert words in error
-    assert error.count("\n") == 1
-    assert into.identities() == []
-
-
-def test_a_submission_of_another_class_of_that_name_is_bad_input(
-    computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = submission(computed, tmp_path / "ls.submission", **{"class": "somebody.methods:LS"})
-    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}"]) == 2
-    error = capsys.readouterr().err
-    assert "was computed by somebody.methods:LS, and ls is methods.regression.ls:LS here" in error
-    assert error.count("\n") == 1
-    assert into.identities() == []
-
-
-def test_limits_that_no_run_takes_do_not_widen_those_of_the_verification(
-    computed: Store, into: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[Limits] = []
-    run = merging.recompute
-
-    def noted(chosen: Any, limits: Limits) -> Any:
-        asked.append(limits)
-        return run(chosen, limits)
-
-    monkeypatch.setattr(merging, "recompute", noted)
-    path = submission(computed, tmp_path / "ls.submission", endless)
-    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 0
-    assert [(one.timeout_s, one.memory_mb) for one in asked] == [(Limits().timeout_s, Limits().memory_mb)]
-
-
-def test_a_bound_that_cannot_be_computed_within_the_limits_is_bad_input(
-    computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """In a process of its own: this one has no memory for it either."""
-    one = of_method(computed)[0]
-    path = tmp_path / "ls.submission"
-    pack(path, [absurd(one)], {"method": "ls"})
-    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 2
-    error = capsys.readouterr().err
-    assert "its bound cannot be computed" in error
-    assert error.count("\n") == 1
     assert into.identities() == []
 
 
 def test_ones_own_cell_is_not_replaced_by_a_submitted_one_but_replaces_it(
-    computed: Store, into: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    computed: Store, into: Store, tmp_path: Path, merge: Merge
 ) -> None:
     path = submission(computed, tmp_path / "ls.submission")
-    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 0
-    assert main(["share", "action=merge", f"submission={computed.folder}", f"store={into.folder}"]) == 0
-    assert "1 cells added, 2 in the place of others, 0 kept" in capsys.readouterr().out
+    assert merge(path)[0] == 0
+    assert "1 cells added, 2 in the place of others, 0 kept" in merge(computed.folder)[1]
     assert not any(stored.submitted for stored in into)
-    assert main(["share", "action=merge", f"submission={path}", f"store={into.folder}", "workers=1"]) == 0
-    assert "0 cells added, 0 in the place of others, 2 kept" in capsys.readouterr().out
+    assert "0 cells added, 0 in the place of others, 2 kept" in merge(path)[1]
     assert not any(stored.submitted for stored in into)
 
 
 def filled(folder: Path, *labels: str) -> Store:
-    """A store of made-up cells, some with arrays and tracebacks."""
+    """A store of made-up cells with arrays and tracebacks."""
     store = Store(folder)
     store.prepare()
     for label in labels:
@@ -377,64 +331,33 @@ def filled(folder: Path, *labels: str) -> Store:
     return store
 
 
-@pytest.mark.parametrize("turned", [False, True])
-def test_two_stores_merge_and_nothing_is_lost(turned: bool, tmp_path: Path) -> None:
-    """Whichever is merged into the other: every cell, its rows, arrays and tracebacks."""
-    one, other = filled(tmp_path / "one", "a", "b"), filled(tmp_path / "other", "b", "c", "d")
-    every = {stored.identity: stored for store in (one, other) for stored in store}
-    source, target = (one, other) if turned else (other, one)
-    assert main(["share", "action=merge", f"submission={source.folder}", f"store={target.folder}"]) == 0
-    assert set(target.identities()) == every.keys()
-    for stored in target:
+def test_two_stores_merge_and_nothing_is_lost(into: Store, tmp_path: Path, merge: Merge) -> None:
+    """Every cell, its rows, arrays and tracebacks."""
+    stores = filled(tmp_path / "one", "a", "b"), filled(tmp_path / "other", "b", "c", "d")
+    every = {stored.identity: stored for store in stores for stored in store}
+    for store in stores:
+        assert merge(store.folder)[0] == 0
+    assert set(into.identities()) == every.keys()
+    for stored in into:
         assert same(stored, every[stored.identity])
         assert stored.tracebacks == f"traceback of {stored.cell['label']}"
         assert stored.arrays["displacement"].shape == (1, 200)
 
 
 def test_of_two_answers_the_present_codes_is_kept_and_then_the_one_with_more_fits(
-    computed: Store, tmp_path: Path
+    computed: Store, into: Store, tmp_path: Path, merge: Merge
 ) -> None:
-    stale, short, into = (Store(tmp_path / name) for name in ("stale", "short", "into"))
+    stale, short = (Store(tmp_path / name) for name in ("stale", "short"))
     first = of_method(computed)[0]
-    for store, stored in (
-        (stale, replace(first, version={**first.version, "method": 0})),
-        (short, replace(first, rows=tuple(replace(row, status=Status.TIMEOUT) for row in first.rows))),
-    ):
+    failed = tuple(replace(row, status=Status.TIMEOUT) for row in first.rows)
+    for store, stored in ((stale, other_code(first)), (short, replace(first, rows=failed))):
         store.prepare()
         store.save(stored)
-    for source, expected in ((stale, 0), (short, 1), (computed, 1)):
-        assert main(["share", "action=merge", f"submission={source.folder}", f"store={into.folder}"]) == 0
+    for source, version, n_ok in ((stale, 2, N), (short, 1, 0), (computed, 1, N), (stale, 1, N)):
+        assert merge(source.folder)[0] == 0
         found = into.load(first.identity)
         assert found is not None
-        assert found.version["method"] == expected
-    assert found.n_ok == N
-    assert main(["share", "action=merge", f"submission={stale.folder}", f"store={into.folder}"]) == 0
-    assert into.load(first.identity) is not None
-    assert same(found, next(stored for stored in into if stored.identity == first.identity))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([], "submission=: needed"),
-        (["submission=nowhere.submission"], "file not found"),
-        (["submission=."], "no cell is stored there"),
-        (["submission=nowhere", "verify=0.01"], "verify=0.01: input should be greater than or equal to 0.1"),
-        (["submission=.", "store=."], "not merged with itself"),
-    ],
-)
-def test_bad_input_to_merge_is_one_line(
-    arguments: list[str],
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["share", "action=merge", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") == 1
+        assert (found.version["method"], found.n_ok) == (version, n_ok)
 
 
 # ---- submitted
@@ -448,45 +371,34 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_cells_of_a_method_are_packed(computed: Store, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of table 3, at 20 dB alone, with its 100 replicates or any other number: the scenario counts."""
     assert main(["share", "action=submit", "method=ls", f"store={computed.folder}", "by=a group"]) == 0
     assert "2 cells of ls, 24 rows" in capsys.readouterr().out
-    manifest, theirs = unpack(here / "ls.submission")
+    manifest, _ = unpack(here / "ls.submission")
     assert (manifest["method"], manifest["class"], manifest["by"]) == ("ls", "methods.regression.ls:LS", "a group")
     assert "open" in manifest["releases"]
-    assert len(theirs) == 2
-
-
-def test_only_the_cells_of_an_experiment_are_packed(computed: Store, here: Path) -> None:
-    """Table 3 has 20 dB alone, and 100 replicates: the scenario counts, not how often it was drawn."""
+    assert len(manifest["cells"]) == 2
     assert main(["share", "action=submit", "method=ls", "experiment=table3", f"store={computed.folder}"]) == 0
-    manifest, _ = unpack(here / "ls.submission")
-    assert [line["snr_db"] for line in manifest["cells"]] == [20.0]
+    assert [line["snr_db"] for line in unpack(here / "ls.submission")[0]["cells"]] == [20.0]
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["method=nobody"], "method=nobody: one of"),
         (["method=oracle"], "method=oracle: one of"),
-        (["method=ekf"], "holds no cell of it"),
         (["method=ls", "experiment=open"], "holds no cell of it of open"),
-        (["name=ls"], "name=ls: not a field"),
+        (["method=matrix_pencil"], "1 of 1 cells"),
     ],
 )
-def test_bad_input_to_submit_is_one_line_and_writes_nothing(
+def test_what_cannot_be_submitted_is_one_line_and_writes_nothing(
     arguments: list[str], words: str, computed: Store, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["share", "action=submit", *arguments, f"store={computed.folder}"]) == 2
+    store = Store(here / "rows")
+    store.prepare()
+    for stored in computed:
+        store.save(other_code(stored) if stored.cell["method"] == "matrix_pencil" else stored)
+    assert main(["share", "action=submit", *arguments, f"store={store.folder}"]) == 2
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
     assert list(here.glob("*.submission")) == []
-
-
-def test_stale_cells_are_not_submitted(computed: Store, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    store = Store(here / "stale")
-    store.prepare()
-    for stored in of_method(computed):
-        store.save(replace(stored, version={**stored.version, "method": 0}))
-    assert main(["share", "action=submit", "method=ls", f"store={store.folder}"]) == 2
-    assert "2 of 2 cells" in capsys.readouterr().err
