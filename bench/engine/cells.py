@@ -88,19 +88,17 @@ class CellJob(Job):
         replicates: Collection[int] | None = None,
         unbounded: str = "",
     ) -> None:
-        super().__init__()
-        self.cell, self.stamp = planned.cell, planned.stamp
-        self.store, self.limits, self.bounded = store, limits, not unbounded
-        self.key, self.kind = self.cell.identity, (self.cell.label, self.cell.scenario.label)
-        self.name = f"{self.cell.label} {self.cell.scenario.snr_db:g} dB"
-        self.kept = replicates is None
-        wanted = sorted(range(self.cell.replicates) if replicates is None else replicates)
-        self.size = len(wanted)
+        cell = planned.cell
+        wanted = sorted(range(cell.replicates) if replicates is None else replicates)
+        name = f"{cell.label} {cell.scenario.snr_db:g} dB"
+        super().__init__(cell.identity, (cell.label, cell.scenario.label), name, len(wanted))
+        self.cell, self.stamp, self.store, self.limits = cell, planned.stamp, store, limits
+        self.bounded, self.kept = not unbounded, replicates is None
         self.alone: set[int] = set()
         """Replicates that are fitted one by one."""
         self.scored = Scored()
         self._prepare_fit()
-        lacking = missing_package(self.cell.method)
+        lacking = missing_package(cell.method)
         if unbounded or lacking:
             status = Status.INVALID if unbounded else Status.MISSING_DEPENDENCY
             self.scored.rows = [Row(i, status, unbounded or lacking or "") for i in wanted]

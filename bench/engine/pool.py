@@ -14,7 +14,6 @@ import queue
 import sys
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
@@ -25,7 +24,6 @@ from typing import Any, NamedTuple, Protocol
 from bench.engine.progress import Kind, OnLook, Progress, firsts_first
 from bench.errors import InputError
 from bench.isolation.failure import one_line
-from bench.isolation.machine import affordable_workers
 from bench.isolation.processes import READY_S, Child, Children, Died
 from bench.store.locks import Claims
 
@@ -46,23 +44,20 @@ class Limits:
 
 
 class Task(Protocol):
-    """A piece of work with a stored result, e.g. a block of the atlas. It is pickled into a process of the pool."""
+    """A piece of work with a stored result, e.g. a block of the atlas. It is pickled into a process of the pool.
+
+    ``key`` is a digest of all that the result depends on; tasks of one ``kind`` cost as much; ``size`` is the number of
+    fits; ``limit_s`` is the limit of time.
+    """
 
     @property
-    def key(self) -> str:
-        """Return a digest of all that the result depends on."""
-
+    def key(self) -> str: ...
     @property
-    def kind(self) -> Kind:
-        """Return which tasks cost as much."""
-
+    def kind(self) -> Kind: ...
     @property
-    def size(self) -> int:
-        """Return the number of fits."""
-
+    def size(self) -> int: ...
     @property
-    def limit_s(self) -> float:
-        """Return the limit of time."""
+    def limit_s(self) -> float: ...
 
     def stored(self, folder: Path) -> bool:
         """Return whether the result is stored whole."""
@@ -83,62 +78,54 @@ class Counted(NamedTuple):
     error: str = ""
 
 
-class Job(ABC):
-    """A task as the driver sees it: it has parts, which workers take one after another."""
+class Job:
+    """A task as the driver sees it: it has parts, which workers take one after another; a :class:`Task` has one.
 
-    key: str
-    kind: Kind
-    name: str
-    size: int
-    """Number of parts."""
+    A cell has a replicate in each part (:class:`bench.engine.cells.CellJob`).
+    """
 
-    def __init__(self) -> None:
-        self.pending: deque[Any] = deque()
+    def __init__(self, key: str, kind: Kind, name: str, size: int) -> None:
+        self.key, self.kind, self.name, self.size = key, kind, name, size
         self.done = 0
+        """Fits that are done, of ``size``."""
+        self.pending: deque[Any] = deque()
         self.started = 0.0
         """Time at which it was claimed (seconds since the epoch)."""
 
-    @abstractmethod
     def stored(self) -> bool:
         """Return whether another driver has stored the result since the plan."""
+        raise NotImplementedError
 
-    @abstractmethod
     def take(self) -> Any:
         """Take the next of the pending parts."""
+        return self.pending.popleft()
 
-    @abstractmethod
-    def perform(self, parts: Any, worker: Worker) -> Any:
-        """Perform parts in the processes of a worker; None where they are to be tried again."""
-
-    @abstractmethod
     def put_back(self, parts: Any) -> None:
         """Return parts that are to be tried again."""
+        self.pending.append(parts)
 
-    @abstractmethod
+    def perform(self, parts: Any, worker: Worker) -> Any:
+        """Perform parts in the processes of a worker; None where they are to be tried again."""
+        raise NotImplementedError
+
     def add(self, outcome: Any) -> Counted:
         """Keep the outcome of :meth:`perform`."""
+        raise NotImplementedError
 
-    def finish(self, worker: Worker) -> None:  # noqa: B027
+    def finish(self, worker: Worker) -> None:
         """Store the result, once all parts are done; raises InputError where that cannot be."""
 
 
 class TaskJob(Job):
-    """A :class:`Task`, which one call in one process performs."""
+    """A :class:`Task`, which one call in one process performs and stores."""
 
     def __init__(self, task: Task, folder: Path, memory_mb: float) -> None:
-        super().__init__()
+        super().__init__(task.key, task.kind, " ".join(task.kind), task.size)
         self.task, self.folder, self.memory_mb = task, folder, memory_mb
-        self.key, self.kind, self.size, self.name = task.key, task.kind, task.size, " ".join(task.kind)
         self.pending.append(task)
 
     def stored(self) -> bool:
         return self.task.stored(self.folder)
-
-    def take(self) -> Task:
-        return self.pending.popleft()  # type: ignore[no-any-return]
-
-    def put_back(self, parts: Task) -> None:
-        self.pending.append(parts)
 
     def perform(self, parts: Task, worker: Worker) -> str:
         try:
@@ -339,10 +326,7 @@ def run_jobs(
     Raises:
         InputError: where a result cannot be stored. What was stored stays.
     """
-    enough = affordable_workers(workers)
-    if enough < workers:
-        say(f"{enough} workers instead of {workers}: more need more open files than the system gives (ulimit -n)")
-    n_workers = min(enough, sum(max(1, len(job.pending)) for job in jobs))
+    n_workers = min(workers, sum(max(1, len(job.pending)) for job in jobs))
     jobs = firsts_first(jobs, lambda job: job.kind)
     tasks = TaskQueue(jobs, claims)
     tasks.claims.prepare()

@@ -1,4 +1,4 @@
-"""What this machine leaves to a run: processor cores, open files, a folder for sockets, threads of libraries."""
+"""What this machine leaves to a run: processor cores, open files, threads of libraries."""
 
 from __future__ import annotations
 
@@ -6,18 +6,9 @@ import contextlib
 import math
 import os
 import resource
-import tempfile
 from pathlib import Path
 
-from bench.errors import InputError
-
 ROOT = Path("/")
-LONGEST_TMPDIR = 75
-"""Letters of the path: that of a socket is at most 107 on Linux, and Python puts 32 behind the folder's."""
-RESERVED_FILES = 32
-"""Descriptors kept free for the server of processes, for the store, and for what imports open."""
-FILES_A_WORKER = 16
-"""Descriptors of a worker: three processes of three each, claims, and the copies of a start."""
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
@@ -61,26 +52,6 @@ def raise_file_limit() -> None:
     if soft != hard:
         with contextlib.suppress(OSError, ValueError):  # macOS has a limit of its own below an infinite one
             resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-
-
-def affordable_workers(wanted: int) -> int:
-    """Return how many of the wanted workers the free descriptors suffice for, at least one."""
-    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft == resource.RLIM_INFINITY:
-        return wanted
-    return max(1, min(wanted, (soft - len(os.listdir("/dev/fd")) - RESERVED_FILES) // FILES_A_WORKER))
-
-
-def check_temporary() -> None:
-    """Raise InputError where no temporary file can be made, or the path is too long for a socket in it."""
-    try:
-        folder = tempfile.gettempdir()
-    except OSError as error:
-        remedy = f"a folder that can be written ({error.strerror})"
-        raise InputError("TMPDIR", os.environ.get("TMPDIR", ""), remedy) from None
-    if len(os.fsencode(folder)) > LONGEST_TMPDIR:
-        remedy = f"a path of at most {LONGEST_TMPDIR} letters, which has room for a socket's name"
-        raise InputError("TMPDIR", folder, remedy)
 
 
 def single_threaded() -> None:

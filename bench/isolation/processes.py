@@ -27,7 +27,7 @@ import psutil
 
 from bench.errors import InputError
 from bench.isolation.descendants import adopt, descendants_of, end_descendants, end_orphans, end_own_descendants
-from bench.isolation.machine import check_temporary, raise_file_limit, single_threaded
+from bench.isolation.machine import raise_file_limit, single_threaded
 from bench.isolation.secrecy import without_main
 
 NEEDED = (
@@ -36,10 +36,10 @@ NEEDED = (
     "scipy.interpolate",  # which most methods use: each of their processes would import it anew
 )
 """Modules that children import from their server."""
+LONGEST_TMPDIR = 75
+"""Letters of the folder of temporary files: a socket's path is at most 107 on Linux, and Python puts 32 behind it."""
 LOG_TAIL = 8000
 """Kept end of what a child printed (bytes)."""
-LONGEST_LOG = 1 << 20
-"""A log that is longer is emptied before the child is asked again (bytes)."""
 LONGEST_MESSAGE = 512 << 20
 """A message that is longer is not read (bytes): the run's own memory is at stake."""
 READY_S = 300.0
@@ -69,7 +69,10 @@ def start_server(preload: Sequence[str] = ()) -> None:
 
 
 def _context(preload: Sequence[str]) -> Any:
-    check_temporary()
+    if len(os.fsencode(folder := tempfile.gettempdir())) > LONGEST_TMPDIR:
+        raise InputError(
+            "TMPDIR", folder, f"a path of at most {LONGEST_TMPDIR} letters, which leaves room for a socket's"
+        )
     single_threaded()
     raise_file_limit()
     context = multiprocessing.get_context("forkserver")
@@ -209,10 +212,9 @@ class Child:
         """Reason and message, once the child is ended for a limit."""
 
     def send(self, message: bytes) -> None:
-        """Send; a child that has died is seen at the next :meth:`receive`."""
+        """Send, and forget what was printed so far; a child that has died is seen at the next :meth:`receive`."""
         with contextlib.suppress(OSError):
-            if self.log_path.stat().st_size > LONGEST_LOG:
-                os.truncate(self.log_path, 0)
+            os.truncate(self.log_path, 0)
         with contextlib.suppress(OSError):
             self.connection.send_bytes(message)
 

@@ -81,19 +81,15 @@ def test_under_nohup_a_terminal_that_closes_ends_nothing(tmp_path: Path, tempora
         assert run.returncode == 128 + signal.SIGTERM
 
 
-@pytest.mark.parametrize(("workers", "cells"), [(11, 6), pytest.param(1, 150, marks=pytest.mark.slow)])
-def test_a_slow_disk_and_few_descriptors_make_a_sweep_slow_and_lose_nothing(
-    tmp_path: Path, workers: int, cells: int
-) -> None:
+@pytest.mark.slow
+def test_a_slow_disk_and_few_descriptors_make_a_sweep_slow_and_lose_nothing(tmp_path: Path) -> None:
     (tmp_path / "sitecustomize.py").write_text(SLOW_DISK)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
     command = [
-        sys.executable, "-m", "bench", "-m", "method=prior", f"seed=range(0,{cells})", "replicates=1", "archive=none",
-        f"store={tmp_path / 'rows'}", f"workers={workers}",
+        sys.executable, "-m", "bench", "-m", "method=prior", "seed=range(0,150)", "replicates=1", "archive=none",
+        f"store={tmp_path / 'rows'}", "workers=1",
     ]  # fmt: skip
     shell = ["/bin/sh", "-c", 'ulimit -n 64 && exec "$@"', "sh", *command]
     done = subprocess.run(shell, env=environment, capture_output=True, text=True, timeout=280)
     assert done.returncode == 0, done.stderr
-    assert len(Store(tmp_path / "rows").identities()) == cells
-    few = "workers instead of 11: more need more open files than the system gives (ulimit -n)"
-    assert (few in done.stderr) == (workers == 11)
+    assert len(Store(tmp_path / "rows").identities()) == 150

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import resource
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from bench.isolation.machine import FILES_A_WORKER, affordable_workers, quota_of_cores, usable_cores
+from bench.isolation.machine import quota_of_cores, usable_cores
 
 ROOT, BOX = "sys/fs/cgroup", "sys/fs/cgroup/cpu,cpuacct/box"
 
@@ -47,14 +46,6 @@ def test_the_quota_of_a_container_is_read_whichever_version_it_is_of(
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(f"{text}\n" if text else "")
     assert quota_of_cores(tmp_path) == cores
-
-
-def test_there_are_no_more_workers_than_descriptors_suffice_for() -> None:
-    """Of a limit of 128 some are taken and some reserved: a worker cannot have more than its part."""
-    hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
-    workers = int(run(f"resource.setrlimit(resource.RLIMIT_NOFILE, (128, {hard})); print(affordable_workers(11))"))
-    assert 1 <= workers <= 128 // FILES_A_WORKER
-    assert affordable_workers(1) == 1
 
 
 def test_the_limit_is_raised_as_far_as_it_may_be() -> None:
