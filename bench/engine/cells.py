@@ -110,9 +110,10 @@ class CellJob(Job):
 
     def _prepare_fit(self) -> None:
         """Note what is run, the packages that it needs, and how many problems it solves together."""
+        self.requires: tuple[str, ...] = ()
+        self.at_once = 1
         if self.cell.method in REFERENCES:
             self.fit = pickle.dumps(partial(reference_fit, self.cell.method))
-            self.requires, self.at_once = (), 1
             return
         method = make_method(self.cell.method, dict(self.cell.settings))
         self.fit = pickle.dumps(method.identify_many)

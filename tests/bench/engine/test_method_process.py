@@ -91,7 +91,7 @@ def test_simulated_responses_in_units_of_their_own_are_evaluated_together() -> N
 
 
 def test_only_plain_content_is_unpacked(problem: Problem) -> None:
-    content = {"a": (1, 2.5, "x", None, True), "b": np.arange(3.0)}
+    content: dict[str, Any] = {"a": (1, 2.5, "x", None, True), "b": np.arange(3.0)}
     same = unpack(pack(content))
     assert same["a"] == content["a"]
     assert np.array_equal(same["b"], content["b"])
@@ -120,8 +120,9 @@ def test_pickles_are_rebuilt_from_pipes_alone() -> None:
     places = set()
     for path in sorted((REPOSITORY / "bench").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            rebuilds = isinstance(node, ast.Attribute) and node.attr in ("load", "loads", "Unpickler")
-            if rebuilds and isinstance(node.value, ast.Name) and node.value.id in PICKLERS:
+            if not isinstance(node, ast.Attribute) or node.attr not in ("load", "loads", "Unpickler"):
+                continue
+            if isinstance(node.value, ast.Name) and node.value.id in PICKLERS:
                 places.add(path.relative_to(REPOSITORY / "bench").as_posix())
     assert places <= {
         "conformance/candidate.py", "conformance/method_checks.py", "conformance/process.py",

@@ -163,7 +163,7 @@ DAMAGE: dict[str, Callable[[Path], object]] = {
     "without its arrays": lambda path: path.write_bytes(path.read_bytes()[:-100]),
     "flipped": lambda path: flip(path),
     "of another shape": lambda path: path.write_bytes(resealed({"cell": 3})),
-    "a pipe": lambda path: (path.unlink(), os.mkfifo(path)),
+    "a pipe": lambda path: os.mkfifo(path.rename(path.with_suffix(".old")).with_suffix(".json")),
     "whole": lambda path: None,
 }
 
