@@ -15,12 +15,12 @@ from typing import Any, Protocol, TextIO
 from bench.contract.online import OnlineIdentifier, Sample, Standing, Tracker
 from bench.errors import InputError
 from bench.online.follow import moments
+from bench.online.score import Z95
 from bench.twin.pressure import Intake
 from bench.twin.state import save
 
 FIRST_LINES = 20
 """Number of samples from which the sampling interval is taken."""
-Z95 = 1.959963984540054
 WIDEST = 20.0
 """Standard deviation of a logarithm from which on an estimate is not shown."""
 
