@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from bench.isolation.failure import one_line, traceback_text, without_places
@@ -71,10 +72,7 @@ class Checks(list[Check]):
         """Return a decorator that adds a function; ``arguments`` are given to it, its docstring is the requirement."""
 
         def decorate(function: Callable[..., str | None]) -> Callable[..., str | None]:
-            def run(subject: Any) -> str | None:
-                return function(subject, **arguments)
-
-            self.append(Check(name, inspect.getdoc(function) or "", run, remedy, gate))
+            self.append(Check(name, inspect.getdoc(function) or "", partial(function, **arguments), remedy, gate))
             return function
 
         return decorate
