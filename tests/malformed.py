@@ -50,6 +50,8 @@ method=prior method=ls                            | method=ls                   
 method=prior metod=ls                             | metod=ls                         | did you mean method
 method=prior method.name=ls                       | method.name=ls                   | method=<name>
 method=prior ~system                              | ~system=                         | left out
+method=sl                                         | method=sl                        | did you mean ls
+ls                                                | verb=ls                          | did you mean method=ls
 method=$LONG                                      | method=zzz                       | known
 # ---- values of a run
 $CELL snr=abc                                     | snr=abc                          | number

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from bench.config.fields import declared
 from bench.errors import InputError
 
-MULTIRUN, RUN, HELP, VERSION = ("-m", "--multirun"), ("-r", "--run"), ("-h", "--help"), ("--version",)
+FLAGS = {
+    "-m": "multirun", "--multirun": "multirun", "-r": "", "--run": "", "-h": "help", "--help": "help",
+    "--version": "version",
+}  # fmt: skip
 COMPLETION = ("-sc", "--shell-completion", "--shell_completion")
 CFG, INFO = ("job", "hydra", "all"), ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
 SHOWN = {"--cfg": CFG, "-c": CFG, "--info": INFO, "-i": INFO}
@@ -20,15 +22,13 @@ PACKAGE, ALONE = ("-p", "--package"), ("--resolve", "--hydra-help", *COMPLETION)
 class Options:
     """The words of a command line: what is asked of bench, options for Hydra to answer, and ``field=value``."""
 
-    multirun: bool = False
-    help: bool = False
-    version: bool = False
+    flags: set[str] = field(default_factory=set)
     shown: list[str] = field(default_factory=list)
     words: list[str] = field(default_factory=list)
 
     @property
     def completes(self) -> bool:
-        """Return whether the shell asks what may follow: the words are Hydra's."""
+        """Whether the shell asks what may follow: the words are Hydra's."""
         return bool(set(COMPLETION) & set(self.shown))
 
 
@@ -40,12 +40,8 @@ def read_options(arguments: Sequence[str]) -> Options:
         name, _, value = word.partition("=") if word.startswith("--") else (word, "", "")
         if not name.startswith("-"):
             options.words.append(name)
-        elif name in (*MULTIRUN, *RUN):
-            options.multirun = options.multirun or name in MULTIRUN
-        elif name in HELP:
-            options.help = True
-        elif name in VERSION:
-            options.version = True
+        elif name in FLAGS:
+            options.flags.add(FLAGS[name])
         elif name in SHOWN:
             options.shown += [name, value or (rest.pop(0) if rest and rest[0] in SHOWN[name] else SHOWN[name][0])]
         elif name in PACKAGE:
@@ -53,11 +49,10 @@ def read_options(arguments: Sequence[str]) -> Options:
         elif name in ALONE:
             options.shown.append(name)
         else:
-            raise InputError("option", word, _no_option(name))
+            from bench.config.fields import declared
+
+            bare = name.lstrip("-")
+            near = f"; a field has no dashes: {bare}=<value>" if bare in declared() else ""
+            known = "options are -m, --cfg, --info, --package, --resolve, -sc, --hydra-help, --version, --help"
+            raise InputError("option", word, known + near)
     return options
-
-
-def _no_option(name: str) -> str:
-    field = name.lstrip("-")
-    written = f"; a field has no dashes: {field}=<value>" if field in declared() else ""
-    return f"options are -m, --cfg, --info, --package, --resolve, -sc, --hydra-help, --version, --help{written}"

@@ -50,10 +50,10 @@ def run(options: Options, early: bool = False) -> int:
     )
     if own:
         return _experiment(own, [word for word in options.words if word.lstrip("+") != f"experiment={own}"], options)
-    if options.help or not (options.words or options.shown or options.version):
+    if "help" in options.flags or not (options.words or options.shown or options.flags):
         print(_usage())
-        return 0 if options.help else 2
-    if options.version:
+        return 0 if "help" in options.flags else 2
+    if "version" in options.flags:
         from bench import __version__
 
         print(__version__)
@@ -76,7 +76,7 @@ def run(options: Options, early: bool = False) -> int:
     if options.shown:
         from bench.config.inspection import ask_hydra, in_place
 
-        if options.multirun:
+        if "multirun" in options.flags:
             raise InputError("option", "-m", f"{options.shown[0]} shows one cell; dry_run=true lists those of a sweep")
         return ask_hydra(options.shown, [*in_place(overrides), *of_hydra])
     if early and usable_cores() > 1 and not of_hydra and "dry_run" not in overrides:
@@ -90,7 +90,7 @@ def run(options: Options, early: bool = False) -> int:
         from bench.commands.measured_record import identify_records
 
         return identify_records(overrides)
-    jobs = sweep(overrides, multirun=options.multirun)
+    jobs = sweep(overrides, multirun="multirun" in options.flags)
     launcher = [text for text in of_hydra if "launcher" in text.partition("=")[0]]
     if "cells_per_job" in overrides and not launcher:
         raise InputError("cells_per_job", overrides["cells_per_job"][0], "with hydra/launcher=, whose jobs it is of")
@@ -102,7 +102,7 @@ def _experiment(name: str, words: list[str], options: Options) -> int:
     from bench.commands.declaration import help_page, read_arguments
 
     verb: Callable[..., int] = getattr(import_module(f"bench.commands.{OF_THEIR_OWN[name]}"), name)
-    if options.help:
+    if "help" in options.flags:
         print(help_page(f"{COMMAND} -m experiment={name}", verb))
         return 0
     return verb(**read_arguments(verb, words))

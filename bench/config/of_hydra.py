@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.errors import InputError
+from bench.errors import InputError, check_name
 
 CHOICE, OPTION = "hydra/launcher", "hydra.launcher."
 FOLDERS, VERBOSE = ("hydra.run.dir", "hydra.sweep.dir"), "hydra.verbose"
@@ -26,23 +26,25 @@ def check_of_hydra(texts: Sequence[str]) -> None:
 
     An option of a launcher sets a value. What it is made of, ``_target_``, is no option: it would be called.
     """
-    launcher = None
+    launchers = [text.partition("=")[2] for text in texts if text.lstrip("+").partition("=")[0] == CHOICE]
     for text in texts:
         key, equals, value = text.partition("=")
         plain = key.lstrip("+")
-        if plain == CHOICE:
-            launcher = value
-        elif not (plain.startswith(OPTION) or plain in (*FOLDERS, VERBOSE)) or not equals:
+        if not equals or not (plain.startswith(OPTION) or plain in (CHOICE, *FOLDERS, VERBOSE)):
             raise InputError(key, value, READ)
-        elif "_target_" in text or "${" in text:
+        if "_target_" in text or "${" in text:
             raise InputError(key, value, f"{CHOICE}=<name> says what is called; an option is a plain value")
-        elif plain in FOLDERS and not value:
+        if plain in FOLDERS and not value:
             raise InputError(key, value, "name a folder")
-    if launcher is not None:
-        _check_launcher(launcher)
-    options = [text.partition("=") for text in texts if text.lstrip("+").startswith(OPTION)]
-    if options and launcher is None:
-        raise InputError(options[0][0], options[0][2], f"an option of a launcher: name that too, by {CHOICE}=")
+        if plain.startswith(OPTION) and not launchers:
+            raise InputError(key, value, f"an option of a launcher: name that too, by {CHOICE}=")
+    for name in launchers:
+        from hydra.core.config_store import ConfigStore
+        from hydra.core.plugins import Plugins
+
+        Plugins.instance()  # launchers register themselves as it looks for them
+        known = {OURS, *(name.removesuffix(".yaml") for name in ConfigStore.instance().list("hydra/launcher"))}
+        check_name(CHOICE, name, sorted(known), " (pip install 'vibration-bench[ray]' or '[slurm]' for more)")
 
 
 def prepared(texts: Sequence[str], overrides: Mapping[str, list[Any]]) -> Mapping[str, list[Any]]:
@@ -55,15 +57,3 @@ def prepared(texts: Sequence[str], overrides: Mapping[str, list[Any]]) -> Mappin
             for name in [None] if value == "true" else value.strip("[]").split(","):
                 logging.getLogger(name).setLevel(logging.DEBUG)
     return overrides
-
-
-def _check_launcher(value: str) -> None:
-    """Raise InputError for a launcher that is not installed."""
-    from hydra.core.config_store import ConfigStore
-    from hydra.core.plugins import Plugins
-
-    Plugins.instance()  # launchers register themselves as it looks for them
-    known = sorted({OURS, *(name.removesuffix(".yaml") for name in ConfigStore.instance().list("hydra/launcher"))})
-    if value not in known:
-        more = "(pip install 'vibration-bench[ray]' or '[slurm]' for more)"
-        raise InputError(CHOICE, value, f"known: {', '.join(known)} {more}")

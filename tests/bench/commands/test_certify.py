@@ -79,24 +79,3 @@ def test_a_method_that_cannot_answer_gets_a_page_with_the_record(record: Path, t
     page = (tmp_path / "certificate.html").read_text(encoding="utf-8")
     assert "Do not trust" in page
     assert page.count("<svg") == 1
-
-
-@pytest.mark.parametrize(
-    ("asked", "said"),
-    [
-        (["data=nowhere.csv"], "nowhere.csv"),
-        (["twins=0"], "data=: needed: measured record"),
-        (["data={record}", "twins=many"], "twins=many"),
-        (["data={record}", "twins=5", "twins=6"], "given twice"),
-        (["data={record}", "method=lss"], "did you mean ls"),
-        (["data={record}", "system=sdofx"], "system=sdofx"),
-        (["data={record}", "snr=20"], "snr=20: not a field"),
-        (["data={record}", "out={record}/below", "method=ls", "system=sdof"], "cannot be written"),
-    ],
-)
-def test_bad_input_is_one_line(asked: list[str], said: str, record: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["certify", *(text.format(record=record) for text in asked)]) == 2
-    line = capsys.readouterr().err
-    assert line.count("\n") == 1
-    assert line.startswith("bench: ")
-    assert said in line

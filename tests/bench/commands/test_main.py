@@ -14,7 +14,6 @@ import yaml
 
 from bench.commands.main import main
 from bench.engine import runner
-from bench.reporting.rounding import number
 from bench.store.store import Store
 
 HEAVY = ("torch", "casadi", "pysindy", "emcee", "jax", "matplotlib")
@@ -177,25 +176,9 @@ def test_help_and_bad_input_load_no_heavy_package(python: Callable[..., Any]) ->
     assert len(done.stderr.splitlines()) == 2
 
 
-def test_help_names_every_choice(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help"]) == 0
-    out = capsys.readouterr().out
-    names = "pinn_adam ls_spline oracle chain2 sdof_forced handbook late_trigger table5 robustness --version"
-    for name in names.split():
-        assert name in out
-
-
 def test_nothing_at_all_is_usage_and_status_2(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 2
     assert capsys.readouterr().out.startswith("usage:")
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(float("nan"), "-"), (float("inf"), "failed"), (0.012345, "0.0123"), (12345.0, "1.234e+04"), (999.4, "999")],
-)
-def test_numbers_for_reading(value: float, text: str) -> None:
-    assert number(value) == text
 
 
 PLUGIN = """

@@ -12,7 +12,8 @@ from bench import InputError
 from bench.config.choices import choices
 from bench.config.experiment import Experiment, expand
 from bench.scenario.scenario import Scenario
-from bench.store.cell import Cell
+from bench.store.cell import Cell, stored_as_cell
+from bench.store.stored import StoredCell
 
 WRONG_MODELS = {"added_friction", "cubic_spring", "second_mode"}
 """Disturbances of another experiment: the data are of another system."""
@@ -195,23 +196,18 @@ def test_several_experiments_are_one_after_the_other(monkeypatch: pytest.MonkeyP
     assert [cell.scenario.snr_db for cell in found] == [20.0, 40.0, 20.0]
 
 
-@pytest.mark.parametrize(
-    ("texts", "field"),
-    [
-        (["method=oracle", "system.force.amplitude=1"], "system.force"),
-        (["method=oracle", "system.initial.displacement=[1,2]"], "system.initial"),
-        (["method=oracle", "system=chain2", "system.options.n=3"], "system.parameters"),
-        (["method=oracle", "system=sdof_forced", "system.force.hold=quintic"], "system.force.hold"),
-        (["method=oracle", "sweep={}"], "sweep"),
-        (["method=oracle", "table={}"], "table"),
-        (["method=oracle", "method.setting=1"], "method.setting"),
-        (["method=oracle", "system=sdof", "system.colour=red"], "system.colour"),
-        (["method=oracle", "prior=nominal", "prior.sd_by_kind.mass=0"], "prior.sd_by_kind.mass"),
-        (["method=oracle", "start=[1,nan]"], "start"),
-    ],
-)
-def test_fields_that_make_no_sense_are_named(texts: list[str], field: str) -> None:
-    with pytest.raises(InputError) as caught:
-        cells(*texts)
-    assert caught.value.field.startswith(field)
-    assert len(str(caught.value).splitlines()) == 1
+@pytest.mark.parametrize("system", ["chain2_first", "sdof_added_mass", "sdof_noise", "bouc_wen", "duffing_forced"])
+def test_every_kind_of_scenario_is_found_again_from_its_description(system: str) -> None:
+    """Sensors, added masses and forces are part of the question: the stored description gives the same identity."""
+    cell = cells("method=ls", f"system={system}")[0]
+    what = {**cell.description(), "label": "ls", "system": system}
+    assert stored_as_cell(StoredCell(cell.identity, what, (), {}, {}, {}, 0.0)).identity == cell.identity
+
+
+def test_a_truth_that_is_drawn_is_drawn_again() -> None:
+    """The prior of such a scenario names the parameters in the system's order, which the stored one has sorted."""
+    cell = cells("method=ls", "prior=drawn_truth")[0]
+    what = {**cell.description(), "label": "ls", "system": "sdof"}
+    again = stored_as_cell(StoredCell(cell.identity, what, (), {}, {}, {}, 0.0))
+    ours, theirs = (one.scenario.replicates(one.seed, 1)[0][0] for one in (cell, again))
+    assert list(ours.records[0].channels[0].values) == list(theirs.records[0].channels[0].values)
