@@ -1,7 +1,7 @@
 """Scenarios drawn at random from stated ranges, by a seed that names a release: the open split.
 
 An experiment whose file has ``draw`` describes them; ``open_007`` is the seventh of ``conf/experiment/open.yaml``. Each
-is one mass in free or forced vibration. What is drawn of a scenario depends on the release and its number alone, and is
+is one mass in free or forced vibration. A scenario depends on the release and its number alone, and its numbers are
 rounded, so that the last digit of a logarithm does not change which cell it is.
 """
 
@@ -36,7 +36,7 @@ RANGES = ("cycles", "damping_ratio", "samples", "snr", "frequency_hz", "mass", "
 
 @dataclass(frozen=True)
 class Drawn:
-    """One drawn scenario: its ``system`` as a file of ``conf/system`` would write it, and how it is asked."""
+    """A drawn scenario: its ``system`` as a file of ``conf/system`` would write it, and its other fields."""
 
     name: str
     system: Mapping[str, Any]
@@ -45,41 +45,39 @@ class Drawn:
     disturbance: str
 
     def block(self) -> dict[str, list[Any]]:
-        """The sweep of this scenario alone."""
-        return {
-            "system": [self.name], "snr": [self.snr], "initial_state": [self.initial_state],
-            "disturbance": [self.disturbance],
-        }  # fmt: skip
+        """Return the sweep of this scenario alone."""
+        names = {"snr": self.snr, "initial_state": self.initial_state, "disturbance": self.disturbance}
+        return {"system": [self.name], **{name: [value] for name, value in names.items()}}
 
 
 @cache
 def drawn_scenario(name: str) -> Drawn | None:
-    """The drawn scenario of a name such as ``open_007``; None where no experiment draws one of that name."""
+    """Return the drawn scenario of a name such as ``open_007``; None where no experiment draws one of that name."""
     match = re.fullmatch(r"([a-z]\w*)_(\d{3,})", name)
     if not match or match[1] not in file_names("experiment"):
         return None
-    return {one.name: one for one in drawn_scenarios(match[1])}.get(name)
+    return next((scenario for scenario in drawn_scenarios(match[1]) if scenario.name == name), None)
 
 
 @cache
 def drawn_scenarios(experiment: str) -> tuple[Drawn, ...]:
-    """The scenarios that an experiment draws, in order; none where its file has no ``draw``. Raises InputError."""
+    """Return the scenarios that an experiment draws, in order; none where its file has no ``draw``."""
     stated = read_yaml("experiment", experiment).get("draw")
     return draw(experiment, stated) if stated else ()
 
 
 def drawn_ranges() -> list[str]:
-    """The names of drawn scenarios in words: ``open_001 to open_200``, one an experiment that draws any."""
+    """Return the names of drawn scenarios in words: ``open_001 to open_200``, one an experiment that draws any."""
     drawn = [drawn_scenarios(experiment) for experiment in file_names("experiment")]
-    return [f"{own[0].name} to {own[-1].name}" for own in drawn if own]
+    return [f"{scenarios[0].name} to {scenarios[-1].name}" for scenarios in drawn if scenarios]
 
 
 def draw(experiment: str, stated: Mapping[str, Any]) -> tuple[Drawn, ...]:
     """Draw scenarios.
 
     Args:
-        experiment: Names them, ``<experiment>_001`` and so on.
-        stated: ``release``, whose name is the seed; ``scenarios``, how many; and of each of :data:`RANGES` its two
+        experiment: names them, ``<experiment>_001`` and so on.
+        stated: ``release``, whose name is the seed; ``scenarios``, their number; and of each of :data:`RANGES` its two
             ends: SNR in dB, uniform; the number of samples, cycles in the record, damping ratio, natural frequency
             (Hz), mass (kg) and amplitude (m) uniform in the logarithm.
 
@@ -94,30 +92,27 @@ def draw(experiment: str, stated: Mapping[str, Any]) -> tuple[Drawn, ...]:
     digest = hashlib.sha256(str(stated["release"]).encode()).digest()
     seeds = np.random.SeedSequence(int.from_bytes(digest[:16], "big")).spawn(int(stated["scenarios"]))
     return tuple(
-        _one(f"{experiment}_{i:03d}", ranges, np.random.default_rng(seed)) for i, seed in enumerate(seeds, 1)
-    )  # fmt: skip
+        _scenario(f"{experiment}_{i:03d}", ranges, np.random.default_rng(seed)) for i, seed in enumerate(seeds, 1)
+    )
 
 
-def _one(name: str, ranges: Mapping[str, tuple[float, float]], rng: np.random.Generator) -> Drawn:
+def _scenario(name: str, ranges: Mapping[str, tuple[float, float]], rng: np.random.Generator) -> Drawn:
     snr = _rounded(rng.uniform(*ranges["snr"]))
     known, irregular, forced = (bool(rng.random() < 0.5) for _ in range(3))
     size = {key: float(np.exp(rng.uniform(*np.log(ranges[key])))) for key in RANGES if key != "snr"}
     rate, phase = 2 * math.pi * size["frequency_hz"], rng.uniform(0.0, 2 * math.pi)
-    mass, damping = size["mass"], size["damping_ratio"]
-    duration = _rounded(size["cycles"] / size["frequency_hz"])
-    stiffness = mass * rate**2
-    start = (0.0, 0.0)
-    if not forced:
-        start = (size["amplitude"] * math.cos(phase), -size["amplitude"] * rate * math.sin(phase))
+    mass, duration = size["mass"], _rounded(size["cycles"] / size["frequency_hz"])
+    start = (0.0, 0.0) if forced else (size["amplitude"] * math.cos(phase), -size["amplitude"] * rate * math.sin(phase))
+    parameters = {"m": mass, "c": 2 * size["damping_ratio"] * mass * rate, "k": mass * rate**2}
     system = {
         "label": name,
         "kind": "sdof",
         "options": {},
-        "parameters": {"m": _rounded(mass), "c": _rounded(2 * damping * mass * rate), "k": _rounded(stiffness)},
+        "parameters": {key: _rounded(value) for key, value in parameters.items()},
         "initial": {"displacement": [_rounded(start[0])], "velocity": [_rounded(start[1])]},
         "duration": duration,
         "samples": round(size["samples"]),
-        "force": _force(size, stiffness, duration, rng) if forced else None,
+        "force": _force(size, parameters["k"], duration, rng) if forced else None,
         "forecast": duration,
         **({"default_prior": "none"} if forced else {}),
     }
@@ -125,18 +120,17 @@ def _one(name: str, ranges: Mapping[str, tuple[float, float]], rng: np.random.Ge
 
 
 def _force(size: Mapping[str, float], stiffness: float, duration: float, rng: np.random.Generator) -> dict[str, Any]:
-    """A known force that would bend the spring by the amplitude; fine enough for its highest frequency."""
-    kind, hold = str(rng.choice(SHAPES)), str(rng.choice(HOLDS))
-    hertz = size["frequency_hz"]
-    own: dict[str, Any] = {}
+    """Return a known force that would bend the spring by the amplitude; fine enough for its highest frequency."""
+    kind, hold, hertz = str(rng.choice(SHAPES)), str(rng.choice(HOLDS)), size["frequency_hz"]
+    force: dict[str, Any] = {
+        "kind": kind, "amplitude": _rounded(stiffness * size["amplitude"]), "samples": FORCE_SAMPLES,
+        "hold": "zero_order" if kind == "step" else hold, "dof": 0,
+    }  # fmt: skip
     if kind in ("multisine", "swept_sine"):
-        own = {"low_hz": _rounded(BAND[0] * hertz), "high_hz": _rounded(BAND[1] * hertz)}
+        force |= {"low_hz": _rounded(BAND[0] * hertz), "high_hz": _rounded(BAND[1] * hertz)}
     if kind == "impulse":
-        own = {"length_s": _rounded(min(PULSE / hertz, duration / 4))}
-    if kind == "step":
-        hold = "zero_order"
-    amplitude = _rounded(stiffness * size["amplitude"])
-    return {"kind": kind, "amplitude": amplitude, "samples": FORCE_SAMPLES, "hold": hold, "dof": 0, **own}
+        force["length_s"] = _rounded(min(PULSE / hertz, duration / 4))
+    return force
 
 
 def _rounded(value: float) -> float:
