@@ -688,7 +688,7 @@ def test_several_files_of_one_rig(record: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_system_is_chosen(record: Path, tmp_path: Path) -> None:
     """``system=auto``"""
-    line = cells("method=shooting", f"data={record}", "system=auto", "picture=none")
+    line = cells("method=shooting", f"data={record}", "system=auto")
     text = run(line, tmp_path).stdout
     assert "auto chose system=" in text
     assert "k/m" in text

@@ -70,9 +70,7 @@ class Config:
     plot: Annotated[
         Literal["auto", "always", "never"], "the fit in the terminal; auto: where the output is a terminal"
     ] = "auto"
-    picture: Annotated[
-        str | None, "the fit as a file, <name>.svg, or none; unset: outputs/fits/<record>_<method>.svg"
-    ] = None
+    picture: Annotated[str | None, "the fit as a file, <name>.svg"] = None
 
 
 GROUPS = ("method", "system", "prior", "disturbance")

@@ -77,10 +77,11 @@ class Identification:
 
     def as_dict(self) -> dict[str, Any]:
         """All of it, ready for JSON: null stands for what is not finite."""
-        found: dict[str, Any] = nulls(self._plain())
+        found: dict[str, Any] = nulls(self.plain())
         return found
 
-    def _plain(self) -> dict[str, Any]:
+    def plain(self) -> dict[str, Any]:
+        """Return all of it as plain values, of which some may not be finite."""
         named = ("method", "data", "samples", "status", "message", "wall_s", "trust")
         r = self.residuals
         return {
@@ -94,7 +95,7 @@ class Identification:
         }
 
     def __repr__(self) -> str:
-        return record_page(self._plain(), self.scale_is_free)
+        return record_page(self.plain(), self.scale_is_free)
 
     def _repr_html_(self) -> str:
         """A notebook's table."""
