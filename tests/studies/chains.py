@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from statistics import median
@@ -31,7 +31,7 @@ from bench.store.cell import Cell
 from bench.store.store import DEFAULT_STORE, Store, open_store
 from bench.store.stored import StoredCell
 from bench.systems import Chain
-from tests.studies.chains_picture import caption, picture
+from tests.studies.chains_picture import ASTRAY, caption, picture
 from tests.studies.common import RESULTS, Count, Out, publish, study
 from tests.studies.common import scenario as common_scenario
 
@@ -43,8 +43,6 @@ PERIODS, PER_PERIOD = 4.0, 4.5
 """Length of the record in periods of the slowest mode; samples a period of the fastest."""
 DENSE = 1000
 """Fewest times at which the displacement is scored."""
-ASTRAY = 3.0
-"""An excess of the displacement error from which on a method is said to have missed the solution."""
 
 
 def true_parameters(n: int) -> dict[str, float]:
@@ -108,19 +106,10 @@ def gave_up(stored: StoredCell | None) -> bool:
     return stored is not None and stored.n_ok == 0
 
 
-@dataclass(frozen=True)
-class Result:
-    """What is stored of a method at a size: all data sets, or the one that it gave up on; None where not tried."""
-
-    n: int
-    method: str
-    stored: StoredCell | None
-
-
-def found(n: int, method: str, store: Store) -> Result:
-    """The stored result: of all data sets where there is one, else of the first alone."""
+def found(n: int, method: str, store: Store) -> StoredCell | None:
+    """Return what is stored of a method at a size: all data sets, or the one that it gave up on."""
     cells = (cell(n, method, count) for count in (replicates(n), 1))
-    return Result(n, method, next((s for c in cells if (s := store.load(c.identity)) is not None), None))
+    return next((stored for c in cells if (stored := store.load(c.identity)) is not None), None)
 
 
 def compute(sizes: Sequence[int], methods: Sequence[str], store: Store, limits: Limits) -> None:
@@ -135,10 +124,9 @@ def compute(sizes: Sequence[int], methods: Sequence[str], store: Store, limits: 
 # ------------------------------------------------------------------------------------------------ what came out
 
 
-def line(result: Result) -> dict[str, Any]:
-    """One line of the CSV."""
-    system, stored = Chain(result.n), result.stored
-    head: dict[str, Any] = {"n": result.n, "parameters": 3 * result.n, "method": result.method}
+def line(n: int, method: str, stored: StoredCell | None) -> dict[str, Any]:
+    """Return a line of the CSV."""
+    system, head = Chain(n), {"n": n, "parameters": 3 * n, "method": method}
     if stored is None:
         return {**head, "n_ok": 0, "n_fits": 0, "status": "not tried"}
     scored = frame.Result.of_stored(stored)
@@ -160,9 +148,9 @@ def line(result: Result) -> dict[str, Any]:
 
 def tidy(sizes: Sequence[int], methods: Sequence[str], store: Store) -> pd.DataFrame:
     """One line a size and method, in the order of the table; a method of which nothing is stored is left out."""
-    results = [found(n, method, store) for n in sorted(sizes) for method in methods]
-    there = {result.method for result in results if result.stored is not None} or set(methods)
-    return pd.DataFrame([line(result) for result in results if result.method in there])
+    results = [(n, method, found(n, method, store)) for n in sorted(sizes) for method in methods]
+    there = {method for _, method, stored in results if stored is not None} or set(methods)
+    return pd.DataFrame([line(*result) for result in results if result[1] in there])
 
 
 def reach(own: pd.DataFrame) -> str:
@@ -182,9 +170,7 @@ def reach(own: pd.DataFrame) -> str:
 
 
 def entry(at: Mapping[str, Any]) -> list[str]:
-    """The columns of a size: time, excesses, successes."""
-    if at["status"] == "not tried":
-        return ["not tried", "", "", "", ""]
+    """Return the columns of a size: time, excesses, successes."""
     values = [at[key] for key in ("rmse_excess", "parameters_excess", "ratios_excess")]
     texts = ["-" if math.isnan(value) else excess_text(value) for value in values]
     return [number(at["cpu_s"]), *texts, f"{at['n_ok']:.0f}/{at['n_fits']:.0f}"]
@@ -223,7 +209,7 @@ def page(data: pd.DataFrame, timeout_s: float) -> str:
         f"| method | solved up to n = (all fits ok, rmse excess below {ASTRAY:g}) | and then, at n = |\n|---|---|---|"
     )
     parts += ["## Where each method gives up", "\n".join([head, *lines])]
-    parts += ["![Time and excess against the number of masses](figures/chains.png)", caption(data, ASTRAY)]
+    parts += ["![Time and excess against the number of masses](figures/chains.png)", caption(data)]
     columns = ["method", "time (s)", "rmse", "parameters", "ratios", "ok"]
     for n, own in data.groupby("n", sort=True):
         cell_scenario = scenario(int(n))
@@ -268,7 +254,7 @@ def chains(
         raise InputError("store", store, "one with cells of these chains; without fit=false they are computed")
     publish(out / "chains.md", page(data, timeout_s))
     publish(out / "chains.csv", data.to_csv(index=False, float_format="%.5g"))
-    print(*picture(data, out / "figures", ASTRAY), sep="\n")
+    print(*picture(data, out / "figures"), sep="\n")
     return 0
 
 

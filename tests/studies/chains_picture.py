@@ -28,16 +28,15 @@ from bench.reporting.figures.style import (
 
 ROW, LEAST = 5.0, 60.0
 """Height of a row, and least height of the panels (mm)."""
+ASTRAY = 3.0
+"""An excess of the displacement error from which on a method is said to have missed the solution."""
 DARKEST = 100.0
 """The excess from which on the shade does not change."""
 
 
-def picture(data: pd.DataFrame, out: Path, astray: float) -> list[Path]:
-    """Draw time against size, and the excess of the displacement as a table; the files.
-
-    A method whose excess is below ``astray`` at a size has solved it.
-    """
-    order = reaching(data, astray)
+def picture(data: pd.DataFrame, out: Path) -> list[Path]:
+    """Draw time against size, and the excess of the displacement as a table; return the files."""
+    order = reaching(data)
     look = looks(data.method)
     names = _ends(data, [look[method] for method in order if method not in REFERENCES])
     height = max(LEAST, ROW * len(order), height_of(names))
@@ -48,14 +47,14 @@ def picture(data: pd.DataFrame, out: Path, astray: float) -> list[Path]:
     name_beside(left, names, height)
     _excesses(right, data, [look[method] for method in order])
     legend_below(figure, _handles(data))
-    return save_figure(figure, out, "chains", caption(data, astray))
+    return save_figure(figure, out, "chains", caption(data))
 
 
-def caption(data: pd.DataFrame, astray: float) -> str:
+def caption(data: pd.DataFrame) -> str:
     """What the picture shows."""
     longest = int(data.n.max())
     there = data[(data.n == longest) & ~data.method.isin(REFERENCES) & (data.n_ok == data.n_fits) & (data.n_fits > 0)]
-    near = [look.title for look in looks(there[there.rmse_excess < astray].method).values()]
+    near = [look.title for look in looks(there[there.rmse_excess < ASTRAY].method).values()]
     said = f"Up to {longest} masses" if longest > 1 else "One mass"
     lead = f"{said}: {' and '.join(near) or 'no method'} solved it every time."
     return (
@@ -63,14 +62,14 @@ def caption(data: pd.DataFrame, astray: float) -> str:
         "that the method answered. Right: root mean square error of the displacement over the Cramér-Rao bound, by "
         "the number of masses, of the fits that succeeded; 1 is the best that the data allow, and dark is far from "
         "it. A star: some fits gave no answer. Methods in order of the longest chain that they solved, that is, every "
-        f"time with an excess below {astray:g}; then of the longest that they answered."
+        f"time with an excess below {ASTRAY:g}; then of the longest that they answered."
     )
 
 
-def reaching(data: pd.DataFrame, astray: float) -> list[str]:
+def reaching(data: pd.DataFrame) -> list[str]:
     """Methods by the longest chain solved, then by the longest one answered; none without any answer."""
     answered = data[data.n_ok > 0]
-    solved = answered[(answered.n_ok == answered.n_fits) & (answered.rmse_excess < astray)]
+    solved = answered[(answered.n_ok == answered.n_fits) & (answered.rmse_excess < ASTRAY)]
     reach = {str(method): (0, int(n)) for method, n in answered.groupby("method", sort=False).n.max().items()}
     reach |= {str(method): (int(n), reach[str(method)][1]) for method, n in solved.groupby("method").n.max().items()}
     return sorted(reach, key=lambda method: reach[method], reverse=True)

@@ -20,6 +20,7 @@ from bench.planning.search import Likely
 from bench.planning.verify import counted, simulated_forced
 from bench.reporting.tables.common import markdown_table
 from tests.studies.common import RESULTS, Count, Out, publish, study
+from tests.studies.plans import drawn_likely, known
 
 RATE = 16.0
 """Samples a cycle."""
@@ -46,8 +47,7 @@ def drawn(number: int) -> list[tuple[Request, dict[str, Told]]]:
     """Random tests with their forces; half of them with doubt about the oscillator."""
     rng, found = np.random.default_rng(2027), []
     for i in range(number):
-        doubt = (0.0, 0.0) if i % 2 == 0 else (float(rng.uniform(0.01, 0.1)), float(rng.uniform(0.1, 0.5)))
-        likely = Likely(float(10 ** rng.uniform(-1, 2)), float(10 ** rng.uniform(-2.3, -0.7)), *doubt)
+        likely = drawn_likely(rng, i, -2.3)
         cycles, quantity = float(10 ** rng.uniform(0.6, 1.3)), str(rng.choice(list(ERRORS)))
         unit = ForcedTest(round(RATE * cycles) + 1, cycles / likely.frequency, 1.0)
         least = _forces(Request(likely, quantity, unit))["best"].median[quantity]
@@ -99,9 +99,7 @@ def page(planned: Sequence[tuple[Request, dict[str, Told]]], said: dict[str, flo
         for one, found in planned
     ])  # fmt: skip
     rows = [
-        [one.quantity, _known(one.likely.frequency, one.likely.frequency_sd),
-         _known(one.likely.damping_ratio, one.likely.damping_sd), f"{one.cycles:.3g}",
-         *(f"{value:.2f}" for value in line)]
+        [one.quantity, *known(one.likely), f"{one.cycles:.3g}", *(f"{value:.2f}" for value in line)]
         for (one, _), line in zip(planned, ratios, strict=True)
     ]  # fmt: skip
     rows.append(["median", "", "", "", *(f"{value:.2f}" for value in np.median(ratios, axis=0))])
@@ -121,10 +119,6 @@ have the same energy, with which the best one tells the wanted quantity to {erro
 the best force, by the Cramér-Rao bound of the finite record (median over the likely oscillators); a hammer blow is half
 a sine of a twentieth of a period, or of two sampling intervals, whichever is longer."""
 REGENERATE = "Regenerate: `python -m tests.studies.forces` (from a clone)"
-
-
-def _known(value: float, sd: float) -> str:
-    return f"{value:.3g}" + (f" : {100 * sd:.0f} %" if sd else "")
 
 
 main = partial(study, forces, "tests.studies.forces")

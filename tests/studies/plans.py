@@ -43,11 +43,10 @@ def drawn(number: int) -> list[tuple[Request, Proposal]]:
     rng = np.random.default_rng(2027)
     found = list[tuple[Request, Proposal]]()
     while len(found) < number:
-        doubt = (0.0, 0.0) if len(found) % 2 == 0 else (float(rng.uniform(0.01, 0.1)), float(rng.uniform(0.1, 0.5)))
-        frequency, damping = float(10 ** rng.uniform(-1, 2)), float(10 ** rng.uniform(-3, -0.7))
+        likely = drawn_likely(rng, len(found), -3.0)
         quantity = str(rng.choice(list(QUANTITIES)))
         error = float(10 ** rng.uniform(-2, -1)) * (0.1 if quantity in ("k_over_m", "natural_frequency") else 1.0)
-        one = Request(Likely(frequency, damping, *doubt), quantity, error, float(10 ** rng.uniform(0.5, 2)))
+        one = Request(likely, quantity, error, float(10 ** rng.uniform(0.5, 2)))
         plan = cheapest(one.likely, quantity, error, one.amplitude)
         if plan is not None and plan.decay.samples <= MOST:
             found.append((one, plan))
@@ -104,8 +103,7 @@ def page(lines: Sequence[Line], method: str, tests: int, inside: int) -> str:
     for one, plan, share, found, kept, samples in lines:
         own = one.likely
         rows.append([
-            f"{one.quantity}:{100 * one.error:.2g}%", _known(own.frequency, own.frequency_sd),
-            _known(own.damping_ratio, own.damping_sd), f"{one.amplitude:.3g}", f"{plan.decay.samples}",
+            f"{one.quantity}:{100 * one.error:.2g}%", *known(own), f"{one.amplitude:.3g}", f"{plan.decay.samples}",
             f"{plan.decay.duration * own.frequency:.3g}", f"{100 * share:.1f}", f"{100 * found:.1f}",
             "yes" if kept else "no", f"{samples:,}" if samples else "never",
             f"{samples / plan.decay.samples:.1f}" if samples else "-",
@@ -131,8 +129,16 @@ reaches the same; a motion that has died away tells nothing more, however long i
 REGENERATE = "Regenerate: `python -m tests.studies.plans` (from a clone)"
 
 
-def _known(value: float, sd: float) -> str:
-    return f"{value:.3g}" + (f" : {100 * sd:.0f} %" if math.isfinite(sd) and sd else "")
+def drawn_likely(rng: np.random.Generator, number: int, least_damping: float) -> Likely:
+    """Draw an oscillator, in doubt where its number is odd, of a damping ratio of at least that power of ten."""
+    doubt = (float(rng.uniform(0.01, 0.1)), float(rng.uniform(0.1, 0.5))) if number % 2 else (0.0, 0.0)
+    return Likely(float(10 ** rng.uniform(-1, 2)), float(10 ** rng.uniform(least_damping, -0.7)), *doubt)
+
+
+def known(likely: Likely) -> list[str]:
+    """Return frequency and damping ratio, each with its standard deviation where it is in doubt."""
+    values = (likely.frequency, likely.frequency_sd), (likely.damping_ratio, likely.damping_sd)
+    return [f"{value:.3g}" + (f" : {100 * sd:.0f} %" if math.isfinite(sd) and sd else "") for value, sd in values]
 
 
 main = partial(study, plans, "tests.studies.plans")

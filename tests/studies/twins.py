@@ -25,7 +25,7 @@ from bench.reporting.tables.common import markdown_table
 from bench.scenario.truth import closed_form
 from bench.scoring.summary import wilson_interval
 from bench.systems.linear import SDOF
-from tests.studies.common import Count, study
+from tests.studies.common import Count, study, tracked
 
 METHOD = "output_error"
 RATE, RATIO = 2 * math.pi, 0.02
@@ -96,20 +96,13 @@ def holds(finding: Finding, answers: Answers) -> dict[tuple[str, str], bool]:
 
 
 def coverage(name: str, records: int, twins: int, seed: int) -> list[list[str]]:
-    """The rows of a case."""
+    """Return the rows of a case."""
     case, told = CASES[name], list[dict[tuple[str, str], bool]]()
-    lacking = refused = 0
-    for i in range(records):
+    for i in tracked(range(records), f"record of {name}"):
         rng = np.random.default_rng([seed, *name.encode(), i])
         finding = found(case.problem(rng), i)
-        if finding is None or finding.at is None:
-            continue
-        told.append(holds(finding, answered(finding, twins, int(rng.integers(2**31)))))
-        lacking += bool(finding.lacking.missing)
-        refused += finding.trust.value == "do not trust"
-        if i % 10 == 9:
-            print("\n".join(" ".join(row) for row in rows(case.title, told)), file=sys.stderr, flush=True)
-    print(f"{case.title}: a force is thought missing in {lacking}, not trusted {refused}", file=sys.stderr, flush=True)
+        if finding is not None and finding.at is not None:
+            told.append(holds(finding, answered(finding, twins, int(rng.integers(2**31)))))
     return rows(case.title, told)
 
 

@@ -16,7 +16,7 @@ from bench.store.store import Store
 from bench.store.stored import StoredCell
 from bench.systems import Chain
 from tests.studies import chains
-from tests.studies.chains import ASTRAY, PER_PERIOD, PERIODS, main, natural_frequencies, page, picture, reach, scenario
+from tests.studies.chains import PER_PERIOD, PERIODS, main, natural_frequencies, page, picture, reach, scenario
 from tests.studies.chains_picture import caption, reaching
 
 
@@ -79,8 +79,8 @@ def test_page_and_picture_of_what_is_there(tmp_path: Path) -> None:
     assert "it cannot (n = 2)" in text
     assert "3 parameters, 21 samples of each mass over 6 s" in text
     assert "One mass" not in text
-    assert [path.suffix for path in picture(data, tmp_path, ASTRAY)] == [".png"]
-    assert caption_of(tmp_path / "chains.png") == caption(data, ASTRAY)
+    assert [path.suffix for path in picture(data, tmp_path)] == [".png"]
+    assert caption_of(tmp_path / "chains.png") == caption(data)
 
 
 def test_methods_are_ordered_by_the_chains_they_solve_and_those_of_the_longest_are_named() -> None:
@@ -92,10 +92,10 @@ def test_methods_are_ordered_by_the_chains_they_solve_and_those_of_the_longest_a
         rmse_excess=[80.0, 90.0, 1.0, 1.1, 1.0, 1.0],
         status=["ok"] * 6,
     )
-    assert reaching(data, ASTRAY) == ["shooting", "pinn", "ls"]
-    assert caption(data, ASTRAY).startswith("Up to 5 masses: Multiple shooting solved it every time.")
+    assert reaching(data) == ["shooting", "pinn", "ls"]
+    assert caption(data).startswith("Up to 5 masses: Multiple shooting solved it every time.")
     failed = data.assign(n_ok=0)
-    assert reaching(failed, ASTRAY) == []
+    assert reaching(failed) == []
 
 
 def test_an_excess_is_a_root_mean_over_quantities() -> None:
@@ -106,7 +106,7 @@ def test_an_excess_is_a_root_mean_over_quantities() -> None:
     bound = {"median": 1.0, "bound": 1.0, "excess": 1.0}
     summary = {f"{name}_error_pct": bound for own in names.values() for name in own} | {"rmse": bound}
     stored = StoredCell("", {}, (Row(0, Status.OK, scores=scores),), summary, {}, {}, 0.0)
-    got = chains.line(chains.Result(1, "ls", stored))
+    got = chains.line(1, "ls", stored)
     assert got["parameters_excess"] == pytest.approx(math.sqrt(12.5))
     assert math.isnan(got["ratios_excess"])
 

@@ -91,6 +91,6 @@ def test_the_page_counts() -> None:
 
 
 def test_a_wrong_argument_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    for argument in ("duffing=0", "chain5=x", "snr=20", "timeout_s=-1"):
+    for argument in ("duffing=0", "chain5=x", "timeout_s=-1"):
         assert main([argument]) == 2
         assert capsys.readouterr().err.count("\n") == 1

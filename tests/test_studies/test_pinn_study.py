@@ -27,7 +27,6 @@ from tests.studies.pinn.products import product_sizes, roofline  # noqa: E402
         ("replicates=none", "integer"),
         ("seeds=0", "greater"),
         ("peers=/nowhere", "naive_fit.py"),
-        ("snr=20", "fields: part"),
     ],
 )
 def test_a_wrong_argument_is_one_line(argument: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -35,11 +34,6 @@ def test_a_wrong_argument_is_one_line(argument: str, words: str, capsys: pytest.
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
-
-
-def test_help_names_the_parts(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help"]) == 0
-    assert "starting_values" in capsys.readouterr().out
 
 
 def test_the_rivals_loss_is_theirs() -> None:

@@ -40,7 +40,6 @@ class Outcome:
     answers: tuple[dict[str, Any], ...] = ()
     data: str = ""
     peak_mb: float = float("nan")
-    grown_mb: float = float("nan")
     failure: str = ""
     modules: tuple[str, ...] = ()
 
@@ -72,7 +71,6 @@ class Outcome:
             self,
             seconds=self.seconds + other.seconds,
             peak_mb=max(self.peak_mb, other.peak_mb),
-            grown_mb=max(self.grown_mb, other.grown_mb),
         )
 
 

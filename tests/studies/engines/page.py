@@ -19,8 +19,8 @@ from bench.reporting.tables.common import markdown_table
 from tests.studies.engines.floors import FORMULAS, Rates
 from tests.studies.engines.peers import Peer
 from tests.studies.engines.picture import caption
-from tests.studies.engines.results import LARGE, Growth, Result, difference, same_answers
-from tests.studies.engines.rivals import SOLVED, STARTS
+from tests.studies.engines.results import LARGE, Growth, Result, same_answers
+from tests.studies.engines.rivals import SOLVED
 
 TEXT = """Regenerate: `python -m tests.studies.engines` (`before=<folder>` for the times of an earlier checkout beside \
 these, in the same run; `rows=<a,b>` for some rows only).
@@ -87,41 +87,17 @@ COLUMNS = (
 
 
 def said_of_rows(results: Sequence[Result]) -> str:
-    """Which goals are held, what became faster or slower, and where the answers differ."""
+    """Return how many goals are held, and what became slower."""
     asked = [result for result in results if result.held is not None]
-    missed = [result for result in asked if not result.held]
-    parts = [f"{len(asked) - len(missed)} of {len(asked)} goals are held."]
-    if missed:
-        parts.append("Not held: " + "; ".join(f"{r.row.title} ({missing(r)})" for r in missed) + ".")
-    paired = [result for result in results if not math.isnan(result.ratio)]
-    if paired:
-        ratios = [result.ratio for result in paired]
-        slower = [result.row.title for result in paired if result.ratio < 1.0 / LARGE]
-        several = f" to {max(ratios):.3g}" if len(ratios) > 1 else ""
-        middle = f", {median(ratios):.3g} in the median of {len(ratios)}" if len(ratios) > 1 else ""
-        parts.append(
-            f"The earlier code takes {min(ratios):.3g}{several} times as long{middle}; slower now by more than a "
-            f"tenth: {', '.join(slower) or 'none'}."
-        )
-        offs = [difference(r.now, r.before) for r in paired if r.before and r.now.data == r.before.data]
-        if finite := [off for off in offs if not math.isnan(off)]:
-            most = f"differ by at most {max(finite):.1g} standard errors" if max(finite) else "are equal"
-            parts.append(f"The answers to the same data {most}.")
-    if gone := [result for result in results if result.before and result.before.failure]:
-        names = [f"{r.row.title} ({r.before.failure})" for r in gone if r.before]
-        parts.append(f"Without an answer by the earlier code: {'; '.join(names)}.")
-    return " ".join(parts)
-
-
-def missing(result: Result) -> str:
-    """By how much a goal is missed."""
-    now, row = result.now, result.row
-    if now.failure or now.failed:
-        return seconds_text(now)
-    too_much = [f"{now.best / row.goal_s:.2g} times the time"] if now.best > row.goal_s else []
-    if now.peak_mb > row.goal_mb:
-        too_much.append(f"{now.peak_mb / row.goal_mb:.2g} times the memory")
-    return " and ".join(too_much)
+    sentence = f"{sum(bool(result.held) for result in asked)} of {len(asked)} goals are held."
+    ratios = [result.ratio for result in results if not math.isnan(result.ratio)]
+    if not ratios:
+        return sentence
+    slower = ", ".join(result.row.title for result in results if result.ratio < 1.0 / LARGE) or "none"
+    return (
+        f"{sentence} The earlier code takes {min(ratios):.3g} to {max(ratios):.3g} times as long, {median(ratios):.3g} "
+        f"in the median of {len(ratios)}; slower now by more than a tenth: {slower}."
+    )
 
 
 def said_of_floors(results: Sequence[Result]) -> str:
@@ -165,22 +141,6 @@ def peer_line(peer: Peer, ours: float) -> list[str]:
     ]  # fmt: skip
 
 
-def said_of_peers(peers: Sequence[Peer]) -> str:
-    """How much longer the others take than ours, and which miss the minimum."""
-    own, others = peers[0].seconds, [peer for peer in peers if peer.sets]
-    parts = []
-    for start in STARTS:
-        if ratios := [peer.seconds / own for peer in others if peer.start == start]:
-            parts.append(f"from {WHENCE[start]} {min(ratios):.3g} to {max(ratios):.3g} times as long as ours alone")
-    sentence = f"The others take {' and '.join(parts)}." if parts else ""
-    missed = [f"{peer.title} ({peer.start})" for peer in others if peer.solved < peer.sets]
-    solved = f" Not always at our minimum: {', '.join(missed)}." if missed else " All end at our minimum every time."
-    return sentence + solved if others else "No other engine is installed."
-
-
-WHENCE = {"scan": "the scan's start", "nominal": "the nominal values"}
-
-
 def page(study: Study) -> str:
     """The whole page."""
     text = TEXT.format(
@@ -198,7 +158,7 @@ def page(study: Study) -> str:
         own = study.peers[0].seconds
         columns = ("engine", "start", "time (ms)", "over ours, alone", "solved")
         table = markdown_table([peer_line(peer, own) for peer in study.peers], columns)
-        parts += ["## Other engines", RIVALS.format(solved=SOLVED), said_of_peers(study.peers), table]
+        parts += ["## Other engines", RIVALS.format(solved=SOLVED), table]
     return "\n\n".join(parts) + "\n"
 
 

@@ -117,14 +117,12 @@ def fit(task: dict[str, Any]) -> dict[str, Any]:
     method.identify_many(problems(easy, 2), streams(2))
     scenario, n = scenario_of(task), task["together"]
     sets = [problems(scenario, n) for _ in range(task["repeats"])]  # nothing kept with a problem helps the next
-    before = peak_mb()
     seconds, found = repeated(lambda i: method.identify_many(sets[i], streams(n)), task)
     return {
         "seconds": [one / n for one in seconds],
         "answers": [answer_of(estimate) for estimate in found],
         "data": digest(sets[0]),
         "peak_mb": peak_mb(),
-        "grown_mb": peak_mb() - before,
     }
 
 
@@ -157,7 +155,6 @@ def bound(task: dict[str, Any]) -> dict[str, Any]:
         "answers": [answer],
         "data": "",
         "peak_mb": peak_mb(),
-        "grown_mb": 0.0,
         "modules": [name for name in sys.modules if name.partition(".")[0] in IMPORTED],
     }
 

@@ -135,11 +135,6 @@ CURVES = (
     Curve("shooting", "samples", SAMPLES, "what one mass costs is proportional to the samples; the rest is the start"),
     Curve("mcmc", "samples", SAMPLES[:4], "each draw simulates every sample; a long record needs more steps"),
     Curve("matrix_pencil", "samples", (25, 100, 300, 600), "a singular value decomposition takes the cube of them"),
-    Curve(
-        "collocation",
-        "samples",
-        SAMPLES,
-        WAVES,
-    ),
+    Curve("collocation", "samples", SAMPLES, WAVES),
     Curve("shooting", "masses", chains.SIZES, STEPS),
 )

@@ -11,12 +11,12 @@ import numpy as np
 from bench.config.online import online_scenario
 from bench.engine.pool import Limits, run_tasks
 from bench.engine.progress import progress_bar
-from bench.entrants.online import make_online, online_card
+from bench.entrants.online import online_card
 from bench.online.bound import bound_variances
 from bench.online.follow import Followed
 from bench.online.paths import Tracking, in_order, read_paths
 from bench.online.scenario import OnlineScenario, OnlineTruth, Stream
-from bench.online.score import Z95
+from bench.online.score import Z95, scored
 from bench.reporting.tables.common import markdown_table
 
 SCENARIO = "constant_multisine"
@@ -76,11 +76,8 @@ def _settings(row: Row) -> dict[str, int]:
 
 def _row(row: Row, task: Tracking, store: Path) -> list[str]:
     kept = read_paths(store, task)
-    streams = {i: task.scenario.stream(task.seed, i) for i in kept}
-    title = online_card(row.method).title
-    cells = [title, f"{len(kept)}", f"{row.uses or task.scenario.samples}"]
-    names = [quantity.name for quantity in next(iter(streams.values())).layout.quantities]
-    squares, held = _ends(row, task.scenario, streams, kept, [names.index(name) for name in QUANTITIES])
+    cells = [online_card(row.method).title, f"{len(kept)}", f"{row.uses or task.scenario.samples}"]
+    squares, held = _ends(row, task, kept)
     for own in squares.T:
         excess = np.sqrt(np.mean(own))
         cells.append(f"{excess:.2f} ± {excess * np.std(own) / np.mean(own) / 2.0 / np.sqrt(own.size):.2f}")
@@ -90,18 +87,15 @@ def _row(row: Row, task: Tracking, store: Path) -> list[str]:
     return [*cells, f"{_alarms(row, list(kept.values())):.2f}", f"{row.stated:g}"]
 
 
-def _ends(
-    row: Row, scenario: OnlineScenario, streams: dict[int, Stream], kept: dict[int, Followed], places: Sequence[int]
-) -> tuple[np.ndarray, np.ndarray]:
+def _ends(row: Row, task: Tracking, kept: dict[int, Followed]) -> tuple[np.ndarray, np.ndarray]:
     """Squared errors over the bound, and whether the intervals hold, at the last sample, each (n, 2)."""
     squares, held = [], []
     for i, path in kept.items():
-        stream = streams[i]
-        bound = bound_variances(*(_last(scenario, stream, row.uses) if row.uses else (scenario, stream)))
-        true = [np.log(stream.layout.quantities[j].value(stream.truth.parameters))[-1] for j in places]
-        off = path.means[-1, list(places)] - np.array(true)
-        squares.append(off**2 / np.array([bound[name][-1] for name in QUANTITIES]))
-        held.append(np.abs(off) <= Z95 * path.sds[-1, list(places)])
+        stream = task.scenario.stream(task.seed, i)
+        bound = bound_variances(*(_last(task.scenario, stream, row.uses) if row.uses else (task.scenario, stream)))
+        ends = [scored(stream, path, bound, name) for name in QUANTITIES]
+        squares.append([end.squared[-1] / end.bound[-1] for end in ends])
+        held.append([end.squared[-1] <= Z95**2 * end.stated[-1] for end in ends])
     there = np.isfinite(squares).all(axis=1)
     return np.array(squares)[there], np.array(held)[there]
 
@@ -125,11 +119,3 @@ def _alarms(row: Row, paths: Sequence[Followed]) -> float:
         rings += int(np.sum(ringing[1:] & ~ringing[:-1])) + int(ringing[:1].sum())
         samples += alarms.size
     return 1e4 * rings / max(samples, 1)
-
-
-def check_rows() -> None:
-    """Thresholds and levels stand in a table here, so they must be those of the methods."""
-    for row in ROWS:
-        made = make_online(row.method, {})
-        threshold = getattr(made, "threshold", None)
-        assert threshold is None or threshold == row.threshold

@@ -43,7 +43,7 @@ def live(seconds: int, folder: Path) -> str:
     said: list[str] = []
     threading.Thread(target=lambda: said.extend(twin.stderr or []), daemon=True).start()
     try:
-        with _Browser(folder) as browser:
+        with _browser(folder) as browser:
             browser.get(url)
             lags = _watched(browser, stream, twin.stdin)
             browser.save_screenshot(str(folder / "live.png"))
@@ -96,29 +96,21 @@ def _requests(browser: Any) -> list[str]:
     return [one["params"]["request"]["url"] for one in sent if one["method"] == "Network.requestWillBeSent"]
 
 
-class _Browser:
-    """Headless Chromium with its logs; raises InputError where there is none."""
-
-    def __init__(self, folder: Path) -> None:
-        try:
-            from selenium import webdriver
-        except ImportError:
-            raise InputError("part", "live", "needs selenium: pip install 'vibration-bench[browser]'") from None
-        options = webdriver.ChromeOptions()
-        quiet = ("--disable-background-networking", "--disable-component-update", "--no-first-run", "--disable-sync")
-        for argument in ("--headless=new", "--no-sandbox", "--window-size=1300,1500", *quiet):
-            options.add_argument(argument)
-        options.add_argument(f"--user-data-dir={(folder / 'browser').absolute()}")
-        options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-        os.environ.setdefault("SE_OFFLINE", "true")  # the driver that is installed, without asking anybody
-        os.environ.setdefault("SE_AVOID_STATS", "true")
-        try:
-            self.driver = webdriver.Chrome(options=options)
-        except Exception as error:
-            raise InputError("part", "live", f"no Chromium with its driver ({type(error).__name__})") from None
-
-    def __enter__(self) -> Any:
-        return self.driver
-
-    def __exit__(self, *_: object) -> None:
-        self.driver.quit()
+def _browser(folder: Path) -> Any:
+    """Start headless Chromium with its logs; raises InputError where there is none."""
+    try:
+        from selenium import webdriver
+    except ImportError:
+        raise InputError("part", "live", "needs selenium: pip install 'vibration-bench[browser]'") from None
+    options = webdriver.ChromeOptions()
+    quiet = ("--disable-background-networking", "--disable-component-update", "--no-first-run", "--disable-sync")
+    for argument in ("--headless=new", "--no-sandbox", "--window-size=1300,1500", *quiet):
+        options.add_argument(argument)
+    options.add_argument(f"--user-data-dir={(folder / 'browser').absolute()}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    os.environ.setdefault("SE_OFFLINE", "true")  # the driver that is installed, without asking anybody
+    os.environ.setdefault("SE_AVOID_STATS", "true")
+    try:
+        return webdriver.Chrome(options=options)
+    except Exception as error:
+        raise InputError("part", "live", f"no Chromium with its driver ({type(error).__name__})") from None

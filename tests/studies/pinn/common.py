@@ -52,7 +52,7 @@ METHODS = ("pinn", "collocation", "shooting")
 class Trials:
     """Data sets of a scenario with their truths, and what the errors of a method on them are held against.
 
-    ``oracle`` and ``bounds`` (n_names,) are root mean square errors; NaN where they were not asked for.
+    ``oracle`` and ``bounds`` (n_names,) are root mean square errors; NaN where the oracle was not asked.
     """
 
     scenario: Scenario
@@ -62,19 +62,14 @@ class Trials:
     bounds: np.ndarray
 
 
-def trials(scenario: Scenario, replicates: int, bound: bool = False, oracle: bool = True) -> Trials:
-    """The first ``replicates`` data sets of a scenario, with bound and oracle, if asked."""
+def trials(scenario: Scenario, replicates: int, oracle: bool = True) -> Trials:
+    """The first ``replicates`` data sets of a scenario, with their bound, and the oracle's errors if asked."""
     pairs, names = scenario.replicates(SEED, replicates), error_names(scenario)
-    unknown = np.full(len(names), np.nan)
-    theirs = [score(oracle_estimate(problem, truth), problem, truth) for problem, truth in pairs] if oracle else []
-    bounds = metric_bounds(compute_bound(scenario, SEED)) if bound else {}
-    return Trials(
-        scenario,
-        pairs,
-        names,
-        root_mean_squares(theirs, names) if oracle else unknown,
-        np.array([bounds[name] for name in names]) if bound else unknown,
-    )
+    errors = np.full(len(names), np.nan)
+    if oracle:
+        errors = root_mean_squares([score(oracle_estimate(*pair), *pair) for pair in pairs], names)
+    bounds = metric_bounds(compute_bound(scenario, SEED))
+    return Trials(scenario, pairs, names, errors, np.array([bounds[name] for name in names]))
 
 
 @dataclass
@@ -105,11 +100,6 @@ def compare(method: Identifier, on: Trials) -> Comparison:
         own.append(score(combine_with_prior(estimate, problem.prior).checked(), problem, truth))
     errors = root_mean_squares(own, on.names)
     return Comparison(
-        on.names,
-        errors / on.oracle,
-        errors / on.bounds,
-        float(np.median(seconds)),
-        len(own),
-        sum(not s for s in own),
+        on.names, errors / on.oracle, errors / on.bounds, float(np.median(seconds)), len(own), sum(not s for s in own),
         capped,
-    )
+    )  # fmt: skip

@@ -26,7 +26,7 @@ def accuracy(replicates: int) -> Part:
     rows = []
     for name, told, snr in tracked(list(product(("pinn", "collocation"), ("known", "unknown"), SNRS)), "scenario"):
         cell = scenario(system="sdof", snr=snr, initial_state=told)
-        found = compare(make_method(name, {}), trials(cell, replicates, bound=True))
+        found = compare(make_method(name, {}), trials(cell, replicates))
         over_oracle = [f"{value:.3f}" for value in found.over_oracle]
         over_bound = [f"{value:.2f}" for value in found.over_bound]
         ok = f"{replicates - found.failed}/{replicates}"
@@ -48,7 +48,7 @@ def systems(replicates: int) -> Part:
     for name, system, told in tracked(cases, "scenario"):
         cell = scenario(system=system, snr=30, initial_state=told)
         # no oracle here: for a nonlinear system it takes longer than the fit
-        found = compare(make_method(name, {}), trials(cell, replicates, bound=True, oracle=False))
+        found = compare(make_method(name, {}), trials(cell, replicates, oracle=False))
         worst = int(np.argmax(found.over_bound))
         worst_name = found.names[worst].removesuffix("_error_pct")
         ok = f"{replicates - found.failed}/{replicates}"

@@ -83,7 +83,7 @@ def scaling(replicates: int) -> Part:
     rows: list[list[str]] = []
     data: dict[str, list[dict[str, float | str]]] = {kind: [] for kind in GROWN}
     for kind, n in tracked([(kind, n) for kind, (sizes, _) in GROWN.items() for n in sizes], "size"):
-        size, on = n + 25 * (kind == "residuals"), trials(GROWN[kind][1](n), replicates, bound=True)
+        size, on = n + 25 * (kind == "residuals"), trials(GROWN[kind][1](n), replicates)
         for name, own in settings(kind, n).items():
             found = compare(make_method(name, dict(own)), on)
             ratio = ratios(found)
