@@ -1,4 +1,4 @@
-"""A short soak: a sweep under faults at random, beside readers, ends as an undisturbed one."""
+"""A short soak: a sweep under faults at random ends as an undisturbed one."""
 
 from __future__ import annotations
 

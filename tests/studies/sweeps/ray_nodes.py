@@ -18,8 +18,7 @@ from pathlib import Path
 
 import psutil
 
-from tests.studies.sweeps.apart import run_apart
-from tests.studies.sweeps.common import Journal, environment, finish, report, start, stored_cells, wait_for
+from tests.studies.sweeps.common import Journal, environment, finish, report, run_apart, start, stored_cells, wait_for
 
 CELLS = 200
 SWEEP = (

@@ -17,8 +17,7 @@ import time
 from importlib.util import find_spec
 from pathlib import Path
 
-from tests.studies.sweeps.apart import run_apart
-from tests.studies.sweeps.common import Journal, finish, report, start, wait_for
+from tests.studies.sweeps.common import Journal, finish, report, run_apart, start, wait_for
 
 CELLS = 20
 SWEEP = (
@@ -26,31 +25,17 @@ SWEEP = (
     "hydra/launcher=submitit_slurm", "hydra.launcher.partition=debug", "hydra.launcher.timeout_min=10",
 )  # fmt: skip
 TOOLS = ("munged", "slurmctld", "slurmd", "sbatch", "srun", "squeue", "sinfo")
-CONFIGURATION = """
-ClusterName=bench
-SlurmctldHost=localhost
-SlurmctldPort=6917
-SlurmdPort=6918
-SlurmUser=root
-SlurmdUser=root
-AuthType=auth/munge
-AuthInfo=socket={folder}/munge.socket
-CredType=cred/munge
-StateSaveLocation={folder}/state
-SlurmdSpoolDir={folder}/spool
-SlurmctldPidFile={folder}/slurmctld.pid
-SlurmdPidFile={folder}/slurmd.pid
-SlurmctldLogFile={folder}/slurmctld.log
-SlurmdLogFile={folder}/slurmd.log
-ProctrackType=proctrack/linuxproc
-TaskPlugin=task/none
-JobAcctGatherType=jobacct_gather/none
-AccountingStorageType=accounting_storage/none
-MpiDefault=none
-SelectType=select/cons_tres
-SelectTypeParameters=CR_CPU
-ReturnToService=2
-SchedulerParameters=batch_sched_delay=1,sched_interval=5
+OPTIONS = """
+ClusterName=bench SlurmctldHost=localhost SlurmctldPort=6917 SlurmdPort=6918 SlurmUser=root SlurmdUser=root
+AuthType=auth/munge AuthInfo=socket={folder}/munge.socket CredType=cred/munge
+StateSaveLocation={folder}/state SlurmdSpoolDir={folder}/spool
+SlurmctldPidFile={folder}/slurmctld.pid SlurmdPidFile={folder}/slurmd.pid
+SlurmctldLogFile={folder}/slurmctld.log SlurmdLogFile={folder}/slurmd.log
+ProctrackType=proctrack/linuxproc TaskPlugin=task/none JobAcctGatherType=jobacct_gather/none
+AccountingStorageType=accounting_storage/none MpiDefault=none ReturnToService=2
+SelectType=select/cons_tres SelectTypeParameters=CR_CPU SchedulerParameters=batch_sched_delay=1,sched_interval=5
+"""
+NODES = """
 NodeName=localhost CPUs={cpus} State=UNKNOWN
 PartitionName=debug Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 """
@@ -107,9 +92,8 @@ def start_daemons(folder: Path, daemons: list[subprocess.Popen[bytes]]) -> None:
     (folder / "munge.key").chmod(0o600)
     for part in ("state", "spool"):
         (folder / part).mkdir()
-    cpus = os.cpu_count() or 1
     conf = folder / "slurm.conf"
-    conf.write_text(CONFIGURATION.format(folder=folder, cpus=cpus))
+    conf.write_text("\n".join(OPTIONS.format(folder=folder).split()) + NODES.format(cpus=os.cpu_count() or 1))
     os.environ["SLURM_CONF"] = str(conf)
     munge = [f"--{kind}={folder}/munge.{kind.removesuffix('-file')}" for kind in ("key-file", "pid-file", "seed-file")]
     places = [f"--socket={folder}/munge.socket", f"--log-file={folder}/munge.log"]

@@ -1,11 +1,11 @@
-"""A sweep under faults at random, by two drivers, beside two readers: nothing lost, nothing twice, nothing grows.
+"""A sweep under faults at random, by two drivers: nothing lost, nothing twice.
 
     python -m tests.studies.sweeps.soak [cells=5000] [minutes=20] [seed=...]
 
 Faults: SIGKILL for a driver, for a worker and for the server of method processes; a driver that is stopped for a
 while; a disk that is slow, full or failing. Each lasts a few seconds. Then the faults end, and the sweep is run to its
 end, with ``retry=failed``: a cell whose process was killed from outside, and again when it was tried anew, is a row
-that says so. Its results must be those of an undisturbed sweep; memory and descriptors of readers must not grow.
+that says so. Its results must be those of an undisturbed sweep.
 """
 
 from __future__ import annotations
@@ -24,26 +24,16 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated
 
 import psutil
 
-from tests.studies.sweeps.common import Journal, environment, finish, report, results, start, stored_cells
+from bench.commands.declaration import Within
+from tests.studies.common import Count, study
+from tests.studies.sweeps.common import Journal, finish, report, results, start, stored_cells
 
-DRIVERS, READERS = 2, 2
+DRIVERS = 2
 LONGEST_FAULT_S = 4.0
-MOST_GROWTH = 1.2
-"""Of a reader's memory, from the middle of the soak to its end."""
-READER = """
-import sys, time
-import psutil
-from bench.commands.main import main
-own = psutil.Process()
-while True:
-    assert main([*sys.argv[1:], "dry_run=true"]) == 0
-    print("held", own.num_fds(), own.memory_info().rss // 1024, file=sys.stderr, flush=True)
-    time.sleep(0.5)
-"""
-"""Plans the sweep, and so reads the whole store, again and again."""
 
 
 class Soak:
@@ -99,22 +89,16 @@ class Soak:
         (self.folder / "control").write_text("0 0\n")
 
 
-def grows(log: Path) -> bool:
-    """Decide by its log whether a reader's descriptors or memory grow; one that never read grows, too."""
-    held = [tuple(map(int, numbers)) for numbers in re.findall(r"^held (\d+) (\d+)$", log.read_text(), re.MULTILINE)]
-    middle = held[len(held) // 2 :]
-    return not held or middle[-1][0] > middle[0][0] + 1 or middle[-1][1] > MOST_GROWTH * middle[0][1]
-
-
-def tracebacks(log: str) -> int:
-    """Count a driver's; without those of Python's own server, whose driver was killed while it asked."""
-    cut_off = re.findall(r"Traceback(?:(?!Traceback).)*?recvfds\n +raise EOFError\nEOFError", log, re.DOTALL)
-    return log.count("Traceback") - len(cut_off)
-
-
-def soak(cells: int, minutes: float, seed: int) -> int:
-    """Run the soak; return the exit status."""
-    cells = 4 * -(-cells // 4)
+def soak(
+    cells: Annotated[Count, "cells of the sweep"] = 5000,
+    minutes: Annotated[float, Within(gt=0.0), "time of faults, at most"] = 20.0,
+    seed: Annotated[int | None, "of the faults; empty: drawn"] = None,
+) -> int:
+    """Run a sweep under faults, then to its end, and compare it with an undisturbed one."""
+    if shutil.which("cc") is None:
+        print("soak: skipped: cc is not installed")
+        return 0
+    cells, seed = 4 * -(-cells // 4), secrets.randbelow(10**6) if seed is None else seed
     sweep = [
         "-m", "method=stand_in", "method.seconds=0.005", "snr=40,30,20,10", f"seed=range(0,{cells // 4})",
         "replicates=1", "workers=1",
@@ -126,16 +110,6 @@ def soak(cells: int, minutes: float, seed: int) -> int:
             (place / "outputs/rows").mkdir(parents=True)
         run = Soak(folder, sweep, random.Random(seed))
         journal = Journal(run.store)
-        logs = [folder / f"reader{i}.err" for i in range(READERS)]
-        command = [sys.executable, "-c", READER, *sweep]
-        readers = []
-        for log in logs:
-            with log.open("w") as errors:
-                readers.append(
-                    subprocess.Popen(
-                        command, cwd=folder, env=environment(folder), stdout=subprocess.DEVNULL, stderr=errors
-                    )
-                )
         end = time.monotonic() + 60.0 * minutes
         while time.monotonic() < end and len(stored_cells(run.store)) < cells:
             run.disturb()
@@ -147,32 +121,20 @@ def soak(cells: int, minutes: float, seed: int) -> int:
         failed = set(re.findall(r"^([0-9a-f]{8}) .* failed ", planned, re.MULTILINE))
         status, _ = finish(run.driver("retry=failed"))
         stored = dict(journal.stored())
+        log = (folder / "bench.log").read_text()
+        # without those of Python's own server, whose driver was killed while it asked
+        cut_off = re.findall(r"Traceback(?:(?!Traceback).)*?recvfds\n +raise EOFError\nEOFError", log, re.DOTALL)
         rows: list[tuple[str, object, object]] = [
             ("exit status of the last run", status, 0),
             ("cells in the store", len(stored_cells(run.store)), cells),
-            ("cells stored more than once", sum(n > 1 + (one[:8] in failed) for one, n in stored.items()), 0),
+            ("cells stored more than once", sum(n > 1 + (name[:8] in failed) for name, n in stored.items()), 0),
             ("results of an undisturbed sweep", results(folder, *sweep) == results(plain, *sweep), True),
-            ("tracebacks of drivers", tracebacks((folder / "bench.log").read_text()), 0),
-            ("readers that failed", sum(reader.poll() is not None for reader in readers), 0),
+            ("tracebacks of drivers", log.count("Traceback") - len(cut_off), 0),
         ]
-        for reader in readers:
-            reader.kill()
-            reader.wait()
-        rows.append(("readers that grew", sum(map(grows, logs)), 0))
         if status := report("soak", rows):
-            print((folder / "bench.log").read_text()[-3000:])
+            print(log[-3000:])
         return status
 
 
-def main() -> int:
-    """Read the arguments and run."""
-    if shutil.which("cc") is None:
-        print("soak: skipped: cc is not installed")
-        return 0
-    given = dict(argument.partition("=")[::2] for argument in sys.argv[1:])
-    seed = int(given.get("seed", secrets.randbelow(10**6)))
-    return soak(int(given.get("cells", 5000)), float(given.get("minutes", 20)), seed)
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(study(soak, "tests.studies.sweeps.soak"))
