@@ -16,9 +16,9 @@ from bench.config.experiment import Experiment
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
 from bench.reporting.frame import table_experiments
-from bench.scoring.path import MOMENTS
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
+from bench.scoring.traces import MOMENTS
 from bench.store.cell_file import FORMAT
 from bench.store.seal import sealed
 from bench.store.store import Store

@@ -28,11 +28,10 @@ from bench.isolation.secrecy import close_memory
 from bench.scenario.scenario import METHOD
 from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
-from bench.scoring.path import path_scores
 from bench.scoring.row import Row
 from bench.scoring.score import scores
-from bench.scoring.search import search_scores
 from bench.scoring.summary import summarise
+from bench.scoring.traces import trace_scores
 from bench.store.bounds import load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
@@ -228,7 +227,7 @@ def _scores_of(estimates: Sequence[Estimate], pairs: Sequence[Pair]) -> list[tup
     judged = []
     for estimate, sure, truth, own in zip(combined, stated, truths, scores(combined, problems, truths), strict=True):
         if estimate.status is Status.OK:
-            own = {**own, **path_scores(estimate, truth), **search_scores(estimate)}
+            own = {**own, **trace_scores(estimate, truth)}
             own = own if sure else {name: value for name, value in own.items() if not is_of_belief(name)}
             own["realised_snr_db"] = truth.realised_snr_db
         judged.append((estimate, own))

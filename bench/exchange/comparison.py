@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.scoring.path import of_clock
 from bench.scoring.row import Row, Rows
+from bench.scoring.traces import of_clock
 
 SAME_DIGITS = 1e-5
 """Relative difference below which two scores are the same: the archive keeps five significant digits."""

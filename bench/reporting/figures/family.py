@@ -15,7 +15,7 @@ from bench.reporting.figures.gallery import Gallery, Nothing, Picture, where
 from bench.reporting.figures.style import MORE_COLOURS, SMALL, panels, plain_logarithmic, wrapped
 from bench.reporting.frame import ERROR, Frame, Result, experiment_frame, table_experiments
 from bench.reporting.tables.family_numbers import GROUP, PLACE, moment_score, rms
-from bench.scoring.path import MOMENTS
+from bench.scoring.traces import MOMENTS
 
 PANELS = (("optimizer", 0), ("optimizer", 1), ("weighting", 0), ("architecture", 0))
 """The setting that a panel varies, and around which base."""

@@ -9,7 +9,7 @@ import numpy as np
 from bench.reporting.figures.gallery import Gallery, Nothing, Picture, methods_only, where
 from bench.reporting.figures.style import HALF, MM, Look, handle, legend_below, plain_logarithmic, pyplot
 from bench.reporting.frame import Result
-from bench.scoring.search import SAME
+from bench.scoring.traces import SAME
 
 OBJECTIVES = "trace_start_objectives"
 FLOOR = 1e-4

@@ -27,7 +27,7 @@ from bench.reporting.tables.family_numbers import (
 from bench.reporting.tables.family_product import combinations
 from bench.reporting.tables.family_sentences import sentences
 from bench.reporting.tables.family_sources import sources
-from bench.scoring.path import MOMENTS
+from bench.scoring.traces import MOMENTS
 
 LEGEND = """A row is one way of training the network on the same data. It differs from a base in one thing.
 {bases} The base is the first row of each section. A row may stand in two sections.

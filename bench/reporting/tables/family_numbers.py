@@ -9,7 +9,7 @@ import numpy as np
 from bench.reporting.family import Place
 from bench.reporting.frame import ERROR, Result
 from bench.reporting.rounding import excess_text, number
-from bench.scoring.path import MOMENTS
+from bench.scoring.traces import MOMENTS
 
 PLACE: Place = (20.0, "known")
 """The scenario in which trainings are compared."""

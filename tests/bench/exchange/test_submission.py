@@ -26,8 +26,8 @@ from bench.exchange import merging
 from bench.exchange.merging import draw
 from bench.exchange.submission import MANIFEST, pack, unpack
 from bench.scenario.scenario import Scenario
-from bench.scoring.path import MOMENTS, of_clock
 from bench.scoring.row import Row
+from bench.scoring.traces import MOMENTS, of_clock
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored import StoredCell

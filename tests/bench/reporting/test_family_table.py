@@ -305,7 +305,7 @@ def full(tmp_path: Path) -> Store:
 def test_the_picture_shows_the_error_over_the_bound_at_every_moment(full: Store) -> None:
     pytest.importorskip("matplotlib")
     from bench.reporting.figures.family import family_picture
-    from bench.scoring.path import MOMENTS
+    from bench.scoring.traces import MOMENTS
 
     stored = experiment_frame("pinn", full)
     figure = family_picture(stored).figure

@@ -1,4 +1,4 @@
-"""Scores of a training's path, by hand."""
+"""Scores of a training and of a search, by hand, and as methods state them."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench import Estimate, Normal, Status
+from bench import Estimate, Identifier, Normal, Status
 from bench.config.experiment import expand
+from bench.entrants.registry import make_method
 from bench.scenario.truth import Truth
-from bench.scoring.path import path_scores
+from bench.scoring.traces import trace_scores
 from bench.systems import SDOF
 
 
@@ -38,7 +39,7 @@ def path(losses: list[float], least: float) -> dict[str, np.ndarray]:
 
 
 def test_errors_are_those_of_the_last_moment_before(truth: Truth) -> None:
-    scores = path_scores(estimate(**path([9.0, 3.0, 1.5, 1.0], 1.0)), truth)
+    scores = trace_scores(estimate(**path([9.0, 3.0, 1.5, 1.0], 1.0)), truth)
     assert "k_over_m_off_pct_at_0.01s" not in scores, "nothing is known before the first moment"
     assert scores["k_over_m_off_pct_at_0.02s"] == pytest.approx(100.0)
     assert scores["k_over_m_off_pct_at_0.5s"] == pytest.approx(50.0)
@@ -54,15 +55,32 @@ def test_errors_are_those_of_the_last_moment_before(truth: Truth) -> None:
 def test_a_training_arrives_where_its_loss_stays_near_the_minimum(
     losses: list[float], arrival: float, truth: Truth
 ) -> None:
-    assert path_scores(estimate(**path(losses, 1.0)), truth)["arrival_s"] == arrival
+    assert trace_scores(estimate(**path(losses, 1.0)), truth)["arrival_s"] == arrival
 
 
 def test_a_training_that_ends_elsewhere_never_arrives(truth: Truth) -> None:
-    scores = path_scores(estimate(**path([9.0, 3.0, 1.5, 1.2], 1.0)), truth)
+    scores = trace_scores(estimate(**path([9.0, 3.0, 1.5, 1.2], 1.0)), truth)
     assert "arrival_s" not in scores
     assert scores["loss_over_minimum"] == pytest.approx(1.2)
 
 
 def test_no_path_no_scores(truth: Truth) -> None:
-    assert path_scores(estimate(), truth) == {}
-    assert path_scores(replace(estimate(**path([1.0] * 4, 1.0)), status=Status.DIVERGED), truth) == {}
+    assert trace_scores(estimate(), truth) == {}
+    assert trace_scores(replace(estimate(**path([1.0] * 4, 1.0)), status=Status.DIVERGED), truth) == {}
+
+
+def test_starting_points_that_ended_where_the_best_did_are_counted(truth: Truth) -> None:
+    ends = np.array([-3.0, 12.0, -2.995, -2.9, -3.0])
+    scores = trace_scores(estimate(start_objectives=ends, certificate=np.array([1e-4])), truth)
+    assert scores == {"starts": 5.0, "starts_at_best": 3.0, "certificate": 1e-4}
+
+
+@pytest.mark.parametrize("name", ["shooting", "output_error"])
+@pytest.mark.parametrize("system", ["sdof", "pendulum"])
+def test_the_end_of_a_search_is_certified_as_a_minimum(name: str, system: str) -> None:
+    scenario = expand([f"system={system}", "method=prior", "snr=20"], multirun=False)[0].scenario
+    problem, truth = next(iter(scenario.replicates(0, 1)))
+    method: Identifier = make_method(name, {})
+    scores = trace_scores(method.identify(problem, np.random.default_rng(0)), truth)
+    assert scores["starts"] >= scores["starts_at_best"] >= 1.0
+    assert scores["certificate"] < 1e-2
