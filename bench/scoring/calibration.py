@@ -1,4 +1,4 @@
-"""Whether a stated uncertainty means what it says: tests of the levels at the truth over many replicates.
+"""Calibration of stated uncertainties: tests of their levels at the true value over many replicates.
 
 If a belief is calibrated, its distribution function at the truth (the probability integral transform) is uniform over
 replicates (A. P. Dawid, J. R. Stat. Soc. A 147:278, 1984), and its normal score z is standard normal. Too sure shows in
@@ -25,7 +25,7 @@ EXTREME = 1e-9
 
 @dataclass(frozen=True)
 class Coverage:
-    """How often intervals of a level held the truth, with its 95 % interval (Wilson's)."""
+    """The share of intervals of a level that cover the true value, with its 95 % interval (Wilson's)."""
 
     level: float
     share: float
@@ -35,7 +35,7 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What the levels at the truth (n,) say of a belief.
+    """Statistics and tests of the levels (n,) of stated distributions at the true values.
 
     ``rms_z``: root mean square of z. ``p_values`` of three tests: mean of z against 0 (Student's t), its mean square
     against 1 (chi-squared of n), uniformity of the levels (Kolmogorov and Smirnov). ``adjusted``: the same for all
@@ -56,7 +56,7 @@ class Calibration:
 
     @property
     def verdict(self) -> str:
-        """What the tests find at the 5 % level after adjustment."""
+        """Name what the tests find at the 5 % level after adjustment."""
         biased, width, shape = (p < LEVEL for p in self.adjusted)
         words = []
         if width:
@@ -85,7 +85,7 @@ def calibration(levels: np.ndarray) -> Calibration:
 
 
 def together(found: Sequence[Calibration]) -> list[Calibration]:
-    """The same, adjusted over all their tests: of the findings, one in twenty is expected to be a false alarm.
+    """Adjust p-values over all tests: of the findings, one in twenty is expected to be a false alarm.
 
     Where every belief is calibrated, there is no finding at all with 95 % probability.
     """

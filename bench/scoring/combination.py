@@ -1,4 +1,4 @@
-"""The one step that gives scale to a method that knows only groups: combine them with the prior, once.
+"""The combination of identified groups with the prior, which gives them a scale.
 
 Free vibration tells k/m and c/m, never m. A method that works on all parameters uses the prior natively; one that
 returns groups (LS, RLS, DDNN, SINDy) gets the same prior here, and from nowhere else.
@@ -22,7 +22,7 @@ Vector = Callable[[np.ndarray], np.ndarray]
 
 
 def combine_with_prior(estimate: Estimate, prior: Prior | None) -> Estimate:
-    """The estimate with ``parameters``: as it is where it has them or there is no prior, else by posterior mode.
+    """Return the estimate with ``parameters``: as it is with them or without a prior, else by posterior mode.
 
     The groups' estimate g with covariance S is a measurement of the groups g(p) of the parameters; the log-parameters
     minimise ``(g(p) - g)' S^-1 (g(p) - g) + |(log p - log nominal) / log_sd|²``, a computation that is defined for
@@ -70,7 +70,7 @@ def _minimum(residuals: Vector, jacobian: Vector, start: np.ndarray) -> np.ndarr
 
 
 def _whitening(groups: Normal) -> np.ndarray:
-    """A matrix W with ``W' W`` the inverse covariance of the groups."""
+    """Return a matrix W with ``W' W`` the inverse covariance of the groups."""
     floor = np.diag((1e-3 * np.abs(groups.mean) + 1e-300) ** 2)
     covariance = floor if groups.covariance is None else groups.covariance
     values, vectors = np.linalg.eigh(covariance)
@@ -79,7 +79,7 @@ def _whitening(groups: Normal) -> np.ndarray:
 
 
 def _start_from_groups(system: System, groups: Normal, prior: Prior) -> np.ndarray:
-    """Log-parameters with the groups' own values where these are positive, the nominal ones elsewhere."""
+    """Return log-parameters with the groups' own values where these are positive, the nominal ones elsewhere."""
     logs = prior.log_mean.copy()
     gauge = prior.names.index(system.gauge)
     for name, value in zip(groups.names, groups.mean, strict=True):

@@ -1,4 +1,4 @@
-"""Which methods really differ: comparisons of errors paired by data set, with ties said to be ties.
+"""Comparisons of methods by errors that are paired by data set.
 
 All methods of an experiment are fitted to the same data, so two of them are compared on each data set: the size of
 their difference by the logarithm of the ratio of their errors, whether there is one by the differences. A failed
@@ -205,7 +205,7 @@ def steadiness(values: Mapping[str, np.ndarray], excess: Mapping[str, float], bo
 
 @dataclass(frozen=True)
 class Standing:
-    """Who is best in one scenario by one metric, and how the others compare with it.
+    """The best method in one scenario by one metric, and how the others compare with it.
 
     ``level``: the best, and all that cannot be told from it and do not run away, which ranks do not see.
     """

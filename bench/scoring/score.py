@@ -112,13 +112,13 @@ def _quantity_scores(quantity: Quantity, marginal: Marginal, true: np.ndarray) -
 
 
 def interval_score(low: np.ndarray, high: np.ndarray, true: np.ndarray, level: float) -> np.ndarray:
-    """Width plus ``2/alpha`` times the miss (Gneiting & Raftery, J. Am. Stat. Assoc. 102:359, 2007, eq. 43)."""
+    """Add ``2/alpha`` times the miss to the width (Gneiting & Raftery, J. Am. Stat. Assoc. 102:359, 2007, eq. 43)."""
     alpha = 1.0 - level
     return (high - low) + 2.0 / alpha * (np.maximum(low - true, 0.0) + np.maximum(true - high, 0.0))
 
 
 def crps(quantiles: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Continuous ranked probability scores from quantiles (..., n) at :data:`QUANTILES`, at true values (...).
+    """Return continuous ranked probability scores from quantiles (..., n) at :data:`QUANTILES`, at true values (...).
 
     Twice the mean quantile (pinball) score over the levels (Gneiting & Ranjan, J. Bus. Econ. Stat. 29:411, 2011).
     """
@@ -127,7 +127,7 @@ def crps(quantiles: np.ndarray, true: np.ndarray) -> np.ndarray:
 
 
 def point_parameters(estimate: Estimate) -> Mapping[str, Any] | None:
-    """Parameter values for a simulation; from groups alone, with the gauge mass at 1 (free response has no scale)."""
+    """Return parameter values for a simulation; from groups, with the gauge mass at 1 (free response has no scale)."""
     if estimate.parameters is not None:
         return estimate.parameters.values()
     if estimate.groups is None:

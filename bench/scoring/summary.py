@@ -26,7 +26,7 @@ Line = dict[str, float]
 
 
 def metric_bounds(bound: Bound) -> dict[str, float]:
-    """The bound on the root mean square of each metric that has one."""
+    """Return the bound on the root mean square of each metric that has one."""
     errors = {f"{name}_error_pct": 100.0 * sd for name, sd in bound.relative_sd.items()}
     return errors | {"rmse": bound.rmse, "rmse_simulated": bound.rmse, "rmse_forecast": bound.rmse_forecast}
 
@@ -89,7 +89,7 @@ def _median(values: np.ndarray) -> float:
 
 
 def _share(values: np.ndarray) -> Line:
-    """Of numbers between 0 and 1 that are not errors, over the successful; the interval is the mean's (Student's t)."""
+    """Summarise numbers between 0 and 1 that are no errors, with the interval of their mean (Student's t)."""
     nan = float("nan")
     if values.size < 2:
         only = float(values[0]) if values.size else nan
@@ -108,7 +108,7 @@ def _coverage(hits: np.ndarray) -> Line:
 
 
 def wilson_interval(k: int, n: int) -> tuple[float, float]:
-    """95 % interval of a fraction, ``k`` of ``n`` seen (E. B. Wilson, J. Am. Stat. Assoc. 22:209, 1927)."""
+    """Return the 95 % interval of a fraction, ``k`` of ``n`` seen (E. B. Wilson, J. Am. Stat. Assoc. 22:209, 1927)."""
     z2 = Z95**2
     half = Z95 * math.sqrt(k * (n - k) / n + z2 / 4)
     return max(0.0, float((k + z2 / 2 - half) / (n + z2))), min(1.0, float((k + z2 / 2 + half) / (n + z2)))

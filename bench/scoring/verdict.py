@@ -1,4 +1,4 @@
-"""What our replicates say of a number that the paper prints, read as one run and as a mean of many.
+"""Verdicts on numbers that the paper prints, each read as one run and as a mean of many.
 
 A number under judgement has luck of its own, as large as that of what it is compared with: one more run is placed among
 our runs, and another mean of as many runs beside our mean. So a number from our own method is called reproduced in 90
@@ -34,7 +34,7 @@ class Verdict:
 
 
 def judge(paper: float, ours: np.ndarray, oracle: np.ndarray, prior_share: float) -> Verdict:
-    """The verdict on one printed number from our errors ``ours`` (n,), failures as infinities, and the oracle's.
+    """Judge one printed number by our errors ``ours`` (n,), failures as infinities, and the oracle's.
 
     Reproduced: more than 5 % of our runs (single run) or of means of as many (mean of many) would be so small, and more
     than 5 % so large. Else below: ours worse; above: ours better. Not decidable where ``prior_share``, the prior's part
@@ -52,7 +52,7 @@ def judge(paper: float, ours: np.ndarray, oracle: np.ndarray, prior_share: float
 
 
 def between(low: Verdict, high: Verdict) -> Verdict:
-    """The verdict on a number known to lie between two: what both have in common, else open."""
+    """Judge a number known to lie between two: what both have in common, else open."""
     if low.text == high.text:
         return low
     single, mean = (a if a == b else "open" for a, b in ((low.single, high.single), (low.mean, high.mean)))
@@ -60,7 +60,7 @@ def between(low: Verdict, high: Verdict) -> Verdict:
 
 
 def decided(text: str) -> bool:
-    """Whether a verdict's text decides anything, under every reading it has."""
+    """Return whether a verdict's text decides anything, under every reading it has."""
     return not any(word in text for word in UNDECIDED)
 
 
@@ -69,13 +69,13 @@ def _text(single: str, mean: str) -> str:
 
 
 def run_tails(value: float, ours: np.ndarray) -> tuple[float, float]:
-    """How likely one more run beside ours (n,) is so small, and so large: by its rank among n + 1."""
+    """Return the probabilities that one more run beside ours (n,) is so small, and so large: by rank among n + 1."""
     below, above = (int(np.sum(side)) for side in (ours <= value, ours >= value))
     return (1 + below) / (ours.size + 1), (1 + above) / (ours.size + 1)
 
 
 def mean_tails(value: float, ours: np.ndarray) -> tuple[float, float]:
-    """How likely another mean of as many runs of the same method is so small, and so large.
+    """Return the probabilities that another mean of as many runs is so small, and so large.
 
     By Student's t for a new mean: the variance of the difference of the two is that of both. A mean with a failed run
     is infinite; another n runs have none with the probability that a resample of a resample of ours has none.
@@ -92,7 +92,7 @@ def mean_tails(value: float, ours: np.ndarray) -> tuple[float, float]:
 
 
 def mean_p_value(value: float, ours: np.ndarray) -> float:
-    """Two-sided p-value of a printed number as another mean of as many runs as ours (n,)."""
+    """Return the two-sided p-value of a printed number as another mean of as many runs as ours (n,)."""
     return min(1.0, 2.0 * min(mean_tails(value, ours)))
 
 

@@ -1,4 +1,4 @@
-"""Whether the residuals of a fit are white noise: what a wrong model leaves is not."""
+"""Tests of whether the residuals of a fit are white noise: those of a wrong model are not."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ DRAWS = 999
 
 
 def ljung_box(residuals: np.ndarray) -> np.ndarray:
-    """``Q = n (n + 2) Σ r_k² / (n - k)`` of residuals (sets, n), shape (sets,).
+    """Return ``Q = n (n + 2) Σ r_k² / (n - k)`` of residuals (sets, n), shape (sets,).
 
     G. M. Ljung, G. E. P. Box, Biometrika 65:297, 1978; r_k is the autocorrelation at lag k, up to :data:`MOST_LAGS` or
     a lag for each :data:`PER_LAG` samples. NaN where a set is constant or not finite.
@@ -28,7 +28,7 @@ def ljung_box(residuals: np.ndarray) -> np.ndarray:
 
 
 def whiteness(residuals: np.ndarray, tangents: np.ndarray) -> np.ndarray:
-    """The p-values (sets,) of the Ljung-Box statistic of residuals (sets, n); NaN where a set has none.
+    """Return the p-values (sets,) of the Ljung-Box statistic of residuals (sets, n); NaN where a set has none.
 
     A fit takes the directions of its ``tangents`` (n, q) out of the noise, which leaves residuals correlated although
     the noise is white: with few samples chi-square rejects three times as often as it should. So the statistic is

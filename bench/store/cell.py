@@ -39,7 +39,7 @@ class Cell:
     label: str
 
     def description(self) -> dict[str, Any]:
-        """What is computed, by name."""
+        """Return what is computed, by name."""
         return {
             "format": FORMAT,
             "method": self.method,
@@ -50,12 +50,12 @@ class Cell:
         }
 
     def stated(self) -> dict[str, Any]:
-        """The description with the labels of the cell and of its system: all that :meth:`restored` needs."""
+        """Return the description with the labels of the cell and of its system: all that :meth:`restored` needs."""
         return {**self.description(), "label": self.label, "system": self.scenario.label}
 
     @classmethod
     def restored(cls, stated: Mapping[str, Any], identity: str, force_file: Path | None = None) -> Cell:
-        """The cell of that name that is stated so; raises InputError where this version would name it otherwise.
+        """Return the cell of a description; raises InputError where this version would give it another identity.
 
         A force that was read from a file is stated by the digest of its numbers; ``force_file`` is where they are.
         """
@@ -82,17 +82,17 @@ class Cell:
 
     @property
     def version(self) -> Version:
-        """What would compute the cell now."""
+        """Return the version that would compute the cell now."""
         return cell_version(self.method, self.scenario.system)
 
     @cached_property
     def identity(self) -> str:
-        """Hash of the description, settings at their defaults apart: not of labels, limits, machine or place."""
+        """Hash the description, settings at their defaults apart: not labels, limits, machine or place."""
         return self._hash(self.description())
 
     @cached_property
     def question(self) -> str:
-        """The same without the number of replicates: cells that differ in it alone have the same data sets first."""
+        """Hash the same but for the number of replicates: cells that differ in it alone begin with the same data."""
         return self._hash({**self.description(), "replicates": None})
 
     def _hash(self, description: dict[str, Any]) -> str:
@@ -103,19 +103,19 @@ class Cell:
 
     @cached_property
     def bound_identity(self) -> str:
-        """Hash of what the bound depends on, which many cells share."""
+        """Hash what the bound depends on, which many cells share."""
         from bench.store.bounds import bound_identity  # loads scipy, which a mere look at cells does without
 
         return bound_identity(self)
 
 
 def stored_as_cell(stored: StoredCell) -> Cell:
-    """The cell whose description is stored; raises InputError where this version describes it differently."""
+    """Return the cell whose description is stored; raises InputError where this version describes it differently."""
     return Cell.restored(stored.cell, stored.identity)
 
 
 def _stated(scenario: Scenario) -> dict[str, Any]:
-    """The scenario as JSON holds it, worked out once: the cells of all methods have the same one."""
+    """Return the scenario as JSON holds it, computed once: the cells of all methods have the same one."""
     known = vars(scenario)
     if "_stated" not in known:
         known["_stated"] = scenario.to_dict()

@@ -15,7 +15,7 @@ from bench.store.version import Version, installed
 
 @cache
 def _commit() -> dict[str, Any]:
-    """The commit of this checkout and whether its tracked files differ from it; nothing where it is none."""
+    """Return the commit of this checkout and whether its tracked files differ from it; nothing where it is none."""
     root = Path(__file__).parents[2]
     if not (root / ".git").exists():
         return {"commit": None, "dirty": None}
