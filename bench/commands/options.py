@@ -51,7 +51,7 @@ def read_options(arguments: Sequence[str]) -> Options:
         else:
             from bench.config.fields import declared
 
-            bare = name.lstrip("-")
+            bare = name.lstrip("-").replace("-", "_")
             near = f"; a field has no dashes: {bare}=<value>" if bare in declared() else ""
             known = "options are -m, --cfg, --info, --package, --resolve, -sc, --hydra-help, --version, --help"
             raise InputError("option", word, known + near)

@@ -36,8 +36,6 @@ options, which are Hydra's:
   --version                            -h, --help   this page"""
 WIDE = 13
 """Letters of a field's name on the page of help."""
-OF_THEIR_OWN = {"measured": "measured_track", "online": "online", "atlas": "atlas"}
-"""Experiments with fields of their own, each a declared function of the module of bench.commands."""
 
 
 def run(options: Options, early: bool = False) -> int:
@@ -45,11 +43,12 @@ def run(options: Options, early: bool = False) -> int:
 
     ``early``: another core starts the processes that fit while this one imports.
     """
-    own = next(
-        (name for name in OF_THEIR_OWN if {f"experiment={name}", f"+experiment={name}"} & set(options.words)), ""
-    )
-    if own:
-        return _experiment(own, [word for word in options.words if word.lstrip("+") != f"experiment={own}"], options)
+    from bench.config.choices import TRACKS
+
+    for name in TRACKS:
+        rest = [word for word in options.words if word.lstrip("+") != f"experiment={name}"]
+        if len(rest) < len(options.words):
+            return _track(name, rest, "help" in options.flags)
     if "help" in options.flags or not (options.words or options.shown or options.flags):
         print(_usage())
         return 0 if "help" in options.flags else 2
@@ -97,12 +96,13 @@ def run(options: Options, early: bool = False) -> int:
     return _run(jobs, launcher)
 
 
-def _experiment(name: str, words: list[str], options: Options) -> int:
+def _track(name: str, words: list[str], help_wanted: bool) -> int:
     """Run an experiment with fields of its own, or show its help."""
     from bench.commands.declaration import help_page, read_arguments
+    from bench.config.choices import TRACKS
 
-    verb: Callable[..., int] = getattr(import_module(f"bench.commands.{OF_THEIR_OWN[name]}"), name)
-    if "help" in options.flags:
+    verb: Callable[..., int] = getattr(import_module(f"bench.commands.{TRACKS[name]}"), name)
+    if help_wanted:
         print(help_page(f"{COMMAND} -m experiment={name}", verb))
         return 0
     return verb(**read_arguments(verb, words))
@@ -110,14 +110,14 @@ def _experiment(name: str, words: list[str], options: Options) -> int:
 
 def _usage() -> str:
     from bench.commands.verbs import summaries
-    from bench.config.choices import GROUPS, choices, default_choices
+    from bench.config.choices import GROUPS, TRACKS, choices, default_choices
     from bench.config.fields import declared
     from bench.reporting.terminal import help_page
 
     lines = [field.line(WIDE) for name, field in declared().items() if name not in GROUPS]
     groups = [f"  {name:<{WIDE}}  [{default_choices()[name]}] {declared()[name].text}: {', '.join(choices(name))}"
               for name in declared() if name in GROUPS]  # fmt: skip
-    experiments = ", ".join([*choices("experiment"), *OF_THEIR_OWN])
+    experiments = ", ".join([*choices("experiment"), *TRACKS])
     return help_page(USAGE.format(verbs=summaries(), fields="\n".join([*groups, *lines]), experiments=experiments))
 
 

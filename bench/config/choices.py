@@ -16,6 +16,8 @@ from bench.errors import InputError, did_you_mean
 
 GROUPS = (*fields.GROUPS, "experiment")
 """Fields whose value is chosen by name."""
+TRACKS = {"measured": "measured_track", "online": "online", "atlas": "atlas"}
+"""Experiments with fields of their own, each a verb of the module of ``bench.commands``."""
 _OWN: dict[str, dict[str, Any]] = {}
 """Contents of files of your own by the names under which Hydra gets them."""
 
@@ -43,8 +45,9 @@ def check_choice(group: str, value: Any) -> None:
     if own_file(group, value) or (group == "experiment" and value is None):
         return
     if not is_choice(group, str(value)):
-        known = ", ".join([f"known: {', '.join(choices(group))}", *(drawn_ranges() if group == "system" else ())])
-        raise InputError(group, value, f"{did_you_mean(value, choices(group))}{known}")
+        names = [*choices(group), *(TRACKS if group == "experiment" else ())]
+        known = ", ".join([f"known: {', '.join(names)}", *(drawn_ranges() if group == "system" else ())])
+        raise InputError(group, value, f"{did_you_mean(value, names)}{known}")
     if group == "method" and value in registered():
         load_method(value)  # a broken entry point is said here
 

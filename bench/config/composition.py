@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,9 +12,8 @@ from bench.config.choices import content, name_for_hydra
 from bench.config.overrides import DELETED
 from bench.errors import InputError
 
-PLAIN = re.compile(r"[A-Za-z_][\w./-]*")
-"""Texts that need no quotes in Hydra's grammar, unless they are one of WORDS."""
 WORDS = ("null", "true", "false", "nan", "inf")
+"""Words that would be no texts without quotes."""
 OF_HYDRA = ("job_logging", "hydra_logging", "output", "help", "hydra_help", "launcher", "sweeper", "env")
 """Groups of Hydra's own configuration that a composition of parts does not need."""
 
@@ -109,9 +107,11 @@ def literal(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{','.join(map(literal, value))}]"
     if isinstance(value, Mapping):
-        return f"{{{','.join(f'{literal(key)}:{literal(item)}' for key, item in value.items())}}}"
+        return f"{{{','.join(f'{key}:{literal(item)}' for key, item in value.items())}}}"
     if value is None or isinstance(value, bool):
         return json.dumps(value)
-    if not isinstance(value, str) or (PLAIN.fullmatch(value) and value.lower() not in WORDS):
+    if not isinstance(value, str) or (value.isidentifier() and value.lower() not in WORDS):
         return str(value)
-    return "'" + re.sub(r"(\\*)('|$)", lambda match: 2 * match[1] + match[2].replace("'", "\\'"), value) + "'"
+    from hydra.core.override_parser.types import Quote, QuotedString
+
+    return QuotedString(value, Quote.single).with_quotes()

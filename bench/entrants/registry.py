@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from bench.contract.method import Identifier
 from bench.entrants.reference import REFERENCES
-from bench.errors import InputError
+from bench.errors import InputError, did_you_mean
 from bench.scenario.declaration import validated
 
 GROUP = "bench.methods"
@@ -45,7 +45,7 @@ def load_method(name: str) -> type[Identifier]:
 def load_class(points: Mapping[str, EntryPoint], name: str, base: type, names: Iterable[str]) -> Any:
     """Return the dataclass below ``base`` that is registered by a name; raises InputError, which lists ``names``."""
     if name not in points:
-        raise InputError("method", name, f"known methods: {', '.join(names)}")
+        raise InputError("method", name, f"{did_you_mean(name, names)}known methods: {', '.join(names)}")
     try:
         loaded = points[name].load()
     except Exception as error:
@@ -84,8 +84,9 @@ def make(cls: type[Made], name: str, settings: Mapping[str, Any], known: Iterabl
     """Return an instance of a registered class; raises InputError for a setting that is unknown or not valid."""
     for key in settings:
         if key not in known:
-            raise InputError(f"method.{key}", settings[key], f"settings of {name}: {', '.join(known) or 'none'}")
-    return validated(cls, dict(settings), {"": "method", **{key: f"method.{key}" for key in settings}})
+            near = did_you_mean(key, list(known))
+            raise InputError(f"method.{key}", settings[key], f"{near}settings of {name}: {', '.join(known) or 'none'}")
+    return validated(cls, settings, "method")
 
 
 def missing_package(name: str) -> str | None:
