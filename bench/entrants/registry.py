@@ -45,7 +45,7 @@ def load_method(name: str) -> type[Identifier]:
 def load_class(points: Mapping[str, EntryPoint], name: str, base: type, names: Iterable[str]) -> Any:
     """Return the dataclass below ``base`` that is registered by a name; raises InputError, which lists ``names``."""
     if name not in points:
-        raise InputError("method", name, f"{did_you_mean(name, names)}known methods: {', '.join(names)}")
+        raise InputError("method", name, f"{did_you_mean(name, list(names))}known methods: {', '.join(names)}")
     try:
         loaded = points[name].load()
     except Exception as error:
