@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -63,30 +62,16 @@ class Fit:
     offset: float = math.nan
 
     def as_json(self) -> str:
-        """Return the fit as JSON; null stands for what is not finite."""
-        return json.dumps(_plain(asdict(self)), allow_nan=False, sort_keys=True)
+        """Return the fit as JSON, with NaN as Python writes it."""
+        return json.dumps(asdict(self), sort_keys=True)
 
     @staticmethod
     def of_json(text: str | bytes) -> Fit:
         """Return the fit of such a text."""
         content = json.loads(text)
         for name in ("estimates", "withdrawn"):
-            stated = content[name].items()
-            content[name] = {q: Stated(**{end: _number(one[end]) for end in ENDS}) for q, one in stated}
-        numbers = {name: _number(content[name]) for name in ("wall_s", "timeout_s", "held_out", "offset")}
-        return Fit(**{**content, **numbers, "reasons": tuple(content["reasons"])})
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)
+            content[name] = {quantity: Stated(**interval) for quantity, interval in content[name].items()}
+        return Fit(**{**content, "reasons": tuple(content["reasons"])})
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,7 @@ import heapq
 import io
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import pytest
 from conftest import Plugins, StoreFactory
@@ -18,84 +16,72 @@ from hypothesis import strategies as st
 from bench.engine import progress as bars
 from bench.engine.plan import plan
 from bench.engine.pool import Limits
-from bench.engine.progress import Kind, Look, Progress, firsts_first, progress_bar
+from bench.engine.progress import Look, Progress, firsts_first, progress_bar
 from bench.engine.runner import run_cells
 from bench.entrants.registry import default_settings
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 
-START_S = 0.4
-"""What a cell costs before its first fit, in the made-up sweeps."""
+START_S, FIT_S, REPLICATES = 0.4, {"ls": 0.02, "mcmc": 2.0}, 10
+"""Seconds of the start of a cell and of a fit by method, and fits of a cell, in the made-up sweeps."""
+ORDERS = {
+    "ls first": [*("ls",) * 8, *("mcmc",) * 8],
+    "mcmc first": [*("mcmc",) * 8, *("ls",) * 8],
+    "mixed": [*("ls", "mcmc") * 8],
+}
 
 
-def cell(scenario: Scenario, method: str, seed: int = 0, replicates: int = 10) -> Cell:
-    return Cell(scenario, method, {}, replicates, seed, method)
+def progress_of(methods: list[str], n: int = REPLICATES, workers: int = 2) -> Progress:
+    """Return the progress of cells of ``n`` fits each, by these methods; their keys are their places."""
+    keys = [str(i) for i in range(len(methods))]
+    kinds = {key: (method, "sdof") for key, method in zip(keys, methods, strict=True)}
+    return Progress("fit", dict.fromkeys(keys, n), kinds, workers, "cell")
 
 
-def progress_of(cells: Sequence[Cell], workers: int = 2) -> Progress:
-    sizes = {one.identity: one.replicates for one in cells}
-    kinds = {one.identity: kind_of(one) for one in cells}
-    return Progress("fit", sizes, kinds, workers, "cell")
+def course(methods: list[str]) -> list[tuple[float, str, float]]:
+    """Return when which fit is done and what it took, each of two workers taking the next cell when it is free."""
+    free, events = [0.0, 0.0], []
+    for i, method in enumerate(methods):
+        now = heapq.heappop(free)
+        for replicate in range(REPLICATES):
+            seconds = FIT_S[method] + (START_S if replicate == 0 else 0.0)
+            now += seconds
+            events.append((now, str(i), seconds))
+        heapq.heappush(free, now)
+    return sorted(events)
 
 
-def kind_of(cell: Cell) -> Kind:
-    return cell.label, cell.scenario.label
-
-
-def course(cells: Sequence[Cell], seconds: dict[str, float], workers: int = 2) -> list[tuple[float, Any]]:
-    """When what is done, each worker taking the next cell when it has fitted the last, one fit after another."""
-    free = [(0.0, n) for n in range(workers)]
-    events = []
-    for one in cells:
-        now, worker = heapq.heappop(free)
-        for i in range(one.replicates):
-            start = START_S if i == 0 else 0.0
-            now += seconds[one.method] + start
-            events.append((now, {"key": one.identity, "n": 1, "seconds": seconds[one.method] + start}))
-        heapq.heappush(free, (now, worker))
-    return sorted(events, key=lambda event: event[0])
-
-
-@pytest.mark.parametrize("order", ["ls first", "mcmc first", "mixed"])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("share", [0.25, 0.5, 0.75])
-def test_the_time_left_is_within_a_factor_of_two_of_what_is_left(reference: Scenario, order: str, share: float) -> None:
+def test_the_time_left_is_within_a_factor_of_two_of_what_is_left(order: str, share: float) -> None:
     """Of a sweep whose methods differ in cost by 100 times, at a share of the time, whatever the order of the cells."""
-    seconds = {"ls": 0.02, "mcmc": 2.0}
-    named = {name: [cell(reference, name, seed) for seed in range(8)] for name in seconds}
-    cells = {
-        "ls first": [*named["ls"], *named["mcmc"]],
-        "mcmc first": [*named["mcmc"], *named["ls"]],
-        "mixed": [one for pair in zip(named["ls"], named["mcmc"], strict=True) for one in pair],
-    }[order]
-    cells = firsts_first(cells, kind_of)
-    progress, end = progress_of(cells), max(when for when, _ in course(cells, seconds))
-    for when, done in course(cells, seconds):
-        look = progress.add(**done)
-        if when >= share * end:
+    methods = firsts_first(ORDERS[order], lambda method: method)
+    progress, events = progress_of(methods), course(methods)
+    end = events[-1][0]
+    for now, key, seconds in events:
+        look = progress.add(key, 1, seconds)
+        if now >= share * end:
             break
     assert not look.at_least
-    assert 0.5 * (end - when) <= look.seconds_left <= 2.0 * (end - when)
-    by_fits_alone = when * (look.total - look.done) / look.done
-    if order == "ls first" and share == 0.25:
-        assert by_fits_alone < 0.5 * (end - when)  # fits counted alike say less than half, so the test can fail
+    assert 0.5 * (end - now) <= look.seconds_left <= 2.0 * (end - now)
+    if order == "ls first" and share == 0.25:  # fits counted alike say less than half, so the test can fail
+        assert now * (look.total - look.done) / look.done < 0.5 * (end - now)
 
 
-def test_what_is_unknown_is_not_guessed(reference: Scenario) -> None:
-    cells = [cell(reference, "ls", replicates=4), cell(reference, "mcmc", replicates=4)]
-    progress = progress_of(cells, workers=1)
+def test_unknown_costs_are_not_guessed() -> None:
+    progress = progress_of(["ls", "mcmc"], 4, workers=1)
     begin = progress.look()
     assert (math.isnan(begin.seconds_left), begin.at_least, begin.done, begin.total) == (True, True, 0, 8)
-    look = progress.add(cells[0].identity, 1, 3.0)
+    look = progress.add("0", 1, 3.0)
     assert (look.seconds_left, look.at_least) == (9.0, True)  # three more fits
-    look = progress.add(cells[1].identity, 1, 10.0)
+    look = progress.add("1", 1, 10.0)
     assert (look.seconds_left, look.at_least) == (39.0, False)
 
 
-def test_failures_and_cells_of_another_run_are_counted(reference: Scenario) -> None:
-    cells = [cell(reference, "ls", seed, 2) for seed in range(2)]
-    progress = progress_of(cells)
-    assert progress.add(cells[0].identity, 2, 2.0, failed=1).note == "1/2 cells, 1 failed"
-    look = progress.add(cells[1].identity, 2)
+def test_failures_and_cells_of_another_run_are_counted() -> None:
+    progress = progress_of(["ls", "ls"], 2)
+    assert progress.add("0", 2, 2.0, failed=1).note == "1/2 cells, 1 failed"
+    look = progress.add("1", 2)
     assert (look.done, look.note, look.seconds_left) == (4, "2/2 cells, 1 failed", 0.0)
 
 
