@@ -6,7 +6,8 @@ import ast
 import inspect
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -26,8 +27,14 @@ BENCH = sorted((REPOSITORY / "bench").rglob("*.py"))
 METHODS = sorted((REPOSITORY / "methods").rglob("*.py"))
 
 
-def name(path: Path) -> str:
-    return str(path.relative_to(REPOSITORY))
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def offenders(paths: list[Path], offence: Callable[[Path], object]) -> dict[str, object]:
+    """Return what is wrong with each file with which anything is, by name."""
+    return {str(path.relative_to(REPOSITORY)): wrong for path in paths if (wrong := offence(path))}
 
 
 def imports(node: ast.AST) -> Iterator[tuple[str, str]]:
@@ -55,15 +62,17 @@ def at_import_time(tree: ast.Module) -> Iterator[ast.stmt]:
         queue += [child for child in ast.iter_child_nodes(item) if isinstance(child, ast.stmt)]
 
 
-@pytest.mark.parametrize("path", BENCH, ids=name)
-def test_the_harness_knows_no_method_and_no_package_of_a_method(path: Path) -> None:
-    roots = {module.partition(".")[0] for module, _ in imports(ast.parse(path.read_text(encoding="utf-8")))}
-    assert not roots & (HEAVY | {"methods"})
+def roots(items: Iterator[tuple[str, str]]) -> set[str]:
+    """Return the packages of imports."""
+    return {module.partition(".")[0] for module, _ in items}
 
 
-@pytest.mark.parametrize("path", METHODS, ids=name)
-def test_a_method_imports_only_public_names_of_the_contract(path: Path) -> None:
-    assert foreign_imports(path) == ()
+def test_the_harness_knows_no_method_and_no_package_of_a_method() -> None:
+    assert offenders(BENCH, lambda path: roots(imports(parsed(path))) & (HEAVY | {"methods"})) == {}
+
+
+def test_a_method_imports_only_public_names_of_the_contract() -> None:
+    assert offenders(METHODS, foreign_imports) == {}
 
 
 def test_an_import_of_more_than_the_contract_is_seen_however_it_is_written(tmp_path: Path) -> None:
@@ -86,7 +95,7 @@ def test_an_import_of_more_than_the_contract_is_seen_however_it_is_written(tmp_p
 def imported_modules(path: Path) -> set[str]:
     """The modules of the harness that a file imports, anywhere in it."""
     found = set()
-    for module, imported in imports(ast.parse(path.read_text(encoding="utf-8"))):
+    for module, imported in imports(parsed(path)):
         if module.partition(".")[0] == "bench" and not imported.startswith("__"):
             below = REPOSITORY.joinpath(*module.split("."), imported)
             inside = below.with_suffix(".py").is_file() or (below / "__init__.py").is_file()
@@ -99,11 +108,12 @@ def room(module: str) -> str:
     return module.split(".")[1]
 
 
-@pytest.mark.parametrize("path", [p for p in BENCH if p.parent.name != "bench"], ids=name)
-def test_imports_go_one_way_through_the_rooms(path: Path) -> None:
-    own = ROOMS.index(room(".".join(path.relative_to(REPOSITORY).parts)))
-    below = {module for module in imported_modules(path) if module == "bench" or ROOMS.index(room(module)) > own}
-    assert not below
+def test_imports_go_one_way_through_the_rooms() -> None:
+    def from_below(path: Path) -> set[str]:
+        place = ROOMS.index(path.relative_to(REPOSITORY).parts[1])
+        return {name for name in imported_modules(path) if name == "bench" or ROOMS.index(room(name)) > place}
+
+    assert offenders([path for path in BENCH if path.parent.name != "bench"], from_below) == {}
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
@@ -112,7 +122,7 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     arrows = {}
     for module, path in paths.items():
         found = set()
-        for origin, imported in imports(ast.parse(path.read_text(encoding="utf-8"))):
+        for origin, imported in imports(parsed(path)):
             found |= {origin, f"{origin}.{imported}"} & (paths.keys() - {"bench"})
         arrows[module] = found
     while leaves := [module for module, to in arrows.items() if not to & (arrows.keys() - {module})]:
@@ -121,11 +131,11 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     assert not arrows
 
 
-@pytest.mark.parametrize("path", BENCH, ids=name)
-def test_jax_is_imported_in_functions_only(path: Path) -> None:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    roots = {module.partition(".")[0] for item in at_import_time(tree) for module, _ in imports(item)}
-    assert "jax" not in roots
+def test_jax_is_imported_in_functions_only() -> None:
+    def early(path: Path) -> set[str]:
+        return {"jax"} & {package for item in at_import_time(parsed(path)) for package in roots(imports(item))}
+
+    assert offenders(BENCH, early) == {}
 
 
 def test_registered_classes_load_no_heavy_package() -> None:
@@ -155,13 +165,15 @@ def test_help_and_a_wrong_name_load_no_numerical_library(argument: str) -> None:
     assert done.stdout.splitlines()[-1] == "[]", done.stderr
 
 
-@pytest.mark.parametrize("path", BENCH + METHODS, ids=name)
-def test_what_is_public_has_a_docstring(path: Path) -> None:
+def test_what_is_public_has_a_docstring() -> None:
     """The module, and its public functions and classes."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    assert ast.get_docstring(tree), "the module"
-    public = [item for item in tree.body if isinstance(item, ast.FunctionDef | ast.ClassDef) and item.name[0] != "_"]
-    assert [item.name for item in public if not ast.get_docstring(item)] == []
+
+    def undocumented(path: Path) -> list[str]:
+        items = [item for item in parsed(path).body if isinstance(item, ast.FunctionDef | ast.ClassDef)]
+        names = [item.name for item in items if item.name[0] != "_" and not ast.get_docstring(item)]
+        return names if ast.get_docstring(parsed(path)) else ["the module", *names]
+
+    assert offenders(BENCH + METHODS, undocumented) == {}
 
 
 @pytest.mark.parametrize("exported", bench.__all__)
@@ -181,4 +193,4 @@ def test_no_file_names_a_place_on_somebodys_machine() -> None:
     for path in [*BENCH, *METHODS, *(REPOSITORY / "conf").rglob("*.yaml")]:
         text = path.read_text(encoding="utf-8")
         for place in ("/home/", "/root/", "/Users/", "/work/"):
-            assert place not in text, name(path)
+            assert place not in text, path
