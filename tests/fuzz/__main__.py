@@ -22,7 +22,7 @@ from fuzz.records import OPTIONS, RECORDS, check_record
 from tests.studies.common import study
 
 EXAMPLES = 200
-"""Of a round; each round has a seed of its own."""
+"""Examples of a round; each round has a seed of its own."""
 HURRY = settings(
     max_examples=EXAMPLES, deadline=None, database=None, suppress_health_check=list(HealthCheck), print_blob=False
 )

@@ -54,7 +54,7 @@ def written(draw: st.DrawFn) -> bytes:
 RECORDS = st.one_of(st.binary(max_size=400), damaged(), written())
 UNITS = {"t": "s", "x": "m"}
 AS_SEEDS = ReadOptions(columns={"t": 0, "x": 1}, units=UNITS)
-"""What the seeds need beside themselves."""
+"""Options with which the seeds are read."""
 OPTIONS = st.sampled_from(
     [AS_SEEDS, ReadOptions(), ReadOptions(rate=10.0), ReadOptions(columns={"x": 0}, rate=5.0, units={"x": "mm"})]
 )

@@ -1,4 +1,4 @@
-"""How far each method reaches as the number of masses grows, and what it costs."""
+"""Reach and cost of each method as the number of masses grows."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import pandas as pd
 
 from bench.config.declaration import Choice
 from bench.contract.estimate import Status
+from bench.dynamics.modal import modes
 from bench.engine.launch import complete
 from bench.engine.pool import Limits
 from bench.entrants.reference import REFERENCES
@@ -37,7 +38,9 @@ from tests.studies.common import scenario as common_scenario
 
 SIZES = (1, 2, 3, 5, 10, 20)
 SEED = 0
-MASSES, DAMPERS, SPRINGS = (1.0, 0.9, 1.1, 0.8, 1.2), (0.3, 0.25, 0.3, 0.2, 0.25), (20.0, 18.0, 22.0, 16.0, 19.0)
+TRUE = {
+    "m": (1.0, 0.9, 1.1, 0.8, 1.2), "c": (0.3, 0.25, 0.3, 0.2, 0.25), "k": (20.0, 18.0, 22.0, 16.0, 19.0)
+}  # fmt: skip
 """True values (kg, N·s/m, N/m) along the chain, from the ground on, over and over: those of conf/system/chain5."""
 PERIODS, PER_PERIOD = 4.0, 4.5
 """Length of the record in periods of the slowest mode; samples a period of the fastest."""
@@ -47,21 +50,16 @@ DENSE = 1000
 
 def true_parameters(n: int) -> dict[str, float]:
     """The true parameters of a chain of n masses."""
-    kinds = {"m": MASSES, "c": DAMPERS, "k": SPRINGS}
-    return {f"{kind}{i + 1}": values[i % len(values)] for kind, values in kinds.items() for i in range(n)}
+    return {f"{kind}{i + 1}": values[i % len(values)] for kind, values in TRUE.items() for i in range(n)}
 
 
 def natural_frequencies(n: int) -> np.ndarray:
-    """Undamped natural frequencies (rad/s) of the true chain, rising: square roots of the eigenvalues of K over M.
+    """Return the undamped natural frequencies (rad/s) of the true chain, rising.
 
     For n equal masses m and springs k they are ``2 sqrt(k/m) sin((2 i - 1) π / (4 n + 2))``.
     """
-    from scipy.linalg import eigh
-
-    p = true_parameters(n)
-    k = np.array([p[f"k{i}"] for i in range(1, n + 1)])
-    stiffness = np.diag(k + np.append(k[1:], 0.0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
-    return np.sqrt(eigh(stiffness, np.diag([p[f"m{i}"] for i in range(1, n + 1)]), eigvals_only=True))
+    undamped = {name: 0.0 if name.startswith("c") else value for name, value in true_parameters(n).items()}
+    return 2.0 * np.pi * modes(Chain(n), undamped).frequencies
 
 
 @cache
@@ -76,16 +74,10 @@ def scenario(n: int) -> Scenario:
     steps = math.ceil(PER_PERIOD * duration * frequencies[-1] / (2.0 * math.pi))
     dense = steps * math.ceil((DENSE - 1) / steps) + 1
     return replace(
-        common,
-        parameters=true_parameters(n),
-        options={"n": n},
-        initial=((1.0, *[0.0] * (n - 1)), (0.0,) * n),
-        duration=duration,
-        samples=steps + 1,
-        dense=dense,
-        forecast=dense * duration / (dense - 1),
+        common, parameters=true_parameters(n), options={"n": n}, initial=((1.0, *[0.0] * (n - 1)), (0.0,) * n),
+        duration=duration, samples=steps + 1, dense=dense, forecast=dense * duration / (dense - 1),
         label=f"chain of {n}",
-    )
+    )  # fmt: skip
 
 
 def replicates(n: int) -> int:
@@ -101,11 +93,6 @@ def cell(n: int, method: str, count: int) -> Cell:
 # ------------------------------------------------------------------------------------------------ computing
 
 
-def gave_up(stored: StoredCell | None) -> bool:
-    """Whether a method has shown that it cannot do this size, for want of time or memory, or says so itself."""
-    return stored is not None and stored.n_ok == 0
-
-
 def found(n: int, method: str, store: Store) -> StoredCell | None:
     """Return what is stored of a method at a size: all data sets, or the one that it gave up on."""
     cells = (cell(n, method, count) for count in (replicates(n), 1))
@@ -113,11 +100,12 @@ def found(n: int, method: str, store: Store) -> StoredCell | None:
 
 
 def compute(sizes: Sequence[int], methods: Sequence[str], store: Store, limits: Limits) -> None:
-    """Compute and store what is lacking, from short chains to long ones."""
+    """Compute and store what is lacking, from short chains to long ones; a method is asked until it has no answer."""
     alive = list(methods)
     for n in sorted(sizes):
         complete([cell(n, method, 1) for method in alive], store, limits)
-        alive = [method for method in alive if not gave_up(store.load(cell(n, method, 1).identity))]
+        firsts = {method: store.load(cell(n, method, 1).identity) for method in alive}
+        alive = [method for method, stored in firsts.items() if stored is None or stored.n_ok]
         complete([cell(n, method, replicates(n)) for method in alive], store, limits)
 
 
@@ -134,16 +122,13 @@ def line(n: int, method: str, stored: StoredCell | None) -> dict[str, Any]:
     failed = [row for row in stored.rows if row.status is not Status.OK]
     return {
         **head,
-        "n_ok": stored.n_ok,
-        "n_fits": len(stored.rows),
-        "status": stored.status.value,
+        "n_ok": stored.n_ok, "n_fits": len(stored.rows), "status": stored.status.value,
         "cpu_s": median(seconds) if seconds else math.nan,
-        "rmse_m": stored.summary["rmse"]["median"],
-        "rmse_excess": stored.summary["rmse"]["excess"],
+        "rmse_m": stored.summary["rmse"]["median"], "rmse_excess": stored.summary["rmse"]["excess"],
         "parameters_excess": pooled_excess(scored, system.names),
         "ratios_excess": pooled_excess(scored, tuple(group.name for group in system.groups)),
         "message": failed[0].message if failed else "",
-    }
+    }  # fmt: skip
 
 
 def tidy(sizes: Sequence[int], methods: Sequence[str], store: Store) -> pd.DataFrame:
@@ -154,7 +139,7 @@ def tidy(sizes: Sequence[int], methods: Sequence[str], store: Store) -> pd.DataF
 
 
 def reach(own: pd.DataFrame) -> str:
-    """How far a method came: the longest chain that it solved every time, and what happened on the next one."""
+    """Return the longest chain that a method solved every time, and what happened on the next one."""
     solved, after = 0, ""
     for _, at in own.iterrows():
         if at.status == "not tried":
@@ -197,18 +182,14 @@ get the same data."""
 
 def page(data: pd.DataFrame, timeout_s: float) -> str:
     """The tables as a page."""
-    joined = {
-        key: "/".join(f"{v:g}" for v in values) for key, values in (("m", MASSES), ("c", DAMPERS), ("k", SPRINGS))
-    }
+    joined = {kind: "/".join(f"{value:g}" for value in values) for kind, values in TRUE.items()}
     text = TEXT.format(periods=PERIODS, per=PER_PERIOD, timeout=timeout_s, **joined)
     parts = ["# Chains: reach and cost", text]
     methods = list(dict.fromkeys(data.method))
     served = [m for m in methods if not (data[data.method == m].status == Status.UNSUPPORTED.value).all()]
     lines = [f"| {labels.title(m)} {reach(data[data.method == m])}" for m in served if m != "prior"]
-    head = (
-        f"| method | solved up to n = (all fits ok, rmse excess below {ASTRAY:g}) | and then, at n = |\n|---|---|---|"
-    )
-    parts += ["## Where each method gives up", "\n".join([head, *lines])]
+    head = f"| method | solved up to n = (all fits ok, rmse excess below {ASTRAY:g}) | and then, at n = |"
+    parts += ["## Where each method gives up", "\n".join([head, "|---|---|---|", *lines])]
     parts += ["![Time and excess against the number of masses](figures/chains.png)", caption(data)]
     columns = ["method", "time (s)", "rmse", "parameters", "ratios", "ok"]
     for n, own in data.groupby("n", sort=True):

@@ -51,7 +51,7 @@ def picture(data: pd.DataFrame, out: Path) -> list[Path]:
 
 
 def caption(data: pd.DataFrame) -> str:
-    """What the picture shows."""
+    """Return the caption of the picture."""
     longest = int(data.n.max())
     there = data[(data.n == longest) & ~data.method.isin(REFERENCES) & (data.n_ok == data.n_fits) & (data.n_fits > 0)]
     near = [look.title for look in looks(there[there.rmse_excess < ASTRAY].method).values()]
@@ -133,7 +133,7 @@ def _excesses(axis: Any, data: pd.DataFrame, shown: Sequence[Look]) -> None:
 
 
 def _text(at: Mapping[Any, Any]) -> str:
-    """What stands in a cell: the excess, or why there is none."""
+    """Return the text of a cell: the excess, or why there is none."""
     if at["status"] == "not tried":
         return ""
     if at["status"] == Status.UNSUPPORTED.value:
@@ -146,7 +146,7 @@ def _text(at: Mapping[Any, Any]) -> str:
 
 
 def _handles(data: pd.DataFrame) -> list[Any]:
-    """What the signs in the table say, of those that are there."""
+    """Explain the signs that are in the table."""
     texts = {_text(at)[-1:] for at in data.to_dict("records")}
     said = {"×": "no answer within the limits", "–": "unsupported", "*": "some fits gave no answer"}
     return [entry(ls="none", label=f"{sign}  {text}") for sign, text in said.items() if sign in texts]

@@ -1,4 +1,4 @@
-"""What the studies share: a command line of typed fields, scenarios, progress, and how results are written."""
+"""Helpers of the studies: a command line of typed fields, scenarios, progress, written results."""
 
 from __future__ import annotations
 

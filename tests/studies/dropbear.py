@@ -141,7 +141,7 @@ def draw(record: Record, found: np.ndarray, sds: np.ndarray, folder: Path) -> No
 
 
 def caption(record: Record, found: np.ndarray) -> str:
-    """What the picture shows."""
+    """Return the caption of the picture."""
     known = stays(record)
     off = [abs(float(np.nanmedian(found[stay.samples[stay.samples.size // 2 :]])) / stay.peak - 1.0) for stay in known]
     return (

@@ -1,4 +1,4 @@
-"""What an optimal force gains over usual ones of its energy."""
+"""The best force of a test beside usual ones of its energy."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.studies.plans import drawn_likely, known
 RATE = 16.0
 """Samples a cycle."""
 ERRORS = {"k_over_m": 0.002, "c_over_m": 0.02}
-"""Of the wanted quantity under the best force, by the energy: the bound means nothing where they are large."""
+"""Errors of the wanted quantity under the best force, set by the energy: the bound means nothing for large ones."""
 SIMULATED = ("hammer blow", "best")
 
 
@@ -39,7 +39,7 @@ class Request:
 
     @property
     def cycles(self) -> float:
-        """Of the nominal frequency."""
+        """Return the duration in cycles of the nominal frequency."""
         return self.test.duration * self.likely.frequency
 
 

@@ -107,7 +107,7 @@ class Outcome:
 
 
 def contenders() -> dict[str, Fit]:
-    """What is compared, by name, in the order of a turn."""
+    """Return the methods that are compared, by name, in the order of a turn."""
     ours = {name: make_method(name, {}).identify for name in ("shooting", "output_error")}
     return {"by_hand": by_hand, **ours}
 

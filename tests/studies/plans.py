@@ -1,4 +1,4 @@
-"""Whether proposed tests keep what they promise."""
+"""Proposed tests, simulated: the promised errors beside those of real estimates."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ HABIT = 10.0
 
 @dataclass(frozen=True)
 class Request:
-    """What is wanted of what oscillator, from a start over the noise."""
+    """A quantity wanted of a likely oscillator with an error, from a start over the noise."""
 
     likely: Likely
     quantity: str

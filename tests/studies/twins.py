@@ -1,4 +1,4 @@
-"""Whether intervals that were corrected by twins hold the truth."""
+"""Coverage of intervals that were corrected by twins."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ CASES = {
 
 
 def found(problem: Problem, seed: int) -> Finding | None:
-    """What is found in a record, its intervals kept where it is not to be trusted; None where there is no answer."""
+    """Return the finding of a record, its intervals kept where it is not to be trusted; None without an answer."""
     estimate = make_method(METHOD, {}).identify(problem, np.random.default_rng(seed))
     if estimate.status is not Status.OK:
         return None
@@ -71,7 +71,7 @@ def found(problem: Problem, seed: int) -> Finding | None:
 
 
 def answered(finding: Finding, twins: int, seed: int) -> Answers:
-    """What the method and the project say of twins, in this process, for speed; else as :mod:`bench.measured.twins`."""
+    """Return the answers to twins, in this process, for speed; else as :mod:`bench.measured.twins`."""
     assert finding.at is not None
     made = drawn(finding.at, finding.problem, twins, seed)
     rngs = [np.random.default_rng([seed, i, 1]) for i in range(twins)]
@@ -82,7 +82,7 @@ def answered(finding: Finding, twins: int, seed: int) -> Answers:
 
 
 def holds(finding: Finding, answers: Answers) -> dict[tuple[str, str], bool]:
-    """Whether the intervals hold the truth, by quantity and kind."""
+    """Decide whether the intervals hold the truth, by quantity and kind."""
     corrected = corrected_by(answers, finding, told_quantities(finding.problem))
     told: dict[tuple[str, str], bool] = {}
     for name in SHOWN:

@@ -238,7 +238,7 @@ def test_the_page_counts(tmp_path: Path) -> None:
 
 
 def test_growth_faster_than_the_problem_is_counted() -> None:
-    """Of time as the square of the samples, and as their root."""
+    """Time as the square of the samples, and as their root."""
     square, root = Growth(CURVES[1], (1, 10), (1.0, 100.0)), Growth(CURVES[2], (1, 100), (1.0, 10.0))
     said = caption([square, root])
     assert said.startswith("Time grows faster than the problem on 1 of 2 lines.")

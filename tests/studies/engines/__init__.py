@@ -1,1 +1,1 @@
-"""What the engines of the methods cost: beside goals, floors, an earlier checkout, and other people's engines."""
+"""Cost of the engines of the methods beside goals, floors, an earlier checkout, and other people's engines."""

@@ -1,4 +1,4 @@
-"""What a fit costs, beside goals, floors, an earlier checkout and other engines."""
+"""Cost of a fit beside goals, floors, an earlier checkout and other engines."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ PATIENCE = 20.0
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one or several children of one task said; ``failure`` is a sentence where they gave no answer.
+    """The answers of one or several children of one task; ``failure`` is a sentence where there are none.
 
     ``seconds`` of processor time a fit, in the order in which they were measured; ``peak_mb`` is the whole process's,
     with all that it imports.
@@ -50,7 +50,7 @@ class Outcome:
 
     @property
     def late(self) -> bool:
-        """Whether the limit of time ended it."""
+        """Decide whether the limit of time ended it."""
         return self.failure.startswith(LATE)
 
     @property
@@ -67,15 +67,11 @@ class Outcome:
         """The same with the times of a further child; its answers stay those of the first."""
         if self.failure or other.failure:
             return self if self.failure else other
-        return replace(
-            self,
-            seconds=self.seconds + other.seconds,
-            peak_mb=max(self.peak_mb, other.peak_mb),
-        )
+        return replace(self, seconds=self.seconds + other.seconds, peak_mb=max(self.peak_mb, other.peak_mb))
 
 
 def environment(folder: Path) -> dict[str, str]:
-    """Of a child: the code of a folder, one thread, nothing published, nothing compiled beforehand."""
+    """Return a child's environment: the code of a folder, one thread, no archive, nothing compiled beforehand."""
     own = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")}
     one = dict.fromkeys(THREAD_VARIABLES, "1")
     return {**own, **one, "PYTHONPATH": str(folder), "VIBRATION_BENCH_ARCHIVE": "none"}
@@ -84,7 +80,7 @@ def environment(folder: Path) -> dict[str, str]:
 def answered(
     command: Sequence[str], task: dict[str, Any], folder: Path = ROOT, python: str = sys.executable
 ) -> dict[str, Any] | str:
-    """What a child prints as JSON on its last line; or a sentence that says why it did not.
+    """Return the JSON on the last line that a child prints; or a sentence that says why there is none.
 
     From one line that it prints to the next it may use ``task["limit_s"]`` of processor time; its memory it limits by
     itself.
@@ -126,7 +122,7 @@ def _in_time(child: subprocess.Popen[bytes], out: Path, limit_s: float) -> bool:
 
 
 def _processor_seconds(pid: int) -> float:
-    """What a process has used so far; 0 where it has ended."""
+    """Return the processor time of a process so far; 0 where it has ended."""
     try:
         times = psutil.Process(pid).cpu_times()
     except psutil.Error:

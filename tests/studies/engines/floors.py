@@ -59,7 +59,7 @@ def rates() -> Rates:
 
 
 def pencil_flops(samples: int, settings: dict[str, Any]) -> float:
-    """Of the products of the data matrices with themselves; rows and columns as Hua and Sarkar (1990) have them."""
+    """Count those of the products of the data matrices with themselves, sized as by Hua and Sarkar (1990)."""
     length = round(settings.get("pencil", 1.0 / 3.0) * samples)
     return float(2 * (1 + settings.get("bootstrap", 0)) * (samples - length) * (length + 1) ** 2)
 

@@ -88,7 +88,7 @@ def picture(growths: Sequence[Growth], folder: Path) -> list[Path]:
 
 
 def caption(growths: Sequence[Growth]) -> str:
-    """What the picture shows."""
+    """Return the caption of the picture."""
     known = [growth for growth in growths if len(growth.sizes) > 1]
     steep = [growth for growth in known if growth.exponent > LARGE]
     look = looks({growth.curve.method for growth in growths})

@@ -29,7 +29,7 @@ class Result:
 
     @property
     def held(self) -> bool | None:
-        """Whether it takes no more time and memory than its goals; None where it has none."""
+        """Decide whether it takes no more time and memory than its goals; None where it has none."""
         if math.isnan(self.row.goal_s):
             return None
         small = math.isnan(self.row.goal_mb) or self.now.peak_mb <= self.row.goal_mb
@@ -74,7 +74,7 @@ def difference(now: Outcome, before: Outcome) -> float:
 
 
 def same_answers(result: Result) -> str:
-    """Whether both checkouts answer the same, as the table says it."""
+    """Return, as the table has it, how far the answers of both checkouts differ."""
     now, before = result.now, result.before
     if before is None or now.failure or before.failure:
         return "-"
@@ -100,7 +100,7 @@ class Growth:
 
     @property
     def exponent(self) -> float:
-        """Of the power law over the upper half."""
+        """Return the exponent of the power law over the upper half."""
         return exponent(self.sizes, self.seconds)
 
 

@@ -148,7 +148,7 @@ SOLVED = 0.5
 
 
 def data_of(problem: Problem) -> Data:
-    """What a rival is given: a weighed mass is taken as it is stated."""
+    """Return the data for a rival: a weighed mass is taken as it is stated."""
     (record,), prior = problem.records, problem.prior
     assert prior is not None
     assert record.initial_state is not None

@@ -1,4 +1,4 @@
-"""What is measured: the rows of the table with their goals, and the curves of the picture."""
+"""The measurements: rows of the table with their goals, and curves of the picture."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Row:
     warm: bool = True
 
     def task(self, limit_s: float) -> dict[str, Any]:
-        """What ``row.py`` is told."""
+        """Return the task for ``row.py``."""
         return {
             "kind": "fit" if self.method else "bound", "method": self.method,
             "overrides": ["method=prior", *self.overrides], "fields": dict(self.fields), "together": self.together,
@@ -58,7 +58,7 @@ class Row:
 
 
 def chain_fields(n: int) -> dict[str, Any]:
-    """What makes the chain of n masses of :mod:`tests.studies.chains` out of two masses."""
+    """Return the fields that make two masses the chain of n masses of :mod:`tests.studies.chains`."""
     cell = chains.scenario(n)
     names = ("parameters", "options", "initial", "duration", "samples", "dense", "forecast", "label")
     return {name: getattr(cell, name) for name in names}

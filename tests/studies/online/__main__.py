@@ -1,4 +1,4 @@
-"""What filters and windows are worth where nothing changes, behind a fault, on a long record, and on a live stream."""
+"""Filters and windows where nothing changes, behind a fault, on a long record, and on a live stream."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ def _last(scenario: OnlineScenario, stream: Stream, n: int) -> tuple[OnlineScena
 
 
 def _alarms(row: Row, paths: Sequence[Followed]) -> float:
-    """How often the alarm begins to ring, in 10,000 samples behind the first estimate."""
+    """Return how often the alarm begins to ring, in 10,000 samples behind the first estimate."""
     rings = samples = 0
     for path in paths:
         alarms = path.alarms[np.isfinite(path.alarms)]

@@ -86,7 +86,7 @@ def _limit(stream: Stream) -> float:
 
 
 def _again(tracker: Tracker, fresh: Tracker) -> Tracker:
-    """What a killed process would go on with: the state through JSON."""
+    """Return the tracker that a killed process would go on with: its state through JSON."""
     state = json.loads(json.dumps({name: plain(value) for name, value in tracker.saved().items()}))
     return fresh.restored({name: restored(value) for name, value in state.items()})
 

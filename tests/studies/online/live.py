@@ -66,7 +66,7 @@ A script writes samples to `python -m bench track method=change_points page=true
 
 
 def _watched(browser: Any, stream: Stream, pipe: IO[str]) -> np.ndarray:
-    """How far the page is behind (s), look by look, while the samples are written."""
+    """Measure how far the page is behind (s), look by look, while the samples are written."""
     written: list[float] = []
 
     def feed() -> None:

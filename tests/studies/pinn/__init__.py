@@ -1,1 +1,1 @@
-"""What the PINN engine costs and how far it can be trusted: ``python -m tests.studies.pinn``."""
+"""Cost and reliability of the PINN engine: ``python -m tests.studies.pinn``."""

@@ -1,4 +1,4 @@
-"""What the PINN engine costs and how far it can be trusted, as a page."""
+"""Cost and reliability of the PINN engine, as a page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the parts of the benchmark share: a result as a table, scenarios, errors over the oracle's."""
+"""Helpers of the parts: a result as a table, and errors over the oracle's."""
 
 from __future__ import annotations
 

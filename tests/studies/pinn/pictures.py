@@ -29,7 +29,7 @@ TERMS = {
 }
 SIZES = {"residuals": "residuals (−)", "masses": "masses in the chain (−)", "cycles": "cycles in the record (−)"}
 LEAST, TOP = 0.7, 1.5
-"""Of the ratios of errors that are drawn; what is beyond is a triangle at the edge."""
+"""Limits of the ratios of errors that are drawn; a triangle at the edge stands for one beyond."""
 
 
 # ------------------------------------------------------------------------------------------------ the loss
@@ -54,7 +54,7 @@ def loss_picture(data: dict[str, Any], out: Path) -> list[Path]:
 
 
 def loss_caption(data: Mapping[str, Mapping[str, Sequence[float]]]) -> str:
-    """What the picture of the loss shows."""
+    """Return the caption of the picture of the loss."""
     found = looks(data)
     ends = {name: (int(own["evaluations"][-1]) + 1, own["loss"][-1]) for name, own in data.items()}
     soonest = min(ends, key=lambda name: ends[name][0])
@@ -114,7 +114,7 @@ def _shown(axis: Any, sizes: np.ndarray, values: np.ndarray, look: Look) -> np.n
 
 
 def scaling_caption(data: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
-    """What the picture of size shows."""
+    """Return the caption of the picture of size."""
     found = looks(METHODS)
     every = [point for own in data.values() for point in own]
     largest = {look.title: max(p["ratio"] for p in every if p["method"] == look.label) for look in found.values()}

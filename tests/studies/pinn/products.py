@@ -1,4 +1,4 @@
-"""What a fit takes beside its matrix products alone: the roofline of the engine."""
+"""Time of a fit beside its matrix products alone: the roofline of the engine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far the engine reaches now, beside what it reached before and what was asked of it."""
+"""Reach of the engine beside an earlier one and the goals."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def reach(replicates: int) -> Part:
 
 
 def _over_products() -> list[str]:
-    """Of a fit of the reference record, by method: its time over that of its products."""
+    """Measure, by method, the time of a fit of the reference record over that of its products."""
     cell = scenario(system="sdof", snr=20)
     problem, _ = cell.replicates(SEED, 1)[0]
     found = []

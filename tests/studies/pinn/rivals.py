@@ -36,7 +36,7 @@ from tests.studies.pinn.common import Part
 DURATION, SAMPLES, COLLOCATION, WEIGHT = 10.0, 25, 200, 0.1
 FIRST = {"k": 4.0, "c": 1.0}
 WITHIN = 0.01
-"""How near to the minimum a fit must come, relative."""
+"""Distance from the minimum, relative, within which a fit has reached it."""
 ADAM, LBFGS = 10000, 3000
 
 
@@ -190,7 +190,7 @@ def lines(
 
 
 def _ratios(found: list[Rival], seconds: float) -> list[str]:
-    """How many times as long as a whole fit of so many seconds the whole training of each rival takes."""
+    """Return the time of each rival's whole training over so many seconds of a whole fit."""
     ratios = []
     for name in ("naive PyTorch", "DeepXDE"):
         own = [rival.seconds for rival in found if rival.name == name]

@@ -166,7 +166,7 @@ BUDGETS = (300, 1000, 3000, 10_000)
 
 
 def steps(adam: dict[str, object]) -> Part:
-    """How far first-order training is from the minimum of its loss, by the steps that it is given."""
+    """Measure how far first-order training is from the minimum of its loss, by its number of steps."""
     rows = []
     for snr in (40, 20):
         problems = [problem for problem, _ in scenario(system="sdof", snr=snr).replicates(SEED, 3)]

@@ -1,4 +1,4 @@
-"""What a fit costs as the problem grows: residuals, degrees of freedom, cycles in the record; and where it ends."""
+"""Cost of a fit as the problem grows: residuals, degrees of freedom, cycles in the record."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ GROWN: Mapping[str, tuple[Sequence[int], Callable[[int], Scenario]]] = {
     "masses": (MASSES, chain),
     "cycles": (CYCLES, horizon),
 }
-"""What grows: through which sizes, and the scenario of each."""
+"""Sizes of what grows, and the scenario of each."""
 
 
 def settings(kind: str, n: int) -> Mapping[str, Mapping[str, int]]:

@@ -16,10 +16,10 @@ from bench import (
     Problem,
     Record,
     Status,
+    Steps,
     System,
+    compiled_path,
     fitted_start,
-    numpy_ops,
-    rk4_step,
     simulate,
 )
 from bench.commands.declaration import Choice, Within
@@ -51,8 +51,7 @@ HOLDS: tuple[Hold, ...] = ("cubic", "linear")
 SHORT = 2_000
 """Samples of the test multisine over which the methods of the second table are simulated."""
 STEPS = 6
-VARIANTS = ("ls_spline",)
-METHODS = (*registered(), *VARIANTS)
+METHODS = (*registered(), "ls_spline")
 REFERENCES = (
     ("the same equation, all training samples", 0.404, 0.492, 0.387),
     ("GRU", 1.49, 2.80, 0.95),
@@ -66,15 +65,12 @@ REFERENCES = (
 
 def fitted(name: str, problem: Problem, timeout_s: float) -> Outcome:
     """One method on one problem, in a process of its own."""
-    base, settings = name, {}
-    if name in VARIANTS:
-        cell = expand([f"method={name}"], multirun=False)[0].cell()
-        base, settings = cell.method, dict(cell.settings)
-    lacking = missing_package(base)
+    cell = expand([f"method={name}"], multirun=False)[0].cell()
+    lacking = missing_package(cell.method)
     if lacking:
         return Outcome(None, Status.MISSING_DEPENDENCY, lacking)
     times, limits = problem.records[0].channels[0].times, Limits(1, timeout_s)
-    return fit_alone(make_method(base, settings), problem, times, np.random.default_rng(0), limits)
+    return fit_alone(make_method(cell.method, dict(cell.settings)), problem, times, np.random.default_rng(0), limits)
 
 
 def free_run(system: System, p: Mapping[str, float], data: Silverbox, part: slice, hold: Hold) -> np.ndarray:
@@ -87,26 +83,14 @@ def free_run(system: System, p: Mapping[str, float], data: Silverbox, part: slic
 
 
 def stepped(system: System, p: Mapping[str, float], start: InitialState, record: Record) -> np.ndarray:
-    """The displacement at the samples of a record of one DOF under one continuous force, of any length.
+    """Return the displacement at the samples of a record of one DOF under one continuous force, of any length.
 
     Runge-Kutta steps of order four, ``STEPS`` a sample: of ``h`` radians they err in phase by ``h^4 / 120`` of it, here
-    0.12 rad and 2e-6, over a memory of ``1 / (2 zeta)``, ten radians.
+    0.12 rad and 2e-6, over a memory of ``1 / (2 zeta)``, ten radians. Not finite where the motion diverges.
     """
-    times = record.channels[0].times
-    fine = np.interp(np.arange(2 * STEPS * (times.size - 1) + 1) / (2 * STEPS), np.arange(times.size), times)
-    force = record.forces[0](fine).tolist()
-    state, length = [float(start.displacement[0]), float(start.velocity[0])], 1.0 / (RATE * STEPS)
-    path = np.full(times.size, np.nan)
-    path[0] = state[0]
-    try:
-        for i in range(times.size - 1):
-            for j in range(2 * STEPS * i, 2 * STEPS * (i + 1), 2):
-                pushes = ([force[j]], [force[j + 1]], [force[j + 2]])
-                state = rk4_step(system, p, state, length, pushes, numpy_ops)
-            path[i + 1] = state[0]
-    except OverflowError:  # it ran away; what follows stays NaN
-        pass
-    return path
+    times, state = record.channels[0].times, [start.displacement[0], start.velocity[0]]
+    steps = Steps.over(times, np.full(times.size - 1, STEPS), record.forces, 1)
+    return compiled_path(system, p, state, steps, np.arange(times.size))[0]
 
 
 def millivolts(residuals: np.ndarray) -> float:
@@ -155,7 +139,7 @@ def _parameters(estimate: Estimate, system: ConstantForce) -> list[list[str]]:
 
 
 def window_row(name: str, data: Silverbox, system: ConstantForce, window: int, timeout_s: float) -> list[str]:
-    """What a method makes of a short window: status, errors (mV) there and on test samples, seconds."""
+    """Fit a short window; return status, errors (mV) there and on test samples, and seconds."""
     problem = training_problem(data, system, "cubic", window)
     outcome = fitted(name, problem, timeout_s)
     p, seconds = _point(outcome, problem), f"{outcome.wall_s:.1f}" if np.isfinite(outcome.wall_s) else ""
