@@ -248,18 +248,6 @@ class Sometimes(Double):
 
 
 @dataclass(frozen=True)
-class Marks(Double):
-    """Leaves a file each time it is run."""
-
-    folder: str = ""
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        (Path(self.folder) / f"mark-{os.getpid()}-{time.time_ns()}").touch()
-        time.sleep(0.1)
-        return answer(problem)
-
-
-@dataclass(frozen=True)
 class Needy(Double):
     """Needs a package that nobody has."""
 

@@ -304,6 +304,7 @@ def test_whatever_a_method_says_is_one_row_that_everybody_can_read(
     (row,) = stored.rows
     assert (row.status is Status.OK) <= (said.raised is None and said.status is Status.OK)
     assert len(row.message.encode()) <= 6 * LONGEST_MESSAGE
+    assert len(row.message.splitlines()) <= 1 or said.raised is None
     dict(stored.arrays)  # can be read
     (head,) = store.heads()
     assert (head.problem, head.statuses) == ("", {row.status.value: 1})

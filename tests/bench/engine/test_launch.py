@@ -238,13 +238,6 @@ def test_a_force_that_was_read_from_a_file_comes_along(
             read_job(tmp_path / "0.job", job.store.folder)
 
 
-def test_a_stored_description_has_no_file_opened(many: list[Cell]) -> None:
-    stated = many[0].stated()
-    data = {**stated["data"], "force": {"kind": "column", "amplitude": 1.0, "file": "/dev/zero", "hold": "zero_order"}}
-    with limited(20.0), pytest.raises(InputError, match="the file of its force is not there"):
-        Cell.restored({**stated, "data": data}, many[0].identity)
-
-
 class Trap:
     """What a pickle that is rebuilt would do here."""
 

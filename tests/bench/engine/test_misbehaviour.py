@@ -9,15 +9,13 @@ from typing import Any
 import psutil
 import pytest
 from conftest import Plugins, StoreFactory
-from hypothesis import given
-from hypothesis import strategies as st
 
 from bench import Status
 from bench.engine.plan import plan
 from bench.engine.pool import Limits
 from bench.engine.runner import run_cells
 from bench.entrants.registry import default_settings
-from bench.isolation.failure import LONGEST, one_line, printable, without_places
+from bench.isolation.failure import without_places
 from bench.isolation.limits import LONGEST_FILE
 from bench.isolation.processes import Children
 from bench.scenario.scenario import Scenario
@@ -158,16 +156,6 @@ def chattering(connection: Any) -> None:
         os.write(1, b"x" * 2000)
         connection.send_bytes(b"done")
         connection.recv_bytes()
-
-
-@given(st.text(st.characters(exclude_categories=()), max_size=20) | st.integers(1, 17).map(lambda n: "x\udc80" * 2**n))
-def test_a_message_is_cut_and_can_be_encoded(text: str) -> None:
-    line = one_line(ValueError(text))
-    assert line.startswith("ValueError:")
-    assert len(line.encode()) <= 4 * LONGEST
-    assert len(line.splitlines()) == 1
-    assert printable("plain ² Ω\n", 100) == "plain ² Ω\n"
-    assert printable("r\udcff", 100) == "r\\udcff"
 
 
 def test_a_traceback_does_not_name_folders_of_the_machine() -> None:

@@ -33,7 +33,7 @@ LIMITS = Limits(1, 60.0, 1000.0)
 
 @pytest.fixture
 def store(plugins: Plugins, new_store: StoreFactory) -> Store:
-    plugins("Draw", "Sometimes", "Marks")
+    plugins("Draw", "Sometimes")
     return new_store()
 
 
@@ -88,19 +88,6 @@ def test_a_run_that_waits_for_another_prints_once_for_whom(
     waiting.join(60)
     assert taken[0] is not None
     tasks.claims.release_all()
-
-
-def test_two_runs_on_one_store_share_the_cells(reference: Scenario, store: Store, tmp_path: Path) -> None:
-    """Each computation leaves a mark; two runs at the same time leave one mark a cell."""
-    cells = [a_cell(reference, "marks", 1, seed, folder=str(tmp_path)) for seed in range(12)]
-    plans = [plan(cells, Store(store.folder)) for _ in range(2)]
-    runs = [threading.Thread(target=run_cells, args=(planned, Store(store.folder), LIMITS)) for planned in plans]
-    for run in runs:
-        run.start()
-    for run in runs:
-        run.join(120)
-    assert len(list(tmp_path.glob("mark-*"))) == 12
-    assert {planned.state for planned in plan(cells, store)} == {State.DONE}
 
 
 def test_one_bad_replicate_does_not_cost_the_others_and_can_be_tried_again(
