@@ -91,7 +91,7 @@ def test_a_launcher_gives_the_rows_that_this_machine_gives_and_computes_only_wha
 
 @pytest.mark.parametrize(
     ("launcher", "option", "said"),
-    [("nowhere", "progress=false", "hydra/launcher=nowhere: known: "),
+    [("nowhere", "progress=false", "hydra/launcher=nowhere: one of "),
      ("local", "hydra.launcher.cpus_per_task=2", "argument=hydra.launcher.cpus_per_task=2: an option of a launcher")],
 )  # fmt: skip
 def test_a_wrong_launcher_or_option_is_one_line(
