@@ -18,15 +18,12 @@ import pytest
 from bench.commands.main import main
 from bench.config.experiment import expand
 from bench.contract.estimate import Status
-from bench.engine.plan import plan
-from bench.reporting.plan_table import listing
 from bench.reporting.record_page import record_page
-from bench.reporting.rounding import excess_text, rounded
+from bench.reporting.rounding import rounded
 from bench.reporting.terminal import clipped, columns, help_page, table, wrapped
 from bench.reporting.terminal_tables import Closing, cell_table
 from bench.scoring.row import Row
 from bench.store.cell import Cell
-from bench.store.store import Store
 from bench.store.stored import StoredCell
 
 
@@ -95,11 +92,6 @@ def test_a_value_is_rounded_to_two_digits_of_half_its_interval(
     value: float, low: float, high: float, texts: tuple[str, str, str]
 ) -> None:
     assert rounded(value, low, high) == texts
-
-
-def test_an_excess_beyond_a_million_is_no_number() -> None:
-    shown = [excess_text(value) for value in (0.966, 12.34, 4321.0, 1e6, 3.7e29, math.inf, math.nan)]
-    assert shown == ["0.97", "12.3", "4.32e+03", "1e+06", ">1e6", ">1e6", "-"]
 
 
 def test_a_table_is_aligned_on_the_screen_whatever_script_its_names_are_in() -> None:
@@ -180,15 +172,6 @@ def test_a_sweep_says_once_what_all_its_cells_share(terminal: int) -> None:
     assert [line.split()[:2] for line in lines if "20/20" in line] == [
         ["ls", "40"], ["ls", "20"], ["collocation", "40"], ["collocation", "20"]
     ]  # fmt: skip
-
-
-def test_a_plan_fits(terminal: int, tmp_path: Path) -> None:
-    fields = ["method=collocation_bootstrap,pinn", "system=chain2_forced", "disturbance=heavy_tails", "snr=40"]
-    store = Store(tmp_path)
-    cells = [job.cell() for job in expand(fields, multirun=True)]
-    text = listing(plan(cells, store), store, 2)
-    assert widest(text) <= terminal
-    assert "heavy_tails" in "".join(text.split()) or terminal < 80
 
 
 def test_a_record_fits_and_its_values_have_the_digits_of_their_intervals(terminal: int) -> None:

@@ -45,18 +45,6 @@ def test_a_bad_cell_late_in_a_sweep_stops_it_before_the_first_runs(
     assert snapshot(store) == before
 
 
-@pytest.mark.parametrize("below", ["", "/deeper"])
-def test_a_store_that_cannot_be_written_is_one_line(
-    below: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").write_text("precious")
-    assert main(["method=prior", f"store={tmp_path}/file{below}"]) == 2
-    err = capsys.readouterr().err
-    assert len(err.splitlines()) == 1
-    assert err.startswith(f"bench: store={tmp_path}/file{below}: cannot be written")
-    assert (tmp_path / "file").read_text() == "precious"
-
-
 def test_a_damaged_cell_is_one_line_and_stays(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["method=prior", "replicates=2", "workers=1", f"store={store}"]) == 0
     (path,) = store.glob("*.json")
@@ -224,11 +212,3 @@ def test_workers_and_limits_reach_the_run_and_stand_in_its_provenance(store: Pat
     (path,) = store.glob("*.json")
     come = json.loads(path.read_text().splitlines()[0])["provenance"]
     assert (come["workers"], come["limits"]) == (3, {"timeout_s": 50.0, "memory_mb": 1500.0})
-
-
-def test_a_dry_run_lists_the_cells_and_computes_nothing(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["-m", "method=prior,oracle", "replicates=2", "dry_run=true", f"store={store}"]) == 0
-    out = capsys.readouterr().out
-    assert "2 cells: 2 missing; 2 to run" in out
-    assert "nothing known of oracle, prior" in out
-    assert not store.exists() or not list(store.glob("*.json"))

@@ -53,13 +53,6 @@ def test_fields_that_a_file_leaves_out_can_be_set() -> None:
     assert scenario.prior.draws == "truth"
 
 
-@pytest.mark.parametrize("name", ["größe.yaml", "a b.yaml", "plain.yaml"])
-def test_a_scenario_of_ones_own_may_have_any_name(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / name).write_text(OWN, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    assert expand(["method=prior", f"system={name}"], False)[0].scenario.parameters["m"] == 2.0
-
-
 def test_what_is_wrong_in_a_file_of_ones_own_is_said_by_its_own_name(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(OWN, encoding="utf-8")

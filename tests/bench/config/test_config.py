@@ -82,11 +82,6 @@ def test_sweeps_in_hydras_grammar(text: str, expected: list[float]) -> None:
     assert [cell.scenario.snr_db for cell in cells("method=prior", text, multirun=True)] == expected
 
 
-def test_a_glob_is_over_the_choices() -> None:
-    found = cells("method=prior", "system=glob(table4_*)", multirun=True)
-    assert [cell.scenario.label for cell in found] == [f"table4_{i}" for i in range(1, 6)]
-
-
 def test_a_forced_system_has_no_prior_unless_one_is_chosen() -> None:
     (free,), (chosen,) = (
         cells("method=oracle", "system=sdof_forced"),
@@ -187,13 +182,6 @@ def test_nominal_values_of_a_measured_record_can_be_set() -> None:
         expand(["method=oracle", "data=record.csv", "nominal.m=-1"], False)
     with pytest.raises(InputError, match=r"nominal.m=1: it is of a measured record; name one by data="):
         expand(["method=oracle", "nominal.m=1"], False)
-
-
-def test_several_experiments_are_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    sweeps = {"table3": {"method": ["prior"], "snr": [20]}, "table5": {"method": ["prior"], "snr": [40, 20]}}
-    monkeypatch.setattr(Experiment, "content", property(lambda self: {"sweep": sweeps[self.name]}))
-    found = cells("experiment=table3,table5", multirun=True)
-    assert [cell.scenario.snr_db for cell in found] == [20.0, 40.0, 20.0]
 
 
 @pytest.mark.parametrize("system", ["chain2_first", "sdof_added_mass", "sdof_noise", "bouc_wen", "duffing_forced"])
