@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from bench.commands.declaration import Others, Within, command_line
+from bench.config.fields import RECORD as OF_RECORD
 from bench.errors import InputError
 
 RECORD = (
-    "columns", "units", "rate", "from", "to", "decimate", "detrend", "force_gain", "hold", "fixed", "nominal", "start",
+    *(name for name in OF_RECORD if name not in ("plot", "picture")),
     "initial_state", "prior", "seed", "method", "system",
 )  # fmt: skip
 """Fields of a measured record that other verbs take as a run does; settings of method and system with them."""

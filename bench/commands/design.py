@@ -123,16 +123,10 @@ def best_times(
     """Find the best sampling times of a free decay, beside even ones."""
     from bench.planning.free_decay import Decay
     from bench.reporting.plans.free_decay import times_page
-    from bench.reporting.whole_file import check_file, write
 
-    request = _request(want, frequency, damping, noise, method, verify)
-    if out is not None:
-        check_file(out)
+    request = _request(want, frequency, damping, noise, method, verify, out)
     text, times = times_page(request, Decay(samples, duration, amplitude / noise))
-    print(text)
-    if out is not None:
-        write(out, "\n".join(["t (s)", *(f"{time:.9g}" for time in times)]) + "\n")
-    return 0
+    return _shown(text, out, "t (s)", [f"{time:.9g}" for time in times])
 
 
 def best_force(
@@ -150,18 +144,12 @@ def best_force(
 ) -> int:
     """Find the best force of a given energy, from rest, beside a hammer blow, noise and an even multisine."""
     from bench.reporting.plans.forced import forced_test, forces_page
-    from bench.reporting.whole_file import check_file, write
 
-    request = _request(want, frequency, damping, noise, method, verify)
+    request = _request(want, frequency, damping, noise, method, verify, out)
     test, size = forced_test(request, samples, duration, energy, mass)
-    if out is not None:
-        check_file(out)
     text, force = forces_page(request, test, size, energy)
-    print(text)
-    if out is not None:
-        rows = "\n".join(f"{time:.9g},{value:.9g}" for time, value in zip(test.times, force, strict=True))
-        write(out, f"t (s),force (N)\n{rows}\n")
-    return 0
+    rows = [f"{time:.9g},{value:.9g}" for time, value in zip(test.times, force, strict=True)]
+    return _shown(text, out, "t (s),force (N)", rows)
 
 
 def longer(
@@ -218,13 +206,28 @@ VARIANTS = {
 
 
 def _request(
-    want: tuple[str, float], frequency: Uncertain, damping: Uncertain, noise: float, method: str | None, verify: int
-) -> Any:
+    want: tuple[str, float], frequency: Uncertain, damping: Uncertain, noise: float, method: str | None, verify: int,
+    out: Path | None = None,
+) -> Any:  # fmt: skip
+    """Return the request; raises InputError, before any work, where it cannot be met or its file not be written."""
     from bench.config.atlas import on_the_bound
     from bench.planning.search import Likely
     from bench.reporting.plans.request import Request
+    from bench.reporting.whole_file import check_file
 
     if damping[0] >= 1.0:
         raise InputError("damping", f"{damping[0]:g}", "below 1: a motion that oscillates")
+    if out is not None:
+        check_file(out)
     likely = Likely(frequency[0], damping[0], frequency[1], damping[1])
     return Request(*want, likely, noise, method or on_the_bound()[0], verify)
+
+
+def _shown(text: str, out: Path | None, header: str, rows: Sequence[str]) -> int:
+    """Print a page, and write the rows of its best test where a file is named."""
+    from bench.reporting.whole_file import write
+
+    print(text)
+    if out is not None:
+        write(out, "\n".join([header, *rows, ""]))
+    return 0

@@ -11,17 +11,29 @@ from bench.isolation.secrecy import hide_arguments
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0, 2 for bad input, 130 when interrupted."""
     from bench.commands.guard import guarded
-    from bench.commands.options import read_options
-    from bench.commands.run import run
     from bench.commands.verbs import RUN, execute, named_verb
 
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
         hide_arguments()
-    verb = named_verb(arguments)
+    verb = named_verb(words)
     if verb is not None:
-        arguments.remove(verb)
+        words.remove(verb)
     if verb is not None and verb not in RUN:
-        return guarded("bench", lambda: execute(verb, arguments))
+        return guarded("bench", lambda: execute(verb, words))
     kept = "interrupted; finished cells are kept, the same command goes on from here"
-    return guarded("bench", lambda: run(read_options(arguments), early=argv is None), kept)
+    return guarded("bench", lambda: _run(words, early=argv is None), kept)
+
+
+def _run(words: Sequence[str], early: bool) -> int:
+    """Run cells, or an experiment with fields of its own."""
+    from bench.commands.options import read_options
+    from bench.commands.run import run
+    from bench.commands.verbs import track
+    from bench.config.choices import TRACKS
+
+    name = next((name for name in TRACKS if {f"experiment={name}", f"+experiment={name}"} & set(words)), "")
+    if not name:
+        return run(read_options(words), early)
+    left_out = ("-m", "--multirun", f"experiment={name}", f"+experiment={name}")
+    return track(name, [word for word in words if word not in left_out])

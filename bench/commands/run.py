@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
-from importlib import import_module
+from collections.abc import Sequence
 from typing import Any
 
 from bench.commands.options import Options
 from bench.errors import InputError
 from bench.isolation.machine import usable_cores
 
-COMMAND = "python -m bench"
 USAGE = """usage: python -m bench method=<name> [field=value ...]        one cell
        python -m bench -m method=a,b snr=40,20 [...]        a sweep of all of these
        python -m bench -m experiment=table3                 the cells of a table
@@ -43,12 +41,6 @@ def run(options: Options, early: bool = False) -> int:
 
     ``early``: another core starts the processes that fit while this one imports.
     """
-    from bench.config.choices import TRACKS
-
-    for name in TRACKS:
-        rest = [word for word in options.words if word.lstrip("+") != f"experiment={name}"]
-        if len(rest) < len(options.words):
-            return _track(name, rest, "help" in options.flags)
     if "help" in options.flags or not (options.words or options.shown or options.flags):
         print(_usage())
         return 0 if "help" in options.flags else 2
@@ -94,18 +86,6 @@ def run(options: Options, early: bool = False) -> int:
     if "cells_per_job" in overrides and not launcher:
         raise InputError("cells_per_job", overrides["cells_per_job"][0], "with hydra/launcher=, whose jobs it is of")
     return _run(jobs, launcher)
-
-
-def _track(name: str, words: list[str], help_wanted: bool) -> int:
-    """Run an experiment with fields of its own, or show its help."""
-    from bench.commands.declaration import help_page, read_arguments
-    from bench.config.choices import TRACKS
-
-    verb: Callable[..., int] = getattr(import_module(f"bench.commands.{TRACKS[name]}"), name)
-    if help_wanted:
-        print(help_page(f"{COMMAND} -m experiment={name}", verb))
-        return 0
-    return verb(**read_arguments(verb, words))
 
 
 def _usage() -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from importlib import import_module
 
 from bench.errors import InputError, did_you_mean
@@ -48,22 +48,34 @@ def variants(name: str) -> dict[str, Callable[..., int]]:
 
 def execute(name: str, words: Sequence[str]) -> int:
     """Run a verb on the words behind it, or show its help; raises InputError."""
+    functions, command = variants(name), f"{COMMAND} {name}"
+    chosen = _selected(functions, words)
+    shown = {chosen: functions[chosen]} if chosen else functions
+    pages = {f"{command} {key}" if "=" in key else command: verb for key, verb in shown.items()}
+    return call(functions[chosen], [word for word in words if word not in chosen.split()], pages)
+
+
+def track(name: str, words: Sequence[str]) -> int:
+    """Run an experiment with fields of its own on the words of its line, or show its help; raises InputError."""
+    from bench.config.choices import TRACKS
+
+    verb: Callable[..., int] = getattr(import_module(f"bench.commands.{TRACKS[name]}"), name)
+    return call(verb, words, {f"{COMMAND} -m experiment={name}": verb})
+
+
+def call(verb: Callable[..., int], words: Sequence[str], pages: Mapping[str, Callable[..., int]]) -> int:
+    """Call a verb with the fields of its line, or print the version, or the pages of help of these commands."""
     from bench.commands.declaration import help_page, read_arguments
 
-    functions, command = variants(name), f"{COMMAND} {name}"
     if "--version" in words:
         from bench import __version__
 
         print(__version__)
         return 0
-    chosen = _selected(functions, words)
     if {"-h", "--help"} & set(words):
-        shown = {chosen: functions[chosen]} if chosen else functions
-        pages = {verb: help_page(f"{command} {key}" if "=" in key else command, verb) for key, verb in shown.items()}
-        print("\n\n".join(pages.values()))
+        print(*dict.fromkeys(help_page(command, shown) for command, shown in pages.items()), sep="\n\n")
         return 0
-    verb = functions[chosen]
-    return verb(**read_arguments(verb, [word for word in words if word not in chosen.split()]))
+    return verb(**read_arguments(verb, words))
 
 
 def _selected(keys: Collection[str], words: Sequence[str]) -> str:
