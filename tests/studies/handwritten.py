@@ -18,7 +18,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from bench import Estimate, Normal, Problem, Status
-from bench.engine.progress import counter
 from bench.entrants.registry import make_method
 from bench.information.fisher import compute_bound
 from bench.isolation.failure import one_line
@@ -31,7 +30,7 @@ from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import score
 from bench.scoring.summary import wilson_interval
-from tests.studies.common import RESULTS, Count, Out, publish, scenario, study
+from tests.studies.common import RESULTS, Count, Out, publish, scenario, study, tracked
 
 SEED = 4242
 """A seed that nothing was tuned on and no table uses."""
@@ -129,9 +128,7 @@ def attempt(fit: Fit, problem: Problem, truth: Truth, rng: np.random.Generator, 
     return Outcome(seconds, off / bound, reason)
 
 
-def measure(
-    scenario: Scenario, replicates: int, limit: float, advance: Callable[[], object]
-) -> dict[str, list[Outcome]]:
+def measure(scenario: Scenario, replicates: int, limit: float) -> dict[str, list[Outcome]]:
     """Every contender on every data set of a scenario, in turn.
 
     Before these, each fits one data set more that does not count: it loads and builds what a first fit needs.
@@ -139,13 +136,12 @@ def measure(
     fits, outcomes = contenders(), {name: list[Outcome]() for name in contenders()}
     bound = compute_bound(scenario, SEED).rmse
     make = scenario.maker(SEED)
-    for i in (replicates, *range(replicates)):
+    for i in tracked((replicates, *range(replicates)), "data set"):
         problem, truth = make(i)
         for name, fit in fits.items():
             outcome = attempt(fit, problem, truth, scenario.stream(METHOD, SEED, i), bound, limit)
             if i < replicates:
                 outcomes[name].append(outcome)
-        advance()
     return outcomes
 
 
@@ -203,11 +199,10 @@ def handwritten(
     """
     single_threaded()
     rows, counts = [], {"duffing": duffing, "chain5": chain5}
-    with counter("data set", len(SNRS) * sum(count + 1 for count in counts.values())) as advance:
-        for label, count in counts.items():
-            for snr in SNRS:
-                outcomes = measure(scenario(system=label, snr=snr), count, float(timeout_s), advance)
-                rows += [row(label, snr, name, own) for name, own in outcomes.items()]
+    for label, count in counts.items():
+        for snr in SNRS:
+            outcomes = measure(scenario(system=label, snr=snr), count, float(timeout_s))
+            rows += [row(label, snr, name, own) for name, own in outcomes.items()]
     publish(out / "handwritten.md", page(rows, timeout_s))
     return 0
 

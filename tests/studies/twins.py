@@ -98,7 +98,7 @@ def holds(finding: Finding, answers: Answers) -> dict[tuple[str, str], bool]:
 def coverage(name: str, records: int, twins: int, seed: int) -> list[list[str]]:
     """Return the rows of a case."""
     case, told = CASES[name], list[dict[tuple[str, str], bool]]()
-    for i in tracked(range(records), f"record of {name}"):
+    for i in tracked(range(records), "record"):
         rng = np.random.default_rng([seed, *name.encode(), i])
         finding = found(case.problem(rng), i)
         if finding is not None and finding.at is not None:

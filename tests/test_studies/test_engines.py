@@ -139,12 +139,10 @@ def test_a_curve_ends_where_a_fit_fails(monkeypatch: pytest.MonkeyPatch) -> None
         return Outcome(failure="not in 9 s") if task["together"] > 10 else outcome(1.0, seconds=0.5)
 
     monkeypatch.setattr(results, "measured", stands_in)
-    ticks = list[int]()
-    growth = results.grow(CURVES[0], 9.0, lambda: ticks.append(1))
+    growth = results.grow(CURVES[0], 9.0)
     assert growth.sizes == (1, 3, 10)
     assert growth.seconds == (0.5, 1.5, 5.0)  # of all together
     assert growth.failure == "not in 9 s at 30"
-    assert len(ticks) == len(CURVES[0].sizes)
     assert "more than linear" not in page.said_of_growth([growth])
     steep = replace(growth, seconds=(1.0, 9.0, 100.0))
     assert re.search(r"exponent 2\.00, more than linear: .+; not in 9 s at 30", page.said_of_growth([steep]))

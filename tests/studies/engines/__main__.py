@@ -11,14 +11,12 @@ from typing import Annotated
 import pandas as pd
 
 from bench.commands.declaration import Choice
-from bench.engine.progress import counter
 from bench.errors import InputError
 from bench.isolation.machine import single_threaded
-from tests.studies.common import RESULTS, Count, Out, publish, study
+from tests.studies.common import RESULTS, Count, Out, publish, study, tracked
 from tests.studies.engines import floors, peers, results
 from tests.studies.engines.page import Study, page, tidy
 from tests.studies.engines.picture import picture, stored_growths
-from tests.studies.engines.rivals import RIVALS, STARTS
 from tests.studies.engines.rows import CURVES
 from tests.studies.engines.rows import rows as known_rows
 
@@ -65,17 +63,12 @@ def engines(
 
 def measured(rows: list[str], before: Path | None, scaling: bool, rival_python: str, limit_s: float) -> Study:
     """Measure rows, the curves of growth, and other engines where an interpreter is given."""
-    curves = CURVES if scaling else ()
-    total = len(rows) + sum(len(curve.sizes) for curve in curves)
-    total += (2 + len(RIVALS) * len(STARTS)) if rival_python else 0
     machine, lines = floors.rates(), []
-    with counter("measurement", total) as advance:
-        for name in rows:
-            result = results.measure(ROWS[name], limit_s, before)
-            lines.append(replace(result, floor_s=floors.floor(result.row, result.now.evaluations, machine)))
-            advance()
-        growths = [results.grow(curve, limit_s, advance) for curve in curves]
-        others = peers.compare(limit_s, rival_python, advance) if rival_python else []
+    for name in tracked(rows, "row"):
+        result = results.measure(ROWS[name], limit_s, before)
+        lines.append(replace(result, floor_s=floors.floor(result.row, result.now.evaluations, machine)))
+    growths = [results.grow(curve, limit_s) for curve in tracked(CURVES if scaling else (), "curve")]
+    others = peers.compare(limit_s, rival_python) if rival_python else []
     return Study(lines, growths, others, machine, limit_s)
 
 

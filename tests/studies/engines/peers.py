@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from statistics import median
 
+from tests.studies.common import tracked
 from tests.studies.engines.children import MEMORY_MB, answered, measured
 from tests.studies.engines.rivals import RIVALS, SOLVED, STARTS
 from tests.studies.engines.rows import SEED, Row
@@ -27,7 +28,7 @@ class Peer:
     failure: str = ""
 
 
-def compare(limit_s: float, python: str, advance: Callable[[], object]) -> list[Peer]:
+def compare(limit_s: float, python: str) -> list[Peer]:
     """Ours, one data set at a time and many together, with the search for their starts; then those of a Python."""
     found = []
     for together in (1, TOGETHER):
@@ -35,11 +36,8 @@ def compare(limit_s: float, python: str, advance: Callable[[], object]) -> list[
         outcome = measured(row.task(limit_s))
         title = f"`method=shooting`, {f'{together} together' if together > 1 else 'alone'}"
         found.append(Peer(f"shooting {together}", title, "its own", outcome.best, failure=outcome.failure))
-        advance()
-    for name, (_, title, _) in RIVALS.items():
-        for start in STARTS:
-            found.append(peer(name, title, start, limit_s, python))
-            advance()
+    for name, start in tracked(list(product(RIVALS, STARTS)), "other engine"):
+        found.append(peer(name, RIVALS[name][1], start, limit_s, python))
     return found
 
 

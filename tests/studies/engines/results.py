@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +12,6 @@ import numpy as np
 from tests.studies.engines.children import ROOT, Outcome, measured
 from tests.studies.engines.rows import Curve, Row
 
-Advance = Callable[[], object]
 LARGE = 1.1
 """An exponent above which growth is called more than linear."""
 
@@ -116,16 +115,14 @@ def exponent(sizes: Iterable[float], seconds: Iterable[float]) -> float:
     return float(np.polyfit(x[upper], y[upper], 1)[0])
 
 
-def grow(curve: Curve, limit_s: float, advance: Advance) -> Growth:
+def grow(curve: Curve, limit_s: float) -> Growth:
     """Measure a curve from small to large, up to the first size without an answer."""
     sizes, seconds, failure = list[int](), list[float](), ""
     for size in curve.sizes:
-        if not failure:
-            found = measured(curve.row(size).task(limit_s))
-            if found.failure or found.failed:
-                failure = f"{found.failure or found.answers[0]['message']} at {size}"
-            else:
-                sizes.append(size)
-                seconds.append(found.best * curve.row(size).together)
-        advance()
+        found = measured(curve.row(size).task(limit_s))
+        if found.failure or found.failed:
+            failure = f"{found.failure or found.answers[0]['message']} at {size}"
+            break
+        sizes.append(size)
+        seconds.append(found.best * curve.row(size).together)
     return Growth(curve, tuple(sizes), tuple(seconds), failure)

@@ -9,12 +9,12 @@ import numpy as np
 
 from bench.config.online import online_scenario
 from bench.contract.online import Sample, Standing, Tracker
-from bench.engine.progress import counter
 from bench.entrants.online import make_online, online_card
 from bench.online.follow import moments
 from bench.online.scenario import Stream
 from bench.reporting.tables.common import markdown_table
 from bench.twin.state import plain, restored
+from tests.studies.common import tracked
 
 AT, SAMPLES, BEHIND = 600, 1200, 100
 """The fault's first sample; the record's; samples behind the fault's end from which on errors count."""
@@ -108,15 +108,13 @@ def faults(replicates: int) -> str:
     """A row a method, a column a fault."""
     scenario = dataclasses.replace(online_scenario("constant_multisine"), samples=SAMPLES)
     pairs: dict[tuple[str, str], list[tuple[float, float]]] = {(n, kind): [] for n in METHODS for kind in FAULTS}
-    with counter("record", len(METHODS) * replicates) as advance:
-        for i in range(replicates):  # outermost: filters of one stream share what its first samples told
-            stream = scenario.stream(2, i)
-            for name in METHODS:
-                if i < replicates / WINDOWS_SHARE or not name.startswith("window"):
-                    plain = followed(name, "none", stream)[0]
-                    for kind in FAULTS:
-                        pairs[name, kind].append(_late_squares(kind, plain, followed(name, kind, stream)[0]))
-                advance()
+    for i in tracked(range(replicates), "record"):  # outermost: filters of one stream share what its first samples told
+        stream = scenario.stream(2, i)
+        for name in METHODS:
+            if i < replicates / WINDOWS_SHARE or not name.startswith("window"):
+                plain = followed(name, "none", stream)[0]
+                for kind in FAULTS:
+                    pairs[name, kind].append(_late_squares(kind, plain, followed(name, kind, stream)[0]))
     rows = [
         [online_card(name).title, f"{len(pairs[name, 'nan'])}", *(_ratio(pairs[name, kind]) for kind in FAULTS)]
         for name in METHODS

@@ -65,7 +65,7 @@ def initialisations(n: int) -> Part:
     for name, method in (("pinn", PINN()), ("pinn, start=exact", PINN(start="exact", iterations=150))):
         problem, _ = scenario(system="sdof", snr=20).replicates(SEED, 1)[0]
         values = []
-        for i in tracked(range(n), f"fit of {name}"):
+        for i in tracked(range(n), "fit"):
             estimate = method.identify(problem, np.random.default_rng([SEED, i]))
             marginal = estimate.marginal(problem.system.quantity("k_over_m"))
             values.append(marginal.value if marginal else np.nan)
@@ -90,7 +90,7 @@ def starting_values() -> Part:
         reference = _k_over_m(method, Task(problem, np.random.default_rng(0)))
         same, restarted = 0, 0
         starts = list(product(np.geomspace(0.5, 40.0, 20), np.geomspace(0.05, 2.0, 10)))
-        for k, c in tracked(starts, f"fit of {name}"):
+        for k, c in tracked(starts, "fit"):
             task = Task(problem, np.random.default_rng(SEED))
             omega, decay = np.sqrt(k) * units.time, 0.5 * c * units.time
             task.guesses.insert(0, Guess(omega, decay, 1.0))
@@ -171,7 +171,7 @@ def steps(adam: dict[str, object]) -> Part:
     for snr in (40, 20):
         problems = [problem for problem, _ in scenario(system="sdof", snr=snr).replicates(SEED, 3)]
         minima = [_log_k_over_m(make_method("pinn", {"slack": adam["slack"]}), problem)[:2] for problem in problems]
-        for budget in tracked(BUDGETS, f"budget at {snr} dB"):
+        for budget in tracked(BUDGETS, "budget"):
             method, off, ended, seconds = make_method("pinn", {**adam, "lbfgs_steps": budget}), [], 0, []
             for problem, (centre, sd) in zip(problems, minima, strict=True):
                 value, _, message, spent = _log_k_over_m(method, problem)
