@@ -95,7 +95,8 @@ def _usage() -> str:
     from bench.reporting.terminal import help_page
 
     lines = [field.line(WIDE) for name, field in declared().items() if name not in GROUPS]
-    groups = [f"  {name:<{WIDE}}  [{default_choices()[name]}] {declared()[name].text}: {', '.join(choices(name))}"
+    defaults = default_choices() | {"method": "needed"}
+    groups = [f"  {name:<{WIDE}}  [{defaults[name]}] {declared()[name].text}: {', '.join(choices(name))}"
               for name in declared() if name in GROUPS]  # fmt: skip
     experiments = ", ".join([*choices("experiment"), *TRACKS])
     return help_page(USAGE.format(verbs=summaries(), fields="\n".join([*groups, *lines]), experiments=experiments))

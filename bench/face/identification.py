@@ -143,7 +143,7 @@ def identify(
         units: in which unit, where a file does not say: ``{"t": "ms", "x": "mm"}``.
         rate: samples a second, where no column is the time.
         span: first and last time (s) to use, on the file's own clock.
-        decimate: every so many-th sample is kept, after a low-pass filter.
+        decimate: every n-th sample is kept, after a low-pass filter.
         detrend: whether a drift of the displacement's sensor is taken away.
         fixed: parameters that are told: ``{"l": 1.0}``.
         prior: how well the nominal values are known; by default nothing is.

@@ -1,4 +1,4 @@
-"""Fewer samples without aliasing: every so many-th of a signal that was low-pass filtered before.
+"""Fewer samples without aliasing: every n-th of a signal that was low-pass filtered before.
 
 Thinning alone folds what lies above half of the new rate onto the vibration, and keeps the noise of each sample.
 Here a linear-phase filter (SciPy's ``resample_poly``: Kaiser window, ten new samples to either side) goes first, so the

@@ -23,7 +23,7 @@ class ReadOptions:
         rate: samples a second, where no column is the time
         start: keep from here, in seconds of the record's own clock
         end: keep up to here
-        decimate: keep every so many-th sample, after a low-pass filter
+        decimate: keep every n-th sample, after a low-pass filter
         detrend: take the drift of the sensor away
 
     Raises:
@@ -47,7 +47,7 @@ class ReadOptions:
             if value is not None and not math.isfinite(value):
                 raise InputError(name, value, "a time in seconds is needed")
         if self.decimate < 1:
-            raise InputError("decimate", self.decimate, "a whole number from 1 on: every so many-th sample is kept")
+            raise InputError("decimate", self.decimate, "a whole number from 1 on: every n-th sample is kept")
         if self.start is not None and self.end is not None and self.start >= self.end:
             raise InputError("from", self.start, f"it must be before to={self.end:g}")
 

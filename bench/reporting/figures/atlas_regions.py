@@ -31,7 +31,7 @@ RISKS = (1.0, 10.0, 50.0)
 """Contours of the probability of a wrong basin, %."""
 GREYS = ("#E6E6E6", "#D0D0D0", "#BDBDBD", "#9B9B9B", "#777777", "#525252")
 EVERY = 3
-"""A letter in every so many-th cell, each way."""
+"""A letter in every n-th cell, each way."""
 
 
 def draw_regions(slices: Sequence[Slice], atlas: pd.DataFrame, out: Path) -> list[Path]:
