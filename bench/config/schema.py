@@ -23,6 +23,8 @@ from bench.systems.contract import Kind
 SCENARIO = ("system", "prior", "disturbance", "snr", "initial_state")
 """Fields of a run that make the scenario; the first three are groups."""
 KINDS = get_args(Kind)
+WRITTEN = {"from_": "from"}
+"""Fields of a run that are written otherwise than their attribute."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,7 @@ def config_from(content: Mapping[str, Any]) -> Config:
     for name, value in content.items():
         if isinstance(value, bool) and bool not in declared()[name].types:
             raise InputError(name, value, "a number or a name, not true or false")
-    values = {declared()[name].parameter: value for name, value in content.items()}
-    return validated(Config, values, {field.parameter: name for name, field in declared().items()})
+    return validated(Config, {"from_" if name == "from" else name: value for name, value in content.items()}, WRITTEN)
 
 
 @lru_cache(maxsize=1024)
