@@ -210,10 +210,9 @@ class Draw(Double):
 
 @dataclass(frozen=True)
 class Together(Double):
-    """Solves ``batch`` problems together, says how many in the message; a batch kills it if ``alone``, or ``fails``."""
+    """Solves ``batch`` problems together, says how many in the message; ``fails``: where they are several."""
 
     batch: int = 1
-    alone: bool = False
     fails: bool = False
 
     @property
@@ -222,8 +221,6 @@ class Together(Double):
         return self.batch
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        if self.alone and len(problems) > 1:
-            os.kill(os.getpid(), signal.SIGKILL)
         pairs = zip(problems, rngs, strict=True)
         estimates = [answer(problem, 1.0 + rng.random(), str(len(problems))) for problem, rng in pairs]
         if self.fails and len(problems) > 1:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import pickle
 import shutil
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,20 +18,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from misbehaving import answer
 
-from bench import Estimate, InputError, Normal, Problem, Status
+from bench import Estimate, Normal, Problem, Status
 from bench.engine import cells as cells_of_a_run
 from bench.engine.cells import CellJob, ScoringError
 from bench.engine.method_process import perform
 from bench.engine.plan import Planned, State, plan
 from bench.engine.pool import Limits
-from bench.engine.progress import Look
-from bench.engine.runner import make_bounds, run_cells, run_replicates
+from bench.engine.runner import make_bounds, run_cells
 from bench.engine.scoring_process import Scorer
 from bench.engine.wire import LONGEST_MESSAGE, pack
 from bench.entrants.registry import default_settings
 from bench.isolation.processes import Children, Died
 from bench.scenario.scenario import ForceSpec, Scenario
-from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.store.stored import StoredCell
@@ -113,25 +110,6 @@ def test_rows_are_the_same_however_many_workers_there_are(reference: Scenario, s
     assert [row.message for row in longer.rows[:9]] == [row.message for row in alone.rows]
 
 
-def test_a_cell_is_stored_as_soon_as_it_is_done(reference: Scenario, store: Store, any_bound: None) -> None:
-    """A stop in the middle loses no finished cell, and leaves neither a half one nor a claim."""
-    cells = [a_cell(reference, "prior", 2), a_cell(reference, "wrong", 2, kind="sleep")]
-
-    def stop(look: Look) -> None:
-        if not look.done:
-            return
-        deadline = time.monotonic() + 60
-        while store.load(cells[0].identity) is None and time.monotonic() < deadline:
-            time.sleep(0.05)
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_cells(plan(cells, store), store, Limits(1), stop)
-    assert store.load(cells[0].identity) is not None
-    assert store.load(cells[1].identity) is None
-    assert list(store.claims.iterdir()) == []
-
-
 def test_the_oracle_attains_the_bound(reference: Scenario, store: Store) -> None:
     """Root mean square over bound is near 1; with 40 replicates its standard error is 1/√80 = 0.11, so 4 of them."""
     (cell,) = run(store, a_cell(reference, "oracle", 40))
@@ -153,58 +131,21 @@ def test_the_prior_row_is_as_good_as_its_width(reference: Scenario, store: Store
     realised = [[row.scores["realised_snr_db"] for row in cell.rows] for cell in (prior, oracle)]
     assert realised[0] == pytest.approx([20.0] * 40, abs=6.0)
     assert realised[0][:3] == realised[1], "every method sees the same data"
+    assert (prior.cell["method"], prior.cell["data"]["parameters"]) == ("prior", {"m": 1.0, "c": 0.4, "k": 8.0})
+    assert prior.cell["sigma"] == pytest.approx(reference.sigmas(0).tolist())
+    assert {"python", "packages", "cores", "commit", "dirty", "started", "limits", "data"} <= set(prior.provenance)
 
 
-def test_a_stored_cell_describes_itself(reference: Scenario, store: Store) -> None:
-    (cell,) = run(store, a_cell(reference, "prior", 2))
-    assert (cell.cell["method"], cell.cell["data"]["parameters"]) == ("prior", {"m": 1.0, "c": 0.4, "k": 8.0})
-    assert cell.cell["sigma"] == pytest.approx(reference.sigmas(0).tolist())
-    assert {"python", "packages", "cores", "commit", "dirty", "started", "limits", "data"} <= set(cell.provenance)
-    assert cell.version == a_cell(reference, "prior", 2).version.as_json()
-
-
-def test_scores_do_not_depend_on_how_many_are_solved_together(reference: Scenario, new_store: StoreFactory) -> None:
+def test_scores_depend_neither_on_company_nor_on_a_second_try(reference: Scenario, new_store: StoreFactory) -> None:
     few, eight, every = (run(new_store(), a_cell(reference, "together", 20, batch=n))[0].rows for n in (1, 8, 100))
     assert [row.message for row in eight] == ["8"] * 16 + ["4"] * 4
     assert {row.message for row in every} == {"20"}
     assert len({row.scores["k_over_m_error_pct"] for row in few}) == 20
     for rows in (eight, every):
         assert [(row.replicate, row.scores) for row in rows] == [(row.replicate, row.scores) for row in few]
-
-
-@pytest.mark.parametrize("settings", [{"alone": True}, {"fails": True}], ids=["killed", "raises"])
-def test_what_goes_wrong_together_is_tried_again_one_by_one(
-    reference: Scenario, store: Store, settings: dict[str, bool]
-) -> None:
-    """With the random streams of the first try, though it has drawn from them."""
-    (cell,) = run(store, a_cell(reference, "together", 20, batch=20, **settings))
-    assert {(row.status, row.message) for row in cell.rows} == {(Status.OK, "1")}
-    (alone,) = run(store, a_cell(reference, "together", 20, batch=1))
-    assert [row.scores for row in cell.rows] == [row.scores for row in alone.rows]
-
-
-@pytest.mark.parametrize(("each_s", "sizes"), [(2.0, [1, 1, 1]), (0.1, [5, 5, 5]), (1e-3, [24, 18, 14])])
-def test_a_step_takes_about_half_a_second_and_leaves_some_for_the_other_workers(
-    reference: Scenario, store: Store, each_s: float, sizes: list[int]
-) -> None:
-    """Of 95 replicates left with two workers a quarter goes out at most; slow fits go out one by one."""
-    job = CellJob(Planned(a_cell(reference, "together", 100), State.MISSING, "", True), store, Limits(2))
-    assert job.take() == (0, 1, 2, 3, 4)
-    job.scored.rows = [Row(i, Status.OK, "", wall_s=each_s) for i in range(4)] + [Row(4, Status.INVALID)]
-    assert [len(job.take()) for _ in sizes] == sizes
-    job.put_back((3, 4))
-    assert [job.take(), job.take()] == [(3,), (4,)]
-
-
-def test_chosen_replicates_are_those_of_the_whole_cell_and_are_not_stored(reference: Scenario, store: Store) -> None:
-    chosen, cell = (3, 4, 11, 19), a_cell(reference, "together", 20)
-    wanted = [(Planned(cell, State.MISSING, "", True), chosen)]
-    rows = run_replicates(wanted, store, Limits(1, 30.0, 1000.0), lambda look: None)[cell.identity]
-    assert store.identities() == []
-    assert tuple(row.replicate for row in rows) == chosen
-    whole = {row.replicate: row for row in run(store, cell)[0].rows}
-    stored_digits = [{name: float(f"{v:.6g}") for name, v in row.scores.items()} for row in rows]
-    assert stored_digits == [whole[i].scores for i in chosen]
+    (failed,) = run(new_store(), a_cell(reference, "together", 20, batch=20, fails=True))
+    assert {row.message for row in failed.rows} == {"1"}  # tried again one by one, with the streams of the first try
+    assert [row.scores for row in failed.rows] == [row.scores for row in few]
 
 
 @pytest.fixture
@@ -236,13 +177,6 @@ def test_the_limits_of_a_fit_hold_for_a_bound(
     with Children() as children:
         lost = make_bounds([cell], store, children, Limits(1, *limits))
     assert why in lost[cell.identity]
-
-
-def test_bounds_that_cannot_be_written_are_one_line(reference: Scenario, store: Store) -> None:
-    shutil.rmtree(store.bounds)
-    store.bounds.write_text("no folder")
-    with Children() as children, pytest.raises(InputError, match="the bounds cannot be written"):
-        make_bounds([a_cell(reference, "wrong")], store, children, Limits())
 
 
 LONG_TEXT = st.integers(1, 17).map(lambda n: "x\udc80" * 2**n)
@@ -330,16 +264,6 @@ class Answering:
         if isinstance(failure, Died):
             raise failure
         return pickle.dumps((False, failure) if failure else (True, ""))
-
-
-def test_an_error_while_a_cell_is_finished_is_its_row(reference: Scenario, store: Store) -> None:
-    job = complete(Said(traces={"loss": [1.0]}), a_cell(reference, "wrong", 1), store)
-    worker = Answering(("UnicodeEncodeError: surrogates", "Traceback"))
-    job.finish(worker)  # type: ignore[arg-type]
-    *_, scored, bounded, _, _ = worker.requests[-1]
-    assert (scored.rows[0].status, scored.rows[0].scores, bounded) == (Status.INVALID, {}, False)
-    assert scored.rows[0].message == "it cannot be summarised: UnicodeEncodeError: surrogates"
-    assert (scored.arrays, scored.facts, scored.tracebacks) == ({}, {}, {0: "Traceback"})
 
 
 def test_a_scoring_process_that_is_killed_is_asked_again() -> None:

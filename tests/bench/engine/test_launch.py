@@ -89,21 +89,6 @@ def test_a_launcher_gives_the_rows_that_this_machine_gives_and_computes_only_wha
     assert _outcomes(there, cells) == rows
 
 
-@pytest.mark.parametrize(
-    ("launcher", "option", "said"),
-    [("nowhere", "progress=false", "hydra/launcher=nowhere: one of "),
-     ("local", "hydra.launcher.cpus_per_task=2", "argument=hydra.launcher.cpus_per_task=2: an option of a launcher")],
-)  # fmt: skip
-def test_a_wrong_launcher_or_option_is_one_line(
-    launcher: str, option: str, said: str, make_store: Callable[[], Store], capsys: pytest.CaptureFixture[str]
-) -> None:
-    store = make_store()
-    assert _run(store, launcher, *([option] if "hydra" in option else []), "format=json") == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"bench: {said}")
-    assert store.identities() == []
-
-
 def test_a_job_that_is_tried_again_takes_what_its_first_try_did_not_store(
     cells: list[Cell], make_store: Callable[[], Store]
 ) -> None:
@@ -258,14 +243,10 @@ def edited(path: Path, *keys: Any, value: Any) -> bytes:
 HOSTILE: dict[str, Callable[[Path], bytes]] = {
     "a pickle": lambda path: pickle.dumps(Trap()),
     "a bit": lambda path: bytes([*path.read_bytes()[:-5], path.read_bytes()[-5] ^ 4, *path.read_bytes()[-4:]]),
-    "half": lambda path: path.read_bytes()[: path.stat().st_size // 2],
     "a method of os": lambda path: edited(path, "tasks", 0, "content", "method", value="os.system"),
     "another seed": lambda path: edited(path, "tasks", 0, "content", "seed", value=4),
-    "no scenario": lambda path: edited(path, "tasks", 0, "content", "data", value={}),
     "samples without end": lambda path: edited(path, "tasks", 0, "content", "data", "samples", value=10**18),
-    "a block of os": lambda path: edited(path, "tasks", -1, "content", "method", value="os.system"),
     "a block with another seed": lambda path: edited(path, "tasks", -1, "content", "seed", value=4),
-    "a block of nothing": lambda path: edited(path, "tasks", -1, "content", value={}),
     "tasks in a text": lambda path: edited(path, "tasks", value="all"),
     "no limit": lambda path: edited(path, "timeout_s", value=-1.0),
     "a target": lambda path: edited(path, "_target_", value="os.system"),

@@ -8,7 +8,6 @@ import secrets
 import signal
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,16 +75,6 @@ def test_a_task_that_hangs_ends_within_its_limit_with_all_that_it_started(tmp_pa
     pid = int((tmp_path / "grandchild").read_text())
     assert not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
     assert Deed("b").stored(tmp_path)
-
-
-def test_two_drivers_share_the_tasks(tmp_path: Path) -> None:
-    deeds = [Deed(f"{i:02d}", "slow") for i in range(20)]
-    drivers = [threading.Thread(target=run_tasks, args=(deeds, tmp_path, Limits(), ("deed", ""))) for _ in range(2)]
-    for driver in drivers:
-        driver.start()
-    for driver in drivers:
-        driver.join(120)
-    assert marks(tmp_path) == [deed.key for deed in deeds]
 
 
 DRIVER = """

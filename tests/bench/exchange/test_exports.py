@@ -19,7 +19,7 @@ from stored import described, save, scored
 from bench import Problem
 from bench.commands.main import main
 from bench.config.experiment import expand
-from bench.exchange.petab import formula, petab_files, rates
+from bench.exchange.petab import petab_files, rates
 from bench.store.store import Store
 from bench.systems import make_system
 
@@ -52,18 +52,6 @@ def test_the_formulas_are_the_equation_of_motion(name: str) -> None:
         for state, expected in by_hand(name, values).items():
             assert evaluated(found[state], values) == pytest.approx(expected, rel=1e-12)
             assert evaluated(found[state.replace("v", "x")], values) == values[state]
-
-
-def test_functions_have_the_names_of_sbml() -> None:
-    import sympy
-
-    x = sympy.Symbol("x", real=True)
-    bent = sympy.Piecewise((2 * x, x > 1), (sympy.Abs(x) ** 3, True))
-    text = formula(bent)
-    assert text.startswith("piecewise(2*x, x > 1, ")
-    assert "abs(x)" in text
-    assert "**" not in text
-    assert (evaluated(text, {"x": 2.0}), evaluated(text, {"x": -2.0})) == (4.0, 8.0)
 
 
 def exported(*words: str, replicate: int = 0) -> tuple[dict[str, str], Problem]:

@@ -127,60 +127,18 @@ def fewer_rows(stored: StoredCell) -> StoredCell:
 # ---- the file
 
 
-def test_what_is_packed_comes_back_as_it_was(computed: Store, tmp_path: Path) -> None:
-    manifest, theirs = unpack(submission(computed, tmp_path / "ls.submission"))
-    own = of_method(computed)
-    assert [line["identity"] for line in manifest["cells"]] == [stored.identity for stored in own]
-    assert [line["version"] for line in manifest["cells"]] == [stored.version for stored in own]
-    assert all(line["seed"] == 0 and line["data"] for line in manifest["cells"])
-    for before, after in zip(own, theirs, strict=True):
-        assert same(before, after)
-        assert before.arrays.keys() == after.arrays.keys() != set()
-        for name, values in after.arrays.items():
-            np.testing.assert_array_equal(values, before.arrays[name])
-
-
-def _flip(contents: dict[str, bytes]) -> None:
-    name = next(name for name in contents if name != MANIFEST)
-    contents[name] = contents[name][:-1] + bytes([contents[name][-1] ^ 1])
-
-
-def _lose(contents: dict[str, bytes]) -> None:
-    del contents[next(name for name in contents if name != MANIFEST)]
-
-
-def _escape(contents: dict[str, bytes]) -> None:
-    manifest = json.loads(contents[MANIFEST])
-    manifest["cells"].append({"identity": "../../outside"})
-    contents["rows/../../outside.json"] = next(content for name, content in contents.items() if name != MANIFEST)
-    contents[MANIFEST] = json.dumps(manifest).encode()
-
-
-def _later_format(contents: dict[str, bytes]) -> None:
-    contents[MANIFEST] = json.dumps({**json.loads(contents[MANIFEST]), "format": 99}).encode()
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (_flip, "not a whole submission"),
-        (_lose, "not a whole submission"),
-        (_escape, "not a whole submission"),
-        (_later_format, "of format 99"),
-        (lambda contents: contents.pop(MANIFEST), "not a whole submission"),
-    ],
-)
-def test_a_damaged_file_is_refused(
-    change: Callable[[dict[str, bytes]], None], words: str, computed: Store, tmp_path: Path
-) -> None:
+def test_a_name_that_leads_out_of_the_file_is_refused(computed: Store, tmp_path: Path) -> None:
     path = submission(computed, tmp_path / "ls.submission")
     with zipfile.ZipFile(path) as archive:
         contents = {name: archive.read(name) for name in archive.namelist()}
-    change(contents)
+    manifest = json.loads(contents.pop(MANIFEST))
+    manifest["cells"].append({"identity": "../../outside"})
     with zipfile.ZipFile(path, "w") as archive:
         for name, content in contents.items():
             archive.writestr(name, content)
-    with pytest.raises(InputError, match=words):
+        archive.writestr("rows/../../outside.json", content)
+        archive.writestr(MANIFEST, json.dumps(manifest))
+    with pytest.raises(InputError, match="not a whole submission"):
         unpack(path)
     assert [item.name for item in tmp_path.iterdir()] == ["ls.submission"]
 
@@ -215,8 +173,11 @@ def pairs(n_cells: int, n: int, status: Status = Status.OK) -> list[tuple[Stored
 
 
 @pytest.mark.parametrize(("n_cells", "n", "share", "expected"), [(10, 100, 0.1, 100), (1, 12, 0.1, 5), (1, 3, 1.0, 3)])
-def test_a_tenth_is_drawn_and_five_at_least(n_cells: int, n: int, share: float, expected: int) -> None:
+def test_a_tenth_is_drawn_and_five_at_least_but_none_that_hangs_on_the_machine(
+    n_cells: int, n: int, share: float, expected: int
+) -> None:
     assert sum(map(len, draw(pairs(n_cells, n), share, 0).values())) == expected
+    assert draw(pairs(n_cells, n, Status.TIMEOUT), share, 0) == {}
 
 
 def test_every_row_is_drawn_as_often_as_any_other_and_nobody_can_know_which() -> None:
@@ -228,10 +189,6 @@ def test_every_row_is_drawn_as_often_as_any_other_and_nobody_can_know_which() ->
     assert met.sum() == 4000
     assert met.min() > 40 - 5 * 6
     assert met.max() < 40 + 5 * 6
-
-
-def test_rows_that_hang_on_the_machine_are_not_compared() -> None:
-    assert draw(pairs(2, 20, Status.TIMEOUT), 0.1, 0) == {}
 
 
 def test_scores_of_the_clock_are_known_by_their_names() -> None:
@@ -374,10 +331,18 @@ def test_the_cells_of_a_method_are_packed(computed: Store, here: Path, capsys: p
     """Of table 3, at 20 dB alone, with its 100 replicates or any other number: the scenario counts."""
     assert main(["share", "action=submit", "method=ls", f"store={computed.folder}", "by=a group"]) == 0
     assert "2 cells of ls, 24 rows" in capsys.readouterr().out
-    manifest, _ = unpack(here / "ls.submission")
+    manifest, theirs = unpack(here / "ls.submission")
     assert (manifest["method"], manifest["class"], manifest["by"]) == ("ls", "methods.regression.ls:LS", "a group")
     assert "open" in manifest["releases"]
-    assert len(manifest["cells"]) == 2
+    own = of_method(computed)
+    assert [line["identity"] for line in manifest["cells"]] == [stored.identity for stored in own]
+    assert [line["version"] for line in manifest["cells"]] == [stored.version for stored in own]
+    assert all(line["seed"] == 0 and line["data"] for line in manifest["cells"])
+    for before, after in zip(own, theirs, strict=True):
+        assert same(before, after)
+        assert before.arrays.keys() == after.arrays.keys() != set()
+        for name, values in after.arrays.items():
+            np.testing.assert_array_equal(values, before.arrays[name])
     assert main(["share", "action=submit", "method=ls", "experiment=table3", f"store={computed.folder}"]) == 0
     assert [line["snr_db"] for line in unpack(here / "ls.submission")[0]["cells"]] == [20.0]
 

@@ -151,21 +151,19 @@ def test_six_digits_come_back_exactly() -> None:
     )
 
 
-def test_of_drawn_scenarios_rows_are_published_and_curves_are_not(store: Store, tmp_path: Path) -> None:
-    write_published(store, Archive(tmp_path / "drawn"), Described(PLACES, drawn=("table1",)))
+def test_curves_of_drawn_scenarios_and_bounds_that_no_experiment_uses_are_not_published(
+    store: Store, tmp_path: Path
+) -> None:
+    (store.bounds / "4567.bound").write_bytes(sealed(BOUND_FORMAT, '{"rmse": 1.0}'))
+    write_published(store, Archive(tmp_path / "drawn"), Described(PLACES, drawn=("table1",), bounds=("0123",)))
     found = Archive(tmp_path / "drawn")
+    assert list(found.bounds()) == ["0123"]
     for cell in store:
         drawn = PLACES.get(cell.identity) == "table1"
         published = found.load(cell.identity)
         assert published is not None
         assert published.arrays.keys() == ({} if drawn else cell.arrays).keys()
         assert len(published.rows) == len(cell.rows)
-
-
-def test_bounds_that_no_experiment_uses_are_not_published(store: Store, tmp_path: Path) -> None:
-    (store.bounds / "4567.bound").write_bytes(sealed(BOUND_FORMAT, '{"rmse": 1.0}'))
-    write_published(store, Archive(tmp_path / "used"), Described(PLACES, bounds=("0123",)))
-    assert list(Archive(tmp_path / "used").bounds()) == ["0123"]
 
 
 def test_the_same_cells_are_the_same_bytes_and_are_not_written_again(store: Store, archive: Archive) -> None:
@@ -232,9 +230,6 @@ def test_every_flipped_bit_is_noticed(archive: Archive) -> None:
         assert "\n" not in str(error.value)
         path.write_bytes(before)
     read_all(archive.folder)
-
-
-def test_an_archive_without_its_list_is_refused(archive: Archive) -> None:
     (archive.folder / "SHA256SUMS").unlink()
     with pytest.raises(InputError, match="SHA256SUMS is missing"):
         read_all(archive.folder)
@@ -254,10 +249,6 @@ def test_a_store_lies_over_the_archive(store: Store, archive: Archive, tmp_path:
     assert len(list(both)) == 13
     assert [head.identity for head in both.heads()] == both.identities()
     assert both.stamp(f"{3:020x}") == 0  # nothing has been stored there
-
-
-def test_bounds_are_fetched_from_the_archive(archive: Archive, tmp_path: Path) -> None:
-    both = Store(tmp_path / "mine", archive)
     both.fetch_bounds({"0123", "unknown"})
     assert [path.name for path in both.bounds.iterdir()] == ["0123.bound"]
     assert unsealed_text(BOUND_FORMAT, (both.bounds / "0123.bound").read_bytes()) == '{"rmse": 0.1234567890123456}'

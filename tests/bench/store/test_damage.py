@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import copy
 import io
-import json
 import os
 import random
 import secrets
@@ -25,7 +24,7 @@ from bench.isolation.limits import limited
 from bench.reporting.frame import Result
 from bench.store.cell import stored_as_cell
 from bench.store.cell_file import FORMAT
-from bench.store.seal import Unsealed, sealed, unsealed
+from bench.store.seal import sealed
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 
@@ -89,14 +88,9 @@ def set_to(value: Any, *keys: Any) -> Callable[[dict[str, Any]], Any]:
 
 SHAPES: dict[str, Callable[[dict[str, Any]], Any]] = {
     "no rows": lambda whole: whole.pop("rows"),
-    "no replicate": lambda whole: whole["rows"].update({key: [] for key in whole["rows"] if key != "scores"}),
     "a short column": lambda whole: whole["rows"]["message"].pop(),
-    "a short score": lambda whole: whole["rows"]["scores"]["rmse"].pop(),
     "an unknown status": set_to(["fine"] * 5, "rows", "status"),
-    "a text for a number": set_to(["one"] * 5, "rows", "cpu_s"),
     "10^400 as a seed": set_to(10**400, "cell", "seed"),
-    "summary of numbers": set_to({"rmse": 3}, "summary"),
-    "another cell": set_to("f" * 20, "identity"),
     "a version of texts": set_to({"method": "new"}, "version"),
 }
 TEXTS = {
@@ -153,14 +147,10 @@ def test_what_is_no_file_is_one_line_at_once(store: Store, path: Path, what: str
         store.load(path.stem)
     assert path.name in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
-    with limited(LONG_S):
-        assert "1 damaged" in status.store_page(store)
-
-
-def test_a_name_that_is_not_utf_8_is_no_cell_s(store: Store) -> None:
     with open(os.fsencode(store.folder) + b"/\xff.json", "wb") as file:
-        file.write(b"{}")
-    assert "2 cells" in status.store_page(store)
+        file.write(b"{}")  # a name that is not UTF-8 is no cell's
+    with limited(LONG_S):
+        assert "2 cells: 1 done, 1 damaged" in status.store_page(store)
 
 
 # ---- whatever another hand has sealed
@@ -227,14 +217,3 @@ def test_what_another_hand_has_sealed_is_one_line_or_can_be_read(store: Store, p
             status.store_page(store)
     finally:
         path.write_bytes(whole)
-
-
-def test_a_file_is_sealed_in_one_format_alone() -> None:
-    whole = sealed(7, '{"a": [1, 2], "b": "größer"}')
-    assert unsealed(7, whole) == {"a": [1, 2], "b": "größer"}
-    assert json.loads(whole)["format"] == 7
-    with pytest.raises(Unsealed, match="of format 7, this version reads 8"):
-        unsealed(8, whole)
-    for bad in (b"", b"{}", b"[]", b'{"format":7}', whole[1:], b" " + whole, whole + b" "):
-        with pytest.raises(Unsealed):
-            unsealed(7, bad)

@@ -103,10 +103,7 @@ def test_the_status_of_a_cell_without_success_is_its_most_frequent_failure() -> 
 
 
 DAMAGED = {
-    "empty": b"",
-    "cut": b'{"format": 5, "identity": "01',
     "binary": b"\x80\x04\x95\xff\xfe",
-    "list": b"[1, 2]",
     "foreign": b'{"name": "package", "version": "1.0"}',
     "another format": b'{"format": 99, "identity": "0123456789abcdef0123"}',
     "another cell's file": cell_file(replace(CELL, identity="another")),
