@@ -129,6 +129,27 @@ def python(tmp_path: Path) -> Python:
     return run
 
 
+@pytest.fixture(scope="session")
+def forked() -> Iterator[Any]:
+    """A process that forks for many commands."""
+    from forked import Forked
+
+    process = Forked()
+    yield process
+    process.close()
+
+
+@pytest.fixture(scope="session")
+def one_cell(tmp_path_factory: pytest.TempPathFactory, forked: Any) -> Path:
+    """A store with one cell, of a method that takes no time, in a folder that anybody may enter."""
+    from forked import Call
+
+    folder = tmp_path_factory.mktemp("own")
+    line = "method=prior replicates=2 workers=1 store=rows archive=none"
+    assert forked.run(Call(line.split(), str(folder))).status == 0
+    return folder / "rows"
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Print what tests have noted, such as the seed of a random draw."""
     reports = [report for group in terminalreporter.stats.values() for report in group]

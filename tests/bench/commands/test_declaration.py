@@ -156,8 +156,6 @@ def test_every_verb_has_a_description_and_texts_of_its_fields(name: str, capsys:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["certfy"], "verb=certfy: did you mean certify?"),
-        (["ls"], "verb=ls: did you mean method=ls?"),
         (["tables", "what=clams"], "what=clams: did you mean claims?"),
         (["share"], "action=: needed"),
         (["share", "action=export"], "form=: petab, arviz or notebook"),

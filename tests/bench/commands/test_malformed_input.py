@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,23 +16,8 @@ LONGEST = 2000
 
 
 @pytest.fixture(scope="module")
-def forked() -> Iterator[Forked]:
-    process = Forked()
-    yield process
-    process.close()
-
-
-@pytest.fixture(scope="module")
 def shelf(tmp_path_factory: pytest.TempPathFactory) -> Shelf:
     return Shelf(tmp_path_factory.mktemp("shelf"))
-
-
-@pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory, forked: Forked) -> Path:
-    """A store with one cell, of a method that takes no time."""
-    folder = tmp_path_factory.mktemp("own")
-    assert forked.run(Call(["method=prior", "replicates=2", "workers=1", "store=rows"], str(folder))).status == 0
-    return folder / "rows"
 
 
 def files(folder: Path) -> dict[str, int]:
@@ -43,11 +27,11 @@ def files(folder: Path) -> dict[str, int]:
 
 @pytest.mark.parametrize("case", all_malformed(), ids=lambda case: case.name)
 def test_malformed_input_is_one_line(
-    case: Malformed, forked: Forked, shelf: Shelf, store: Path, tmp_path: Path
+    case: Malformed, forked: Forked, shelf: Shelf, one_cell: Path, tmp_path: Path
 ) -> None:
     place = tmp_path / "here"
     place.mkdir()
-    shelf.lay_out(place, " ".join(case.words), store)
+    shelf.lay_out(place, " ".join(case.words), one_cell)
     before = files(tmp_path)
     ended = forked.run(Call(case.words, str(place)))
     lines = [line for line in ended.err.splitlines() if NOTICE not in line]

@@ -52,20 +52,6 @@ def test_a_store_is_described_by_method_and_state(store: Store, capsys: pytest.C
     assert "damaged: 1 x" in out
 
 
-def test_a_sweep_is_described_cell_by_cell(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["status", "method=prior,oracle", "snr=20,10", "replicates=2", f"store={store.folder}"]) == 0
-    out = capsys.readouterr().out
-    assert "4 cells: 2 done, 2 missing; 2 to run" in out or "4 cells: 2 missing, 2 done; 2 to run" in out
-    assert out.count("not computed yet") == 2
-
-
-@pytest.mark.parametrize("bad", [["store=nowhere"], ["method=pin"], ["experiment=table9"], ["nonsense"]])
-def test_bad_input_is_one_line(bad: list[str], capsys: pytest.CaptureFixture[str], store: Store) -> None:
-    arguments = bad if bad == ["store=nowhere"] else [*bad, f"store={store.folder}"]
-    assert main(["status", *arguments]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
-
-
 def test_a_cell_comes_out_again(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
     (oracle,) = (cell for cell in store if cell.cell["label"] == "oracle")
     assert main(["reproduce", f"cell={oracle.identity[:6]}", f"store={store.folder}"]) == 0
@@ -97,14 +83,6 @@ def test_a_cell_is_shown_with_its_tracebacks(store: Store, capsys: pytest.Captur
     out = capsys.readouterr().out
     assert "replicate 0\nTraceback: größer" in out
     assert str(store.path(oracle.identity)) in out
-
-
-@pytest.mark.parametrize("bad", ["zzz", "0123456789"])
-def test_a_cell_that_is_not_there_is_one_line(bad: str, store: Store, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["reproduce", f"cell={bad}", f"store={store.folder}"]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("bench: cell=")
-    assert len(err.splitlines()) == 1
 
 
 def test_a_cell_that_lacked_its_package_is_no_more_done_in_the_store_s_page_than_in_a_sweep_s(store: Store) -> None:

@@ -77,8 +77,3 @@ def test_ctrl_c_ends_a_watch_of_a_sweep_that_nobody_runs(new_store: StoreFactory
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=120)
     assert (process.returncode, err.strip()) == (130, "bench: interrupted")
-
-
-def test_a_watch_says_what_it_needs(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["status", f"store={store.folder}", "watch=5"]) == 2
-    assert "name the sweep: experiment=<name>" in capsys.readouterr().err

@@ -111,17 +111,6 @@ def test_the_command_passes_a_good_file_and_a_system_with_its_options(capsys: py
     assert "9 parameters, 3 DOF" in capsys.readouterr().out
 
 
-def test_the_command_refuses_faulty_ones_with_a_remedy(capsys: pytest.CaptureFixture[str]) -> None:
-    status, outcomes = checked(capsys, f"package={FOLDER / 'sloppy.py'}", "method.fault=metres_only")
-    assert status == 1
-    failed = {str(one["name"]): one for one in outcomes if not one["passed"]}
-    assert set(failed) == {"units, mm", "units, both, unknown initial state"}
-    assert "natural units" in str(failed["units, mm"]["remedy"])
-    status, outcomes = checked(capsys, f"package={FOLDER / 'dishonest.py'}")
-    assert status == 1
-    assert "honesty" in [one["name"] for one in outcomes if not one["passed"]]
-
-
 def test_an_installed_package_is_known_by_its_name(tmp_path: Path, python: Python) -> None:
     """As ``pip install`` leaves it: by the name of the distribution, of its module and of the method alike."""
     (tmp_path / "good.py").write_text((FOLDER / "good.py").read_text())

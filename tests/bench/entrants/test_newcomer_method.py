@@ -13,6 +13,7 @@ from conftest import REPOSITORY, Python, StoreFactory
 from bench.commands.main import main
 
 PAGE = REPOSITORY / "docs" / "tutorials" / "add_method.md"
+POINTS = "[bench.methods]\nzero_crossings = zero_crossings:ZeroCrossings\nbroken = zero_crossings:Nowhere\n"
 DAMPING_RATIO = 0.4 / (2 * 8**0.5)
 """``c / (2 sqrt(k m))`` of the reference system: m = 1 kg, c = 0.4 N s/m, k = 8 N/m."""
 
@@ -27,12 +28,12 @@ def folder(tmp_path: Path) -> Path:
     info.mkdir(parents=True)
     (folder / "zero_crossings.py").write_text(found.group(1), encoding="utf-8")
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: zero-crossings\nVersion: 0.1\n")
-    (info / "entry_points.txt").write_text("[bench.methods]\nzero_crossings = zero_crossings:ZeroCrossings\n")
+    (info / "entry_points.txt").write_text(POINTS)
     return folder
 
 
 def test_a_new_method_is_one_file(folder: Path, python: Python, new_store: StoreFactory) -> None:
-    """It runs, is scored and stored by its entry point alone, with its field as a setting of the command line.
+    """It runs, is scored and stored by its entry point alone, with its field as a setting; one that is broken is named.
 
     It counts eight half periods of 1.11 s between samples 0.26 s apart: frequency within 3 %, k/m within 6 %. At the
     true damping ratio ``c/m = 2 ζ sqrt(k/m)`` is off by half as much.
@@ -45,6 +46,10 @@ def test_a_new_method_is_one_file(folder: Path, python: Python, new_store: Store
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout.strip().splitlines()[-1])
     assert (said["method"].split()[0], said["status"]) == ("zero_crossings", "ok"), said
+    done = python("-m", "bench", "method=broken", f"store={store.folder}", env={"PYTHONPATH": path})
+    assert done.returncode == 2
+    assert done.stderr.startswith("bench: method=broken: its entry point does not load")
+    assert len(done.stderr.splitlines()) == 1
     (stored,) = (store.load(identity) for identity in store.identities())
     assert stored is not None
     assert stored.cell["settings"] == {"damping_ratio": pytest.approx(DAMPING_RATIO)}
