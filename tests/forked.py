@@ -17,8 +17,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -43,12 +43,10 @@ CPU_S, WALL_S, MEMORY = 20, 90.0, 3 * 2**30
 
 @dataclass(frozen=True)
 class Call:
-    """A command by the words of its line, and what it finds: folder, environment, standard input, user."""
+    """A command by the words of its line, and what it finds: the folder, who runs it, and room on the disk."""
 
     arguments: Sequence[str]
     folder: str
-    environment: Mapping[str, str] = field(default_factory=dict)
-    stdin: str = ""
     user: int = 0
     """Another user's number, where the tests run as root and file permissions are to count."""
     largest_file: int = 0
@@ -57,12 +55,11 @@ class Call:
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended: the exit status, negative for a signal; processor time in seconds."""
+    """How a command ended: the exit status, negative for a signal, and what it printed."""
 
     status: int
     out: str
     err: str
-    cpu_s: float
 
 
 class Forked:
@@ -100,25 +97,24 @@ def _serve() -> None:
 
 
 def _ended(main: Main, call: dict[str, Any]) -> dict[str, Any]:
-    places = [Path(call["folder"]).with_name(f"{Path(call['folder']).name}.{name}") for name in ("in", "out", "err")]
-    places[0].write_text(call["stdin"], encoding="utf-8", errors="surrogateescape")
+    places = [Path(call["folder"]).with_name(f"{Path(call['folder']).name}.{name}") for name in ("out", "err")]
     child = os.fork()
     if not child:
         _become(main, call, places)
     try:
-        status, cpu_s = _waited(child)
-        out, err = (place.read_text(encoding="utf-8", errors="replace")[:100_000] for place in places[1:])
+        status = _waited(child)
+        out, err = (place.read_text(encoding="utf-8", errors="replace")[:100_000] for place in places)
     finally:
         for place in places:
             place.unlink(missing_ok=True)
-    return {"status": status, "out": out, "err": err, "cpu_s": cpu_s}
+    return {"status": status, "out": out, "err": err}
 
 
-def _waited(child: int) -> tuple[int, float]:
-    """The status and processor time of a child, which is killed with all its own where it takes too long."""
+def _waited(child: int) -> int:
+    """Return the status of a child, which is killed with all its own where it takes too long."""
     until = time.monotonic() + WALL_S
     while True:
-        found, status, used = os.wait4(child, os.WNOHANG)
+        found, status = os.waitpid(child, os.WNOHANG)
         if found:
             break
         if time.monotonic() > until:
@@ -126,7 +122,7 @@ def _waited(child: int) -> tuple[int, float]:
         time.sleep(0.002)
     with contextlib.suppress(ProcessLookupError):
         os.killpg(child, signal.SIGKILL)  # what it left behind
-    return os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime
+    return os.waitstatus_to_exitcode(status)
 
 
 def _become(main: Main, call: dict[str, Any], places: Sequence[Path]) -> None:
@@ -134,10 +130,9 @@ def _become(main: Main, call: dict[str, Any], places: Sequence[Path]) -> None:
     status = 70
     try:
         os.setsid()
-        for number, place in enumerate(places):
+        for number, place in enumerate([Path(os.devnull), *places]):
             os.dup2(os.open(place, os.O_RDWR | os.O_CREAT, 0o666), number)
         os.chdir(call["folder"])
-        os.environ.update(call["environment"])
         resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 1))
         used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))

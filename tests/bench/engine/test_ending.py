@@ -53,8 +53,8 @@ def started(store: Path, temporary: Path, *more: str, before: str = "") -> subpr
 
 @pytest.mark.parametrize(
     ("number", "how"),
-    [(signal.SIGTERM, ()), (signal.SIGHUP, ()), (signal.SIGTERM, ("hydra/launcher=basic", "cells_per_job=100"))],
-    ids=["SIGTERM", "SIGHUP", "launcher"],
+    [(signal.SIGTERM, ()), (signal.SIGHUP, ("hydra/launcher=basic", "cells_per_job=100"))],
+    ids=["SIGTERM", "SIGHUP of a launcher"],
 )
 def test_nothing_temporary_stays(tmp_path: Path, temporary: Path, number: signal.Signals, how: tuple[str, ...]) -> None:
     store = tmp_path / "rows"

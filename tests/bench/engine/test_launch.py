@@ -69,11 +69,23 @@ def _run(store: Store, launcher: str, *more: str) -> int:
     ("launcher", "options", "cores"), [("basic", (), 1), ("submitit_local", ("hydra.launcher.cpus_per_task=2",), 2)]
 )
 def test_a_launcher_gives_the_rows_that_this_machine_gives_and_computes_only_what_is_missing(
-    launcher: str, options: tuple[str, ...], cores: int, cells: list[Cell], make_store: Callable[[], Store]
-) -> None:
+    launcher: str, options: tuple[str, ...], cores: int,
+    cells: list[Cell], make_store: Callable[[], Store], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Submitit hands its jobs over as pickles: they lie in a folder of the user alone, and go with the sweep."""
     if launcher == "submitit_local":
         pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
     here, there = make_store(), make_store()
+    monkeypatch.setenv(CACHE, str(tmp_path))
+    pickles, jobs, rounds = list[Path](), list[Path](), launch._rounds
+
+    def looked(submitter: Any, sweep: LaunchJob, folder: Path, how: Any) -> None:
+        rounds(submitter, sweep, folder, how)
+        written = [path for root in (there.folder, tmp_path) for path in root.rglob("*") if path.is_file()]
+        pickles.extend(path for path in written if path.read_bytes()[:1] == b"\x80")
+        jobs.extend(path for path in written if path.suffix == ".job")
+
+    monkeypatch.setattr(launch, "_rounds", looked)
     assert _run(here, "local", "workers=1") == 0
     assert _run(there, launcher, "cells_per_job=3", *options) == 0  # two jobs, of three cells and of one
     rows = _outcomes(here, cells)
@@ -81,6 +93,10 @@ def test_a_launcher_gives_the_rows_that_this_machine_gives_and_computes_only_wha
     assert _outcomes(there, cells) == rows
     assert {cell.provenance["workers"] for cell in there} == {cores}
     assert not (there.folder / "launches").exists()
+    assert len(jobs) == 2
+    assert bool(pickles) == (launcher == "submitit_local")
+    assert all(path.is_relative_to(tmp_path) for path in pickles)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
     before = {cell.identity: there.path(cell.identity).stat().st_ino for cell in cells}
     there.path(cells[2].identity).unlink()
     assert _run(there, launcher, *options) == 0
@@ -179,12 +195,6 @@ def job(many: list[Cell], tmp_path: Path) -> LaunchJob:
     return LaunchJob((*planned, *blocks), store, Limits(7, 1.5, 3.0, ("torch",)))
 
 
-def _without_name(cell: Cell) -> Any:
-    """Return a scenario without the name of its prior's widths, which decides nothing and is not stored."""
-    scenario = cell.scenario
-    return replace(scenario, prior=scenario.prior and replace(scenario.prior, name=""))
-
-
 def test_a_job_comes_back_as_it_was(job: LaunchJob, tmp_path: Path) -> None:
     job.write(tmp_path / "0.job")
     text = (tmp_path / "0.job").read_text(encoding="utf-8")
@@ -199,7 +209,6 @@ def test_a_job_comes_back_as_it_was(job: LaunchJob, tmp_path: Path) -> None:
             assert isinstance(after, Planned)
             assert (after.state, after.stamp) == (before.state, before.stamp)
             assert (after.cell.label, dict(after.cell.settings)) == (before.cell.label, dict(before.cell.settings))
-            assert _without_name(after.cell) == _without_name(before.cell)
 
 
 def test_a_force_that_was_read_from_a_file_comes_along(
@@ -261,30 +270,6 @@ def test_what_another_hand_has_put_in_the_place_of_a_job_is_one_line(job: Launch
     with limited(20.0), pytest.raises(InputError) as caught:
         read_job(path, job.store.folder)
     assert len(str(caught.value).splitlines()) == 1
-
-
-def test_while_a_launcher_runs_nothing_in_the_store_is_a_pickle(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Submitit hands its jobs over as pickles: they lie in a folder of the user alone, and go with the sweep."""
-    pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
-    monkeypatch.setenv(CACHE, str(tmp_path / "cache"))
-    seen, pickles = list[Path](), list[Path]()
-    rounds = launch._rounds
-
-    def looked(launcher: Any, sweep: LaunchJob, folder: Path, how: Any) -> None:
-        rounds(launcher, sweep, folder, how)
-        seen.extend(path for path in tmp_path.rglob("*") if path.is_file())
-        pickles.extend(path for path in seen if path.read_bytes()[:1] == b"\x80")
-
-    monkeypatch.setattr(launch, "_rounds", looked)
-    fields = ["-m", "method=prior", "seed=0,1", "replicates=2", f"store={tmp_path / 'rows'}"]
-    assert main([*fields, "hydra/launcher=submitit_local", "cells_per_job=1"]) == 0
-    assert len([path for path in seen if path.suffix == ".job"]) == 2
-    assert pickles
-    assert all(path.is_relative_to(tmp_path / "cache") for path in pickles)
-    assert [path for path in (tmp_path / "cache").rglob("*") if path.is_file()] == []
-    assert not (tmp_path / "rows" / "launches").exists()
 
 
 def test_the_private_folder_is_its_user_s_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+import getpass
 import os
+import platform
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -81,7 +83,7 @@ def test_a_run_that_waits_for_another_prints_once_for_whom(
     waiting.start()
     line = tasks.events.get(timeout=60)
     assert line == f"waiting for another run on this store (cells left: 2): {other.holder(jobs[0].key)}"
-    assert str(os.getpid()) in line
+    assert line.endswith(f": process {os.getpid()} of {getpass.getuser()} on {platform.node()}")
     waiting.join(0.3)
     assert tasks.events.empty()
     other.release_all()
