@@ -27,7 +27,7 @@ from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import make_method, missing_package
 from bench.errors import InputError
 from bench.isolation.processes import Died
-from bench.scoring.row import Row
+from bench.scoring.row import Row, Rows
 from bench.store.provenance import provenance
 from bench.store.store import Store
 
@@ -101,10 +101,10 @@ class CellJob(Job):
         lacking = missing_package(cell.method)
         if unbounded or lacking:
             status = Status.INVALID if unbounded else Status.MISSING_DEPENDENCY
-            self.scored.rows = [Row(i, status, unbounded or lacking or "") for i in wanted]
+            self.scored.rows = Rows.of(Row(i, status, unbounded or lacking or "") for i in wanted)
         elif planned.state is State.FAILED:
             self._keep_good()
-        there = {row.replicate for row in self.scored.rows}
+        there = set(self.scored.rows.plain("replicate"))
         self.done = len(there)
         self.pending = deque(i for i in wanted if i not in there)
 
@@ -125,8 +125,8 @@ class CellJob(Job):
             stored = self.store.load(self.key)
             if stored is not None:
                 self.scored.arrays = dict(stored.arrays)
-                retried = FAILURES | {Status.MISSING_DEPENDENCY}
-                self.scored.rows = [row for row in stored.rows if row.status not in retried]
+                good = [s not in FAILURES and s is not Status.MISSING_DEPENDENCY for s in stored.columns.statuses]
+                self.scored.rows = stored.columns.take(np.flatnonzero(good))
 
     def stored(self) -> bool:
         if self.store.stamp(self.key) == self.stamp:
@@ -143,8 +143,9 @@ class CellJob(Job):
         if self.at_once > 1:
             return self.at_once
         workers = self.limits.workers
-        known = [row.wall_s for row in self.scored.rows if np.isfinite(row.wall_s)]
-        if not known:
+        wall_s = self.scored.rows.numbers("wall_s")
+        known = wall_s[np.isfinite(wall_s)]
+        if not known.size:
             return max(1, min(FIRST_STEP, self.size // (4 * workers)))
         share = -(-len(self.pending) // (2 * workers))
         return max(1, min(LARGEST_STEP, share, int(STEP_S / max(float(np.mean(known)), 1e-6))))
@@ -172,7 +173,7 @@ class CellJob(Job):
             return ask(worker, "fail", self.cell, parts[0], failure, wall_s)  # type: ignore[no-any-return]
         except (Died, ScoringError):
             row = Row(parts[0], failure.status, failure.message, wall_s=wall_s)
-            return Scored([row], {parts[0]: failure.log})
+            return Scored(Rows.of([row]), {parts[0]: failure.log})
 
     def _answers(self, parts: tuple[int, ...], worker: Worker) -> bytes | Failure | None:
         """Return the packed answers of the method; else why there are none, or None where that is not known."""
@@ -197,7 +198,7 @@ class CellJob(Job):
     def add(self, outcome: Scored) -> Counted:
         self.scored.add(outcome)
         self.done += len(outcome.rows)
-        return Counted(len(outcome.rows), sum(row.status in FAILURES for row in outcome.rows))
+        return Counted(len(outcome.rows), sum(status in FAILURES for status in outcome.rows.statuses))
 
     def finish(self, worker: Worker) -> None:
         """Store the cell; raises InputError where it cannot be stored."""
@@ -225,5 +226,5 @@ class CellJob(Job):
     def refuse(self, message: str, log: str = "") -> None:
         """Replace all that is known of the cell by the reason why it cannot be scored."""
         rows = [replace(row, status=Status.INVALID, message=message, scores={}) for row in self.scored.rows]
-        self.scored = Scored(rows, {rows[0].replicate: log})
+        self.scored = Scored(Rows.of(rows), {rows[0].replicate: log})
         self.bounded = False  # that may have been the reason

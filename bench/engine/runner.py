@@ -16,7 +16,7 @@ from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import load_method
 from bench.isolation.failure import one_line
 from bench.isolation.processes import Children
-from bench.scoring.row import Row
+from bench.scoring.row import Rows
 from bench.store.bounds import bound_path, keep_bound, kept_bound
 from bench.store.cell import Cell
 from bench.store.store import Store
@@ -71,7 +71,7 @@ def compute_bounds(cells: Sequence[Cell], store: Store, limits: Limits) -> dict[
 
 def run_replicates(
     planned: Sequence[tuple[Planned, Collection[int]]], store: Store, limits: Limits, on_look: OnLook
-) -> dict[str, list[Row]]:
+) -> dict[str, Rows]:
     """Return the rows of some replicates of each cell, in order, by the cell's identity; nothing is stored.
 
     A cell that another run is at is waited for, and left out where that has stored it.
@@ -79,7 +79,7 @@ def run_replicates(
     with _children([cell.cell for cell, _ in planned], limits) as children:
         jobs = [CellJob(cell, store, limits, replicates) for cell, replicates in planned]
         run_jobs(jobs, store.claims, children, limits.workers, ("fit", "cell"), on_look)
-    return {job.key: sorted(job.scored.rows, key=lambda row: row.replicate) for job in jobs if job.done == job.size}
+    return {job.key: job.scored.rows.sorted() for job in jobs if job.done == job.size}
 
 
 def make_bounds(

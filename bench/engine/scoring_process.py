@@ -28,7 +28,7 @@ from bench.isolation.secrecy import close_memory
 from bench.scenario.scenario import METHOD
 from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
-from bench.scoring.row import Row
+from bench.scoring.row import NUMBERS, Row, Rows, columns_of
 from bench.scoring.score import scores
 from bench.scoring.summary import summarise
 from bench.scoring.traces import trace_scores
@@ -53,13 +53,13 @@ class Scored:
     """Rows of a cell, and what belongs to them.
 
     Attributes:
-        rows: One a replicate.
+        rows: The replicates, by column.
         tracebacks: Of failed replicates.
         arrays: Those kept of one replicate.
         facts: What tables say of the data that all replicates share.
     """
 
-    rows: list[Row] = field(default_factory=list)
+    rows: Rows = field(default_factory=lambda: Rows.of(()))
     tracebacks: dict[int, str] = field(default_factory=dict)
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
     facts: dict[str, Any] = field(default_factory=dict)
@@ -137,29 +137,36 @@ class Scorer:
         if failure.best is not None:
             scores = self._scored(cell, [unpack(failure.best)]).rows[0].scores
         row = Row(replicate, failure.status, failure.message, scores, wall_s=wall_s, data=data_digest(problem))
-        return Scored([row], {replicate: failure.log}, facts=facts(truth))
+        return Scored(Rows.of([row]), {replicate: failure.log}, facts=facts(truth))
 
     def _scored(self, cell: Cell, answered: Sequence[Mapping[str, Any]]) -> Scored:
-        """Return what became of replicates in their order; those with an estimate are scored together."""
+        """Return what became of replicates in their order; what cannot be scored together is scored one by one."""
         pairs = [self._pair(cell, outcome["replicate"]) for outcome in answered]
-        places = [i for i, outcome in enumerate(answered) if "answer" in outcome]
-        estimates = [replace(answered[i]["answer"], system=pairs[i][0].system) for i in places]
-        judged = dict(zip(places, _judged(estimates, [pairs[i] for i in places]), strict=True))
-        scored = Scored(facts=facts(pairs[0][1]))
-        for i, (outcome, (problem, truth)) in enumerate(zip(answered, pairs, strict=True)):
-            replicate = outcome["replicate"]
-            common = {key: outcome[key] for key in ("replicate", "wall_s", "cpu_s", "peak_memory_mb") if key in outcome}
-            common["data"] = data_digest(problem)
-            if i not in judged:
-                scored.tracebacks[replicate] = outcome["traceback"]
-                scored.rows.append(Row(status=Status(outcome["status"]), message=outcome["message"], **common))
-                continue
-            estimate, values = judged[i]
-            evaluations = estimate.cost.evaluations
-            scored.rows.append(Row(status=estimate.status, message=estimate.message, scores=values,
-                                   evaluations=evaluations, **common))  # fmt: skip
-            if replicate == KEPT and estimate.status is Status.OK:
-                scored.arrays = kept_arrays(estimate, problem, truth)
+        estimates = [_estimate(outcome, problem) for outcome, (problem, _) in zip(answered, pairs, strict=True)]
+        try:
+            with np.errstate(all="ignore"):
+                estimates, columns = _judged(estimates, pairs)
+        except Exception as error:  # names or shapes that the contract does not allow
+            scored = Scored()
+            if len(answered) > 1:
+                for outcome in answered:
+                    scored.add(self._scored(cell, [outcome]))
+                return scored
+            message = f"the estimate cannot be scored: {one_line(error)}"
+            estimates = [Estimate.failed(estimates[0].system, Status.INVALID, message, estimates[0].cost)]
+            columns = {}
+        plain = {name: [outcome.get(name, math.nan) for outcome in answered] for name in ("replicate", *NUMBERS)}
+        plain |= {
+            "message": [estimate.message for estimate in estimates],
+            "evaluations": [estimate.cost.evaluations for estimate in estimates],
+            "data": [data_digest(problem) for problem, _ in pairs],
+        }
+        scored = Scored(Rows.of_columns([e.status for e in estimates], plain, columns), facts=facts(pairs[0][1]))
+        for outcome, estimate, pair in zip(answered, estimates, pairs, strict=True):
+            if "answer" not in outcome:
+                scored.tracebacks[outcome["replicate"]] = outcome["traceback"]
+            elif outcome["replicate"] == KEPT and estimate.status is Status.OK:
+                scored.arrays = kept_arrays(estimate, *pair)
         return scored
 
     def finish(
@@ -175,8 +182,7 @@ class Scorer:
 
         One that is not ``bounded`` has no scores, and its data may be as impossible as its bound.
         """
-        rows = tuple(sorted(scored.rows, key=lambda row: row.replicate))
-        bound, known = NO_BOUND, scored.facts
+        rows, bound, known = scored.rows.sorted(), NO_BOUND, scored.facts
         if bounded:
             if cell.bound_identity not in self.bounds:
                 self.bounds = {cell.bound_identity: load_bounds([cell], store.bounds)[0]}
@@ -190,9 +196,9 @@ class Scorer:
             summary=summarise(rows, bound),
             prior_share=bound.prior_share,
             identifiable=bound.identifiable,
-            wall_s=float(np.nansum([row.wall_s for row in rows])),
+            wall_s=float(np.nansum(rows.numbers("wall_s"))),
             version=version,
-            provenance={**provenance, "data": combined_digest(rows)},
+            provenance={**provenance, "data": hashlib.sha256(" ".join(rows.plain("data")).encode()).hexdigest()[:16]},
             arrays=scored.arrays,
             tracebacks=without_places("\n".join(f"replicate {i}\n{text}\n" for i, text in tracebacks)),
         )
@@ -203,35 +209,28 @@ class Scorer:
         return ""
 
 
-def _judged(estimates: Sequence[Estimate], pairs: Sequence[Pair]) -> list[tuple[Estimate, dict[str, float]]]:
-    """Combine estimates with the prior and score them; one that the contract does not allow is a failed estimate.
-
-    What cannot be scored together is scored one by one.
-    """
-    try:
-        with np.errstate(all="ignore"):
-            return _scores_of(estimates, pairs)
-    except Exception as error:  # names or shapes that the contract does not allow
-        if len(estimates) > 1:
-            return [_judged([estimate], [pair])[0] for estimate, pair in zip(estimates, pairs, strict=True)]
-        message = f"the estimate cannot be scored: {one_line(error)}"
-        return [(Estimate.failed(estimates[0].system, Status.INVALID, message, estimates[0].cost), {})]
+def _estimate(outcome: Mapping[str, Any], problem: Problem) -> Estimate:
+    """Return the estimate of an outcome; where it has no answer, a failed one that says why."""
+    if "answer" in outcome:
+        return replace(outcome["answer"], system=problem.system)
+    return Estimate.failed(problem.system, Status(outcome["status"]), outcome["message"])
 
 
-def _scores_of(estimates: Sequence[Estimate], pairs: Sequence[Pair]) -> list[tuple[Estimate, dict[str, float]]]:
+def _judged(estimates: Sequence[Estimate], pairs: Sequence[Pair]) -> tuple[list[Estimate], dict[str, np.ndarray]]:
     """Combine estimates with the prior and score them; raises whatever one of them makes a computation raise."""
     problems, truths = [problem for problem, _ in pairs], [truth for _, truth in pairs]
-    stated = [estimate.groups is None or estimate.groups.covariance is not None for estimate in estimates]
-    checked = [estimate.checked() for estimate in estimates]
-    combined = [combine_with_prior(e, problem.prior).checked() for e, problem in zip(checked, problems, strict=True)]
-    judged = []
-    for estimate, sure, truth, own in zip(combined, stated, truths, scores(combined, problems, truths), strict=True):
-        if estimate.status is Status.OK:
-            own = {**own, **trace_scores(estimate, truth)}
-            own = own if sure else {name: value for name, value in own.items() if not is_of_belief(name)}
-            own["realised_snr_db"] = truth.realised_snr_db
-        judged.append((estimate, own))
-    return judged
+    unsure = [i for i, own in enumerate(estimates) if own.groups is not None and own.groups.covariance is None]
+    combined = [
+        combine_with_prior(estimate.checked(), problem.prior).checked()
+        for estimate, problem in zip(estimates, problems, strict=True)
+    ]
+    columns = scores(combined, problems, truths)
+    columns |= columns_of([trace_scores(*judged) for judged in zip(combined, truths, strict=True)])
+    good = [estimate.status is Status.OK for estimate in combined]
+    columns["realised_snr_db"] = np.where(good, [truth.realised_snr_db for truth in truths], np.nan)
+    for name in filter(is_of_belief, columns):
+        columns[name][unsure] = np.nan
+    return combined, columns
 
 
 def is_of_belief(name: str) -> bool:
@@ -260,11 +259,6 @@ def data_digest(problem: Problem) -> str:
     if problem.prior is not None:
         digest.update(repr([sorted(problem.prior.nominal.items()), sorted(problem.prior.log_sd.items())]).encode())
     return digest.hexdigest()[:12]
-
-
-def combined_digest(rows: Sequence[Row]) -> str:
-    """Digest of the data of all replicates."""
-    return hashlib.sha256(" ".join(row.data for row in rows).encode()).hexdigest()[:16]
 
 
 def kept_arrays(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, np.ndarray]:

@@ -12,13 +12,13 @@ from bench.engine.plan import Planned, State
 from bench.engine.pool import Limits
 from bench.engine.progress import progress_bar
 from bench.engine.runner import run_replicates
-from bench.scoring.row import Row
+from bench.scoring.row import Rows
 from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.store.stored import StoredCell
 
 
-def recompute(chosen: Sequence[tuple[Cell, Collection[int]]], limits: Limits) -> dict[str, list[Row]]:
+def recompute(chosen: Sequence[tuple[Cell, Collection[int]]], limits: Limits) -> dict[str, Rows]:
     """Compute some replicates of each cell; returns their rows in order, by the cell's identity."""
     with tempfile.TemporaryDirectory() as folder, progress_bar() as on_look:
         store = Store(Path(folder))

@@ -301,7 +301,7 @@ class Result:
     @property
     def messages(self) -> Sequence[str]:
         """The message of each replicate."""
-        return self.stored.columns.texts("message") if self.stored else ()
+        return self.stored.columns.plain("message") if self.stored else ()
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The arrays kept of replicate 0, as double precision; none where they are missing or damaged."""

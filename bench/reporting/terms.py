@@ -57,7 +57,7 @@ def kept_terms(message: str) -> tuple[frozenset[str], ...] | None:
 
 def terms_found(stored: StoredCell, scenario: Scenario) -> str:
     """In words: in how many replicates the right terms were found, and what is found most often instead."""
-    replicates = zip(stored.columns.statuses, stored.columns.texts("message"), strict=True)
+    replicates = zip(stored.columns.statuses, stored.columns.plain("message"), strict=True)
     kept = [kept_terms(message) for status, message in replicates if status is Status.OK]
     models = [model for model in kept if model is not None]
     if not models:

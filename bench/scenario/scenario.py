@@ -279,8 +279,10 @@ class Scenario:
             ideal, error = ideal[measured], error[measured]
             channels = tuple(Channel(times, values, dof=i) for i, values in zip(measured, ideal + error, strict=True))
             added = np.array(rig.added) if isinstance(rig, Loaded) else None
-            rng = self.stream(FORCE_NOISE, seed, index, *_later(number))
-            forces = [self.force.measured(force, rng) for force in self.forces(seed) if self.force is not None]
+            forces = []
+            if self.force is not None:
+                rng = self.stream(FORCE_NOISE, seed, index, *_later(number))
+                forces = [self.force.measured(force, rng) for force in self.forces(seed)]
             records.append(Record(channels, tuple(forces), start, added))
             ideals.append(ideal)
             errors.append(error)

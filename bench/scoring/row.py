@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +47,7 @@ the truth (``_pit``) and a share of the record, they are of the mean, likewise.
 
 
 class Rows(Sequence[Row]):
-    """Replicates by column, so that a table reads a score of all of them without making any row.
+    """Replicates by column, so that a score of all of them is read without making any row.
 
     Args:
         statuses: The status of each replicate.
@@ -66,11 +66,16 @@ class Rows(Sequence[Row]):
         if isinstance(rows, Rows):
             return rows
         rows = tuple(rows)
-        columns: dict[str, Any] = {name: [getattr(row, name) for row in rows] for name in PLAIN}
-        scores = score_columns(rows)
-        made = cls((row.status for row in rows), (columns | scores).__getitem__, scores)
-        made._rows = rows
-        return made
+        plain = {name: [getattr(row, name) for row in rows] for name in PLAIN}
+        return cls.of_columns([row.status for row in rows], plain, columns_of([row.scores for row in rows]))
+
+    @classmethod
+    def of_columns(
+        cls, statuses: Iterable[Status], plain: Mapping[str, Sequence[Any]], scores: Mapping[str, np.ndarray]
+    ) -> Rows:
+        """Return the rows of all columns of :data:`PLAIN`, and of scores (n,), NaN where a replicate has none."""
+        columns: dict[str, Any] = {**plain, **scores}
+        return cls(statuses, columns.__getitem__, scores)
 
     @cached_property
     def score_names(self) -> list[str]:
@@ -85,9 +90,26 @@ class Rows(Sequence[Row]):
         """Return a number of each fit, (n,): ``wall_s``, ``cpu_s``, ``peak_memory_mb``, ``evaluations``."""
         return np.array(self._column(name), float)
 
-    def texts(self, name: str) -> list[str]:
-        """Return the ``message`` of each replicate, or the digest of its ``data``."""
+    def plain(self, name: str) -> list[Any]:
+        """Return a column of :data:`PLAIN`, such as the ``message`` of each replicate."""
         return list(self._column(name))
+
+    def take(self, places: Iterable[int]) -> Rows:
+        """Return the replicates at some places, in that order."""
+        places = list(places)
+        plain = {name: list(map(self.plain(name).__getitem__, places)) for name in PLAIN}
+        scores = {name: self.scores(name)[places] for name in self.score_names}
+        return Rows.of_columns(map(self.statuses.__getitem__, places), plain, scores)
+
+    def sorted(self) -> Rows:
+        """Return the replicates in the order of their numbers."""
+        return self.take(np.argsort(self._column("replicate")))
+
+    def __add__(self, other: Rows) -> Rows:
+        plain = {name: self.plain(name) + other.plain(name) for name in PLAIN}
+        names = dict.fromkeys([*self._names, *other._names])
+        scores = {name: np.concatenate([self.scores(name), other.scores(name)]) for name in names}
+        return Rows.of_columns(self.statuses + other.statuses, plain, scores)
 
     @cached_property
     def _rows(self) -> tuple[Row, ...]:
@@ -103,11 +125,7 @@ class Rows(Sequence[Row]):
             for i, status in enumerate(self.statuses)
         )
 
-    @overload
-    def __getitem__(self, place: int) -> Row: ...
-    @overload
-    def __getitem__(self, place: slice) -> tuple[Row, ...]: ...
-    def __getitem__(self, place: int | slice) -> Row | tuple[Row, ...]:
+    def __getitem__(self, place: Any) -> Any:
         return self._rows[place]
 
     def __len__(self) -> int:
@@ -116,24 +134,15 @@ class Rows(Sequence[Row]):
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
 
-    def __hash__(self) -> int:
-        return hash(self._rows)
-
     def __repr__(self) -> str:
         return repr(self._rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Rows.of, (self._rows,)
+        plain = {name: self.plain(name) for name in PLAIN}
+        return Rows.of_columns, (self.statuses, plain, {name: self.scores(name) for name in self.score_names})
 
 
-def score_columns(rows: Sequence[Row]) -> dict[str, np.ndarray]:
-    """Return every score of some rows by name, (n,), NaN where a row has none; in the order in which rows have them."""
-    forms: dict[tuple[str, ...], list[int]] = {}
-    for i, row in enumerate(rows):
-        forms.setdefault(tuple(row.scores), []).append(i)
-    columns = {name: np.full(len(rows), np.nan) for form in forms for name in form}
-    for form, members in forms.items():
-        values = np.array([list(rows[i].scores.values()) for i in members], float)
-        for name, column in zip(form, values.T, strict=True):
-            columns[name][members] = column
-    return columns
+def columns_of(scores: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
+    """Return the scores of replicates by name, (n,), NaN where one has none; in the order in which they have them."""
+    names = dict.fromkeys(name for own in scores for name in own)
+    return {name: np.array([own.get(name, math.nan) for own in scores], float) for name in names}

@@ -26,13 +26,13 @@ QUANTILES = (np.arange(200) + 0.5) / 200
 
 def score(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, float]:
     """Score one replicate, see :func:`scores`."""
-    return scores([estimate], [problem], [truth])[0]
+    return {name: float(values[0]) for name, values in scores([estimate], [problem], [truth]).items()}
 
 
 def scores(
     estimates: Sequence[Estimate], problems: Sequence[Problem], truths: Sequence[Truth]
-) -> list[dict[str, float]]:
-    """Score replicates of one scenario; a score that an estimate cannot have is absent. Failed estimates have none.
+) -> dict[str, np.ndarray]:
+    """Score replicates of one scenario; returns scores by name, (n,), NaN where an estimate has none, or has failed.
 
     ``<quantity>_error_pct`` (absolute relative error, %), ``<quantity>_ratio`` (the value over the true one),
     ``<quantity>_coverage_50`` etc. (1 if the interval holds the truth, else 0), ``<quantity>_pit`` (the belief's level
@@ -41,18 +41,16 @@ def scores(
     ``rmse`` (of the reconstruction), ``rmse_simulated``, ``rmse_forecast`` (m), over the DOFs with a sensor;
     ``band_inside_50`` etc.: the share of the record where the displacement lies in the method's own band.
     """
-    rows: list[dict[str, float]] = [{} for _ in estimates]
     kinds: dict[object, list[int]] = {}
     for i, estimate in enumerate(estimates):
         if estimate.status is Status.OK:
             kinds.setdefault(_kind(estimate, i), []).append(i)
+    columns: dict[str, np.ndarray] = {}
     for members in kinds.values():
-        columns = _columns(
-            [estimates[i] for i in members], [problems[i] for i in members], [truths[i] for i in members]
-        )
-        for i, values in zip(members, np.stack(list(columns.values()), axis=1).tolist(), strict=True):
-            rows[i] = dict(zip(columns, values, strict=True))
-    return rows
+        own = _columns([estimates[i] for i in members], [problems[i] for i in members], [truths[i] for i in members])
+        for name, values in own.items():
+            columns.setdefault(name, np.full(len(estimates), np.nan))[members] = values
+    return columns
 
 
 def _kind(estimate: Estimate, replicate: int) -> object:

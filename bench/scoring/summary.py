@@ -11,7 +11,7 @@ from scipy.special import gammaincinv, ndtri, stdtrit
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
 from bench.scoring.resampling import RESAMPLES, counts, medians
-from bench.scoring.row import STATISTICS, Row, score_columns
+from bench.scoring.row import STATISTICS, Row, Rows
 
 Z95 = float(ndtri(0.975))
 ALWAYS = ("rmse", "rmse_simulated", "rmse_forecast")
@@ -49,24 +49,22 @@ def below_chance(excess: float, bound_pct: float, n: int) -> bool:
 
 def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Line]:
     """Summarise every metric that any replicate has, and those that every cell has (NaN where none succeeded)."""
-    bounds = metric_bounds(bound)
-    good = np.array([i for i, row in enumerate(rows) if row.status is Status.OK], int)
-    columns = score_columns([rows[i] for i in good])
-    metrics = [name for name in columns if not name.endswith("_ratio")]
+    bounds, columns = metric_bounds(bound), Rows.of(rows)
+    good = np.array([status is Status.OK for status in columns.statuses], bool)
+    scores = {name: columns.scores(name)[good] for name in columns.score_names if not name.endswith("_ratio")}
+    metrics = [name for name, values in scores.items() if not np.all(np.isnan(values))]
     result = {}
-    for name in dict.fromkeys([*metrics, *(bounds if not good.size else ()), *ALWAYS]):
-        scored, places = columns.get(name, np.full(good.size, np.nan)), good
-        if np.any(np.isnan(scored)):  # without the score, or with one that is not a number
-            has = np.array([name in rows[i].scores for i in good], bool)
-            scored, places = scored[has], good[has]
+    for name in dict.fromkeys([*metrics, *(() if np.any(good) else bounds), *ALWAYS]):
+        values = scores.get(name, np.full(np.sum(good), np.nan))
+        known = values[~np.isnan(values)]
         if name.endswith("_pit") or name.startswith("band_inside"):
-            result[name] = _share(scored)
+            result[name] = _share(known)
         elif "_coverage_" in name:
-            result[name] = _coverage(scored)
+            result[name] = _coverage(known)
         else:
-            values = np.full(len(rows), np.inf)
-            values[places] = scored
-            result[name] = _error(values, bounds.get(name, float("nan")))
+            errors = np.full(len(rows), np.inf)
+            errors[good] = np.where(np.isnan(values), np.inf, values)
+            result[name] = _error(errors, bounds.get(name, float("nan")))
     return result
 
 
@@ -76,16 +74,11 @@ def _error(values: np.ndarray, bound: float) -> Line:
     low, high = resampled[[math.ceil(level * RESAMPLES) - 1 for level in (0.025, 0.975)]]
     excess = float(np.sqrt(np.mean(good**2)) / bound) if good.size and np.isfinite(bound) and bound > 0 else np.nan
     mean = float(np.mean(values)) if good.size == values.size else float("inf")
-    return _line(mean, _median(values), float(low), float(high), bound, excess, int(good.size))
+    return _line(mean, float(np.median(values)), float(low), float(high), bound, excess, int(good.size))
 
 
 def _line(*values: float) -> Line:
     return dict(zip(STATISTICS, values, strict=True))
-
-
-def _median(values: np.ndarray) -> float:
-    """Compute a median of values (n,) of which some may be infinite, never NaN."""
-    return float(medians(values, np.ones((values.size, 1), np.float32))[0])
 
 
 def _share(values: np.ndarray) -> Line:
@@ -104,7 +97,7 @@ def _coverage(hits: np.ndarray) -> Line:
     if not hits.size:
         return _line(nan, nan, nan, nan, nan, nan, 0)
     low, high = wilson_interval(int(hits.sum()), hits.size)
-    return _line(float(hits.mean()), _median(hits), low, high, nan, nan, int(hits.size))
+    return _line(float(hits.mean()), float(np.median(hits)), low, high, nan, nan, int(hits.size))
 
 
 def wilson_interval(k: int, n: int) -> tuple[float, float]:

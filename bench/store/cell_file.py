@@ -65,7 +65,7 @@ def cell_file(cell: StoredCell) -> bytes:
 
 
 def _plain(columns: Rows, name: str) -> list[Any]:
-    rounded: list[Any] = to_json(columns.numbers(name).tolist() if name in NUMBERS else columns.texts(name))
+    rounded: list[Any] = to_json(columns.numbers(name).tolist() if name in NUMBERS else columns.plain(name))
     return rounded
 
 

@@ -108,7 +108,7 @@ def _rows_bytes(cells: Sequence[StoredCell]) -> bytes:
         "identity": [cell.identity for cell in cells for _ in cell.columns.statuses],
         "replicate": joined("replicate").astype(int),
         "status": [status.value for cell in cells for status in cell.columns.statuses],
-        **{name: [text for cell in cells for text in cell.columns.texts(name)] for name in ("message", "data")},
+        **{name: [text for cell in cells for text in cell.columns.plain(name)] for name in ("message", "data")},
         "evaluations": joined("evaluations").astype(int),
         **{name: _single(joined(name)) for name in NUMBERS_OF_FIT},
         **{name: _single(np.concatenate([cell.columns.scores(name) for cell in cells])) for name in scores},
