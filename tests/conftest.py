@@ -22,16 +22,22 @@ os.environ["VIBRATION_BENCH_ARCHIVE"] = "none"  # a test says itself what is pub
 import pytest  # noqa: E402
 
 from bench.engine import runner  # noqa: E402
+from bench.engine.plan import plan  # noqa: E402
+from bench.engine.pool import Limits  # noqa: E402
+from bench.engine.runner import run_cells  # noqa: E402
 from bench.entrants import registry  # noqa: E402
-from bench.entrants.registry import load_method  # noqa: E402
+from bench.entrants.registry import REFERENCES, default_settings, load_method  # noqa: E402
 from bench.information.fisher import Bound  # noqa: E402
 from bench.scenario.scenario import PriorSpec, Scenario  # noqa: E402
 from bench.store.bounds import Replicates, bound_identity, load_bounds  # noqa: E402
+from bench.store.cell import Cell  # noqa: E402
 from bench.store.seal import sealed  # noqa: E402
 from bench.store.store import BOUND_FORMAT, Store  # noqa: E402
+from bench.store.stored import StoredCell  # noqa: E402
 from bench.store.version import cell_version  # noqa: E402
 
 REPOSITORY = Path(__file__).parents[1]
+ONE_WORKER, TWO_WORKERS = Limits(1, 60.0, 2000.0), Limits(2, 60.0, 2000.0)
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -44,6 +50,15 @@ def pytest_configure(config: pytest.Config) -> None:
     if cache is not None:
         os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache.mkdir("jax")))
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+
+
+def install(site: Path, name: str, points: str) -> dict[str, str]:
+    """Leave in a folder what pip would leave there of a package of entry points; returns the environment with it."""
+    info = site / f"{name}-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(points)
+    return {"PYTHONPATH": os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")])}
 
 
 @pytest.fixture(scope="session")
@@ -110,6 +125,20 @@ def any_bound(monkeypatch: pytest.MonkeyPatch) -> None:
         return {}
 
     monkeypatch.setattr(runner, "make_bounds", make)
+
+
+def a_cell(scenario: Scenario, method: str, replicates: int = 2, seed: int = 0, **given: Any) -> Cell:
+    """Return a cell of a method whose other settings are the default ones."""
+    known = {} if method in REFERENCES else default_settings(method)
+    return Cell(scenario, method, {**known, **given}, replicates, seed, method)
+
+
+def computed(store: Store, *cells: Cell, limits: Limits = TWO_WORKERS) -> list[StoredCell]:
+    """Compute cells, and return them as they are stored."""
+    run_cells(plan(cells, store), store, limits)
+    stored = [store.load(cell.identity) for cell in cells]
+    assert all(stored)
+    return [cell for cell in stored if cell]
 
 
 Python = Callable[..., "subprocess.CompletedProcess[str]"]

@@ -284,10 +284,6 @@ class Sole(Exact):
     covariance: ClassVar[np.ndarray | None] = None
 
 
-class NotAMethod:
-    """What a broken entry point may name."""
-
-
 @dataclass(frozen=True)
 class Spy(Double):
     """Looks for the truth: in what it is given, and in the whole process. Its message names what it found."""

@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import misbehaving
 import numpy as np
 import pytest
-from conftest import Plugins, Python, StoreFactory
+from conftest import ONE_WORKER, Plugins, Python, StoreFactory, a_cell, computed, install
 
 from bench import Status
-from bench.engine.plan import plan
-from bench.engine.pool import Limits
-from bench.engine.runner import run_cells
-from bench.entrants.registry import default_settings
 from bench.scenario.scenario import METHOD, NOMINAL, Scenario
-from bench.scoring.row import Row
-from bench.store.cell import Cell
 from bench.store.store import Store
 
 TRUE = {"k_over_m": 8.0, "c_over_m": 0.4}
@@ -31,14 +23,6 @@ def store(new_store: StoreFactory) -> Store:
     return new_store()
 
 
-def rows(store: Store, scenario: Scenario, method: str, replicates: int = 3, **settings: Any) -> Sequence[Row]:
-    cell = Cell(scenario, method, {**default_settings(method), **settings}, replicates, 0, method)
-    run_cells(plan([cell], store), store, Limits(1, 60.0, 2000.0))
-    stored = store.load(cell.identity)
-    assert stored is not None
-    return stored.rows
-
-
 def test_a_method_cannot_draw_the_nominal_values_again(reference: Scenario, store: Store, plugins: Plugins) -> None:
     """With numpy's own stream of the same numbers it has the truth; in a sweep its answer is the nominal values."""
     assert misbehaving.NOMINAL == NOMINAL
@@ -48,9 +32,9 @@ def test_a_method_cannot_draw_the_nominal_values_again(reference: Scenario, stor
     assert answer is not None
     assert answer.values() == pytest.approx(TRUE, rel=1e-12)
     plugins("Redraw")
-    found = rows(store, reference, "redraw")
+    (stored,) = computed(store, a_cell(reference, "redraw", 3))
     nominal = [make[0].prior for make in reference.replicates(0, 3)]
-    for row, prior in zip(found, nominal, strict=True):
+    for row, prior in zip(stored.rows, nominal, strict=True):
         assert prior is not None
         expected = 100 * abs(prior.nominal["k"] / prior.nominal["m"] / TRUE["k_over_m"] - 1)
         assert row.scores["k_over_m_error_pct"] == pytest.approx(expected, rel=1e-3)
@@ -63,7 +47,7 @@ def test_a_clock_that_a_method_replaces_changes_no_time(
 ) -> None:
     """It sleeps for 0.1 s, and has processor time too: only what runs elsewhere can be trusted to say so."""
     plugins("Clock")
-    for row in rows(store, reference, "clock", of=of):
+    for row in computed(store, a_cell(reference, "clock", 3, of=of), limits=ONE_WORKER)[0].rows:
         assert row.status is Status.OK, row.message
         assert row.wall_s >= 0.09
         assert 0.0 <= row.cpu_s < row.wall_s
@@ -73,14 +57,11 @@ def test_no_true_parameter_stands_in_a_process_that_a_method_can_read(
     python: Python, new_store: StoreFactory, tmp_path: Path
 ) -> None:
     """It reads its arguments, and the command lines, variables and open files of itself and of all above it."""
-    info = tmp_path / "site" / "double-1.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: double\nVersion: 1\n")
-    (info / "entry_points.txt").write_text("[bench.methods]\nancestors = misbehaving:Ancestors\n")
-    path = os.pathsep.join([str(info.parent), str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    env = install(tmp_path / "site", "double", "[bench.methods]\nancestors = misbehaving:Ancestors\n")
+    env["PYTHONPATH"] += f"{os.pathsep}{Path(__file__).parent}"
     store = new_store()
     fields = ("system.parameters.k=7.31251", "method.number=7.31251", "replicates=1", "workers=1")
-    done = python("-m", "bench", "method=ancestors", *fields, f"store={store.folder}", env={"PYTHONPATH": path})
+    done = python("-m", "bench", "method=ancestors", *fields, f"store={store.folder}", env=env)
     assert done.returncode == 0, done.stderr
     (stored,) = (store.load(identity) for identity in store.identities())
     assert stored is not None
@@ -90,12 +71,6 @@ def test_no_true_parameter_stands_in_a_process_that_a_method_can_read(
 def test_neighbours_that_a_method_has_stopped_go_on(reference: Scenario, store: Store, plugins: Plugins) -> None:
     """It stops all children of its server, the server, and the server's group; every row is as without it."""
     plugins("Wrong", "Draw")
-    cells = [
-        Cell(reference, "wrong", {"kind": "stop_neighbours"}, 4, 0, "wrong"),
-        Cell(reference, "draw", {}, 40, 0, ""),
-    ]
-    run_cells(plan(cells, store), store, Limits(2, 60.0, 2000.0))
-    for cell in cells:
-        stored = store.load(cell.identity)
-        assert stored is not None
+    cells = [a_cell(reference, "wrong", 4, kind="stop_neighbours"), a_cell(reference, "draw", 40)]
+    for stored in computed(store, *cells):
         assert {row.status for row in stored.rows} == {Status.OK}

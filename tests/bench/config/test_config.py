@@ -99,14 +99,6 @@ def test_every_system_in_conf_makes_data(system: str) -> None:
     assert problem.n == cell.scenario.samples * len(cell.scenario.measured_dofs) * len(problem.records)
 
 
-@pytest.mark.parametrize("name", choices("disturbance"))
-def test_every_disturbance_in_conf_makes_data(name: str) -> None:
-    (cell,) = cells("method=oracle", f"disturbance={name}")
-    assert (cell.scenario.disturbance.kind if cell.scenario.disturbance else "none") == name
-    problem, _ = cell.scenario.replicates(0, 1)[0]
-    assert problem.n == 25
-
-
 @pytest.mark.parametrize("name", choices("prior"))
 def test_every_prior_in_conf_is_what_the_protocol_says(name: str) -> None:
     wide = (0.02, 1.0, 0.5)

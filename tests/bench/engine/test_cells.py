@@ -13,7 +13,7 @@ from typing import Any
 import misbehaving
 import numpy as np
 import pytest
-from conftest import Plugins, StoreFactory
+from conftest import ONE_WORKER, Plugins, StoreFactory, a_cell, computed
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from misbehaving import answer
@@ -24,15 +24,13 @@ from bench.engine.cells import CellJob, ScoringError
 from bench.engine.method_process import perform
 from bench.engine.plan import Planned, State, plan
 from bench.engine.pool import Limits
-from bench.engine.runner import make_bounds, run_cells
+from bench.engine.runner import make_bounds
 from bench.engine.scoring_process import Scorer
 from bench.engine.wire import LONGEST_MESSAGE, pack
-from bench.entrants.registry import default_settings
 from bench.isolation.processes import Children, Died
 from bench.scenario.scenario import ForceSpec, Scenario
 from bench.store.cell import Cell
 from bench.store.store import Store
-from bench.store.stored import StoredCell
 
 
 @pytest.fixture(autouse=True)
@@ -45,21 +43,9 @@ def store(new_store: StoreFactory) -> Store:
     return new_store()
 
 
-def a_cell(scenario: Scenario, method: str, replicates: int = 3, seed: int = 0, **settings: Any) -> Cell:
-    known = {} if method in ("oracle", "prior") else default_settings(method)
-    return Cell(scenario, method, {**known, **settings}, replicates, seed, method)
-
-
-def run(store: Store, *cells: Cell, workers: int = 2) -> list[StoredCell]:
-    run_cells(plan(cells, store), store, Limits(workers, 60.0, 2000.0))
-    stored = [store.load(cell.identity) for cell in cells]
-    assert all(stored)
-    return [cell for cell in stored if cell]
-
-
 def test_a_method_never_meets_the_truth(reference: Scenario, store: Store) -> None:
     """The spy searches the bytes it is given and every object in its process, right after the oracle has run."""
-    oracle, spied = run(store, a_cell(reference, "oracle", 4), a_cell(reference, "spy", 4))
+    oracle, spied = computed(store, a_cell(reference, "oracle", 4), a_cell(reference, "spy", 4))
     assert (oracle.n_ok, spied.n_ok) == (4, 4)
     assert {row.message for row in spied.rows} == {"given [] alive [] saw Problem"}
     problem, truth = reference.replicates(0, 1)[0]
@@ -71,7 +57,7 @@ def test_a_method_never_meets_the_truth(reference: Scenario, store: Store) -> No
 
 def test_values_without_uncertainty_are_not_judged_by_intervals(reference: Scenario, store: Store) -> None:
     """The prior's step, which gives them a scale, makes no belief of them."""
-    stated, alone = run(store, a_cell(reference, "exact", 2), a_cell(reference, "sole", 2))
+    stated, alone = computed(store, a_cell(reference, "exact", 2), a_cell(reference, "sole", 2))
     assert "k_over_m_coverage_95" in stated.rows[0].scores
     assert not [name for name in alone.rows[0].scores if "coverage" in name or "pit" in name or "crps" in name]
     assert alone.rows[0].scores["k_over_m_error_pct"] == pytest.approx(12.5, abs=0.1)
@@ -80,7 +66,7 @@ def test_values_without_uncertainty_are_not_judged_by_intervals(reference: Scena
 def test_a_problem_that_a_method_cannot_take_is_unsupported_with_a_sentence(
     reference: Scenario, store: Store, any_bound: None
 ) -> None:
-    (cell,) = run(store, a_cell(replace(reference, force=ForceSpec(1.0, 0.1, 1.0)), "freeonly", 2))
+    (cell,) = computed(store, a_cell(replace(reference, force=ForceSpec(1.0, 0.1, 1.0)), "freeonly", 2))
     assert cell.status is Status.UNSUPPORTED
     assert {row.message for row in cell.rows} == {"it cannot use a known force"}
 
@@ -89,11 +75,11 @@ def test_a_missing_package_is_a_row_with_the_install_line_and_runs_once_it_is_th
     reference: Scenario, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cell = a_cell(reference, "needy", 2)
-    (stored,) = run(store, cell)
+    (stored,) = computed(store, cell)
     assert stored.status is Status.MISSING_DEPENDENCY
     assert "pip install 'vibration-bench[needy]'" in stored.rows[0].message
     monkeypatch.setattr(misbehaving.Needy, "requires", ())
-    (now,) = run(store, cell)
+    (now,) = computed(store, cell)
     assert now.status is Status.CRASHED  # it ran: its worker still finds nothing to do but raise
 
 
@@ -102,17 +88,18 @@ def test_rows_are_the_same_however_many_workers_there_are(reference: Scenario, s
     other = Store(tmp_path / "other")
     other.prepare()
     shutil.copytree(store.bounds, other.bounds)
-    (alone,), (shared,) = run(store, a_cell(reference, "draw", 9), workers=1), run(other, a_cell(reference, "draw", 9))
+    (alone,) = computed(store, a_cell(reference, "draw", 9), limits=ONE_WORKER)
+    (shared,) = computed(other, a_cell(reference, "draw", 9))
     for first, second in zip(alone.rows, shared.rows, strict=True):
         assert (first.replicate, first.message, first.scores) == (second.replicate, second.message, second.scores)
     assert len({row.message for row in alone.rows}) == 9
-    (longer,) = run(other, a_cell(reference, "draw", 10))
+    (longer,) = computed(other, a_cell(reference, "draw", 10))
     assert [row.message for row in longer.rows[:9]] == [row.message for row in alone.rows]
 
 
 def test_the_oracle_attains_the_bound(reference: Scenario, store: Store) -> None:
     """Root mean square over bound is near 1; with 40 replicates its standard error is 1/√80 = 0.11, so 4 of them."""
-    (cell,) = run(store, a_cell(reference, "oracle", 40))
+    (cell,) = computed(store, a_cell(reference, "oracle", 40))
     assert cell.n_ok == 40
     for metric in ("k_over_m_error_pct", "c_over_m_error_pct", "m_error_pct"):
         assert cell.summary[metric]["excess"] == pytest.approx(1.0, abs=0.45), metric
@@ -123,7 +110,7 @@ def test_the_oracle_attains_the_bound(reference: Scenario, store: Store) -> None
 
 def test_the_prior_row_is_as_good_as_its_width(reference: Scenario, store: Store) -> None:
     """The error of m is that of a weighing of 2 %: a root mean square of 40 such errors is 2 % within 4 · 11 %."""
-    prior, oracle = run(store, a_cell(reference, "prior", 40), a_cell(reference, "oracle", 3))
+    prior, oracle = computed(store, a_cell(reference, "prior", 40), a_cell(reference, "oracle", 3))
     errors = np.array([row.scores["m_error_pct"] for row in prior.rows])
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(2.0, rel=0.45)
     coverage = [prior.summary[f"m_coverage_{level}"]["mean"] for level in (50, 80, 95)]
@@ -137,13 +124,13 @@ def test_the_prior_row_is_as_good_as_its_width(reference: Scenario, store: Store
 
 
 def test_scores_depend_neither_on_company_nor_on_a_second_try(reference: Scenario, new_store: StoreFactory) -> None:
-    few, eight, every = (run(new_store(), a_cell(reference, "together", 20, batch=n))[0].rows for n in (1, 8, 100))
+    few, eight, every = (computed(new_store(), a_cell(reference, "together", 20, batch=n))[0].rows for n in (1, 8, 100))
     assert [row.message for row in eight] == ["8"] * 16 + ["4"] * 4
     assert {row.message for row in every} == {"20"}
     assert len({row.scores["k_over_m_error_pct"] for row in few}) == 20
     for rows in (eight, every):
         assert [(row.replicate, row.scores) for row in rows] == [(row.replicate, row.scores) for row in few]
-    (failed,) = run(new_store(), a_cell(reference, "together", 20, batch=20, fails=True))
+    (failed,) = computed(new_store(), a_cell(reference, "together", 20, batch=20, fails=True))
     assert {row.message for row in failed.rows} == {"1"}  # tried again one by one, with the streams of the first try
     assert [row.scores for row in failed.rows] == [row.scores for row in few]
 
@@ -159,7 +146,7 @@ def test_a_bound_that_cannot_be_computed_costs_the_cells_of_its_scenario(
     reference: Scenario, absurd: Scenario, store: Store
 ) -> None:
     cells = [a_cell(scenario, "wrong", 2, kind="good") for scenario in (absurd, reference)]
-    lost, good = run(store, *cells)
+    lost, good = computed(store, *cells)
     assert good.n_ok == 2
     assert {(row.status, row.message.partition(": ")[0]) for row in lost.rows} == {
         (Status.INVALID, "its bound cannot be computed")

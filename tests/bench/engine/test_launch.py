@@ -99,7 +99,7 @@ def test_a_launcher_gives_the_rows_that_this_machine_gives_and_computes_only_wha
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
     before = {cell.identity: there.path(cell.identity).stat().st_ino for cell in cells}
     there.path(cells[2].identity).unlink()
-    assert _run(there, launcher, *options) == 0
+    assert _run(there, "basic") == 0
     after = {cell.identity: there.path(cell.identity).stat().st_ino for cell in cells}
     assert {name for name in after if after[name] != before[name]} <= {cells[2].identity}
     assert _outcomes(there, cells) == rows

@@ -8,18 +8,16 @@ from typing import Any
 
 import psutil
 import pytest
-from conftest import Plugins, StoreFactory
+from conftest import Plugins, StoreFactory, a_cell, computed
 
 from bench import Status
 from bench.engine.plan import plan
 from bench.engine.pool import Limits
 from bench.engine.runner import run_cells
-from bench.entrants.registry import default_settings
 from bench.isolation.failure import without_places
 from bench.isolation.limits import LONGEST_FILE
 from bench.isolation.processes import Children
 from bench.scenario.scenario import Scenario
-from bench.store.cell import Cell
 from bench.store.store import Store
 
 KINDS = {
@@ -65,10 +63,6 @@ def store(plugins: Plugins, new_store: StoreFactory) -> Store:
     return new_store()
 
 
-def a_cell(reference: Scenario, method: str, replicates: int = 1, seed: int = 0, **settings: Any) -> Cell:
-    return Cell(reference, method, {**default_settings(method), **settings}, replicates, seed, method)
-
-
 def left_behind() -> bool:
     return "left behind" in subprocess.run(["ps", "ax", "-o", "args"], capture_output=True, text=True).stdout
 
@@ -76,13 +70,12 @@ def left_behind() -> bool:
 def test_every_kind_of_misbehaviour_is_a_row_and_good_cells_are_as_without_it(
     reference: Scenario, store: Store, new_store: StoreFactory
 ) -> None:
-    bad = {kind: a_cell(reference, "wrong", kind=kind) for kind in KINDS}
+    bad = {kind: a_cell(reference, "wrong", 1, kind=kind) for kind in KINDS}
     good, alone = [a_cell(reference, "draw", 5), a_cell(reference, "prior", 3)], new_store()
     endless = [bad[kind] for kind, (status, _) in KINDS.items() if status is Status.TIMEOUT]
     ending = [cell for cell in bad.values() if cell not in endless]
     run_cells(plan([good[0], *ending], store), store, PATIENT)
     run_cells(plan([*endless, good[1]], store), store, LIMITS)
-    run_cells(plan(good, alone), alone, PATIENT)
     for kind, (status, part) in KINDS.items():
         stored = store.load(bad[kind].identity)
         assert stored is not None, kind
@@ -91,18 +84,16 @@ def test_every_kind_of_misbehaviour_is_a_row_and_good_cells_are_as_without_it(
         assert part in row.message, row.message
         assert len(row.message.splitlines()) <= 1
         assert TRACED.get(kind, "") in stored.tracebacks, kind
-    for cell in good:
-        mixed, pure = store.load(cell.identity), alone.load(cell.identity)
+    for pure in computed(alone, *good, limits=PATIENT):
+        mixed = store.load(pure.identity)
         assert mixed is not None
-        assert pure is not None
         assert [(r.message, r.scores, r.data) for r in mixed.rows] == [(r.message, r.scores, r.data) for r in pure.rows]
     assert not left_behind(), "what a method starts ends with it"
 
 
 def outcomes(reference: Scenario, store: Store, *kinds: str) -> list[tuple[Status, str]]:
-    cells = [a_cell(reference, "wrong", seed=seed, kind=kind) for seed, kind in enumerate(kinds)]
-    run_cells(plan(cells, store), store, Limits(1, 120.0, 1500.0))
-    rows = [store.load(cell.identity).rows[0] for cell in cells]  # type: ignore[union-attr]
+    cells = [a_cell(reference, "wrong", 1, seed=seed, kind=kind) for seed, kind in enumerate(kinds)]
+    rows = [stored.rows[0] for stored in computed(store, *cells, limits=Limits(1, 120.0, 1500.0))]
     return [(row.status, row.message) for row in rows]
 
 
@@ -129,10 +120,7 @@ def test_a_method_that_attacks_the_server_of_processes_costs_nobody_anything(
 
 def test_a_fit_that_runs_out_of_time_is_scored_by_its_last_report(reference: Scenario, store: Store) -> None:
     """It reports k/m = c/m = 1 and then 8, which for k/m is the truth; a timeout it stays."""
-    cell = a_cell(reference, "anytime")
-    run_cells(plan([cell], store), store, LIMITS)
-    stored = store.load(cell.identity)
-    assert stored is not None
+    (stored,) = computed(store, a_cell(reference, "anytime", 1), limits=LIMITS)
     (row,) = stored.rows
     assert (row.status, stored.n_ok) == (Status.TIMEOUT, 0)
     assert row.scores["k_over_m_ratio"] == pytest.approx(1.0, abs=0.05)  # combined with the prior

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Plugins, StoreFactory
+from conftest import Plugins, StoreFactory, a_cell
 from stored import resealed
 
 from bench import InputError, Status
@@ -24,9 +24,7 @@ from bench.engine.cells import CellJob
 from bench.engine.plan import FAILURES, Planned, State, plan, read_retry
 from bench.engine.pool import Limits, TaskQueue
 from bench.engine.runner import run_cells
-from bench.entrants.registry import default_settings
 from bench.scenario.scenario import Scenario
-from bench.store.cell import Cell
 from bench.store.locks import Claims
 from bench.store.store import Store
 
@@ -39,12 +37,8 @@ def store(plugins: Plugins, new_store: StoreFactory) -> Store:
     return new_store()
 
 
-def a_cell(reference: Scenario, method: str = "draw", replicates: int = 2, seed: int = 0, **settings: Any) -> Cell:
-    return Cell(reference, method, {**default_settings(method), **settings}, replicates, seed, method)
-
-
 def test_only_what_is_missing_is_computed(reference: Scenario, store: Store, any_bound: None) -> None:
-    cells = [a_cell(replace(reference, snr_db=snr)) for snr in (40.0, 20.0, 10.0)]
+    cells = [a_cell(replace(reference, snr_db=snr), "draw") for snr in (40.0, 20.0, 10.0)]
     run_cells(plan(cells[1:2], store), store, LIMITS)
     first, second, third = plan([*cells, cells[0]], store)  # asked for twice is computed once
     assert [planned.state for planned in (first, second, third)] == [State.MISSING, State.DONE, State.MISSING]
@@ -60,7 +54,7 @@ def test_what_another_run_has_stored_since_the_plan_is_not_computed_again(
     reference: Scenario, store: Store, state: State
 ) -> None:
     """However long a run takes from its plan to its first fit: bounds come in between."""
-    cell = a_cell(reference)
+    cell = a_cell(reference, "draw")
     if state is State.STALE:
         run_cells(plan([cell], store), store, LIMITS)
     planned = [Planned(cell, state, "", True, store.stamp(cell.identity))]
@@ -76,7 +70,9 @@ def test_a_run_that_waits_for_another_prints_once_for_whom(
 ) -> None:
     monkeypatch.setattr(pool, "WAIT_S", 0.01)
     monkeypatch.setattr(pool, "PATIENCE_S", 0.05)
-    jobs = [CellJob(planned, store, LIMITS) for planned in plan([a_cell(reference, seed=i) for i in (0, 1)], store)]
+    jobs = [
+        CellJob(planned, store, LIMITS) for planned in plan([a_cell(reference, "draw", seed=i) for i in (0, 1)], store)
+    ]
     other, tasks, taken = Claims(store.claims), TaskQueue(jobs, store.claims), list[Any]()
     assert all(other.take(job.key) for job in jobs)
     waiting = threading.Thread(target=lambda: taken.append(tasks.take(None)))
@@ -125,7 +121,7 @@ def test_the_statuses_that_can_be_tried_again() -> None:
 def test_a_cell_that_cannot_be_read_for_a_moment_is_not_computed_again(
     reference: Scenario, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cell = a_cell(reference)
+    cell = a_cell(reference, "draw")
     run_cells(plan([cell], store), store, LIMITS)
 
     def failing(path: Path) -> bytes:

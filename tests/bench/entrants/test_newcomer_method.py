@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from pathlib import Path
 
 import pytest
-from conftest import REPOSITORY, Python, StoreFactory
+from conftest import REPOSITORY, Python, StoreFactory, install
 
 from bench.commands.main import main
+from bench.conformance.method_checks import METHOD_CHECKS
 
 PAGE = REPOSITORY / "docs" / "tutorials" / "add_method.md"
 POINTS = "[bench.methods]\nzero_crossings = zero_crossings:ZeroCrossings\nbroken = zero_crossings:Nowhere\n"
@@ -20,15 +20,12 @@ DAMPING_RATIO = 0.4 / (2 * 8**0.5)
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """What ``pip install`` would leave of a package of one module: the module, its name and its entry point."""
+    """A folder with the module of the page."""
     found = re.search(r"```python title=\"zero_crossings.py\"\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
     assert found
     folder = tmp_path / "site"
-    info = folder / "zero_crossings-0.1.dist-info"
-    info.mkdir(parents=True)
+    folder.mkdir()
     (folder / "zero_crossings.py").write_text(found.group(1), encoding="utf-8")
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: zero-crossings\nVersion: 0.1\n")
-    (info / "entry_points.txt").write_text(POINTS)
     return folder
 
 
@@ -39,14 +36,14 @@ def test_a_new_method_is_one_file(folder: Path, python: Python, new_store: Store
     true damping ratio ``c/m = 2 ζ sqrt(k/m)`` is off by half as much.
     """
     store = new_store()
-    path = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
+    env = install(folder, "zero_crossings", POINTS)
     setting = f"method.damping_ratio={DAMPING_RATIO}"
     arguments = ("method=zero_crossings", setting, "replicates=3", "workers=1", "format=json", f"store={store.folder}")
-    done = python("-m", "bench", *arguments, env={"PYTHONPATH": path})
+    done = python("-m", "bench", *arguments, env=env)
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout.strip().splitlines()[-1])
     assert (said["method"].split()[0], said["status"]) == ("zero_crossings", "ok"), said
-    done = python("-m", "bench", "method=broken", f"store={store.folder}", env={"PYTHONPATH": path})
+    done = python("-m", "bench", "method=broken", f"store={store.folder}", env=env)
     assert done.returncode == 2
     assert done.stderr.startswith("bench: method=broken: its entry point does not load")
     assert len(done.stderr.splitlines()) == 1
@@ -61,4 +58,6 @@ def test_a_new_method_is_one_file(folder: Path, python: Python, new_store: Store
 
 def test_it_keeps_the_contract(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What a reader copies passes the checks of anybody's method."""
-    assert main(["check", f"package={folder / 'zero_crossings.py'}"]) == 0, capsys.readouterr().out
+    status, lines = main(["check", f"package={folder / 'zero_crossings.py'}"]), capsys.readouterr().out.splitlines()
+    assert (status, lines[0]) == (0, "method zero_crossings (zero_crossings:ZeroCrossings)"), lines
+    assert lines[-1] == f"{len(METHOD_CHECKS)} of {len(METHOD_CHECKS)} checks passed"

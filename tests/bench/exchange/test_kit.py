@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import tomllib
 from pathlib import Path
 
-from conftest import Python, StoreFactory
+from conftest import Python, StoreFactory, install
 
 from bench.commands.main import main
 from bench.store.store import Store
@@ -21,14 +20,10 @@ def test_a_method_from_the_template_is_run_submitted_and_merged(
     done = python("-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder))
     assert "1 passed" in done.stdout, done.stdout + done.stderr
     project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    info = folder / "quarter_car-0.1.0.dist-info"  # what pip leaves of it
-    info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
     ((group, points),) = project["entry-points"].items()
-    (info / "entry_points.txt").write_text(f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in points.items()))
+    env = install(folder, project["name"], f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in points.items()))
     ours.prepare()
     shutil.copytree(theirs.bounds, ours.bounds)
-    env = {"PYTHONPATH": os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])}
     sent = tmp_path / "sent.submission"
     for arguments in (
         ["bench", "method=quarter_car", "replicates=6", "workers=1", f"store={theirs.folder}"],

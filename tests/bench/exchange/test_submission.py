@@ -350,7 +350,6 @@ def test_the_cells_of_a_method_are_packed(computed: Store, here: Path, capsys: p
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["method=oracle"], "method=oracle: one of"),
         (["method=ls", "experiment=open"], "holds no cell of it of open"),
         (["method=matrix_pencil"], "1 of 1 cells"),
     ],
