@@ -111,6 +111,12 @@ def new_store(tmp_path_factory: pytest.TempPathFactory, bounds_folder: Path) -> 
 
 
 @pytest.fixture
+def store(new_store: StoreFactory) -> Store:
+    """An empty store that holds the bound of the reference scenario."""
+    return new_store()
+
+
+@pytest.fixture
 def any_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     """A bound that says nothing, where a test is not about bounds and its scenarios are many."""
     empty = Bound(("m", "c", "k"), {"m": math.inf}, {"m": False}, {"m": 0.0}, 0.1, 0.1, ())

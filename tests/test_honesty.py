@@ -18,11 +18,6 @@ TRUE = {"k_over_m": 8.0, "c_over_m": 0.4}
 """Of the reference system (1/s², 1/s)."""
 
 
-@pytest.fixture
-def store(new_store: StoreFactory) -> Store:
-    return new_store()
-
-
 def test_a_method_cannot_draw_the_nominal_values_again(reference: Scenario, store: Store, plugins: Plugins) -> None:
     """With numpy's own stream of the same numbers it has the truth; in a sweep its answer is the nominal values."""
     assert misbehaving.NOMINAL == NOMINAL

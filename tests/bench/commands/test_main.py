@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,16 +12,9 @@ import yaml
 
 from bench.commands.main import main
 from bench.engine import runner
+from bench.store.store import Store
 
 HEAVY = ("torch", "casadi", "pysindy", "emcee", "jax", "matplotlib")
-
-
-@pytest.fixture
-def store(tmp_path: Path, bounds_folder: Path) -> Path:
-    folder = tmp_path / "rows"
-    folder.mkdir()
-    shutil.copytree(bounds_folder, folder / "bounds")
-    return folder
 
 
 def snapshot(folder: Path) -> dict[str, tuple[int, bytes]]:
@@ -38,8 +30,8 @@ def no_constants(constant: str) -> None:
     raise AssertionError(f"{constant} is not JSON")
 
 
-def test_json_is_one_object_with_the_documented_keys(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["method=oracle", "snr=20", "replicates=2", "workers=1", "format=json", f"store={store}"]) == 0
+def test_json_is_one_object_with_the_documented_keys(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["method=oracle", "snr=20", "replicates=2", "workers=1", "format=json", f"store={store.folder}"]) == 0
     out = capsys.readouterr().out
     assert len(out.splitlines()) == 1
     result = json.loads(out, parse_constant=no_constants)
@@ -52,7 +44,7 @@ def test_json_is_one_object_with_the_documented_keys(store: Path, capsys: pytest
         assert set(metric) == {"mean", "median", "ci_low", "ci_high", "bound", "excess"}
         assert metric["ci_low"] <= metric["median"] <= metric["ci_high"]
     assert result["metrics"]["rmse"]["bound"] == pytest.approx(0.0107, abs=5e-5)
-    assert main(["method=oracle", "snr=20", "replicates=2", "workers=1", f"store={store}"]) == 0
+    assert main(["method=oracle", "snr=20", "replicates=2", "workers=1", f"store={store.folder}"]) == 0
     out = capsys.readouterr().out
     starred = [line.split(" error")[0] for line in out.splitlines() if " error % *" in line]
     assert starred == ["m", "c", "k"], "the table marks what the prior decides"
@@ -60,9 +52,9 @@ def test_json_is_one_object_with_the_documented_keys(store: Path, capsys: pytest
 
 
 def test_json_of_a_failed_cell_has_nulls_and_a_message(
-    store: Path, capsys: pytest.CaptureFixture[str], any_bound: None
+    store: Store, capsys: pytest.CaptureFixture[str], any_bound: None
 ) -> None:
-    arguments = ["method=prior", "prior=none", "replicates=2", "workers=1", "format=json", f"store={store}"]
+    arguments = ["method=prior", "prior=none", "replicates=2", "workers=1", "format=json", f"store={store.folder}"]
     assert main(arguments) == 0
     result = json.loads(capsys.readouterr().out, parse_constant=no_constants)
     assert (result["n_ok"], result["status"]) == (0, "unsupported")
@@ -71,13 +63,13 @@ def test_json_of_a_failed_cell_has_nulls_and_a_message(
 
 
 def test_a_finished_cell_is_answered_from_the_store(
-    store: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    store: Store, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However the same number is written, and whatever only concerns how it is run or shown."""
-    arguments = ["method=prior", "replicates=3", "format=json", f"store={store}"]
+    arguments = ["method=prior", "replicates=3", "format=json", f"store={store.folder}"]
     assert main([*arguments, "snr=20", "workers=1"]) == 0
     first = capsys.readouterr().out
-    before = snapshot(store)
+    before = snapshot(store.folder)
 
     def never(*arguments: Any, **options: Any) -> Any:
         raise AssertionError("computed again")
@@ -86,15 +78,15 @@ def test_a_finished_cell_is_answered_from_the_store(
         monkeypatch.setattr(runner, name, never)
     assert main([*arguments, "snr=20.0", "workers=2"]) == 0
     assert capsys.readouterr().out == first
-    assert snapshot(store) == before
+    assert snapshot(store.folder) == before
 
 
-def test_cfg_prints_the_configuration_and_runs_nothing(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = snapshot(store)
+def test_cfg_prints_the_configuration_and_runs_nothing(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    before = snapshot(store.folder)
     for option in (["--cfg", "job"], ["--cfg=job"], ["--cfg"], ["-c", "job"]):
-        assert main(["method=oracle", "snr=7", *option, f"store={store}"]) == 0
+        assert main(["method=oracle", "snr=7", *option, f"store={store.folder}"]) == 0
         assert yaml.safe_load(capsys.readouterr().out)["snr"] == 7.0
-    assert snapshot(store) == before
+    assert snapshot(store.folder) == before
 
 
 def test_help_and_bad_input_load_no_heavy_package(python: Callable[..., Any]) -> None:
@@ -114,9 +106,9 @@ def test_nothing_at_all_is_usage_and_status_2(capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr().out.startswith("usage:")
 
 
-def test_workers_and_limits_reach_the_run_and_stand_in_its_provenance(store: Path) -> None:
+def test_workers_and_limits_reach_the_run_and_stand_in_its_provenance(store: Store) -> None:
     limits = ["workers=3", "timeout_s=50", "memory_mb=1500"]
-    assert main(["method=prior", "replicates=2", *limits, f"store={store}"]) == 0
-    (path,) = store.glob("*.json")
+    assert main(["method=prior", "replicates=2", *limits, f"store={store.folder}"]) == 0
+    (path,) = store.folder.glob("*.json")
     come = json.loads(path.read_text().splitlines()[0])["provenance"]
     assert (come["workers"], come["limits"]) == (3, {"timeout_s": 50.0, "memory_mb": 1500.0})

@@ -2,37 +2,26 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from conftest import a_cell, computed
 from stored import content, resealed
 
 from bench.commands import reproduce, status
 from bench.commands.main import main
 from bench.engine.plan import plan
-from bench.engine.pool import Limits
-from bench.engine.runner import run_cells
 from bench.scenario.scenario import Scenario
-from bench.store.cell import Cell, stored_as_cell
+from bench.store.cell import stored_as_cell
 from bench.store.store import Store
 
 
-@pytest.fixture(scope="module")
-def computed(reference: Scenario, bounds_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Store:
-    """Two cells, computed once; never written to."""
-    store = Store(tmp_path_factory.mktemp("computed") / "rows")
-    store.prepare()
-    shutil.copytree(bounds_folder, store.bounds)
-    cells = [Cell(reference, name, {}, 2, 0, name) for name in ("prior", "oracle")]
-    run_cells(plan(cells, store), store, Limits(1))
-    return store
-
-
 @pytest.fixture
-def store(computed: Store, tmp_path: Path) -> Store:
-    return Store(shutil.copytree(computed.folder, tmp_path / "rows"))
+def store(reference: Scenario, store: Store) -> Store:
+    """Two cells."""
+    computed(store, a_cell(reference, "prior"), a_cell(reference, "oracle"))
+    return store
 
 
 def edit(store: Store, label: str, **changes: object) -> Path:

@@ -8,13 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import StoreFactory
+from conftest import StoreFactory, a_cell, computed
 
 from bench.commands.main import main
 from bench.commands.watch import NO_RUN
-from bench.engine.plan import plan
 from bench.engine.pool import Limits
-from bench.engine.runner import run_cells
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.locks import Claims, under_way
@@ -24,11 +22,10 @@ SWEEP = ["method=prior,oracle,ls", "replicates=2,3,4,5"]
 
 
 @pytest.fixture
-def store(reference: Scenario, new_store: StoreFactory) -> Store:
+def store(reference: Scenario, store: Store) -> Store:
     """A store with a cell of a method that takes no time, and one whose fits all failed."""
-    store = new_store()
-    for name, limits in (("prior", Limits(1)), ("ls", Limits(1, timeout_s=1e-6))):
-        run_cells(plan([Cell(reference, name, {}, 2, 0, name)], store), store, limits)
+    computed(store, a_cell(reference, "prior"))
+    computed(store, Cell(reference, "ls", {}, 2, 0, "ls"), limits=Limits(1, timeout_s=1e-6))
     return store
 
 

@@ -38,11 +38,6 @@ def _plugins(plugins: Plugins) -> None:
     plugins("Wrong", "Draw", "Spy", "Needy", "FreeOnly", "Exact", "Sole", "Together")
 
 
-@pytest.fixture
-def store(new_store: StoreFactory) -> Store:
-    return new_store()
-
-
 def test_a_method_never_meets_the_truth(reference: Scenario, store: Store) -> None:
     """The spy searches the bytes it is given and every object in its process, right after the oracle has run."""
     oracle, spied = computed(store, a_cell(reference, "oracle", 4), a_cell(reference, "spy", 4))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import doctest
 import json
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -20,17 +19,10 @@ from conftest import REPOSITORY
 import bench
 from bench.commands.main import main
 from bench.config.experiment import Experiment
+from bench.store.store import Store
 
 TIMES = np.linspace(0.0, 8.0, 60)
 DECAY = np.exp(-0.25 * TIMES) * np.cos(3.0 * TIMES) + 0.01 * np.random.default_rng(5).standard_normal(60)
-
-
-@pytest.fixture
-def store(tmp_path: Path, bounds_folder: Path) -> Path:
-    folder = tmp_path / "rows"
-    folder.mkdir()
-    shutil.copytree(bounds_folder, folder / "bounds")
-    return folder
 
 
 @pytest.mark.usefixtures("any_bound")
@@ -42,13 +34,13 @@ def test_the_examples_of_the_documentation_run(module: str) -> None:
 
 
 def test_a_sweep_is_the_commands_sweep_and_is_not_computed_twice(
-    store: Path, capfd: pytest.CaptureFixture[str]
+    store: Store, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    results = bench.run(method="oracle", snr=20, replicates=2, workers=1, store=store)
+    results = bench.run(method="oracle", snr=20, replicates=2, workers=1, store=store.folder)
     assert capfd.readouterr() == ("", "")
-    (path,) = store.glob("*.json")
+    (path,) = store.folder.glob("*.json")
     before = path.stat().st_mtime_ns
-    assert main(["method=oracle", "snr=20.0", "replicates=2", "workers=1", f"store={store}", "format=json"]) == 0
+    assert main(["method=oracle", "snr=20.0", "replicates=2", "workers=1", f"store={store.folder}", "format=json"]) == 0
     assert path.stat().st_mtime_ns == before
     assert json.loads(capfd.readouterr().out) == results[0].as_dict()
     frame = results.frame()
@@ -59,8 +51,8 @@ def test_a_sweep_is_the_commands_sweep_and_is_not_computed_twice(
     assert f"{median:.3g}" in results._repr_html_()
 
 
-def test_progress_is_shown_where_it_is_asked_for(store: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    bench.run(method="prior", replicates=2, workers=1, store=store, progress=True)
+def test_progress_is_shown_where_it_is_asked_for(store: Store, capfd: pytest.CaptureFixture[str]) -> None:
+    bench.run(method="prior", replicates=2, workers=1, store=store.folder, progress=True)
     out, err = capfd.readouterr()
     assert out == ""
     assert "2/2" in err
@@ -68,7 +60,6 @@ def test_progress_is_shown_where_it_is_asked_for(store: Path, capfd: pytest.Capt
 
 def test_a_cell_that_is_not_there_is_one_line_of_the_table(tmp_path: Path) -> None:
     from bench.face.results import Results
-    from bench.store.store import Store
 
     results = Results(tuple(bench.experiment("table3", method="ls")), Store(tmp_path))
     assert list(results.frame().status) == ["missing", "missing"]
@@ -93,10 +84,10 @@ LINES: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("line", LINES)
-def test_bad_input_is_said_as_on_the_command_line(line: str, store: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*line.split(), f"store={store}"]) == 2
+def test_bad_input_is_said_as_on_the_command_line(line: str, store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*line.split(), f"store={store.folder}"]) == 2
     with pytest.raises(bench.InputError) as caught:
-        bench.run(**LINES[line], store=store)
+        bench.run(**LINES[line], store=store.folder)
     assert capsys.readouterr().err == f"bench: {caught.value}\n"
 
 
@@ -153,10 +144,10 @@ print(found[0][0].stored.n_ok, "once")
 """
 
 
-def test_it_runs_from_a_thread_of_a_script_without_a_guard(store: Path, tmp_path: Path) -> None:
+def test_it_runs_from_a_thread_of_a_script_without_a_guard(store: Store, tmp_path: Path) -> None:
     """Read from the standard input, as a notebook's cells are: child processes do not run it again."""
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    said = {"input": SCRIPT.format(store=str(store)), "capture_output": True, "text": True, "timeout": 300}
+    said = {"input": SCRIPT.format(store=str(store.folder)), "capture_output": True, "text": True, "timeout": 300}
     done = subprocess.run([sys.executable, "-"], cwd=tmp_path, env=environment, **said)
     assert (done.returncode, done.stdout, done.stderr) == (0, "2 once\n", "")
 
