@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import math
 import os
+import random
+import secrets
 import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -131,6 +133,21 @@ def any_bound(monkeypatch: pytest.MonkeyPatch) -> None:
         return {}
 
     monkeypatch.setattr(runner, "make_bounds", make)
+
+
+def damaged(paths: Sequence[Path], n: int) -> Iterator[Path]:
+    """Damage files in turn, ``n`` times in all, by a flipped bit or, every tenth, a cut; each is mended afterwards."""
+    seed = secrets.randbits(32)
+    print(f"seed {seed}")
+    rng = random.Random(seed)
+    for i in range(n):
+        path = paths[i % len(paths)]
+        whole = path.read_bytes()
+        place = rng.randrange(len(whole))
+        flipped = bytes([whole[place] ^ 1 << rng.randrange(8)]) + whole[place + 1 :]
+        path.write_bytes(whole[:place] + (flipped if i % 10 else b""))
+        yield path
+        path.write_bytes(whole)
 
 
 def a_cell(scenario: Scenario, method: str, replicates: int = 2, seed: int = 0, **given: Any) -> Cell:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import secrets
 import signal
 import subprocess
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from conftest import damaged
 
 from bench import InputError
 from bench.engine.pool import Limits, run_tasks
@@ -109,12 +109,9 @@ def test_every_flipped_bit_of_a_result_is_noticed(tmp_path: Path) -> None:
     write_result(tmp_path, "a", secrets.token_bytes(200))
     path = result_path(tmp_path, "a")
     whole = path.read_bytes()
-    seed = secrets.randbits(32)
-    print(f"seed {seed}")
-    for at in random.Random(seed).sample(range(8 * len(whole)), 400):
-        path.write_bytes(whole[: at // 8] + bytes([whole[at // 8] ^ 1 << at % 8]) + whole[at // 8 + 1 :])
-        assert read_result(tmp_path, "a") is None, at
-    for content in (b"", whole[:100], whole[:-1], whole + b"\0", whole + whole):
+    for _ in damaged([path], 400):
+        assert read_result(tmp_path, "a") is None
+    for content in (b"", whole + b"\0", whole + whole):
         path.write_bytes(content)
         assert read_result(tmp_path, "a") is None
     path.unlink()
