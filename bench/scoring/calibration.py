@@ -16,9 +16,9 @@ import numpy as np
 from scipy import stats
 
 from bench.scoring.comparison import LEVEL
+from bench.scoring.score import LEVELS
 from bench.scoring.summary import wilson_interval
 
-LEVELS = (0.50, 0.80, 0.95)
 EXTREME = 1e-9
 """Levels nearer to 0 or 1 than this count as being there: z of 6, and a mean square that is too low, never too high."""
 
@@ -48,11 +48,6 @@ class Calibration:
     rms_z: float
     p_values: tuple[float, float, float]
     adjusted: tuple[float, float, float]
-
-    @property
-    def uniform(self) -> float:
-        """The p-value of uniformity."""
-        return self.p_values[2]
 
     @property
     def verdict(self) -> str:

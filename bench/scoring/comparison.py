@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import bdtrc, ndtr, ndtri
 
 from bench.errors import InputError
-from bench.scoring.resampling import counted, counts, lower_medians
+from bench.scoring.resampling import counted, counts, medians
 
 RESAMPLES = 1000
 LEVEL = 0.05
@@ -98,12 +98,10 @@ def signed_rank(values: np.ndarray) -> float:
     """
     if not np.any(values):
         return 1.0
-    finite = np.abs(values[np.isfinite(values)])
-    bounded = np.clip(values, -1.0 - finite.max(initial=0.0), 1.0 + finite.max(initial=0.0))
     n = float(values.size)
-    _, places, ties = np.unique(np.abs(bounded), return_inverse=True, return_counts=True)
+    _, places, ties = np.unique(np.abs(values), return_inverse=True, return_counts=True)
     ranks = (np.cumsum(ties) - 0.5 * (ties - 1.0))[places]
-    above = np.sum(ranks[bounded > 0]) + 0.5 * np.sum(ranks[bounded == 0])
+    above = np.sum(ranks[values > 0]) + 0.5 * np.sum(ranks[values == 0])
     variance = (n * (n + 1.0) * (2.0 * n + 1.0) - np.sum(ties**3.0 - ties) / 2.0) / 24.0
     return float(2.0 * ndtr(-abs((above - n * (n + 1.0) * 0.25) / np.sqrt(variance))))
 
@@ -134,12 +132,12 @@ def adjusted(comparisons: Sequence[Comparison]) -> list[Comparison]:
 def _pair(a: str, b: str, of_a: np.ndarray, of_b: np.ndarray, scenario: np.ndarray, often: np.ndarray) -> Comparison:
     """Compare the errors of two methods; ``often`` (n, RESAMPLES) counts each data set in each resample."""
     p, ratios = signed_rank(differences(of_a, of_b, scenario)), log_ratios(of_a, of_b)
-    medians = lower_medians(ratios, often)
-    low, high = np.sort(medians)[[math.ceil(level * RESAMPLES) - 1 for level in (0.025, 0.975)]]
-    sizes = medians[np.isfinite(medians)]
+    resampled = medians(ratios, often, lower=True)
+    low, high = np.sort(resampled)[[math.ceil(level * RESAMPLES) - 1 for level in (0.025, 0.975)]]
+    sizes = resampled[np.isfinite(resampled)]
     error = float(np.std(sizes)) if sizes.size > 1 else np.inf
     with np.errstate(over="ignore"):
-        ratio, low, high, resolved = map(float, np.exp([float(_median(ratios)), low, high, POWER * error]))
+        ratio, low, high, resolved = map(float, np.exp([_median(ratios), low, high, POWER * error]))
     return Comparison(a, b, ratio, low, high, p, p, resolved)
 
 
@@ -153,7 +151,7 @@ def against_best(
     """
     full = _most_replicates(values)
     eligible = [method for method in full if candidates is None or method in candidates] or full
-    best = min(eligible, key=lambda method: float(_median(values[method])))
+    best = min(eligible, key=lambda method: _median(values[method]))
     return best, adjusted([
         _pair(method, best, own, values[best][: own.size], np.zeros(own.size, int), counts(own.size, RESAMPLES))
         for method, own in values.items()
@@ -243,10 +241,9 @@ def profile(errors: Errors, factors: Sequence[float]) -> dict[str, np.ndarray]:
     }
 
 
-def _median(values: np.ndarray) -> np.ndarray:
-    """Return medians along the last axis where values may be infinite, the lower of the middle two."""
-    middle = (values.shape[-1] - 1) // 2
-    return np.asarray(np.partition(values, middle, axis=-1)[..., middle])
+def _median(values: np.ndarray) -> float:
+    """Return the median of values (n,), some perhaps infinite: where n is even the lower of the middle two."""
+    return float(np.sort(values)[(values.size - 1) // 2])
 
 
 def _clustered(scenario: np.ndarray) -> np.ndarray:

@@ -37,26 +37,20 @@ def shares(n: int) -> np.ndarray:
     return counts(n).T.astype(float) / n
 
 
-def medians(values: np.ndarray, often: np.ndarray) -> np.ndarray:
+def medians(values: np.ndarray, often: np.ndarray, lower: bool = False) -> np.ndarray:
     """Compute the median of each resample.
 
     Args:
         values: What was resampled (n,), some perhaps infinite: a mean of a number and infinity is infinite, never NaN.
         often: How often each of them is in each resample, (n, resamples).
+        lower: Where n is even, take the lower of the middle two values instead of their mean.
 
     Returns:
-        Medians (resamples,), where n is even those between the middle two values.
+        Medians (resamples,).
     """
     order = np.argsort(values, kind="stable")
-    lower, upper = _middle_ranks(order, often)
-    ordered = values[order]
-    return ordered[lower] if values.size % 2 else np.asarray(0.5 * (ordered[lower] + ordered[upper]))
-
-
-def lower_medians(values: np.ndarray, often: np.ndarray) -> np.ndarray:
-    """Compute the median of each resample, see :func:`medians`; where n is even the lower of the middle two values."""
-    order = np.argsort(values, kind="stable")
-    return values[order][_middle_ranks(order, often)[0]]
+    ordered, (low, high) = values[order], _middle_ranks(order, often)
+    return ordered[low] if lower or values.size % 2 else np.asarray(0.5 * (ordered[low] + ordered[high]))
 
 
 def _middle_ranks(order: np.ndarray, often: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -57,7 +57,7 @@ def _line(found: Calibration) -> Line:
     widest = found.coverage[-1]
     return {
         "n": found.n, **shares, "low_95": widest.low, "high_95": widest.high, "mean_z": found.mean_z,
-        "rms_z": found.rms_z, "uniform_p": found.uniform, "verdict": found.verdict,
+        "rms_z": found.rms_z, "uniform_p": found.p_values[2], "verdict": found.verdict,
     }  # fmt: skip
 
 

@@ -38,7 +38,7 @@ def test_coverage_is_the_share_of_levels_in_the_middle() -> None:
     found = calibration((np.arange(100) + 0.5) / 100)
     assert [c.share for c in found.coverage] == pytest.approx([0.5, 0.8, 0.96], abs=0.011)
     assert all(c.low < c.share < c.high for c in found.coverage)
-    assert found.uniform > 0.99
+    assert found.p_values[2] > 0.99
     assert found.verdict == "calibrated"
 
 
