@@ -137,6 +137,9 @@ design $DECAY samples=20                          | duration=                   
 design $TEST atlas=good.csv                       | atlas=good.csv                   | experiment=atlas
 identifiability measured=[9]                      | measured=                        |
 status watch=5                                    | watch=                           | name the sweep
+tables what=clams                                 | what=clams                       | did you mean claims
+run method=ls data=nowhere.csv                    | data=nowhere.csv                 | cannot be read
+identify method=ls data=nowhere.csv               | data=nowhere.csv                 | cannot be read
 tables store=empty archive=none                   | store=empty                      | no cell
 report store=store out=.                          | out=.                            | new, empty
 reproduce cell=zz                                 | cell=zz                          | identity
@@ -147,7 +150,16 @@ track from=random                                 | stream=                     
 -m experiment=measured set=nonsense               | set=nonsense                     | one of
 -m experiment=online system=sdof scenario=ramp,ramp | scenario=ramp                  | once
 -m experiment=online system=sdof system.varying.k=jump dry_run=true | system.varying.k.kind=jump |
+-m experiment=online system=sdof system.varying.q=step dry_run=true | system.varying.q=q | one of m, c, k
+-m experiment=online system.varying.k=step dry_run=true | system.varying.k=          | system=<name>
+-m experiment=online system=sdof force=loud dry_run=true | force.kind=loud          | coloured
+-m experiment=online scenario=rmap dry_run=true   | scenario=rmap                    | did you mean ramp
+-m experiment=online method=efk dry_run=true      | method=efk                       | did you mean ekf
 -m experiment=atlas part=phases dry_run=true     | part=phases                      | one of points
+-m experiment=atlas method=shoting                | method=shoting                   | did you mean shooting
+-m experiment=atlas points=0                      | points=0                         | greater than or equal to 1
+-m experiment=atlas fit=maybe                     | fit=maybe                        | boolean
+-m experiment=atlas snr=3                         | snr=3                            | not a field
 # ---- the kit
 check package=missing.py                          | package=missing.py               | no such file
 check package=folder                              | package=folder                   | pyproject.toml
@@ -159,6 +171,10 @@ check package=ls method.bootstrap=2.5             | method.bootstrap=2.5        
 new method=true                                   | method=                          |
 new method=../x                                   | method=../x                      | small letters
 new method=numpy                                  | method=numpy                     | a module of Python
+share                                             | action=                          | what to do
+$EXPORT                                           | form=                            | petab, arviz or notebook
+$EXPORT form=word                                 | form=word                        | one of petab
+$EXPORT form=petab system=sdof_forced             | system.force=known               | free vibration
 $EXPORT form=petab snr=10,20                      | snr=10,20                        | several
 $EXPORT form=arviz cell=00 store=store archive=none | cell=00                        | no such cell
 $SUBMIT method=ls store=store                     | method=ls                        | no cell

@@ -68,18 +68,6 @@ def test_every_method_of_the_atlas_can_be_made_and_a_million_fits_are_planned() 
     assert atlas_content()["points"] * len(atlas_methods()) > len(tasks)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [("part=slices", "part=slices"), ("method=shoting", "did you mean shooting"), ("points=0", "points=0"),
-     ("fit=maybe", "boolean"), ("snr=3", "snr")],
-)  # fmt: skip
-def test_a_mistype_is_one_line(arguments, said, capsys) -> None:
-    assert main(["-m", "experiment=atlas", arguments]) == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.count("\n") == 1
-
-
 def test_the_command_writes_the_atlas_and_its_maps(tmp_path, capsys) -> None:
     given = [f"store={tmp_path / 'store'}", f"out={tmp_path / 'out'}"]
     assert main(["-m", "experiment=atlas", "part=points", "method=matrix_pencil", "points=2", *given]) == 0

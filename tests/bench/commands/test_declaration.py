@@ -151,20 +151,3 @@ def test_every_verb_has_a_description_and_texts_of_its_fields(name: str, capsys:
     out = capsys.readouterr().out
     assert out.startswith(f"usage: python -m bench {name}")
     assert max(map(len, out.splitlines())) <= 80
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["tables", "what=clams"], "what=clams: did you mean claims?"),
-        (["share"], "action=: needed"),
-        (["share", "action=export"], "form=: petab, arviz or notebook"),
-        (["run", "method=ls", "data=nowhere.csv"], "data=nowhere.csv: cannot be read"),
-        (["identify", "method=ls", "data=nowhere.csv"], "data=nowhere.csv: cannot be read"),
-    ],
-)
-def test_a_verb_is_looked_up_by_the_first_word(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(words) == 2
-    out, err = capsys.readouterr()
-    assert (out, err.count("\n")) == ("", 1)
-    assert err.startswith(f"bench: {said}")

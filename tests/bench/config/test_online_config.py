@@ -24,24 +24,6 @@ def test_courses_compose_with_any_system() -> None:
     assert np.all(np.isfinite(stream.values))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["system=sdof", "system.varying.q=step"], "one of m, c, k, the parameters of sdof"),
-        (["system=sdof", "system.varying.k=stpe"], "system.varying.k.kind=stpe"),
-        (["system.varying.k=step"], "with system=<name>"),
-        (["system=sdof", "force=loud"], "force.kind=loud"),
-        (["scenario=rmap"], "did you mean ramp"),
-        (["method=efk"], "ekf"),
-    ],
-)
-def test_what_is_mistyped_is_said_in_a_line_with_status_2(arguments, said, capsys) -> None:
-    assert main(["-m", "experiment=online", "dry_run=true", *arguments]) == 2
-    error = capsys.readouterr().err.strip()
-    assert said in error
-    assert "\n" not in error
-
-
 def test_the_help_of_the_track_names_its_scenarios_and_methods(capsys) -> None:
     assert main(["-m", "experiment=online", "--help"]) == 0
     text = capsys.readouterr().out

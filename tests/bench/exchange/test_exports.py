@@ -192,26 +192,3 @@ def test_a_notebook_runs_and_computes_the_cell(
     assert stored.cell["settings"]["derivative"] == "spline"
     assert (stored.cell["replicates"], stored.cell["snr_db"]) == (2, 20.0)
     assert len(names["axes"].lines) >= 2  # type: ignore[attr-defined]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["form=word"], "form=word: one of petab"),
-        (["form=petab", "system=sdof_forced"], "free vibration"),
-        (["form=arviz", "cell=not an identity"], "cell=not an identity"),
-    ],
-)
-def test_bad_input_is_one_line(
-    arguments: list[str],
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["share", "action=export", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
