@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from conftest import Python
 
 from bench.isolation.machine import quota_of_cores, usable_cores
 
 ROOT, BOX = "sys/fs/cgroup", "sys/fs/cgroup/cpu,cpuacct/box"
 
 
-def run(script: str) -> str:
-    command = [sys.executable, "-c", f"import os, resource\nfrom bench.isolation.machine import *\n{script}"]
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout
+IMPORTS = "import os, resource\nfrom bench.isolation.machine import *\n"
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system has no affinities")
-def test_a_process_that_is_tied_to_one_core_has_one() -> None:
-    assert run("os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); print(usable_cores())") == "1\n"
+def test_a_process_that_is_tied_to_one_core_has_one(python: Python) -> None:
+    tied = "os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); print(usable_cores())"
+    assert python("-c", IMPORTS + tied).stdout == "1\n"
     assert 1 <= usable_cores() <= (os.cpu_count() or 1)
 
 
@@ -48,10 +46,10 @@ def test_the_quota_of_a_container_is_read_whichever_version_it_is_of(
     assert quota_of_cores(tmp_path) == cores
 
 
-def test_the_limit_is_raised_as_far_as_it_may_be() -> None:
+def test_the_limit_is_raised_as_far_as_it_may_be(python: Python) -> None:
     script = (
         "hard = min(resource.getrlimit(resource.RLIMIT_NOFILE)[1], 500)\n"
         "resource.setrlimit(resource.RLIMIT_NOFILE, (64, hard)); raise_file_limit()\n"
         "print(resource.getrlimit(resource.RLIMIT_NOFILE)[0] == hard)"
     )
-    assert run(script) == "True\n"
+    assert python("-c", IMPORTS + script).stdout == "True\n"

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
+
+from conftest import Python
 
 RESTARTED = """
 import sys
@@ -25,10 +26,9 @@ def main():
 """
 
 
-def test_a_server_that_lacks_a_package_is_started_again(tmp_path: Path) -> None:
+def test_a_server_that_lacks_a_package_is_started_again(tmp_path: Path, python: Python) -> None:
     """A command starts it before it knows which method it runs."""
     (tmp_path / "restarted.py").write_text(RESTARTED)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-    command = [sys.executable, "-c", "import restarted; restarted.main()"]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120, cwd=tmp_path)
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    done = python("-c", "import restarted; restarted.main()", env={"PYTHONPATH": path})
     assert done.stdout.split() == ["False", "True", "True"], done.stderr
