@@ -54,7 +54,9 @@ class Dishonest(bench.Identifier):
         return None
 
     def gc(self, problem: Any) -> Any:
-        return next((vars(o)["parameters"] for o in gc.get_objects() if type(o).__name__ == "Truth"), None)
+        truths = [vars(o)["parameters"] for o in gc.get_objects() if type(o).__name__ == "Truth"]
+        known = [p for p in truths if {"m", "c", "k"} <= p.keys()]  # other tests of this process may hold some, too
+        return {name: np.mean([p[name] for p in known]) for name in ("m", "c", "k")} if known else None
 
     def store(self, problem: Any) -> Any:
         path = next(Path("outputs/rows").glob("*.json"))
