@@ -13,7 +13,6 @@ from pathlib import Path
 
 import psutil
 import pytest
-from conftest import damaged
 
 from bench import InputError
 from bench.engine.pool import Limits, run_tasks
@@ -106,6 +105,8 @@ def test_a_driver_that_is_killed_loses_nothing_and_repeats_only_what_was_under_w
 
 
 def test_every_flipped_bit_of_a_result_is_noticed(tmp_path: Path) -> None:
+    from conftest import damaged  # not above: processes that import this file do not know where that one is
+
     write_result(tmp_path, "a", secrets.token_bytes(200))
     path = result_path(tmp_path, "a")
     whole = path.read_bytes()
