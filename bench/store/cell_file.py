@@ -139,9 +139,10 @@ def _rows(columns: Mapping[str, Any]) -> Rows:
 
 
 def _packed(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """Return a compressed npz, with floats in single precision."""
+    """Return a compressed npz, with floats in single precision; those beyond its range are infinite."""
     buffer = io.BytesIO()
-    single = {name: values.astype("f4") if values.dtype == float else values for name, values in arrays.items()}
+    with np.errstate(over="ignore"):
+        single = {name: values.astype("f4") if values.dtype == float else values for name, values in arrays.items()}
     np.savez_compressed(buffer, **single)  # type: ignore[arg-type]
     return buffer.getvalue()
 
