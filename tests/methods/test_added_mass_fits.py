@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,8 +49,13 @@ def values(estimate: Estimate, system: System) -> np.ndarray:
     return np.array([f.value for f in found])  # type: ignore[union-attr]
 
 
-FITS = [("shooting", False), ("shooting", True), ("output_error", True), ("ekf", True), ("ukf", True)]
-FITS += [("pinn", True), ("pinn", False), ("collocation", True), ("collocation", False)]
+FITS: list[Any] = [("shooting", False), ("shooting", True), ("output_error", True), ("ekf", True), ("ukf", True)]
+FITS += [
+    pytest.param("pinn", True, marks=pytest.mark.slow),
+    ("pinn", False),
+    ("collocation", True),
+    ("collocation", False),
+]
 """Output error starts at a period of six records: with an untold start the phase slips, loads or none."""
 
 

@@ -47,6 +47,7 @@ def test_stays_and_frequencies_of_a_made_record(tmp_path) -> None:
 
 
 @pytest.mark.skipif(not any((f / "ten_steps.txt").is_file() for f in FOLDERS), reason="the record is not there")
+@pytest.mark.slow
 def test_on_the_record_the_tracker_is_near_each_stays_own_spectrum() -> None:
     record = read(next(f for f in FOLDERS if (f / "ten_steps.txt").is_file()))
     found, _ = followed(record)

@@ -65,7 +65,7 @@ def test_the_gradient_is_that_of_differences(quantity: str) -> None:
         assert found[1][i] == pytest.approx((up - down) / (2 * step), rel=1e-4, abs=1e-7)
 
 
-@pytest.mark.parametrize("likely", [SURE, UNSURE], ids=["sure", "unsure"])
+@pytest.mark.parametrize("likely", [SURE, pytest.param(UNSURE, marks=pytest.mark.slow)], ids=["sure", "unsure"])
 @pytest.mark.parametrize("quantity", ["c_over_m", "k_over_m"])
 def test_the_best_force_is_better_than_any_other(likely: Likely, quantity: str) -> None:
     forces = Forces(likely, TEST)

@@ -24,6 +24,7 @@ def taken() -> Taken:
     return Taken(TIMES, OSCILLATOR, START, SIGMA, plain.bounds(TIMES))
 
 
+@pytest.mark.slow
 def test_a_longer_record_is_as_good_as_simulated_ones_are() -> None:
     times = taken().extended(2.0)
     errors = [

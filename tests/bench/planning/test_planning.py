@@ -86,6 +86,7 @@ def test_a_test_too_noisy_for_its_frequency_is_not_proposed() -> None:
     assert as_point(Oscillator(2.0, 0.02), Decay(12, 2.0, 0.8)).cycles == pytest.approx(4.0)
 
 
+@pytest.mark.slow
 def test_simulated_tests_are_as_near_as_was_promised() -> None:
     likely = Likely(2.0, 0.02)
     found = cheapest(likely, "c_over_m", 0.05, 20.0)

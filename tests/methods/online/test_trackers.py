@@ -71,6 +71,7 @@ def test_a_step_is_followed(name) -> None:
     assert left[-1] < 0.02
 
 
+@pytest.mark.slow
 def test_under_an_unknown_force_the_groups_are_found() -> None:
     made = scenario(forces=(HeldForce("white", told=False),), samples=1500)
     stream = made.stream(0, 0)

@@ -29,6 +29,7 @@ from methods.pinn_family.path import Clock, Path  # noqa: E402
 TRUE = {"m": 1.7, "c": 0.9, "k": 14.0}
 PRIOR = Prior({"m": 1.68, "c": 1.5, "k": 9.0}, {"m": 0.02, "c": 1.0, "k": 0.5})
 BEYOND = sorted(WAYS)
+QUICK, NUTS = [way for way in BEYOND if way != "nuts"], pytest.param("nuts", marks=pytest.mark.slow)
 
 
 def problem(noise: float = 0.05, known: bool = True, prior: Prior | None = PRIOR, seed: int = 0) -> Problem:
@@ -99,7 +100,7 @@ def test_every_way_of_the_setting_is_named_and_made() -> None:
     assert PINNFamily.card.choices["uncertainty"] is UNCERTAINTIES
 
 
-@pytest.mark.parametrize("way", [*BEYOND, "ensemble", "bootstrap"])
+@pytest.mark.parametrize("way", [*QUICK, NUTS, "ensemble", "bootstrap"])
 def test_an_answer_has_intervals_and_a_band_and_hangs_on_the_seed_alone(way: str, brief: None) -> None:
     method, own = little(way), problem()
     one, again, other = (method.identify(own, np.random.default_rng(seed)) for seed in (0, 0, 1))
@@ -112,7 +113,7 @@ def test_an_answer_has_intervals_and_a_band_and_hangs_on_the_seed_alone(way: str
     np.testing.assert_array_equal(one.bands[0](times), again.bands[0](times))
 
 
-@pytest.mark.parametrize("way", [*BEYOND, "ensemble"])
+@pytest.mark.parametrize("way", [*QUICK, NUTS, "ensemble"])
 def test_without_prior_and_start_the_groups_are_told(way: str, brief: None) -> None:
     estimate = little(way).identify(problem(known=False, prior=None), np.random.default_rng(0))
     checked(estimate)

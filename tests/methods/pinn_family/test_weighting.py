@@ -77,6 +77,7 @@ def test_fixed_weights_make_a_sum_of_mean_squares() -> None:
     assert 2.0 * float(state.loss[0]) == pytest.approx(wanted, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_tangent_kernel_weighting_gives_equal_traces() -> None:
     own = attempt("tangent_kernel")
     updated(own)

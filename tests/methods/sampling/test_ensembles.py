@@ -47,6 +47,7 @@ def test_moments_are_those_of_the_density(independent: float) -> None:
         np.testing.assert_allclose(np.cov(draws.T), COVARIANCE, atol=0.2)
 
 
+@pytest.mark.slow
 def test_the_snooker_move_leaves_a_narrow_density_as_it_is() -> None:
     """Alone, on standard deviations of 0.05 and 0.07, where a length is far from its root. A variance of some 6000
     effective draws is known to 2 %.

@@ -187,6 +187,7 @@ def test_walkers_that_move_by_each_other_alone_do_not_mix_among_many_unknowns() 
     assert "24 unknowns" in estimate.message
 
 
+@pytest.mark.slow
 def test_a_nonlinear_system_is_sampled() -> None:
     """A Duffing oscillator over two cycles; the groups lie in the 99.9 % intervals."""
     parameters = {"m": 1.2, "c": 0.5, "k": 6.0, "k3": 4.0}
