@@ -5,7 +5,7 @@ Beliefs of many replicates that differ in their numbers alone are one belief who
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Protocol, Self
@@ -26,19 +26,66 @@ class Marginal:
     """The belief about one quantity: its point value and its quantile function.
 
     ``value`` is a number, or an array (*sets). ``ppf`` maps levels (n,) in (0, 1) to quantiles (*sets, n), ``cdf`` a
-    value, or values (*sets), to levels (*sets); both are None where the method gives no uncertainty.
+    value, or values (*sets), to levels (*sets); both are None where the method gives no uncertainty. ``parts``: the
+    beliefs that this one is a mixture of, the leading one first; none where it is not a mixture.
     """
 
     value: Any
     ppf: Callable[[np.ndarray], np.ndarray] | None = None
     cdf: Callable[[Any], Any] | None = None
+    parts: tuple[Marginal, ...] = ()
 
     def interval(self, level: float) -> tuple[Any, Any]:
-        """The equal-tailed interval of the given level, e.g. 0.95; NaNs without an uncertainty."""
+        """The equal-tailed interval of the given level, e.g. 0.95; NaNs without an uncertainty.
+
+        Of a mixture, the hull of :meth:`intervals`.
+        """
         if self.ppf is None:
             return float("nan"), float("nan")
+        if self.parts:
+            pieces = self.intervals(level)
+            return pieces[0][0], pieces[-1][1]
         ends = self.ppf(np.array([0.5 - level / 2, 0.5 + level / 2]))
         return _number(ends[..., 0]), _number(ends[..., 1])
+
+    def intervals(self, level: float) -> list[tuple[Any, Any]]:
+        """The interval of the given level; of a mixture, the union of its parts' intervals, in increasing order."""
+        pieces: list[tuple[Any, Any]] = []
+        for low, high in sorted(part.interval(level) for part in self.parts or (self,)):
+            if pieces and low <= pieces[-1][1]:
+                pieces[-1] = pieces[-1][0], max(pieces[-1][1], high)
+            else:
+                pieces.append((low, high))
+        return pieces
+
+
+MIXTURE_STEPS = 60
+"""Bisections for a quantile of a mixture: more than the digits of a double."""
+
+
+def mixed(parts: Sequence[Marginal], weights: Sequence[float]) -> Marginal:
+    """Mix beliefs about one quantity; its value is that of the first part, its quantiles are those of the mixture.
+
+    Args:
+        parts: Beliefs, each of one number; the first one alone where any gives no uncertainty.
+        weights: Their probabilities, which add up to 1.
+    """
+    if len(parts) == 1 or any(part.ppf is None or part.cdf is None for part in parts):
+        return parts[0]
+
+    def cdf(true: Any) -> Any:
+        return sum(weight * part.cdf(true) for weight, part in zip(weights, parts, strict=True) if part.cdf)
+
+    def ppf(levels: np.ndarray) -> np.ndarray:
+        quantiles = np.array([part.ppf(levels) for part in parts if part.ppf])
+        low, high = quantiles.min(axis=0), quantiles.max(axis=0)  # the mixture's lie between those of its parts
+        for _ in range(MIXTURE_STEPS):
+            middle = 0.5 * (low + high)
+            below = np.array([cdf(value) for value in middle]) < levels
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return np.asarray(0.5 * (low + high))
+
+    return Marginal(parts[0].value, ppf, cdf, tuple(parts))
 
 
 def _number(value: Any) -> Any:

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from bench.contract.belief import Belief, Marginal, Normal, normal_marginal
+from bench.contract.belief import Belief, Marginal, Normal, mixed, normal_marginal
 from bench.contract.problem import InitialState, Problem, Units
 from bench.systems import LENGTH, MEASURED, Dimension, Quantity, System
 
@@ -78,6 +78,8 @@ class Estimate:
     has them.
     ``traces`` keeps named arrays worth a picture (loss history, parameter trajectory); ``dimensions`` gives, of those
     that depend on the units, the dimension of each entry of the last axis (or one for all).
+    ``alternatives``: other answers that the data support, of the same kind, each with its ``weight``, the probability
+    that it is the right one; an interval then covers them too (:meth:`Marginal.intervals`).
     """
 
     system: System
@@ -92,6 +94,8 @@ class Estimate:
     cost: Cost = Cost()
     traces: Mapping[str, np.ndarray] = field(default_factory=dict)
     dimensions: Mapping[str, Sequence[Dimension]] = field(default_factory=dict)
+    alternatives: tuple[Estimate, ...] = ()
+    weight: float = 1.0
 
     @staticmethod
     def failed(system: System, status: Status, message: str, cost: Cost = Cost()) -> Estimate:
@@ -104,7 +108,18 @@ class Estimate:
         return self.parameters if self.parameters is not None else self.groups
 
     def marginal(self, quantity: Quantity) -> Marginal | None:
-        """The belief about a quantity of the system; None where this estimate does not determine it."""
+        """The belief about a quantity of the system; None where this estimate does not determine it.
+
+        With ``alternatives`` a mixture, whose value is that of this estimate without them.
+        """
+        own = self._own_marginal(quantity)
+        if own is None or not self.alternatives:
+            return own
+        others = [(other.marginal(quantity), other.weight) for other in self.alternatives]
+        known = [(own, self.weight), *((other, weight) for other, weight in others if other is not None)]
+        return mixed([part for part, _ in known], [weight for _, weight in known])
+
+    def _own_marginal(self, quantity: Quantity) -> Marginal | None:
         if self.parameters is not None:
             return self.parameters.marginal(quantity)
         if self.groups is None:
@@ -144,6 +159,7 @@ class Estimate:
             bands=tuple(Rescaled(b, units.time, units.of(LENGTH)) for b in self.bands),
             initial_states=tuple(s.expressed_in(units) for s in starts) if starts is not None else None,
             traces={**self.traces, **self._traces_in(units)},
+            alternatives=tuple(other.expressed_in(units) for other in self.alternatives),
         )
 
     def _traces_in(self, units: Units) -> dict[str, np.ndarray]:
@@ -155,7 +171,9 @@ class Estimate:
         if offsets is not None:
             sizes = [units.of(MEASURED[c.measures]) for record in problem.records for c in record.channels]
             offsets = tuple(offset * size for offset, size in zip(offsets, sizes, strict=True))
-        return replace(self.expressed_in(units.inverse), system=problem.system, offsets=offsets)
+        alternatives = tuple(other.returned(problem, units) for other in self.alternatives)
+        answer = self.expressed_in(units.inverse)
+        return replace(answer, system=problem.system, offsets=offsets, alternatives=alternatives)
 
     def checked(self) -> Estimate:
         """Itself, or a failure with status ``nonfinite`` where a number in it is not finite."""

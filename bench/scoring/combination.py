@@ -31,6 +31,7 @@ def combine_with_prior(estimate: Estimate, prior: Prior | None) -> Estimate:
     """
     if estimate.status is not Status.OK or estimate.parameters is not None or estimate.groups is None or prior is None:
         return estimate
+    alternatives = tuple(combine_with_prior(other, prior) for other in estimate.alternatives)
     groups = estimate.groups
     whiten = _whitening(groups)
     exponents = np.array([estimate.system.quantity(name).vector(prior.names) for name in groups.names])
@@ -54,7 +55,8 @@ def combine_with_prior(estimate: Estimate, prior: Prior | None) -> Estimate:
     best = min(ends, key=cost)
     root = inverse_root(jacobian(best))
     covariance = root @ root.T
-    return replace(estimate, parameters=Normal(prior.names, best, covariance, log=True, dof=groups.dof), groups=None)
+    parameters = Normal(prior.names, best, covariance, log=True, dof=groups.dof)
+    return replace(estimate, parameters=parameters, groups=None, alternatives=alternatives)
 
 
 def _minimum(residuals: Vector, jacobian: Vector, start: np.ndarray) -> np.ndarray:

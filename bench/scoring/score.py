@@ -39,6 +39,7 @@ def scores(
     at the truth, uniform over replicates if it is calibrated: probability integral transform),
     ``<quantity>_interval_score_pct`` (95 %) and ``<quantity>_crps_pct`` relative to the truth, in %;
     ``rmse`` (of the reconstruction), ``rmse_simulated``, ``rmse_forecast`` (m), over the DOFs with a sensor;
+    ``other_basins_pct``: the probability (%) of the alternatives, where the estimate has some;
     ``band_inside_50`` etc.: the share of the record where the displacement lies in the method's own band.
     """
     kinds: dict[object, list[int]] = {}
@@ -54,9 +55,10 @@ def scores(
 
 
 def _kind(estimate: Estimate, replicate: int) -> object:
-    """Name what the estimates that are scored together have in common; draws, which are long, are scored alone."""
+    """Name what the estimates that are scored together have in common; draws, which are
+    long, and several basins are scored alone."""
     belief = estimate.belief
-    if not isinstance(belief, Normal):
+    if not isinstance(belief, Normal) or estimate.alternatives:
         return replicate
     form = (belief.names, np.shape(belief.mean), belief.log, belief.covariance is None, belief.dof is None)
     positive = belief.log or bool(np.all(belief.mean > 0))  # groups that are not have no modal quantities
@@ -83,12 +85,16 @@ def _columns(
     system, belief = problems[0].system, _stacked([estimate.belief for estimate in estimates])
     whole = estimates[0].parameters is not None
     joint = Estimate(system, parameters=belief) if whole else Estimate(system, groups=belief)
+    if estimates[0].alternatives:
+        joint, belief = estimates[0], estimates[0].belief
     true = {name: np.array([truth.parameters[name] for truth in truths]) for name in system.names}
     columns: dict[str, np.ndarray] = {}
     for quantity in system.quantities:
         marginal = joint.marginal(quantity)
         if marginal is not None:
             columns |= _quantity_scores(quantity, marginal, quantity.value(true))
+    if joint.alternatives:
+        columns["other_basins_pct"] = np.array([100.0 * (1.0 - joint.weight)])
     columns |= _simulated_scores(estimates, problems, truths, point_parameters(joint))
     if estimates[0].reconstructions:
         columns |= _reconstruction_scores(estimates, truths, belief.dof if isinstance(belief, Normal) else None)
@@ -102,17 +108,22 @@ def _quantity_scores(quantity: Quantity, marginal: Marginal, true: np.ndarray) -
         return columns
     columns[f"{name}_pit"] = marginal.cdf(true)
     for level in LEVELS:
-        low, high = marginal.interval(level)
-        columns[f"{name}_coverage_{round(100 * level)}"] = ((low <= true) & (true <= high)).astype(float)
-    columns[f"{name}_interval_score_pct"] = 100.0 * interval_score(low, high, true, LEVELS[-1]) / true
+        pieces = marginal.intervals(level)
+        inside = np.any([(low <= true) & (true <= high) for low, high in pieces], axis=0)
+        columns[f"{name}_coverage_{round(100 * level)}"] = inside.astype(float)
+    columns[f"{name}_interval_score_pct"] = 100.0 * interval_score(pieces, true, LEVELS[-1]) / true
     columns[f"{name}_crps_pct"] = 100.0 * crps(marginal.ppf(QUANTILES), true) / true
     return columns
 
 
-def interval_score(low: np.ndarray, high: np.ndarray, true: np.ndarray, level: float) -> np.ndarray:
-    """Add ``2/alpha`` times the miss to the width (Gneiting & Raftery, J. Am. Stat. Assoc. 102:359, 2007, eq. 43)."""
-    alpha = 1.0 - level
-    return (high - low) + 2.0 / alpha * (np.maximum(low - true, 0.0) + np.maximum(true - high, 0.0))
+def interval_score(pieces: Sequence[tuple[Any, Any]], true: np.ndarray, level: float) -> np.ndarray:
+    """Add ``2/alpha`` times the miss to the width (Gneiting & Raftery, J. Am. Stat. Assoc. 102:359, 2007, eq. 43).
+
+    Of an interval in several pieces, the width of all, and the distance to the nearest.
+    """
+    widths = np.sum([high - low for low, high in pieces], axis=0)
+    misses = [np.maximum(low - true, 0.0) + np.maximum(true - high, 0.0) for low, high in pieces]
+    return np.asarray(widths + 2.0 / (1.0 - level) * np.min(misses, axis=0))
 
 
 def crps(quantiles: np.ndarray, true: np.ndarray) -> np.ndarray:

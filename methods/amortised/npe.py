@@ -37,7 +37,6 @@ from bench import (
     Cost,
     Draws,
     Estimate,
-    Identifier,
     InputError,
     NoEstimate,
     Normal,
@@ -51,6 +50,7 @@ from methods.amortised.cache import Arrays, cache_folder, cached
 from methods.amortised.likelihood import log_likelihood
 from methods.amortised.mixture import Mixture
 from methods.amortised.simulations import DECIBELS, RATIOS, Layout, shown
+from methods.starts.ambiguity import BandIdentifier
 
 if TYPE_CHECKING:
     from methods.amortised.density import Density
@@ -73,7 +73,7 @@ LEAST_EFFECTIVE = 50.0
 
 
 @dataclass(frozen=True)
-class NPE(Identifier):
+class NPE(BandIdentifier):
     """Training of ``steps`` steps on ``batch`` records each; the network has ``depth`` blocks of ``width``.
 
     ``components`` normals make the mixture; ``draws`` draws are the answer. ``seed`` is that of the training.

@@ -9,17 +9,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Estimate, Identifier, InputError, Problem, Serves
+from bench import Estimate, InputError, Problem, Serves
 from methods.discrete.difference import unlike_the_record
 from methods.modal.even_steps import unevenness
 from methods.modal.free_decay import SERVES, Reading, decay_estimates, decay_objection, has_offset
+from methods.starts.ambiguity import BandIdentifier
 
 LEAST, LEAST_WITH_OFFSET = 5, 7
 """Samples: amplitude and rate of each exponential, an offset, and one or two for the noise."""
 
 
 @dataclass(frozen=True)
-class SampledDecay(Identifier):
+class SampledDecay(BandIdentifier):
     """A free decay at even steps; ``bootstrap`` records are drawn for the covariance, 0 for none."""
 
     bootstrap: int = 100

@@ -16,16 +16,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import EVERY_PROBLEM, Card, Estimate, Identifier, Problem, Serves
+from bench import EVERY_PROBLEM, Card, Estimate, Problem, Serves
 from methods.kalman.filtering import Affine, Map
 from methods.kalman.iteration import Settings, estimate
+from methods.starts.ambiguity import SearchingIdentifier
 
 SMALL = 1e-5
 """Step of the differences, in natural units and in log-parameters."""
 
 
 @dataclass(frozen=True)
-class EKF(Identifier):
+class EKF(SearchingIdentifier):
     """At most ``passes`` over the record, until no parameter moves by ``tolerance`` of its standard deviation.
 
     ``drift``: standard deviation of the random walk of a log-parameter over the record (its process noise).

@@ -1,8 +1,7 @@
 """The trajectories about which the first maps are taken: the scan and screening that multiple shooting has, too.
 
 Candidates come from the data alone (:mod:`methods.starts.candidates`); each is given a few output-error steps, and the
-best that are apart are kept. Where the prior expects one degree of freedom to move faster than the
-sampling resolves, aliases are kept too: prior and innovations weigh them.
+best that are apart are kept.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import numpy as np
 
 from bench import Channel, NoEstimate, OutputError
 from methods.starts.candidates import candidates, screening
-from methods.starts.separate import APART, separate
+from methods.starts.separate import separate
 
 STARTS = 3
 """Separate starts at most."""
@@ -44,30 +43,10 @@ def screened_starts(model: OutputError) -> np.ndarray:
     with np.errstate(all="ignore"):
         residuals = quick.data - quick.predict(thetas)
     values = np.array([quick.profile_of(theta, left) for theta, left in zip(thetas, residuals, strict=True)])
-    apart = _apart(thetas[:, : len(head.free)], values) if _unresolved(head) else separate(head, values, thetas)
-    best = apart[:STARTS]
+    best = separate(head, values, thetas)[:STARTS]
     if not best:
         raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
     return np.asarray(thetas[[i for i in best if values[i] <= values[best[0]] + MARGIN]])
-
-
-def _unresolved(model: OutputError) -> bool:
-    """Whether the prior expects the oscillation of one degree of freedom above half the sampling rate."""
-    system, prior = model.system, model.prior
-    gaps = [float(np.median(np.diff(c.times))) for _, c in model.channels if c.n > 1]
-    if prior is None or not (system.linear and system.n_dof == 1 and gaps):
-        return False
-    stiffness = next(p.name for p in system.parameters if p.kind == "stiffness")
-    return bool(np.sqrt(prior.nominal[stiffness] / prior.nominal[system.gauge]) * min(gaps) > np.pi)
-
-
-def _apart(logs: np.ndarray, values: np.ndarray) -> list[int]:
-    """Places of the finite ends that are apart, best first; aliases too, since a prior can weigh them."""
-    kept = list[int]()
-    for i in map(int, np.argsort(values)):
-        if np.isfinite(values[i]) and all(np.max(np.abs(logs[i] - logs[other])) >= APART for other in kept):
-            kept.append(i)
-    return kept
 
 
 def _vectors(quick: OutputError, found: Sequence[dict[str, float]]) -> np.ndarray:

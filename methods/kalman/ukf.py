@@ -24,16 +24,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import EVERY_PROBLEM, Card, Estimate, Identifier, InputError, Problem, Serves
+from bench import EVERY_PROBLEM, Card, Estimate, InputError, Problem, Serves
 from methods.kalman.filtering import Affine, Map
 from methods.kalman.iteration import Settings, estimate
+from methods.starts.ambiguity import SearchingIdentifier
 
 CERTAIN = 1e-5
 """Least standard deviation of a direction, in natural units and in log-parameters."""
 
 
 @dataclass(frozen=True)
-class UKF(Identifier):
+class UKF(SearchingIdentifier):
     """At most ``passes`` over the record, until no parameter moves by ``tolerance`` of its standard deviation.
 
     ``kappa`` >= 0: weight of the central point against those about it. ``drift``: standard deviation of the random walk

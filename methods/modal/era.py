@@ -30,7 +30,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Estimate, Identifier, InputError, NoEstimate, Problem, Serves
+from bench import Card, Estimate, InputError, NoEstimate, Problem, Serves
 from methods.modal.even_steps import unevenness
 from methods.modal.free_decay import untold
 from methods.modal.matrix_pencil import MAX_SAMPLES
@@ -38,6 +38,7 @@ from methods.modal.subspace import leading_vectors
 from methods.regression.company import Finish, answers_together
 from methods.regression.derivatives import Motion
 from methods.regression.equation import Regression, answer, layout_objection, solve
+from methods.starts.ambiguity import BandIdentifier
 
 BATCH = 2_000_000
 """Matrix entries decomposed at once."""
@@ -46,7 +47,7 @@ REALNESS = 1e-6
 
 
 @dataclass(frozen=True)
-class ERA(Identifier):
+class ERA(BandIdentifier):
     """Block rows ``rows`` times the samples; ``bootstrap`` synthetic records for weights and covariance."""
 
     rows: float = 0.5

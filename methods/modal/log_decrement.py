@@ -27,9 +27,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Estimate, Identifier, InputError, Problem, Serves
+from bench import Card, Estimate, InputError, Problem, Serves
 from methods.modal.free_decay import SERVES, Reading, decay_estimates, decay_objection
 from methods.regression.derivatives import finite_differences
+from methods.starts.ambiguity import BandIdentifier
 
 MIN_CROSSINGS = 3
 """One full cycle."""
@@ -40,7 +41,7 @@ MISSING = 1.5
 
 
 @dataclass(frozen=True)
-class LogDecrement(Identifier):
+class LogDecrement(BandIdentifier):
     """Swings down to ``smallest`` of the largest sample are read; ``bootstrap`` records give the covariance."""
 
     smallest: float = 0.2

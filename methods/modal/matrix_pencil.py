@@ -31,11 +31,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Estimate, Identifier, InputError, Problem, Serves
+from bench import Card, Estimate, InputError, Problem, Serves
 from methods.modal.even_steps import step_of, unevenness
 from methods.modal.free_decay import SERVES, Decays, Reading, decay_estimates, decay_objection, has_offset
 from methods.modal.perturbation import small_noise_covariance
 from methods.modal.subspace import leading_vectors
+from methods.starts.ambiguity import BandIdentifier
 
 MAX_SAMPLES = 600
 """The decomposition costs the cube of the samples, and the bootstrap repeats it."""
@@ -48,7 +49,7 @@ NO_VIBRATION = (
 
 
 @dataclass(frozen=True)
-class MatrixPencil(Identifier):
+class MatrixPencil(BandIdentifier):
     """Pencil parameter ``pencil`` times the samples; ``bootstrap`` synthetic records where first order does not do.
 
     With ``bootstrap=0`` there is no uncertainty.

@@ -29,7 +29,6 @@ from bench import (
     Card,
     Cost,
     Estimate,
-    Identifier,
     InitialState,
     NoEstimate,
     Normal,
@@ -40,6 +39,7 @@ from bench import (
     regression_columns,
 )
 from methods.network.response import NetworkResponse
+from methods.starts.ambiguity import BandIdentifier
 from methods.starts.waves import scan
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ power is motion. Without it the evidence, below 10 dB, calls everything noise.""
 
 
 @dataclass(frozen=True)
-class DDNN(Identifier):
+class DDNN(BandIdentifier):
     """Settings: ``iterations`` of each fit, ``grid`` points of the regression, ``draws`` of its covariance.
 
     ``edge`` is the share of the record left out of the regression at either end, where derivatives are worst.

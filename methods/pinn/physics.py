@@ -36,7 +36,6 @@ from bench import (
     EVERY_PROBLEM,
     Cost,
     Estimate,
-    Identifier,
     InitialState,
     Normal,
     Problem,
@@ -47,13 +46,14 @@ from bench import (
 from methods.network.response import Band, Function
 from methods.pinn.settings import Settings
 from methods.pinn.task import Task, simulated
+from methods.starts.ambiguity import SearchingIdentifier
 
 if TYPE_CHECKING:
     from methods.pinn.engine import Fit
 
 
 @dataclass(frozen=True)
-class PhysicsInformed(Settings, Identifier):
+class PhysicsInformed(Settings, SearchingIdentifier):
     """From a Problem to fits and back to an Estimate; see the module."""
 
     serves: ClassVar[Serves] = EVERY_PROBLEM

@@ -13,7 +13,6 @@ import numpy as np
 
 from bench import Problem
 from methods.starts.reach import expected_rate, resolved_cycles
-from methods.starts.separate import ALIAS_MARGIN
 from methods.starts.waves import Guess
 
 DETOURS = (1.0, 1.6, 0.625)
@@ -52,14 +51,9 @@ def alias(problem: Problem, guess: Guess) -> bool:
     return guess.omega > 2 * np.pi * max(resolved_cycles(record) for record in problem.records) * (1 + 1e-9)
 
 
-def alias_penalty(problem: Problem, guess: Guess) -> float:
-    """What the minus log posterior of a wave above half the sampling rate must be better by to be taken."""
-    return 0.5 * ALIAS_MARGIN if alias(problem, guess) else 0.0
-
-
 def _minus_log_posterior(problem: Problem, wave: Guess) -> float:
     """At the best noise, of the wave's frequency alone: its decay is read from the grid too coarsely."""
-    value = 0.5 * problem.n * np.log(max(wave.left, 1e-12)) + alias_penalty(problem, wave)
+    value = 0.5 * problem.n * np.log(max(wave.left, 1e-12))
     expected = expected_rate(problem)
     if expected is not None:
         centre, sd = expected

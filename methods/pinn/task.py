@@ -10,7 +10,7 @@ import numpy as np
 
 from bench import OutputError, Problem
 from methods.network.response import Function
-from methods.pinn.starts import alias_penalty, starts
+from methods.pinn.starts import starts
 from methods.starts.open_parameters import left_open, very_wide
 from methods.starts.rounding import DIGITS, rounded
 from methods.starts.scan import records_by_load
@@ -97,7 +97,7 @@ class Task:
         """
         model = OutputError(self.scaled)
         theta = model.vector(dict(zip(self.scaled.system.names, map(float, np.exp(fit.logs)), strict=True)))
-        return 0.5 * model.profile(theta) + alias_penalty(self.scaled, self.guesses[self.fits.index(fit)])
+        return 0.5 * model.profile(theta)
 
 
 def simulated(problem: Problem, fit: Fit, rng: np.random.Generator) -> Problem:

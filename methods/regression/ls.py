@@ -34,16 +34,17 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from bench import Card, Estimate, Identifier, Problem, Serves
+from bench import Card, Estimate, Problem, Serves
 from methods.regression.bootstrap import TRIED, TRIED_ANEW, bootstrap_covariances, spline_fits, spline_refit
 from methods.regression.company import Finish, answers_together
 from methods.regression.equation import Regression, Values, answer, layout_objection, solve
 from methods.regression.hausman import doubt, most_likely
 from methods.regression.weak import weak_fit
+from methods.starts.ambiguity import BandIdentifier
 
 
 @dataclass(frozen=True)
-class LS(Identifier):
+class LS(BandIdentifier):
     """Equation-error least squares; ``derivative`` as above, ``bootstrap`` data sets are drawn for the covariance."""
 
     derivative: Literal["finite", "spline", "weak"] = "finite"

@@ -28,11 +28,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Dimension, Estimate, Identifier, InputError, Problem, Serves
+from bench import Card, Dimension, Estimate, InputError, Problem, Serves
 from methods.regression.bootstrap import TRIED, bootstrap_covariances, spline_fits
 from methods.regression.company import Finish, answers_together
 from methods.regression.equation import Regression, answer, layout_objection
 from methods.regression.hausman import doubt, most_likely
+from methods.starts.ambiguity import BandIdentifier
 
 
 def recursive_least_squares(
@@ -56,7 +57,7 @@ def recursive_least_squares(
 
 
 @dataclass(frozen=True)
-class RLS(Identifier):
+class RLS(BandIdentifier):
     """Recursive least squares with ``forgetting`` (0 to 1) and initial covariance ``diffuse``; see the module."""
 
     forgetting: float = 0.98

@@ -35,12 +35,13 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from bench import Card, Dimension, Estimate, Identifier, InputError, NoEstimate, Problem, Serves, Status
+from bench import Card, Dimension, Estimate, InputError, NoEstimate, Problem, Serves, Status
 from methods.regression.bootstrap import SplineFit, bootstrap_covariances, smoothings, spline_fits
 from methods.regression.derivatives import Motion
 from methods.regression.equation import Regression, Values, answer, layout_objection, solve
 from methods.regression.hausman import doubt, most_likely
 from methods.regression.weak_library import weak_rows
+from methods.starts.ambiguity import BandIdentifier
 
 RADIANS_A_STEP = 0.35
 """Step of the fourth-order integrator: its error, a phase of some 4e-5 radians a step, is far below the noise."""
@@ -52,7 +53,7 @@ EXACT = 1e-3
 
 
 @dataclass(frozen=True)
-class SINDy(Identifier):
+class SINDy(BandIdentifier):
     """Sparse identification; ``degree`` of the library, ``most_terms`` of an equation, ``bootstrap`` data sets.
 
     ``form="weak"`` regresses integrals over test functions in place of accelerations.

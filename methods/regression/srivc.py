@@ -35,7 +35,6 @@ from bench import (
     Card,
     Cost,
     Estimate,
-    Identifier,
     InputError,
     NoEstimate,
     Problem,
@@ -45,6 +44,7 @@ from bench import (
 from methods.discrete.difference import POOR, POOR_FIT
 from methods.modal.free_decay import GROWS
 from methods.regression.refined import Model
+from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.equation_error import regression_starts
 
 SETTLED = 1e-4
@@ -59,7 +59,7 @@ UNSETTLED = (
 
 
 @dataclass(frozen=True)
-class SRIVC(Identifier):
+class SRIVC(SearchingIdentifier):
     """Refined instrumental variables of at most ``rounds`` rounds from each start."""
 
     rounds: int = 60

@@ -8,17 +8,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Estimate, Identifier, InputError, Problem, Serves
+from bench import Estimate, InputError, Problem, Serves
 from methods.rivals.decay import Decay, decay_of, objection
 from methods.rivals.guests import quiet
 from methods.rivals.path import Path
+from methods.starts.ambiguity import SearchingIdentifier
 
 ADAM_SHARE = 0.3
 """Of the processor time of the training; the second optimiser has the rest."""
 
 
 @dataclass(frozen=True)
-class Rival(Identifier):
+class Rival(SearchingIdentifier):
     """Train by ``adam_steps`` of Adam, then ``second_steps`` of a second optimiser (0: as many as there is time for).
 
     Neither stage takes more than its part of ``seconds`` of processor time, 30 % for Adam; a stage that the clock ends

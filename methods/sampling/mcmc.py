@@ -39,7 +39,6 @@ from bench import (
     Card,
     Cost,
     Estimate,
-    Identifier,
     NoEstimate,
     OutputError,
     Problem,
@@ -56,6 +55,7 @@ from methods.sampling.ensembles import Ensemble, Lockstep
 from methods.sampling.modes import Modes, found_or_failure, modes_of, sharpened, student_modes
 from methods.sampling.posterior import NOISE_LEAST, Posterior, Target
 from methods.sampling.proposal import Proposal
+from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import as_fine_as_noise
 from methods.trajectory.errors import NORMAL, STUDENT
 
@@ -65,7 +65,7 @@ MOST_AT_ONCE = 1_000_000
 
 
 @dataclass(frozen=True)
-class MCMC(Identifier):
+class MCMC(SearchingIdentifier):
     """Ensemble sampling; settings below, the method in the module's docstring.
 
     ``ensembles`` independent ensembles of at least ``walkers`` each run ``burn`` steps that are dropped, then blocks of

@@ -28,17 +28,18 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bench import EVERY_PROBLEM, Card, Cost, Estimate, Identifier, InputError, NoEstimate, OutputError, Problem, Serves
+from bench import EVERY_PROBLEM, Card, Cost, Estimate, InputError, NoEstimate, OutputError, Problem, Serves
 from methods.sampling.answer import estimate_from_draws
 from methods.sampling.differentiable import Layout, log_density, prepare
 from methods.sampling.modes import modes_or_failure
 from methods.sampling.posterior import Posterior
 from methods.sampling.proposal import Proposal
+from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.rounding import rounded
 
 
 @dataclass(frozen=True)
-class NUTS(Identifier):
+class NUTS(SearchingIdentifier):
     """Gradient sampling; settings below, the method in the module's docstring.
 
     It has converged when R-hat is at most ``r_hat``, the bulk effective sample size at least ``effective`` for every

@@ -29,7 +29,6 @@ from bench import (
     Card,
     Cost,
     Estimate,
-    Identifier,
     InitialState,
     InputError,
     NoEstimate,
@@ -46,6 +45,7 @@ from methods.modal.free_decay import GROWS, has_offset, untold
 from methods.spectral.fit import Objective, Trial, search
 from methods.spectral.lines import dft_lines, force_harmonics, real_lines
 from methods.spectral.response import Layout
+from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import candidates
 
 MAX_SAMPLES = 2000
@@ -65,7 +65,7 @@ NO_RESPONSE = "the search ran to parameters without a response: take more sample
 
 
 @dataclass(frozen=True)
-class Frequency(Identifier):
+class Frequency(SearchingIdentifier):
     """The best of ``starts`` starts by a few steps each, then a search of at most ``iterations`` steps."""
 
     starts: int = 3

@@ -17,9 +17,11 @@ import numpy as np
 from bench import OutputError, Problem, Record, Start, System
 from methods.starts.equation_error import regression_starts
 from methods.starts.long_records import is_long, starts_of_long
+from methods.starts.reach import is_unresolved
 from methods.starts.rough import RADIANS_A_STEP, rough_readings
 from methods.starts.scan import loaded_scan, scan
 from methods.starts.separate import separate
+from methods.starts.time_scales import best_speeds
 
 NOISE_SHARE = 0.05
 """Error of the integration over the standard error that the data allow."""
@@ -85,6 +87,8 @@ def candidates(model: OutputError, n: int) -> list[dict[str, float]]:
         found = regression_starts(problem) if several else []
         if problem.system.linear and (problem.system.n_dof <= MOST_SCANNED or not found):
             found = found + _scanned(problem, n)
+        elif is_unresolved(problem) and problem.system.n_dof == 1 and not problem.system.n_hidden:
+            found = found + best_speeds(screening(model), n)
     if problem.prior is not None and (several or _loaded(problem)):
         found.append(dict(problem.prior.nominal))
     good = [p for p in found if all(np.isfinite(v) and v > 0 for v in p.values())]

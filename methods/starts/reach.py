@@ -1,7 +1,8 @@
 """How far a search for a frequency looks: to half the sampling rate, and beyond as far as the prior expects the motion.
 
 Evenly spaced samples do not tell a frequency from its alias in half the sampling rate, so beyond it nothing is looked
-for that the prior does not expect; past the rate itself everything has come once. One rule for all methods that scan.
+for that the prior does not expect; what it expects is looked for however far beyond, since the prior decides between
+aliases. One rule for all methods that scan.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import numpy as np
 
 from bench import LOG_LIMIT, Problem, Record
 
-UP = 2.0
+UP = 3.0
 """Standard deviations of the prior up to which a motion is expected."""
 FEW = 0.1
 """Spacing of the samples of a record without two in a channel, in natural units."""
@@ -46,4 +47,10 @@ def most_cycles(problem: Problem, limit: float = np.inf) -> float:
         return min(resolved, limit)
     centre, sd = expected
     highest = float(np.ceil(np.exp(min(centre + UP * sd, LOG_LIMIT)) / (2 * np.pi)))
-    return min(max(resolved, min(highest, 2 * resolved)), limit)
+    return min(max(resolved, highest), limit)
+
+
+def is_unresolved(problem: Problem) -> bool:
+    """Decide whether the prior expects motion beyond half the sampling rate, in natural units."""
+    resolved = max(resolved_cycles(record) for record in problem.records)
+    return problem.prior is not None and most_cycles(problem) > resolved * (1.0 + 1e-9)

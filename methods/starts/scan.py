@@ -16,7 +16,7 @@ import numpy as np
 
 from bench import Channel, Force, InitialState, Problem, Record, System, measurements
 from methods.starts.common_rates import CYCLE_STEP, DECAYS, MAX_CYCLES
-from methods.starts.reach import most_cycles
+from methods.starts.reach import expected_rate, most_cycles, resolved_cycles
 
 
 def scan(problem: Problem, n: int) -> list[dict[str, float]]:
@@ -43,11 +43,31 @@ def _minima(problem: Problem, n: int, fixed_scale: bool) -> list[tuple[float, di
         misfit, strength = misfit + rss, strength + scale / len(problem.records)
     table, scales = np.reshape(misfit, (-1, len(DECAYS))), np.reshape(strength, (-1, len(DECAYS)))
     found = []
-    for i, j in _separate_minima(table)[:n]:
+    for i, j in _worth_a_start(problem, grid[:: len(DECAYS), 0], _separate_minima(table), table, n):
         frequency, decay = grid[i * len(DECAYS) + j]
         levels = _by_kind(problem.system, base, np.array(frequency), np.array(decay))
         found.append((table[i, j], {name: float(levels[name] * max(scales[i, j], 1e-12)) for name in names}))
     return found
+
+
+def _worth_a_start(
+    problem: Problem, frequencies: np.ndarray, minima: Sequence[tuple[int, int]], table: np.ndarray, n: int
+) -> list[tuple[int, int]]:
+    """The ``n`` best minima that the sampling resolves, and the ``n`` beyond that data and prior support most."""
+    resolved = max(resolved_cycles(record) for record in problem.records)
+    expected = expected_rate(problem)
+    within = [place for place in minima if frequencies[place[0]] <= resolved]
+    beyond = [place for place in minima if frequencies[place[0]] > resolved]
+    if expected is None or not beyond:
+        return list(minima[:n])
+    least = 1e-12 * float(np.max(table[np.isfinite(table)]))
+
+    def surprise(place: tuple[int, int]) -> float:
+        """Minus twice the logarithm of the posterior, the noise at its best value."""
+        distance = (np.log(2 * np.pi * frequencies[place[0]]) - expected[0]) / expected[1]
+        return float(problem.n * np.log(max(table[place], least)) + distance**2)
+
+    return within[:n] + sorted(beyond, key=surprise)[:n]
 
 
 def _proportions(problem: Problem) -> tuple[float, ...]:

@@ -15,14 +15,17 @@ APART = 1e-2
 def separate(model: OutputError, values: np.ndarray, thetas: np.ndarray) -> list[int]:
     """Places, best first, of the ends that are finite and apart, by their ``values`` (n,), minus twice a log-posterior.
 
-    The sampling is taken to resolve the motion: where the slowest oscillation of a linear system came to lie above
-    half the sampling rate, it is dropped as the alias of a slower one, unless data and prior clearly prefer it.
+    A prior decides between aliases. Without one the sampling is taken to resolve the motion: where the slowest
+    oscillation of a linear system came to lie above half the sampling rate, it is dropped as the alias of a slower one,
+    unless the data clearly prefer it.
     """
     k, kept = len(model.free), list[int]()
     for i in map(int, np.flatnonzero(np.isfinite(values))):
         if not any(np.max(np.abs(thetas[i] - thetas[other])[:k]) < APART for other in kept):
             kept.append(i)
     kept.sort(key=lambda i: float(values[i]))
+    if model.prior is not None:
+        return kept
     aliases = _aliased(model, thetas[kept]) if kept else np.zeros(0, bool)
     resolved = [i for i, alias in zip(kept, aliases, strict=True) if not alias]
     clear = not resolved or values[kept[0]] + ALIAS_MARGIN < values[resolved[0]]

@@ -37,7 +37,6 @@ from bench import (
     Card,
     Cost,
     Estimate,
-    Identifier,
     InputError,
     OutputError,
     Problem,
@@ -45,6 +44,7 @@ from bench import (
     Status,
     estimate_at,
 )
+from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import screening
 from methods.starts.equation_error import regression_starts
 from methods.starts.scan import records_by_load, unloaded
@@ -59,7 +59,7 @@ NO_START = "no start gave a finite response; give a prior nearer to the system"
 
 
 @dataclass(frozen=True)
-class SingleShooting(Identifier):
+class SingleShooting(SearchingIdentifier):
     """Output error from at most ``starts`` screened starts, or from one ``cold`` one.
 
     ``screen_iterations`` and ``margin`` as in multiple shooting. Fit and noise in turn, at most ``sigma_rounds`` times,

@@ -41,7 +41,6 @@ from bench import (
     Card,
     Cost,
     Estimate,
-    Identifier,
     InitialState,
     NoEstimate,
     OutputError,
@@ -49,6 +48,7 @@ from bench import (
     Problem,
     Serves,
 )
+from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import candidates, screening
 from methods.starts.open_parameters import very_wide
 from methods.trajectory.errors import Likelihood
@@ -77,7 +77,7 @@ POLISH = 3
 
 
 @dataclass(frozen=True)
-class Shooting(Identifier):
+class Shooting(SearchingIdentifier):
     """CasADi multiple shooting with the Gauss-Newton Hessian; settings below, the method in the module's docstring.
 
     At most ``starts`` separate starts get ``screen_iterations`` output-error steps; each is then solved by shooting

@@ -49,9 +49,9 @@ def test_crps_of_a_point_is_the_absolute_error() -> None:
 
 
 def test_the_interval_score_by_hand() -> None:
-    assert interval_score(1.0, 3.0, 2.0, 0.95) == pytest.approx(2.0)
-    assert interval_score(1.0, 3.0, 0.5, 0.95) == pytest.approx(2.0 + 40 * 0.5)
-    assert interval_score(1.0, 3.0, 3.1, 0.80) == pytest.approx(2.0 + 10 * 0.1)
+    assert interval_score([(1.0, 3.0)], 2.0, 0.95) == pytest.approx(2.0)
+    assert interval_score([(1.0, 3.0)], 0.5, 0.95) == pytest.approx(2.0 + 40 * 0.5)
+    assert interval_score([(1.0, 3.0)], 3.1, 0.80) == pytest.approx(2.0 + 10 * 0.1)
 
 
 def test_a_perfect_estimate_scores_perfectly() -> None:

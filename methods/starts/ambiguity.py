@@ -1,0 +1,240 @@
+"""Answers that know when they are ambiguous: other frequencies that fit the samples as well, and the band of an answer.
+
+Even samples of a free vibration do not tell a frequency from its aliases, and few or uneven samples may leave several
+basins of the likelihood alike. A method that searches with a prior weighs them: each is taken to its own maximum by the
+output-error likelihood, and its probability is the Laplace approximation of its evidence (D. J. C. MacKay, Information
+Theory, Inference, and Learning Algorithms, 2003, chapter 27), ``max posterior × sqrt(det covariance)``, the noise at
+its best value and the initial state uniform. The method's own answer stands first, whatever its probability; others
+above :data:`LEAST_WEIGHT` are alternatives.
+
+Without a prior, or by its nature, a method answers for frequencies below half the sampling rate. Where its answer has
+few samples a cycle it says so, and names the next frequency that would give the same samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from bench import Cost, Draws, Estimate, Identifier, OutputError, Problem, Status, System, estimate_at, used_of
+from methods.starts.candidates import screening
+from methods.starts.reach import UP, expected_rate, is_unresolved, resolved_cycles
+from methods.starts.scan import scan
+from methods.starts.separate import APART
+from methods.starts.time_scales import best_speeds, sped_up
+
+LEAST_WEIGHT = 0.01
+"""Probability above which another basin is an alternative."""
+FEW_SAMPLES = 4.0
+"""A cycle, below which an answer without a prior names its first alias."""
+MOST_BASINS = 16
+"""Minima of the scan that are compared."""
+ROUNDS, ITERATIONS = 2, 12
+"""Of fit and noise in turn, and steps of each fit, from every start."""
+SAME_RATE, SAME_SDS = 0.02, 5.0
+"""Logarithms of stiffness over mass as near as this to a basin's, or within so many standard deviations, are in it."""
+
+
+class SearchingIdentifier(Identifier):
+    """A method that searches where the prior expects the motion: its answer holds the other basins that fit.
+
+    Version 2: beyond half the sampling rate all of the prior's reach is searched, and other basins are named.
+    """
+
+    version: ClassVar[int] = 2
+
+    def completed(self, problem: Problem, estimate: Estimate) -> Estimate:
+        """Add alternatives and name them, or the alias where there is no prior."""
+        if estimate.status is not Status.OK or problem.system.n_dof > 1 or problem.system.n_hidden:
+            return estimate
+        if problem.prior is None:
+            return with_band(problem, estimate)
+        natural = problem.expressed_in(problem.natural_units())
+        return with_alternatives(problem, estimate) if is_unresolved(natural) else estimate
+
+
+class BandIdentifier(Identifier):
+    """A method that sees one band of frequencies, up to half the sampling rate: it says so, and names the alias."""
+
+    def completed(self, problem: Problem, estimate: Estimate) -> Estimate:
+        """State the band where the answer has few samples a cycle."""
+        if estimate.status is not Status.OK or problem.system.n_dof > 1 or problem.system.n_hidden:
+            return estimate
+        return with_band(problem, estimate)
+
+
+def with_band(problem: Problem, estimate: Estimate) -> Estimate:
+    """The estimate with a sentence on its band and its first alias, where it has few samples a cycle."""
+    frequency = _frequency(problem, _values(estimate))
+    rate = 2.0 * max(resolved_cycles(record) for record in problem.records)
+    if frequency is None or frequency == 0.0 or rate >= FEW_SAMPLES * frequency or estimate.belief is None:
+        return estimate
+    alias = rate - frequency if frequency < rate else rate * np.ceil(frequency / rate) - frequency
+    sentence = (
+        f"it answers for frequencies below {rate / 2:.3g} Hz, half the sampling rate: at {rate / frequency:.2g} "
+        f"samples a cycle {alias:.3g} Hz would give nearly the same samples as {frequency:.3g} Hz"
+    )
+    return replace(estimate, message="; ".join(filter(None, [estimate.message, sentence])))
+
+
+def with_alternatives(problem: Problem, estimate: Estimate) -> Estimate:
+    """The estimate with the other basins that data and prior support, each with its probability."""
+    units = problem.natural_units()
+    scales = units.scales(problem.system)
+    model = OutputError(problem.expressed_in(units))
+    values = {name: value / scales[name] for name, value in _values(estimate).items()}
+    basins = _basins(model, values)
+    if basins is None:
+        return estimate
+    thetas, covariances, weights, used = basins
+    rates = np.array([_log_rate(model, {n: float(v) for n, v in model.parameters(t).items()}) for t in thetas])
+    unit = np.log(scales[_stiffness(problem.system)] / scales[problem.system.gauge])
+    own, answer = _basin_of(model, rates, covariances, _log_rate(model, values)), estimate
+    if isinstance(estimate.parameters, Draws):
+        own, answer = _largest_part(estimate, rates + unit)
+    others = [i for i in np.argsort(-weights) if i != own and weights[i] > LEAST_WEIGHT]
+    if not others:
+        return estimate
+    weight = 0.0 if own is None else float(weights[own])
+    total = weight + float(weights[others].sum())
+    alternatives = tuple(
+        replace(
+            estimate_at(model, thetas[i], covariances[i], used[i], Cost()).returned(problem, units),
+            weight=float(weights[i]) / total,
+        )
+        for i in others
+    )
+    answer = replace(answer, alternatives=alternatives, weight=weight / total)
+    return replace(answer, message="; ".join(filter(None, [_sentence(problem, answer), estimate.message])))
+
+
+def _basins(
+    model: OutputError, values: Mapping[str, float]
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, list[float]] | None:
+    """Maxima of the posterior, from the scan and from the answer: theta, covariance, probability, data-decided size."""
+    scanned = scan(model.problem, MOST_BASINS) if model.system.linear else best_speeds(screening(model), MOST_BASINS)
+    starts = [dict(values), *_aliases(model, values), *scanned]
+    starts = [p for p in starts if all(np.isfinite(value) and value > 0 for value in p.values())]
+    if not starts:
+        return None
+    quick = screening(model)
+    thetas = quick.settle(np.stack([quick.vector(p) for p in starts]), ROUNDS, ITERATIONS)
+    predicted, slopes = quick.jacobian(thetas)
+    profiles = np.array([quick.profile_of(t, model.data - y) for t, y in zip(thetas, predicted, strict=True)])
+    kept: list[int] = []
+    evidence, covariances, used = [], [], []
+    for i in map(int, np.argsort(profiles)):
+        logs = thetas[i, : len(model.free)]
+        if not np.isfinite(profiles[i]) or any(np.max(np.abs(logs - thetas[j, : logs.size])) < APART for j in kept):
+            continue
+        residuals = model.data - predicted[i]
+        at_best = model.covariance(slopes[i], model.noise(residuals, 0.0))
+        if at_best is None:
+            continue
+        spent = _spent(model, slopes[i], model.noise(residuals, 0.0))
+        covariance = model.covariance(slopes[i], model.noise(residuals, spent))
+        assert covariance is not None
+        kept.append(i)
+        covariances.append(covariance)
+        used.append(spent)
+        evidence.append(-0.5 * profiles[i] + 0.5 * np.linalg.slogdet(at_best)[1])
+    if not kept:
+        return None
+    weights = np.exp(np.array(evidence) - max(evidence))
+    return thetas[kept], covariances, weights / weights.sum(), used
+
+
+def _basin_of(model: OutputError, rates: np.ndarray, covariances: Sequence[np.ndarray], rate: float) -> int | None:
+    """The basin in which an answer of this logarithm of stiffness over mass is; None where it is in none of them."""
+    stiffness, mass = model.free.index(_stiffness(model.system)), model.free.index(model.system.gauge)
+    nearest = int(np.argmin(np.abs(rates - rate)))
+    c = covariances[nearest]
+    sd = np.sqrt(max(c[stiffness, stiffness] + c[mass, mass] - 2.0 * c[stiffness, mass], 0.0))
+    return nearest if abs(rates[nearest] - rate) <= max(SAME_RATE, SAME_SDS * sd) else None
+
+
+def _spent(model: OutputError, slopes: np.ndarray, sigma: np.ndarray) -> float:
+    """Degrees of freedom that the data spent at a maximum with these slopes (N, size) and noise by channel."""
+    assert model.prior is not None
+    by_data = slopes / sigma[model.channel_of][:, None]
+    by_prior = np.eye(len(model.free), model.size) / model.prior.log_sds[:, None]
+    return float(used_of(np.concatenate([by_data, by_prior])[None], model.data.size)[0])
+
+
+def _aliases(model: OutputError, values: Mapping[str, float]) -> list[dict[str, float]]:
+    """The parameters with which the motion passes through the same points, sampled at the median step.
+
+    They are of frequencies within the prior's reach.
+    """
+    expected = expected_rate(model.problem)
+    assert expected is not None
+    centre, sd = expected
+    low, high = np.exp(centre - UP * sd) / (2 * np.pi), np.exp(centre + UP * sd) / (2 * np.pi)
+    frequency = np.exp(0.5 * _log_rate(model, values)) / (2 * np.pi)
+    rate = 2.0 * max(resolved_cycles(record) for record in model.problem.records)
+    numbers = np.arange(0, int(min(high / rate, MOST_BASINS)) + 2)
+    aliases = np.unique(np.abs(np.concatenate([numbers * rate - frequency, numbers * rate + frequency])))
+    factors = [f / frequency for f in aliases if low <= f <= high and abs(np.log(f / frequency)) > APART]
+    return [sped_up(model.system, values, factor) for factor in factors]
+
+
+def _stiffness(system: System) -> str:
+    return next((p.name for p in system.parameters if p.kind == "stiffness"), system.gauge)
+
+
+def _log_rate(model: OutputError, values: Mapping[str, float]) -> float:
+    """The logarithm of the first stiffness over the gauge mass."""
+    return float(np.log(values[_stiffness(model.system)] / values[model.system.gauge]))
+
+
+def _log_rates(system: System, draws: Draws) -> np.ndarray:
+    """The same of every draw, (n_draws,)."""
+    stiffness, mass = (draws.samples[:, draws.names.index(name)] for name in (_stiffness(system), system.gauge))
+    return np.asarray(np.log(stiffness / mass))
+
+
+def _values(estimate: Estimate) -> dict[str, float]:
+    """Parameters of an answer; of groups, those with a gauge mass of 1. NaNs where it has none."""
+    if isinstance(estimate.parameters, Draws):  # medians of several basins may lie in none of them: a draw does not
+        draws = estimate.parameters.samples
+        middle = np.argsort(_log_rates(estimate.system, estimate.parameters), kind="stable")[len(draws) // 2]
+        return dict(zip(estimate.parameters.names, map(float, draws[middle]), strict=True))
+    if estimate.parameters is not None:
+        return {name: float(value) for name, value in estimate.parameters.values().items()}
+    values = dict.fromkeys(estimate.system.names, 1.0)
+    for name, value in (estimate.groups.values() if estimate.groups is not None else {}).items():
+        numerator = next(n for n, power in estimate.system.quantity(name).exponents.items() if power > 0)
+        values[numerator] = float(value)
+    return values
+
+
+def _frequency(problem: Problem, values: Mapping[str, float]) -> float | None:
+    """The natural frequency (Hz) at parameters; None where it is none."""
+    square = values[_stiffness(problem.system)] / values[problem.system.gauge]
+    return float(np.sqrt(square) / (2 * np.pi)) if np.isfinite(square) and square > 0 else None
+
+
+def _largest_part(estimate: Estimate, rates: np.ndarray) -> tuple[int, Estimate]:
+    """The basin that holds most draws, and the estimate with these alone: the others are in the alternatives.
+
+    ``rates``: logarithms of stiffness over mass of the basins.
+    """
+    draws = estimate.parameters
+    assert isinstance(draws, Draws)
+    nearest = np.argmin(np.abs(_log_rates(estimate.system, draws)[:, None] - rates), axis=1)
+    own = int(np.argmax(np.bincount(nearest, minlength=rates.size)))
+    return own, replace(estimate, parameters=replace(draws, samples=draws.samples[nearest == own]))
+
+
+def _sentence(problem: Problem, answer: Estimate) -> str:
+    """Name the frequencies that fit, with their probabilities."""
+    shown = []
+    for estimate in (answer, *answer.alternatives):
+        frequency = _frequency(problem, _values(estimate))
+        if frequency is not None:
+            share = f"{100 * estimate.weight:.0f} %" if estimate.weight >= LEAST_WEIGHT else "below 1 %"
+            shown.append(f"{frequency:.4g} Hz ({share})")
+    return f"ambiguous: the samples and the prior fit {' or '.join(shown)}"

@@ -1,0 +1,121 @@
+"""Answers that hold other basins, against the arithmetic of aliases."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bench import Channel, Estimate, Identifier, InitialState, Prior, Problem, Record
+from bench.entrants.registry import make_method
+from bench.scenario.truth import closed_form
+from bench.scoring.combination import combine_with_prior
+from bench.systems import SDOF
+
+RATE, DECAY, MASS = 2 * np.pi * 1.3, 0.08, 2.0
+"""Damped rate (rad/s) and decay (1/s) of the motion that is sampled."""
+TRUE = {"m": MASS, "c": 2 * DECAY * MASS, "k": MASS * (RATE**2 + DECAY**2)}
+STEP = 1.0 / (1.6 * 1.3)
+"""1.6 samples a cycle."""
+
+
+def sampled(
+    nominal_hz: float | None, step: float = STEP, n: int = 40, log_sd: float = 0.3, noise: float = 0.02
+) -> Problem:
+    """A free decay from an initial state that is not known, with a prior about a frequency or none."""
+    times = step * np.arange(n)
+    values = closed_form(TRUE, 0.3, -1.0, times)
+    values = values + noise * np.std(values) * np.random.default_rng(5).standard_normal(n)
+    prior = None
+    if nominal_hz is not None:
+        nominal = {"m": MASS, "c": 0.4, "k": MASS * (2 * np.pi * nominal_hz) ** 2}
+        prior = Prior(nominal, {"m": 0.02, "c": 1.0, "k": log_sd})
+    return Problem(SDOF(), (Record((Channel(times, values),)),), prior)
+
+
+def answer(method: str, problem: Problem) -> Estimate:
+    return make_method(method, {}).identify(problem, np.random.default_rng(0))
+
+
+def damped_rate(estimate: Estimate) -> float:
+    assert estimate.parameters is not None
+    p = estimate.parameters.values()
+    return float(np.sqrt(p["k"] / p["m"] - (p["c"] / p["m"] / 2) ** 2))
+
+
+@pytest.mark.parametrize("method", ["shooting", "output_error", "frequency", "collocation", "mcmc"])
+def test_a_searching_method_names_the_alias_that_fits_as_well(method: str) -> None:
+    """At even steps ``w`` and ``2 pi / step - w`` go through the same points; the prior lies between both."""
+    problem = sampled(nominal_hz=1.02)
+    estimate = combine_with_prior(answer(method, problem), problem.prior)
+    rates = sorted(damped_rate(part) for part in (estimate, *estimate.alternatives))
+    assert rates == pytest.approx([2 * np.pi / STEP - RATE, RATE], rel=2e-3)
+    assert estimate.weight + sum(part.weight for part in estimate.alternatives) == pytest.approx(1.0)
+    assert "Hz (" in estimate.message
+    marginal = estimate.marginal(estimate.system.quantity("natural_frequency"))
+    assert marginal is not None
+    pieces = marginal.intervals(0.95)
+    assert len(pieces) == 2
+    assert any(low <= 1.3 <= high for low, high in pieces)
+    assert marginal.interval(0.95) == (pieces[0][0], pieces[1][1])
+    assert all(high - low < 0.02 for low, high in pieces)
+
+
+def test_the_weights_are_those_of_the_prior_and_of_the_volumes() -> None:
+    """Basins that fit alike have the odds of their prior, times the ratio of their volumes.
+
+    In parameters (log k, log c, x0, v0) the data decide k by ``delta log k = 2 delta w / w`` and the start by
+    ``delta v0 = w delta b``, so that the ratio of volumes of two rates is 1; damping has the same prior in both.
+    """
+    problem = sampled(nominal_hz=1.02)
+    estimate = answer("shooting", problem)
+    (other,) = estimate.alternatives
+    assert problem.prior is not None
+    nominal = np.log(problem.prior.nominal["k"])
+    logs = [np.log(MASS * (damped_rate(part) ** 2 + DECAY**2)) for part in (estimate, other)]
+    odds = np.exp(0.5 * ((logs[1] - nominal) ** 2 - (logs[0] - nominal) ** 2) / (0.3**2 + 0.02**2))
+    assert estimate.weight / other.weight == pytest.approx(odds, rel=0.1)
+
+
+@pytest.mark.parametrize(("nominal_hz", "expected"), [(0.75, 2 * np.pi / STEP - RATE), (1.35, RATE)])
+def test_the_prior_decides_between_aliases(nominal_hz: float, expected: float) -> None:
+    estimate = answer("shooting", sampled(nominal_hz, log_sd=0.1))
+    assert damped_rate(estimate) == pytest.approx(expected, rel=2e-3)
+    assert estimate.alternatives == ()
+
+
+def test_a_known_initial_state_decides_between_aliases() -> None:
+    """The same samples from another initial velocity: an alias has ``v0`` scaled with its rate."""
+    problem = sampled(nominal_hz=1.02)
+    record = Record(problem.records[0].channels, (), InitialState(np.array([0.3]), np.array([-1.0])))
+    estimate = answer("shooting", Problem(problem.system, (record,), problem.prior))
+    assert damped_rate(estimate) == pytest.approx(RATE, rel=2e-3)
+    assert estimate.alternatives == ()
+
+
+def test_a_well_sampled_answer_has_no_alternatives() -> None:
+    estimate = answer("shooting", sampled(nominal_hz=1.2, step=0.1))
+    assert (estimate.alternatives, estimate.weight, estimate.message) == ((), 1.0, "")
+
+
+@pytest.mark.parametrize("method", ["shooting", "matrix_pencil", "iqml", "ar", "era", "frequency"])
+def test_an_answer_without_a_prior_names_its_band_and_its_alias(method: str) -> None:
+    """2.08 samples a second: below 1.04 Hz, and 1.3 Hz looks like 0.78 Hz."""
+    message = answer(method, sampled(nominal_hz=None)).message
+    assert "below 1.04 Hz" in message
+    assert "1.3 Hz" in message
+    assert "0.78 Hz" in message or "0.779 Hz" in message
+
+
+def test_samples_that_are_many_a_cycle_need_no_word_on_the_band() -> None:
+    assert "half the sampling rate" not in answer("matrix_pencil", sampled(nominal_hz=None, step=0.1)).message
+
+
+def test_a_method_that_states_nothing_is_left_alone() -> None:
+    class Fixed(Identifier):
+        card = make_method("ls", {}).card
+
+        def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+            return Estimate.failed(problem.system, status=estimate.status, message="none")
+
+    estimate = answer("shooting", sampled(nominal_hz=1.2, step=0.1))
+    assert Fixed().identify(sampled(nominal_hz=1.02), np.random.default_rng(0)).message == "none"
