@@ -37,8 +37,9 @@ from bench.dynamics.ops import array_ops, nan_ops, numpy_ops, ops_from
 from bench.dynamics.rates import fastest_rates
 from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurements, simulate
 from bench.errors import InputError
-from bench.likelihood.batch import Batch, Point, layout, used_of
-from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, Search, Standardised, Start, estimate_at
+from bench.likelihood.batching import batches, layout
+from bench.likelihood.least_squares import FIRST_DAMPING, Linearisation, Minimum, StepLimits, degrees_used, minimise
+from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, SimulatedData, Start, estimate_at
 from bench.likelihood.whitened import whitened
 from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
 
@@ -48,9 +49,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EVERY_PROBLEM",
+    "FIRST_DAMPING",
     "LOG_LIMIT",
     "SIGMA_FLOOR",
-    "Batch",
     "Belief",
     "Card",
     "Channel",
@@ -67,7 +68,9 @@ __all__ = [
     "InitialState",
     "InputError",
     "Layout",
+    "Linearisation",
     "Marginal",
+    "Minimum",
     "NoEstimate",
     "Normal",
     "OnlineCard",
@@ -75,7 +78,6 @@ __all__ = [
     "Ops",
     "OutputError",
     "Parameter",
-    "Point",
     "Prior",
     "Problem",
     "Quantity",
@@ -84,14 +86,14 @@ __all__ = [
     "Results",
     "Sample",
     "SampleStatus",
-    "Search",
     "Sensor",
     "Serves",
+    "SimulatedData",
     "SimulatedResponse",
-    "Standardised",
     "Standing",
     "Start",
     "Status",
+    "StepLimits",
     "Steps",
     "System",
     "Tracker",
@@ -99,7 +101,9 @@ __all__ = [
     "WindowTracker",
     "acceleration",
     "array_ops",
+    "batches",
     "compiled_path",
+    "degrees_used",
     "dimension_scale",
     "estimate_at",
     "experiment",
@@ -111,6 +115,7 @@ __all__ = [
     "levelled",
     "mass_matrix",
     "measurements",
+    "minimise",
     "nan_ops",
     "numpy_ops",
     "ops_from",
@@ -124,7 +129,6 @@ __all__ = [
     "state_matrix",
     "state_rate",
     "step_counts",
-    "used_of",
     "whitened",
 ]
 __version__ = "0.1.0"

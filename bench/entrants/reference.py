@@ -7,7 +7,7 @@ truth, what a perfect optimiser gets from the same data and the same prior.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,10 +15,24 @@ from bench.contract.belief import Normal
 from bench.contract.estimate import Cost, Estimate, Status
 from bench.contract.problem import Problem
 from bench.dynamics.simulate import fitted_start
-from bench.likelihood.output_error import OutputError, Standardised, estimate_at
+from bench.likelihood.output_error import OutputError, estimate_at
 from bench.scenario.truth import Truth
 
 NOISE_ROUNDS = 6
+MOST_ITERATIONS = 100
+"""Trial steps of a search, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class _ExactOutputError(OutputError):
+    """The likelihood with every motion integrated alone, which is more accurate for a nonlinear system."""
+
+    def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Predictions (cases, N) and derivatives (cases, N, size); a neighbour that diverged gives no derivative."""
+        predicted, slopes = super().jacobian(theta)
+        if self.system.linear:
+            return predicted, slopes
+        return np.stack([self.predict(vector) for vector in theta]), np.where(np.isfinite(slopes), slopes, 0.0)
 
 
 def prior_estimate(problem: Problem, truth: Truth) -> Estimate:
@@ -38,27 +52,26 @@ def oracle_estimate(problem: Problem, truth: Truth) -> Estimate:
     inform: groups where nothing but the prior sets the scale, else parameters; and the initial state where it is not
     known.
     """
-    from scipy.optimize import least_squares  # slow to import, and few need it
-
     system, true = problem.system, truth.parameters
-    model = OutputError(problem, gauge=true[system.gauge])
+    model = _ExactOutputError(problem, gauge=true[system.gauge])
     p_data = (len(system.names) if problem.scale_told else len(system.groups)) + model.size - len(model.free)
     dof, size = max(problem.n - p_data, 1), float(np.max(np.abs(truth.dense_displacement)))
     start = [*truth.initial_state.displacement, *truth.initial_state.velocity] * len(model.unknown_starts)
     theta = np.concatenate([np.log([true[name] for name in model.free]), start])
-    sigma, evaluations = max(float(np.mean(truth.sigma)), 1e-12 * size), 0
+    level, evaluations = max(float(np.mean(truth.sigma)), 1e-12 * size), 0
+    point = model.point(theta[None])
     for _ in range(NOISE_ROUNDS):
-        aim = Standardised(model, np.full(len(model.channels), sigma), exact=True)
-        fit = least_squares(aim.residuals, theta, aim.jacobian, method="lm", xtol=1e-13, ftol=1e-13)
-        theta, evaluations = fit.x, evaluations + aim.evaluations + 1
-        left = model.data - model.predict(theta)
-        before, sigma = sigma, max(float(np.sqrt(np.sum(left**2) / dof)), 1e-14 * size)
-        if abs(sigma / before - 1) < 1e-6:
+        sigma = np.full((1, len(model.channels)), level)
+        point, end = model.search(point, sigma, MOST_ITERATIONS, polished=True)
+        evaluations += int(end.iterations[0]) + 1
+        before, level = level, max(float(np.sqrt(np.sum((model.data - point.predicted) ** 2) / dof)), 1e-14 * size)
+        if abs(level / before - 1) < 1e-6:
             break
-    scale, covariance = np.linalg.norm(fit.jac, axis=0), None
-    if np.all(scale > 0) and np.all(np.isfinite(fit.jac)):  # else a parameter ran to zero: no interval of its logarithm
-        covariance = np.linalg.pinv((fit.jac / scale).T @ (fit.jac / scale)) / np.outer(scale, scale)
-    estimate = estimate_at(model, theta, covariance, p_data, Cost(evaluations=evaluations), str(fit.message))
+    slopes = model.standardised(point, sigma).slopes[0]
+    scale, covariance = np.linalg.norm(slopes, axis=0), None
+    if np.all(scale > 0) and np.all(np.isfinite(slopes)):  # else a parameter ran to zero: no interval of its logarithm
+        covariance = np.linalg.pinv((slopes / scale).T @ (slopes / scale)) / np.outer(scale, scale)
+    estimate = estimate_at(model, point.theta[0], covariance, p_data, Cost(evaluations=evaluations))
     return replace(estimate, offsets=None)
 
 

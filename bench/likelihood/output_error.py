@@ -1,14 +1,18 @@
-"""The likelihood of output error: measured minus simulated, as a function of one vector of unknowns, and its maximum.
+"""The likelihood of output error: simulated minus measured, as a function of one vector of unknowns, and its maximum.
 
 With Gaussian noise minus twice the log-posterior is ``sum ((y - h) / sigma)² + sum ((log p - log nominal) / sd)²`` up
 to the noise level's own term (L. Ljung, System Identification, 2nd ed. 1999, chapters 7 and 10). It is for a problem in
-its natural units (:meth:`bench.Problem.natural_units`).
+its natural units (:meth:`bench.Problem.natural_units`), or for a batch of problems of one layout
+(:mod:`bench.likelihood.batching`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -16,28 +20,68 @@ from bench.contract.belief import Normal
 from bench.contract.estimate import Cost, Estimate
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, InitialState, Problem, Record
+from bench.dynamics.linear_motion import linear_readings
 from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurements
+from bench.likelihood.least_squares import FIRST_DAMPING, Linearisation, Minimum, StepLimits, minimise, polish
 from bench.systems import System
 
 SIGMA_FLOOR = 1e-4
 """The noise assumed while fitting is at least this part of a channel's root mean square; see ``noise``."""
 LOG_LIMIT = 40.0
 """Largest size of a log-parameter in a search."""
+LONGEST_STEP = 1.5
+"""Largest change of a log-parameter in one iteration; larger steps leave the region where the linearisation holds."""
 
 Start = InitialState | tuple[np.ndarray, np.ndarray]
 """A start as it is told, or displacement and velocity of shape (n_dof, ...) of many sets at once."""
 
 
 @dataclass(frozen=True, eq=False)
-class OutputError:
-    """Measured minus simulated, as a function of one vector ``theta``, vectorised over many of them.
+class SimulatedData:
+    """Vectors of unknowns (cases, size), with their predictions (cases, N) and derivatives (cases, N, size)."""
 
-    ``theta`` holds the log-parameters (without the gauge mass, held at ``gauge``, where nothing tells the scale), then
-    displacement and velocity at time 0 of each record whose start is unknown, then the unknown offsets.
+    theta: np.ndarray
+    predicted: np.ndarray
+    slopes: np.ndarray
+
+    def __getitem__(self, cases: np.ndarray) -> SimulatedData:
+        return SimulatedData(self.theta[cases], self.predicted[cases], self.slopes[cases])
+
+    def put(self, cases: np.ndarray, new: SimulatedData) -> None:
+        """Replace some cases."""
+        self.theta[cases], self.predicted[cases], self.slopes[cases] = new.theta, new.predicted, new.slopes
+
+
+@dataclass(frozen=True, eq=False)
+class OutputError:
+    """Measurements and simulation of a problem, as functions of one vector ``theta``, vectorised over many of them.
+
+    ``theta`` holds the log-parameters (without the gauge mass, held at ``gauge``, where nothing determines the scale),
+    then displacement and velocity at time 0 of each record whose initial state is unknown, then the unknown offsets.
+
+    :meth:`batch` joins problems of one layout. The arrays named in ``per_problem`` then have a leading axis; with
+    ``model[cases]`` that axis is over *cases*, the number of the problem of each, and so is the leading axis of theta.
     """
 
     problem: Problem
     gauge: float = 1.0
+
+    per_problem: ClassVar[tuple[str, ...]] = ("data", "rms", "initial_states", "log_mean", "precision", "mass_unit")
+
+    @classmethod
+    def batch(cls, models: Sequence[OutputError]) -> Self:
+        """Join the likelihoods of problems of one layout; ``problem`` is that of the first."""
+        joined: Any = copy(models[0])
+        for name in joined.per_problem:
+            joined.__dict__[name] = np.stack([getattr(model, name) for model in models])
+        joined.__dict__["mass_unit"] = joined.mass_unit / joined.mass_unit[0]
+        return joined
+
+    def __getitem__(self, cases: np.ndarray) -> Self:
+        """Choose problems of a batch by number, for one case each."""
+        chosen = copy(self)
+        chosen.__dict__.update({name: getattr(self, name)[cases] for name in self.per_problem})
+        return chosen
 
     @property
     def system(self) -> System:
@@ -66,13 +110,10 @@ class OutputError:
     def offset_channels(self) -> tuple[int, ...]:
         return tuple(i for i, (_, channel) in enumerate(self.channels) if channel.offset)
 
-    @property
-    def size(self) -> int:
-        return len(self.free) + 2 * self.system.n_dof * len(self.unknown_starts) + len(self.offset_channels)
-
     @cached_property
-    def data(self) -> np.ndarray:
-        return np.concatenate([channel.values for _, channel in self.channels])
+    def size(self) -> int:
+        """Number of unknowns."""
+        return len(self.free) + 2 * self.system.n_dof * len(self.unknown_starts) + len(self.offset_channels)
 
     @cached_property
     def channel_of(self) -> np.ndarray:
@@ -84,28 +125,71 @@ class OutputError:
         return np.array([channel.n for _, channel in self.channels])
 
     @cached_property
+    def data(self) -> np.ndarray:
+        return np.concatenate([channel.values for _, channel in self.channels])
+
+    @cached_property
     def rms(self) -> np.ndarray:
         """Root mean square of each channel; 1 where it is all zeros."""
         sizes = [float(np.sqrt(np.mean(c.values**2))) if c.n else 0.0 for _, c in self.channels]
         return np.array([size if size > 0 else 1.0 for size in sizes])
+
+    @cached_property
+    def initial_states(self) -> np.ndarray:
+        """Displacements and velocities at time 0 of each record, zero where unknown, shape (records, 2 n_dof)."""
+        rows = np.zeros((len(self.problem.records), 2 * self.system.n_dof))
+        for row, record in zip(rows, self.problem.records, strict=True):
+            if record.initial_state is not None:
+                row[:] = np.concatenate([record.initial_state.displacement, record.initial_state.velocity])
+        return rows
+
+    @cached_property
+    def log_mean(self) -> np.ndarray:
+        """Means of the log-parameters in the prior; of no length without one."""
+        return np.zeros(0) if self.prior is None else self.prior.log_mean
+
+    @cached_property
+    def precision(self) -> np.ndarray:
+        """Reciprocal standard deviations of the log-parameters in the prior."""
+        return np.zeros(0) if self.prior is None else 1.0 / self.prior.log_sds
+
+    @cached_property
+    def mass_unit(self) -> np.ndarray:
+        """The unit in which a batch has the same forces and added masses, over the unit of mass of each problem."""
+        return np.array(mass_scale(self.problem))
 
     def parameters(self, theta: np.ndarray) -> dict[str, np.ndarray]:
         """The parameters, each of the leading shape of ``theta``."""
         values = dict(zip(self.free, np.moveaxis(np.exp(theta[..., : len(self.free)]), -1, 0), strict=True))
         return {name: values.get(name, np.full(theta.shape[:-1], self.gauge)) for name in self.system.names}
 
+    def _parameters_of_batch(self, theta: np.ndarray) -> dict[str, np.ndarray]:
+        """The parameters in the unit of mass in which the forces of all cases are those of ``problem``."""
+        p = self.parameters(theta)
+        if not self.mass_unit.ndim:
+            return p
+        return {q.name: p[q.name] / self.mass_unit**q.dimension.mass for q in self.system.parameters}
+
     def starts(self, theta: np.ndarray) -> list[Start]:
-        """Initial state by record: the told one, or displacement and velocity of shape (n_dof, ...)."""
-        n, at = self.system.n_dof, len(self.free)
-        found: list[Start] = []
-        for record in self.problem.records:
-            if record.initial_state is not None:
-                found.append(record.initial_state)
-                continue
-            part = np.moveaxis(theta[..., at : at + 2 * n], -1, 0)
-            found.append((part[:n], part[n:]))
-            at += 2 * n
-        return found
+        """Initial state by record: the known one, or displacement and velocity of shape (n_dof, ...)."""
+        n = self.system.n_dof
+        states: list[Start] = []
+        for record, state in zip(self.problem.records, self.states(theta), strict=True):
+            part = np.moveaxis(state, -1, 0)
+            known = record.initial_state if self.data.ndim == 1 else None
+            states.append((part[:n], part[n:]) if known is None else known)
+        return states
+
+    def states(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Displacements and velocities at time 0 by record, known or of ``theta``, each of shape (..., 2 n_dof)."""
+        at, n2, states = len(self.free), 2 * self.system.n_dof, list[np.ndarray]()
+        for number, record in enumerate(self.problem.records):
+            if record.initial_state is None:
+                states.append(theta[..., at : at + n2])
+                at += n2
+            else:
+                states.append(np.broadcast_to(self.initial_states[..., number, :], (*theta.shape[:-1], n2)))
+        return states
 
     def offsets(self, theta: np.ndarray) -> np.ndarray:
         """One offset a channel (zero where there is none), shape (..., n_channels)."""
@@ -116,7 +200,7 @@ class OutputError:
 
     def predict(self, theta: np.ndarray) -> np.ndarray:
         """Simulated measurements, shape (..., N); not finite where the response diverges."""
-        p = self.parameters(theta)
+        p = self._parameters_of_batch(theta)
         parts = [
             self.readings(p, start, record)
             for start, record in zip(self.starts(theta), self.problem.records, strict=True)
@@ -127,39 +211,23 @@ class OutputError:
         """What the sensors of a record would show, channel after channel, shape (..., n), without offsets."""
         return measurements(self.system, p, start, record)
 
-    def penalty(self, theta: np.ndarray) -> np.ndarray:
-        """Standardised distances from the prior, shape (..., n_parameters); of no length without a prior."""
-        if self.prior is None:
-            return np.zeros((*theta.shape[:-1], 0))
-        return self.prior.residuals(theta[..., : len(self.free)])
-
-    def noise(self, residuals: np.ndarray, used: float, floor: float = SIGMA_FLOOR) -> np.ndarray:
-        """Noise by channel, ``RSS / (N - used)`` with the degrees of freedom shared in proportion to the samples.
-
-        Bounded below by ``floor`` of the channel's size: data that fit better than that (80 dB) would leave the prior
-        no weight that double precision can resolve.
-        """
-        share = max(1.0 - used / self.data.size, 1.0 / self.data.size)
-        rss = np.bincount(self.channel_of, residuals**2, len(self.channels))
-        return np.maximum(np.sqrt(rss / (np.maximum(self.counts, 1) * share)), floor * self.rms)
-
-    def profile(self, theta: np.ndarray) -> float:
-        """Minus twice the log-posterior with the noise of each channel at its best value, up to a constant."""
-        with np.errstate(all="ignore"):
-            return self.profile_of(theta, self.data - self.predict(theta))
-
-    def profile_of(self, theta: np.ndarray, residuals: np.ndarray) -> float:
-        """The same, of residuals (N,) that are known already; infinite where they are not finite."""
-        if not np.all(np.isfinite(residuals)):
-            return np.inf
-        sigma = self.noise(residuals, 0.0)
-        return float(2 * self.counts @ np.log(sigma) + np.sum(self.penalty(theta) ** 2))
-
     def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Prediction (..., N) and its derivatives (..., N, size), by central differences, at ``theta`` (..., size)."""
+        """SimulatedData (..., N) and its derivatives (..., N, size) at ``theta`` (..., size).
+
+        Exact for a linear system; otherwise by central differences.
+        """
+        if not self.system.linear:
+            return self._differences(theta)
+        if theta.ndim == 2:
+            return self._assembled(theta)
+        shape = (*theta.shape[:-1], self.channel_of.size)
+        predicted, slopes = self._assembled(theta.reshape(-1, self.size))
+        return predicted.reshape(shape), slopes.reshape(*shape, self.size)
+
+    def _differences(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         d, k = theta.shape[-1], len(self.free)
-        # one step for all log-parameters: raised together they change nothing where no force tells the scale, and the
-        # errors of the differences, which cancel to the same degree then, would otherwise pass for information
+        # one step for all log-parameters: raised together they change nothing where no force determines the scale, and
+        # the errors of the differences, which cancel to the same degree then, would otherwise pass for information
         step = 1e-5 * np.where(np.arange(d) < k, 1.0, np.maximum(1.0, np.abs(theta)))
         moves = step[..., None] * np.eye(d)
         sets = np.concatenate([theta[..., None, :], theta[..., None, :] + moves, theta[..., None, :] - moves], axis=-2)
@@ -168,24 +236,132 @@ class OutputError:
             slopes = (predicted[..., 1 : d + 1, :] - predicted[..., d + 1 :, :]) / (2 * step[..., None])
         return predicted[..., 0, :], np.swapaxes(slopes, -1, -2)
 
+    def _assembled(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """SimulatedData and derivatives at ``theta`` (cases, size) from those of the sensors of each record."""
+        n2, names, k = 2 * self.system.n_dof, self.system.names, len(self.free)
+        logs = [names.index(name) for name in self.free]
+        p = self._parameters_of_batch(theta)
+        predicted = np.empty((len(theta), self.channel_of.size))
+        derivatives = np.zeros((*predicted.shape, self.size))
+        column, row = k, 0
+        for number, (record, state) in enumerate(zip(self.problem.records, self.states(theta), strict=True)):
+            values, slopes = self.readings_and_slopes(number, p, state)
+            rows = slice(row, row := row + record.n)
+            predicted[:, rows], derivatives[:, rows, :k] = values, slopes[..., logs]
+            if record.initial_state is None:
+                derivatives[:, rows, column : column + n2] = slopes[..., len(names) :]
+                column += n2
+        for i, channel in enumerate(self.offset_channels):
+            derivatives[:, self.channel_of == channel, column + i] = 1.0
+        if self.offset_channels:
+            predicted += self.offsets(theta)[..., self.channel_of]
+        return predicted, derivatives
+
+    def readings_and_slopes(
+        self, number: int, p: dict[str, np.ndarray], state: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What the sensors of record ``number`` would show, and its derivatives, as :func:`linear_readings`.
+
+        Derivatives by a known initial state need not be there.
+        """
+        return linear_readings(self.system, p, state, self.problem.records[number])
+
+    def for_screening(self, cases: np.ndarray, theta: np.ndarray) -> Self:
+        """The same, as exact as comparing initial guesses ``theta`` (cases, size) needs; itself where it is exact."""
+        return self
+
+    def refined(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> Self:
+        """The same, as exact as answers near ``theta`` must be at noise ``sigma`` (cases, channels); maybe itself."""
+        return self
+
+    def coarse(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+        """Whether an answer at ``theta`` would have to be more exact, shape (cases,)."""
+        return np.zeros(cases.size, bool)
+
+    def penalty(self, theta: np.ndarray) -> np.ndarray:
+        """Standardised distances from the prior, shape (..., n_parameters); of no length without a prior."""
+        k = self.log_mean.shape[-1]
+        return np.asarray((theta[..., :k] - self.log_mean) * self.precision)
+
+    def noise(self, residuals: np.ndarray, used: float | np.ndarray, floor: float = SIGMA_FLOOR) -> np.ndarray:
+        """Noise by channel, ``RSS / (N - used)`` with the degrees of freedom shared in proportion to the samples.
+
+        Bounded below by ``floor`` of the channel's size: data that fit better than that (80 dB) would leave the prior
+        no weight that double precision can resolve. ``residuals`` (..., N), ``used`` (...,).
+        """
+        n = self.channel_of.size
+        share = np.maximum(1.0 - np.asarray(used) / n, 1.0 / n)[..., None]
+        squares = residuals**2
+        if self.counts.size == 1:
+            rss = np.sum(squares, axis=-1, keepdims=True)
+        else:
+            rss = np.stack([np.sum(squares[..., self.channel_of == i], axis=-1) for i in range(self.counts.size)], -1)
+        return np.maximum(np.sqrt(rss / (np.maximum(self.counts, 1) * share)), floor * self.rms)
+
+    def profile(self, theta: np.ndarray) -> Any:
+        """Minus twice the log-posterior with the noise of each channel at its best value, up to a constant, (...,)."""
+        with np.errstate(all="ignore"):
+            return self.profile_of(theta, self.data - self.predict(theta))
+
+    def profile_of(self, theta: np.ndarray, residuals: np.ndarray) -> Any:
+        """The same, of residuals (..., N) that are known already; infinite where they are not finite."""
+        finite = np.all(np.isfinite(residuals), axis=-1)
+        sigma = self.noise(np.where(finite[..., None], residuals, 1.0), 0.0)
+        value = 2 * np.log(sigma) @ self.counts + np.sum(self.penalty(theta) ** 2, axis=-1)
+        return np.where(finite, value, np.inf)[()]
+
+    def point(self, theta: np.ndarray) -> SimulatedData:
+        """The predictions at vectors of unknowns (cases, size)."""
+        with np.errstate(all="ignore"):
+            return SimulatedData(theta, *self.jacobian(theta))
+
+    def standardised(self, point: SimulatedData, sigma: np.ndarray) -> Linearisation:
+        """Residuals over the noise (cases, channels), then distances from the prior, with their derivatives."""
+        weights = 1.0 / sigma[..., self.channel_of]
+        residuals, slopes = weights * (point.predicted - self.data), weights[..., None] * point.slopes
+        if k := self.precision.shape[-1]:
+            rows = self.precision[..., None] * np.eye(k, self.size)
+            residuals = np.concatenate([residuals, self.penalty(point.theta)], axis=-1)
+            slopes = np.concatenate([slopes, np.broadcast_to(rows, (len(slopes), k, self.size))], axis=-2)
+        return Linearisation.of(point.theta, residuals, slopes)
+
+    def search(
+        self,
+        start: SimulatedData,
+        sigma: np.ndarray,
+        iterations: int,
+        damping: float = FIRST_DAMPING,
+        polished: bool = False,
+    ) -> tuple[SimulatedData, Minimum]:
+        """Search the maximum of the posterior at given noise (cases, channels), from a point of each case.
+
+        ``damping``: the first one. ``polished``: take one more step at the end. Returns the points reached, and how the
+        searches ended.
+        """
+        alone = self.data.ndim == 1
+
+        def evaluate(cases: np.ndarray, theta: np.ndarray) -> Linearisation:
+            model = self if alone else self[cases]
+            return model.standardised(model.point(theta), sigma[cases])
+
+        size = np.where(np.arange(self.size) < len(self.free), LOG_LIMIT, np.inf)
+        step = np.where(np.isfinite(size), LONGEST_STEP, np.inf)
+        end = minimise(evaluate, self.standardised(start, sigma), iterations, StepLimits(step, size), damping)
+        reached = polish(evaluate, end.at) if polished else end.at
+        scale = sigma[..., self.channel_of]
+        n = scale.shape[-1]
+        predicted = self.data + scale * reached.residuals[:, :n]
+        return SimulatedData(reached.unknowns, predicted, scale[..., None] * reached.slopes[:, :n]), end
+
     def settle(self, thetas: np.ndarray, rounds: int = 2, iterations: int = 10) -> np.ndarray:
-        """Fit and noise in turn, from each of ``thetas`` (starts, size), all starts simulated together."""
+        """Fit and noise in turn, from each of ``thetas`` (cases, size); those without a finite response stay."""
+        point = self.point(thetas)
         for _ in range(rounds):
-            with np.errstate(all="ignore"):
-                residuals = self.data - self.predict(thetas)
-            good = np.flatnonzero(np.all(np.isfinite(residuals), axis=-1))
-            searches = [Search(self, thetas[i], self.noise(residuals[i], 0.0)) for i in good]
-            for _ in range(iterations):
-                going = [search for search in searches if not search.done]
-                if not going:
-                    break
-                predicted, jacobian = self.jacobian(np.stack([search.trial for search in going]))
-                for search, own, slopes in zip(going, predicted, jacobian, strict=True):
-                    search.step(own, slopes)
-            if searches:
-                thetas = thetas.copy()
-                thetas[good] = np.stack([search.kept for search in searches])
-        return thetas
+            residuals = self.data - point.predicted
+            finite = np.all(np.isfinite(residuals), axis=-1, keepdims=True)
+            sigma = self.noise(np.where(finite, residuals, 1.0), 0.0)
+            point, _ = self.search(point, sigma, iterations)
+        return point.theta
 
     def covariance(self, slopes: np.ndarray, sigma: np.ndarray, log_sd: float | None = None) -> np.ndarray | None:
         """Inverse of the Gauss-Newton Hessian over theta; None where the data and the prior leave a direction open.
@@ -205,6 +381,19 @@ class OutputError:
         root = axes.T / values / sizes[:, None]
         return np.asarray(root @ root.T)
 
+    def with_initial_states(self, theta: np.ndarray, steps: int = 1) -> np.ndarray:
+        """Vectors (cases, size) with the initial states and offsets that fit the data best at their parameters.
+
+        Gauss-Newton, whose first step is the solution for a linear system; a case that is not finite stays.
+        """
+        theta, k = theta.copy(), len(self.free)
+        for _ in range(steps if k < self.size else 0):
+            point = self.point(theta)
+            left, slopes = self.data - point.predicted, point.slopes[..., k:]
+            good = np.all(np.isfinite(left), axis=1) & np.all(np.isfinite(slopes), axis=(1, 2))
+            theta[good, k:] += (np.linalg.pinv(slopes[good], rcond=1e-12) @ left[good, :, None])[..., 0]
+        return theta
+
     def vector(self, p: dict[str, float]) -> np.ndarray:
         """``theta`` at parameters, with the initial states and offsets that fit the data best there."""
         theta = np.zeros(self.size)
@@ -223,75 +412,11 @@ class OutputError:
         return theta
 
 
-class Search:
-    """Levenberg-Marquardt on ``((y - h) / sigma)² + prior`` from one start: what to try, and the best vector so far."""
-
-    def __init__(self, model: OutputError, theta: np.ndarray, sigma: np.ndarray, tolerance: float = 1e-6) -> None:
-        self.model, self.weights, self.tolerance = model, 1.0 / sigma[model.channel_of], tolerance
-        k = len(model.free)
-        self.slope = np.zeros((0, theta.size))
-        if model.prior is not None:
-            self.slope = np.eye(k, theta.size) / model.prior.log_sds[:, None]
-        self.trial = self.kept = theta
-        self.damping, self.best, self.done = 1e-3, np.inf, False
-        self.hessian, self.gradient = np.eye(theta.size), np.zeros(theta.size)
-
-    def step(self, predicted: np.ndarray, jacobian: np.ndarray) -> None:
-        """Judge the trial by its prediction (N,) and derivatives (N, size), and choose the next one."""
-        model, k = self.model, len(self.model.free)
-        r = np.concatenate([self.weights * (model.data - predicted), -model.penalty(self.trial)])
-        cost = float(r @ r)
-        if np.isfinite(cost) and np.all(np.isfinite(jacobian)) and cost < self.best:
-            settled = self.best - cost < self.tolerance * max(cost, 1.0)
-            j = np.concatenate([self.weights[:, None] * jacobian, self.slope])
-            self.hessian, self.gradient, self.best, self.kept = j.T @ j, j.T @ r, cost, self.trial
-            self.damping *= 0.3
-            if settled:
-                self.done = True
-                return
-        else:
-            self.damping *= 8.0
-        scaled = self.hessian + self.damping * np.diag(np.diag(self.hessian) + 1e-12)
-        move = np.linalg.lstsq(scaled, self.gradient, rcond=None)[0]
-        move[:k] = np.clip(move[:k], -1.5, 1.5)
-        if np.max(np.abs(move) / np.maximum(1.0, np.abs(self.kept))) < 1e-10:
-            self.done = True
-            return
-        trial = self.kept + move
-        trial[:k] = np.clip(trial[:k], -LOG_LIMIT, LOG_LIMIT)
-        self.trial = trial
-
-
-class Standardised:
-    """Residuals over the noise, and distances from the prior, with their derivatives, for a least-squares solver.
-
-    One simulation of many sets serves both, unless residuals are to be ``exact``: a nonlinear motion is integrated more
-    accurately alone (:func:`bench.dynamics.simulate.simulate`). ``evaluations`` counts simulated responses.
-    """
-
-    def __init__(self, model: OutputError, sigma: np.ndarray, exact: bool = False) -> None:
-        self.model, self.weights, self.evaluations = model, 1.0 / sigma[model.channel_of], 0
-        self.exact = exact
-        self._at, self._slopes = np.full(model.size, np.nan), np.zeros((0, model.size))
-
-    def residuals(self, theta: np.ndarray) -> np.ndarray:
-        """Shape (N + parameters,)."""
-        predicted, slopes = self.model.jacobian(theta)
-        self.evaluations += 2 * self.model.size + 1
-        # a neighbour that diverged says nothing of the slope
-        self._at, self._slopes = theta.copy(), np.where(np.isfinite(slopes), slopes, 0.0)
-        if self.exact:
-            predicted = self.model.predict(theta)
-        return np.concatenate([(predicted - self.model.data) * self.weights, self.model.penalty(theta)])
-
-    def jacobian(self, theta: np.ndarray) -> np.ndarray:
-        """Derivatives of :meth:`residuals`, shape (N + parameters, size)."""
-        if not np.array_equal(theta, self._at):
-            self.residuals(theta)
-        rows, prior = self._slopes * self.weights[:, None], self.model.prior
-        if prior is None:
-            return rows
-        return np.concatenate([rows, np.eye(len(self.model.free), theta.size) / prior.log_sds[:, None]])
+def mass_scale(problem: Problem) -> float:
+    """Return the size of the forces of a problem, else of its added masses, else 1: all scale with the unit of mass."""
+    forces = [float(np.max(np.abs(force.values))) for record in problem.records for force in record.forces]
+    added = [float(np.max(r.added_mass)) for r in problem.records if r.added_mass is not None]
+    return max(forces, default=0.0) or max(added, default=0.0) or 1.0
 
 
 def estimate_at(

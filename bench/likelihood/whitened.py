@@ -34,6 +34,11 @@ class Whitened(OutputError):
         """Whitened predictions, shape (..., N); not finite where the response diverges."""
         return self._whitened(self.model.predict(theta))
 
+    def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Whitened predictions, shape (..., N), and their derivatives (..., N, size)."""
+        predicted, slopes = self.model.jacobian(theta)
+        return self._whitened(predicted), np.swapaxes(self._whitened(np.swapaxes(slopes, -1, -2)), -1, -2)
+
     def _whitened(self, values: np.ndarray) -> np.ndarray:
         found = values.copy()
         for i, noise in enumerate(self.noises):

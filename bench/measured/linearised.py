@@ -19,8 +19,8 @@ import numpy as np
 from bench.contract.estimate import Estimate
 from bench.contract.problem import InitialState, Problem
 from bench.likelihood.autoregression import Autoregression, autoregression, even_times
-from bench.likelihood.batch import used_of
 from bench.likelihood.compiled import compiled_output_error
+from bench.likelihood.least_squares import degrees_used
 from bench.likelihood.output_error import OutputError
 from bench.measured.colour import local_spectrum
 from bench.measured.strongest import strongest_frequency
@@ -57,7 +57,7 @@ class Linearised:
         """Degrees of freedom that the data have spent."""
         sigma = np.maximum(self.model.noise(self.residuals, self.theta.size, floor=0.0), 1e-12 * self.model.rms)
         rows = np.concatenate([self.slopes / sigma[self.model.channel_of][:, None], self._prior_rows])
-        return float(used_of(rows[None], self.residuals.size)[0])
+        return float(degrees_used(rows[None], self.residuals.size)[0])
 
     @cached_property
     def sigma(self) -> np.ndarray:

@@ -19,7 +19,7 @@ import numpy as np
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record
 from bench.dynamics.simulate import simulate
 from bench.likelihood.compiled import compiled_output_error
-from bench.likelihood.output_error import OutputError, Search
+from bench.likelihood.output_error import OutputError
 from bench.measured.linearised import Linearised, at_theta
 from bench.systems import Quantity
 
@@ -118,13 +118,10 @@ def _searched(model: OutputError, theta: np.ndarray) -> Linearised | None:
     start = at_theta(model, theta)
     if start is None:
         return None
-    search = Search(model, theta, model.noise(start.residuals, model.size), 1e-8)
+    sigma = model.noise(start.residuals, model.size)
     with np.errstate(all="ignore"):
-        for _ in range(ITERATIONS):
-            if search.done:
-                break
-            search.step(*model.jacobian(search.trial))
-    return at_theta(model, search.kept)
+        reached, _ = model.search(model.point(theta[None]), sigma[None], ITERATIONS)
+    return at_theta(model, reached.theta[0])
 
 
 def _cut(channel: Channel, low: float, high: float) -> Channel:

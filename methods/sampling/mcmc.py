@@ -57,7 +57,7 @@ from methods.sampling.posterior import NOISE_LEAST, Posterior, Target
 from methods.sampling.proposal import Proposal
 from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import as_fine_as_noise
-from methods.trajectory.errors import NORMAL, STUDENT
+from methods.trajectory.student import NORMAL, STUDENT
 
 STEPPED = 4
 MOST_AT_ONCE = 1_000_000

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench import SIGMA_FLOOR, Batch, NoEstimate, OutputError, layout
+from bench import SIGMA_FLOOR, NoEstimate, OutputError, batches
 from methods.starts.candidates import candidates, screened
 from methods.starts.separate import separate
-from methods.trajectory.errors import NormalErrors, StudentErrors
-from methods.trajectory.student import searched, student_fit
-from methods.trajectory.together import MOST_AT_ONCE
+from methods.trajectory.student import NormalErrors, StudentErrors, searched, student_fit
 
 MODES, ROUNDS, ITERATIONS = 3, 3, 12
 """Modes that are kept, rounds of fit and noise in turn, and steps of a fit."""
@@ -22,20 +20,13 @@ Modes = list[tuple[float, np.ndarray]]
 
 def modes_of(models: Sequence[OutputError]) -> list[Modes]:
     """The best modes of each model, in order; none where no start gives a finite response."""
-    groups: dict[object, list[int]] = {}
-    for i, model in enumerate(models):
-        groups.setdefault(layout(model.problem) if model.system.linear else i, []).append(i)
     found: list[Modes] = [[] for _ in models]
-    for places in groups.values():
-        first = models[places[0]]
-        if not first.system.linear:
-            found[places[0]] = screened(first, MODES, ROUNDS, ITERATIONS)
-            continue
-        size = max(1, MOST_AT_ONCE // (first.data.size * first.size))
-        for at in range(0, len(places), size):
-            own = places[at : at + size]
-            for i, modes in zip(own, _linear_modes(Batch(tuple(models[i] for i in own))), strict=True):
-                found[i] = modes
+    for places in batches(models, [not model.system.linear for model in models]):
+        batch = [models[i] for i in places]
+        linear = batch[0].system.linear
+        modes = _linear_modes(batch) if linear else [screened(batch[0], MODES, ROUNDS, ITERATIONS)]
+        for i, best in zip(places, modes, strict=True):
+            found[i] = best
     return found
 
 
@@ -73,20 +64,16 @@ def found_or_failure(modes: Modes) -> Modes:
     return modes
 
 
-def _linear_modes(batch: Batch) -> list[Modes]:
-    """Fit and noise in turn from every start of every problem, by the rules of :meth:`bench.OutputError.settle`."""
-    vectors = [[model.vector(p) for p in candidates(model, MODES + 1)] for model in batch.models]
+def _linear_modes(models: Sequence[OutputError]) -> list[Modes]:
+    """Fit and noise in turn from every initial guess of every problem of a batch."""
+    vectors = [[model.vector(p) for p in candidates(model, MODES + 1)] for model in models]
     cases = np.repeat(np.arange(len(vectors)), [len(own) for own in vectors])
-    point = batch.point(cases, np.array([theta for own in vectors for theta in own]).reshape(-1, batch.first.size))
-    good = np.flatnonzero(np.all(np.isfinite(point.predicted), axis=1))
-    cases, point = cases[good], point.at(good)
-    for _ in range(ROUNDS):
-        sigma = batch.noise(cases, batch.data[cases] - point.predicted, np.zeros(cases.size), SIGMA_FLOOR)
-        point = batch.search(cases, point, sigma, ITERATIONS).point
-    values = batch.profile(cases, point.theta, batch.data[cases] - point.predicted)
+    batch = OutputError.batch(models)[cases]
+    thetas = batch.settle(np.array([theta for own in vectors for theta in own]), ROUNDS, ITERATIONS)
+    values = batch.profile(thetas)
     found = []
-    for problem, model in enumerate(batch.models):
+    for problem, model in enumerate(models):
         own = np.flatnonzero(cases == problem)
-        best = own[separate(model, values[own], point.theta[own])[:MODES]]
-        found.append([(float(values[i]), point.theta[i]) for i in best])
+        best = own[separate(model, values[own], thetas[own])[:MODES]]
+        found.append([(float(values[i]), thetas[i]) for i in best])
     return found

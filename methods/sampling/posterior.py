@@ -5,7 +5,7 @@ channel's noise. Likelihood: independent normal errors about the simulated respo
 problem's nominal prior on the log-parameters (without one, a normal of standard deviation 3, a factor of 20, about the
 best fit to the data); ``log sigma ~ Normal(log(rms of the channel / 10), 3²)``, its two standard deviations reach from
 70 dB to -30 dB, and it is nil below ``NOISE_LEAST`` of a channel's size; flat on initial states and offsets, which the
-data fix. The errors may be Student's t in place of normal (:mod:`methods.trajectory.errors`); sigma is then their
+data fix. The errors may be Student's t in place of normal (:mod:`methods.trajectory.student`); sigma is then their
 scale.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from bench import LOG_LIMIT, OutputError, Start
 from methods.starts.open_parameters import PRIORLESS_SD
-from methods.trajectory.errors import NORMAL, NormalErrors, StudentErrors
+from methods.trajectory.student import NORMAL, NormalErrors, StudentErrors
 
 NOISE_CENTRE = float(np.log(0.1))
 NOISE_SD = 3.0

@@ -19,7 +19,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Cost, Draws, Estimate, Identifier, OutputError, Problem, Status, System, estimate_at, used_of
+from bench import Cost, Draws, Estimate, Identifier, OutputError, Problem, Status, System, degrees_used, estimate_at
 from methods.starts.candidates import screening
 from methods.starts.reach import UP, expected_rate, is_unresolved, resolved_cycles
 from methods.starts.scan import scan
@@ -161,7 +161,7 @@ def _spent(model: OutputError, slopes: np.ndarray, sigma: np.ndarray) -> float:
     assert model.prior is not None
     by_data = slopes / sigma[model.channel_of][:, None]
     by_prior = np.eye(len(model.free), model.size) / model.prior.log_sds[:, None]
-    return float(used_of(np.concatenate([by_data, by_prior])[None], model.data.size)[0])
+    return float(degrees_used(np.concatenate([by_data, by_prior])[None], model.data.size)[0])
 
 
 def _aliases(model: OutputError, values: Mapping[str, float]) -> list[dict[str, float]]:

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench import SIGMA_FLOOR, Batch, Channel, Force, OutputError, Problem, Record
+from bench import Channel, Force, OutputError, Problem, Record
 
 MOST_SAMPLES = 1000
 """Of a channel, that starts are sought on."""
@@ -49,13 +49,10 @@ def starts_of_long(problem: Problem, seek: Callable[[OutputError], Starts]) -> S
 
 def _fitted(model: OutputError, found: Starts) -> Starts:
     """The same starts after a few output-error steps on a problem; those that diverge are left out."""
-    batch, cases = Batch((model,)), np.zeros(len(found), int)
     with np.errstate(all="ignore"):
-        point = batch.point(cases, np.array([model.vector(p) for p in found]))
-        good = np.flatnonzero(np.all(np.isfinite(point.predicted), axis=1))
-        cases, point = cases[good], point.at(good)
-        sigma = batch.noise(cases, batch.data[cases] - point.predicted, np.zeros(good.size), SIGMA_FLOOR)
-        thetas = batch.search(cases, point, sigma, ITERATIONS).theta
+        thetas = np.array([model.vector(p) for p in found])
+        good = np.all(np.isfinite(model.predict(thetas)), axis=1)
+        thetas = model.settle(thetas[good], 1, ITERATIONS)
     return [{name: float(v) for name, v in model.parameters(theta).items()} for theta in thetas]
 
 

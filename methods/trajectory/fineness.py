@@ -53,7 +53,7 @@ class Fineness:
         Returns:
             Their numbers, shape (cases,).
         """
-        relative = np.min(sigma / rms, axis=1) / np.sqrt(model.data.size)
+        relative = np.min(sigma / rms, axis=1) / np.sqrt(model.channel_of.size)
         allowed = np.maximum(self.least, self.noise_share * relative)
         rates = fastest_of(model, theta, states)
         duration = max(record.duration for record in model.problem.records)

@@ -17,10 +17,10 @@ Where all parameters are told without a prior (a known force, an added mass), th
 positive ones, as where the noise hides the damping: then all are solved again with a very wide prior about the first
 start, which no output-error step has moved.
 The same maximum can be had without cuts, where the search gets there: problems are solved many at a time by
-:mod:`methods.trajectory.together`, linear ones with their exact motion, others by the same steps; and by the programme
+:mod:`methods.trajectory.fit`, linear ones with their exact motion, others by the same steps; and by the programme
 where a search there does not end at a maximum, or where the record of a nonlinear system is long. Where the programme
 of a linear system has no solution either, as where the likelihood rises towards no damping, the answer is where a
-single-shooting search ends (:mod:`methods.trajectory.single`), and its message says so.
+search without cuts ends, and its message says so.
 The covariance is the inverse of the Hessian reduced to the space that satisfies the constraints, with Student's t at
 ``N - p`` degrees of freedom. The programme itself is :mod:`methods.trajectory.programme`.
 
@@ -39,7 +39,6 @@ import numpy as np
 from bench import (
     EVERY_PROBLEM,
     Card,
-    Cost,
     Estimate,
     InitialState,
     NoEstimate,
@@ -47,14 +46,13 @@ from bench import (
     Prior,
     Problem,
     Serves,
+    batches,
 )
 from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import candidates, screening
 from methods.starts.open_parameters import very_wide
-from methods.trajectory.errors import Likelihood
 from methods.trajectory.fineness import Fineness
-from methods.trajectory.held import HELD, held, opened
-from methods.trajectory.maximum import Maximum, with_student_errors
+from methods.trajectory.fit import HELD, Maximum, Rules, best_maxima, held, leaves_open
 from methods.trajectory.programme import (
     Layout,
     Plan,
@@ -65,12 +63,14 @@ from methods.trajectory.programme import (
     misfit_scale,
     reduced,
 )
-from methods.trajectory.screened import Screening, head, screened_alone
-from methods.trajectory.single import Found, Searches
-from methods.trajectory.together import Rules, Solution, solve_from, solve_together
+from methods.trajectory.screening import LONGEST, Guesses, Screening, head, screen, screened_alone
+from methods.trajectory.stepped import SteppedOutputError
+from methods.trajectory.student import Likelihood, with_student_errors
 
-MOST_EVALUATIONS = 200
-"""Trial steps of a search without cuts, as output error's."""
+MOST_ITERATIONS = 60
+"""Trial steps of a search without cuts."""
+MOST_ITERATIONS_ALONE = 200
+"""The same where the programme has no solution, as output error's."""
 NO_PROGRAMME = "the programme has no solution: this is where a search without cuts ends"
 POLISH = 3
 """Gauss-Newton steps in the reduced space after IPOPT, at most: they make the answer free of its tolerance."""
@@ -129,13 +129,42 @@ class Shooting(SearchingIdentifier):
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
         """Estimate all problems together, where that ends at the same maximum; the others by shooting, one by one."""
-        models = [OutputError(problem) for problem in problems]
-        rules = Rules(self._screening, self.sigma_rounds, self.sigma_tolerance, self._fineness)
-        maxima = [
-            _maximum(model, found, rules) if found is not None else None
-            for model, found in zip(models, solve_together(models, rules), strict=True)
-        ]
-        return [self._answer(problem, found) for problem, found in zip(problems, maxima, strict=True)]
+        maxima = self.maxima([OutputError(problem) for problem in problems])
+        return [self._answer(problem, maximum) for problem, maximum in zip(problems, maxima, strict=True)]
+
+    def maxima(self, models: Sequence[OutputError]) -> list[Maximum | None]:
+        """Return the maxima that searches without cuts find, in order; None where shooting has to."""
+        maxima: list[Maximum | None] = [None] * len(models)
+        short = [m.system.linear or all(c.n <= LONGEST for _, c in m.channels) for m in models]
+        for places in batches(models, [not own for own in short]):
+            if not short[places[0]]:
+                continue
+            own = [models[i] for i in places]
+            batch = self._joined(own)
+            guesses = screen(own, batch, self._rules.screening)
+            ends = best_maxima(own, batch, guesses, self._rules)
+            for i, end, first in zip(places, ends, guesses.first, strict=True):
+                maxima[i] = self._closed(end, first)
+        return maxima
+
+    def _joined(self, models: Sequence[OutputError]) -> OutputError:
+        """The batch of problems of one layout, by the exact motion of a linear system, or by steps."""
+        if models[0].system.linear:
+            return OutputError.batch(models)
+        stepped = [SteppedOutputError(m.problem, m.gauge, fineness=self._fineness) for m in models]
+        return SteppedOutputError.batch(stepped)
+
+    def _closed(self, maximum: Maximum | None, first: np.ndarray) -> Maximum | None:
+        """The maximum, or that with a very wide prior where it leaves a parameter open; None: solve by shooting."""
+        if maximum is None or not maximum.converged:
+            return None
+        if (wide := held(maximum, first)) is not None:
+            guess = Guesses(np.zeros(1, int), wide[1][None], wide[1][None])
+            again = best_maxima([wide[0]], self._joined([wide[0]]), guess, self._rules)[0]
+            if again is None or not again.converged:
+                return None
+            maximum = replace(again, message=HELD)
+        return None if maximum.covariance is None else maximum
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate all parameters, or the groups where nothing tells the scale, by shooting. Uses no randomness."""
@@ -145,18 +174,20 @@ class Shooting(SearchingIdentifier):
         """The answer of what was found together with others or else is found by shooting; a failure as a sentence."""
         try:
             found = self._shot(problem) if found is None else found
-            return (found if self.likelihood == "normal" else with_student_errors(found, self._fineness)).estimate()
+            if self.likelihood == "student":
+                found = with_student_errors(found, self._joined([found.model]))
+            return found.estimate()
         except NoEstimate as reason:
             return Estimate.failed(problem.system, reason.status, str(reason), reason.cost)
 
     def _shot(self, problem: Problem) -> Maximum:
         """The maximum with normal errors, by shooting."""
         model = OutputError(problem)
-        used = screened_alone(model, self._screening)
+        used = screened_alone(model, self._rules.screening)
         if not used:
             raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
         good, message = self._fits(model, used), ""
-        if model.prior is None and model.problem.scale_told and not _closed(model, good):
+        if model.prior is None and model.problem.scale_told and not _leaves_nothing_open(model, good):
             # the likelihood rises towards a parameter of zero or without limit: the data say that it is small or large
             prior = very_wide(candidates(head(model), self.starts + 1)[0])
             model = OutputError(replace(model.problem, prior=prior))
@@ -166,7 +197,9 @@ class Shooting(SearchingIdentifier):
         iterations = sum(fit.iterations for fit in good)
         best = min(good, key=lambda fit: fit.profile)
         objectives = tuple(0.5 * fit.profile for fit in good)
-        return Maximum(model, best.theta, best.slopes, best.sigma, best.used, iterations, message, objectives)
+        return Maximum(
+            model, best.theta, best.residuals, best.slopes, best.sigma, best.used, iterations, message, objectives
+        )
 
     def _without_cuts(self, model: OutputError, starts: Sequence[np.ndarray]) -> Maximum:
         """The best end of single-shooting searches, where the programme has no solution.
@@ -174,18 +207,14 @@ class Shooting(SearchingIdentifier):
         So it is where the likelihood rises towards a parameter of zero, as towards no damping: there is nothing to
         converge to in its logarithm, but the other quantities are told all the same.
         """
-        searches = Searches(self.sigma_rounds, self.sigma_tolerance, MOST_EVALUATIONS)
-        ends = searches.ends([model] * len(starts), starts) if model.system.linear else []
-        good = [end for end in ends if isinstance(end, Found)]
-        iterations = sum(end.iterations for end in good)
-        if not good:
-            sentence = "IPOPT found no solution from any start; raise max_iterations or give a prior"
-            raise NoEstimate(sentence, cost=Cost(iterations=iterations))
-        profiles = [model.profile_of(end.theta, end.residuals) for end in good]
-        best = good[int(np.argmin(profiles))]
-        sigma = model.noise(best.residuals, best.used, floor=0.0)
-        objectives = tuple(0.5 * profile for profile in profiles)
-        return Maximum(model, best.theta, best.slopes, sigma, best.used, iterations, NO_PROGRAMME, objectives)
+        end = None
+        if model.system.linear:
+            guesses = Guesses(np.zeros(len(starts), int), np.stack(starts), starts[0][None])
+            rules = replace(self._rules, iterations=MOST_ITERATIONS_ALONE)
+            end = best_maxima([model], OutputError.batch([model]), guesses, rules)[0]
+        if end is None:
+            raise NoEstimate("IPOPT found no solution from any start; raise max_iterations or give a prior")
+        return replace(end, message=NO_PROGRAMME)
 
     def _fits(self, model: OutputError, starts: Sequence[np.ndarray], exact: bool = False) -> list[_Fit]:
         """The solutions from these starts."""
@@ -224,8 +253,9 @@ class Shooting(SearchingIdentifier):
         return int(self._fineness.substeps(model, longest, theta[None], states, sigma[None], model.rms[None])[0])
 
     @property
-    def _screening(self) -> Screening:
-        return Screening(self.starts, self.screen_iterations, self.margin)
+    def _rules(self) -> Rules:
+        screening = Screening(self.starts, self.screen_iterations, self.margin)
+        return Rules(screening, self.sigma_rounds, self.sigma_tolerance, MOST_ITERATIONS)
 
     @property
     def _fineness(self) -> Fineness:
@@ -248,33 +278,12 @@ class _Fit:
     profile: float = np.inf
 
 
-def _maximum(model: OutputError, found: Solution, rules: Rules) -> Maximum | None:
-    """A solution, or that with a very wide prior where it leaves a parameter open.
-
-    None where no maximum is found so, or the data leave a parameter open all the same.
-    """
-    covariance, message = model.covariance(found.slopes, found.sigma), ""
-    if covariance is not None and np.any(which := opened(model, covariance)):
-        model, start = held(model, found.theta, found.first, which)
-        again = solve_from(model, start[None], rules)
-        if again is None:
-            return None
-        found, message = again, HELD
-        covariance = model.covariance(found.slopes, found.sigma)
-    if covariance is None:
-        return None
-    return Maximum(
-        model, found.theta, found.slopes, found.sigma, found.used, found.iterations, message, found.objectives
-    )
-
-
-def _closed(model: OutputError, fits: Sequence[_Fit]) -> bool:
+def _leaves_nothing_open(model: OutputError, fits: Sequence[_Fit]) -> bool:
     """Whether the best of the solutions leaves no parameter more open than the very wide prior would."""
     if not fits:
         return False
     best = min(fits, key=lambda fit: fit.profile)
-    covariance = model.covariance(best.slopes, best.sigma)
-    return covariance is not None and not np.any(opened(model, covariance))
+    return not np.any(leaves_open(model, model.covariance(best.slopes, best.sigma)))
 
 
 def _within(prior: Prior, theta: np.ndarray) -> np.ndarray:

@@ -10,13 +10,15 @@ import pytest
 
 from bench.config.experiment import expand
 from bench.contract.problem import Problem
-from bench.likelihood.batch import Batch, layout, used_of
-from bench.likelihood.output_error import SIGMA_FLOOR, OutputError
+from bench.likelihood.batching import layout
+from bench.likelihood.least_squares import degrees_used
+from bench.likelihood.output_error import OutputError
 
 SCENARIOS = (
     ("system=sdof",),
     ("system=sdof", "initial_state=unknown"),
     ("system=sdof_forced",),
+    ("system=sdof_forced", "prior=handbook"),
     ("system=sdof_added_mass", "initial_state=unknown"),
     ("system=chain2", "initial_state=unknown"),
     ("system=chain2_first",),
@@ -29,13 +31,13 @@ def problems(arguments: Sequence[str], n: int = 3) -> list[Problem]:
     return [p.expressed_in(p.natural_units()) for p, _ in job.scenario.replicates(job.config.seed, n)]
 
 
-def batch_at(arguments: Sequence[str]) -> tuple[Batch, np.ndarray, np.ndarray]:
-    """A batch, two cases of each problem, and a vector near the nominal values for each."""
+def batch_at(arguments: Sequence[str]) -> tuple[tuple[OutputError, ...], OutputError, np.ndarray, np.ndarray]:
+    """Problems, their batch, two cases of each problem, and a vector near the nominal values for each."""
     models = tuple(OutputError(problem) for problem in problems(arguments))
     rng, cases = np.random.default_rng(5), np.repeat(np.arange(len(models)), 2)
     theta = 0.3 * rng.standard_normal((cases.size, models[0].size))
     theta[:, [i for i, name in enumerate(models[0].free) if name.startswith("k")]] += 3.0
-    return Batch(models), cases, theta
+    return models, OutputError.batch(models), cases, theta
 
 
 @pytest.mark.parametrize("arguments", SCENARIOS)
@@ -51,19 +53,27 @@ def test_other_times_forces_or_told_starts_are_another_layout() -> None:
 
 @pytest.mark.parametrize("arguments", SCENARIOS)
 def test_predictions_and_profiles_are_those_of_each_problem_alone(arguments: Sequence[str]) -> None:
-    batch, cases, theta = batch_at(arguments)
-    predicted, slopes = batch.predict(cases, theta)
-    profiles = batch.profile(cases, theta, batch.data[cases] - predicted)
-    used = np.full(cases.size, 2.5)
-    sigma = batch.noise(cases, batch.data[cases] - predicted, used, SIGMA_FLOOR)
+    models, batch, cases, theta = batch_at(arguments)
+    chosen = batch[cases]
+    predicted, slopes = chosen.jacobian(theta)
+    np.testing.assert_allclose(chosen.predict(theta), predicted, atol=1e-9 * np.max(np.abs(predicted)))
+    profiles = chosen.profile(theta)
+    sigma = chosen.noise(chosen.data - predicted, np.full(cases.size, 2.5))
     for i, case in enumerate(cases):
-        model = batch.models[case]
-        alone, by_differences = model.jacobian(theta[i])
+        model = models[case]
+        alone, by_differences = model.predict(theta[i]), differences(model, theta[i])
         size = np.max(np.abs(alone))
         np.testing.assert_allclose(predicted[i], alone, atol=1e-9 * size)
         np.testing.assert_allclose(slopes[i], by_differences, atol=1e-6 * np.max(np.abs(by_differences)))
         assert profiles[i] == pytest.approx(model.profile(theta[i]), rel=1e-9)
         np.testing.assert_allclose(sigma[i], model.noise(model.data - alone, 2.5), rtol=1e-9)
+
+
+def differences(model: OutputError, theta: np.ndarray) -> np.ndarray:
+    """Derivatives of the predictions (N, size) by central differences."""
+    moves = 1e-5 * np.diag(np.where(np.arange(theta.size) < len(model.free), 1.0, np.maximum(1.0, np.abs(theta))))
+    both = model.predict(np.concatenate([theta + moves, theta - moves])).reshape(2, theta.size, -1)
+    return np.asarray((both[0] - both[1]).T / (2 * np.diag(moves)))
 
 
 def test_offsets_and_other_sensors_are_predicted_too() -> None:
@@ -76,23 +86,26 @@ def test_offsets_and_other_sensors_are_predicted_too() -> None:
 
     plain = problems(["system=sdof_forced", "initial_state=unknown"], 2)
     models = tuple(OutputError(accelerometer(problem)) for problem in plain)
-    batch, theta = Batch(models), np.array([[0.1, 0.2, 3.0, 0.5, -1.0, 0.7], [0.0, 0.1, 3.2, 0.4, 1.0, -0.2]])
-    predicted, slopes = batch.predict(np.arange(2), theta)
+    batch, theta = (
+        OutputError.batch(models),
+        np.array([[0.1, 0.2, 3.0, 0.5, -1.0, 0.7], [0.0, 0.1, 3.2, 0.4, 1.0, -0.2]]),
+    )
+    predicted, slopes = batch.jacobian(theta)
     for i, model in enumerate(models):
-        alone, by_differences = model.jacobian(theta[i])
+        alone, by_differences = model.predict(theta[i]), differences(model, theta[i])
         np.testing.assert_allclose(predicted[i], alone, rtol=1e-8)
         np.testing.assert_allclose(slopes[i], by_differences, atol=1e-5 * np.max(np.abs(by_differences)))
 
 
-@pytest.mark.parametrize("arguments", SCENARIOS[:4])
+@pytest.mark.parametrize("arguments", SCENARIOS[:5])
 def test_a_search_ends_where_the_gradient_of_the_posterior_is_nil(arguments: Sequence[str]) -> None:
-    batch, cases, _ = batch_at(arguments)
-    starts = np.array([batch.models[i].vector(_near(batch.models[i])) for i in cases])
-    sigma = np.tile(0.05 * batch.rms[0], (cases.size, 1))
-    search = batch.search(cases, batch.point(cases, starts), sigma, 60)
-    assert np.all(search.done)
+    models, batch, cases, _ = batch_at(arguments)
+    starts = np.array([models[i].vector(_near(models[i])) for i in cases])
+    sigma, chosen = np.tile(0.05 * batch.rms[0], (cases.size, 1)), batch[cases]
+    reached, end = chosen.search(chosen.point(starts), sigma, 60)
+    assert np.all(end.done)
     for i, case in enumerate(cases):
-        model, theta = batch.models[case], search.theta[i]
+        model, theta = models[case], reached.theta[i]
 
         def objective(own: np.ndarray, model: OutputError = model, noise: np.ndarray = sigma[i]) -> float:
             r = (model.data - model.predict(own)) / noise[model.channel_of]
@@ -113,14 +126,15 @@ def _near(model: OutputError) -> dict[str, float]:
 
 
 def test_a_case_that_is_not_finite_stops_no_other() -> None:
-    batch, cases, _ = batch_at(SCENARIOS[2])
-    starts = np.array([batch.models[i].vector(_near(batch.models[i])) for i in cases])
+    models, batch, cases, _ = batch_at(SCENARIOS[2])
+    starts = np.array([models[i].vector(_near(models[i])) for i in cases])
     starts[1, 2] = 80.0  # a stiffness of e^80
     sigma = np.tile(0.05 * batch.rms[0], (cases.size, 1))
-    search = batch.search(cases, batch.point(cases, starts), sigma, 60)
-    alone = batch.search(cases[2:3], batch.point(cases[2:3], starts[2:3]), sigma[2:3], 60)
-    assert not np.isfinite(search.cost[1])
-    np.testing.assert_allclose(search.theta[2], alone.theta[0], atol=1e-9)
+    chosen, third = batch[cases], batch[cases[2:3]]
+    reached, end = chosen.search(chosen.point(starts), sigma, 60)
+    alone, _ = third.search(third.point(starts[2:3]), sigma[2:3], 60)
+    assert not np.isfinite(end.at.cost[1])
+    np.testing.assert_allclose(reached.theta[2], alone.theta[0], atol=1e-9)
 
 
 def test_degrees_of_freedom_are_the_trace_of_the_data_s_share() -> None:
@@ -128,4 +142,4 @@ def test_degrees_of_freedom_are_the_trace_of_the_data_s_share() -> None:
     rows = rng.standard_normal((4, 12, 3))
     data = rows[:, :9]
     expected = [np.trace(d.T @ d @ np.linalg.inv(r.T @ r)) for d, r in zip(data, rows, strict=True)]
-    np.testing.assert_allclose(used_of(rows, 9), expected)
+    np.testing.assert_allclose(degrees_used(rows, 9), expected)

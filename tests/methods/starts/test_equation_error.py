@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from bench import Channel, Force, InitialState, OutputError, Prior, Problem, Record, Search, System, simulate
+from bench import Channel, Force, InitialState, OutputError, Prior, Problem, Record, System, simulate
 from bench.systems import SDOF, BoucWen, Chain, Coulomb, Duffing, Pendulum, VanDerPol
 from methods.starts.candidates import Stepped, as_fine_as_noise, candidates
 from methods.starts.equation_error import regression_starts
@@ -90,11 +90,9 @@ def test_a_search_ends_at_the_least_squares_solution() -> None:
     prior = Prior({"m": 1.0, "c": 1e-9, "k": 1e-9}, dict.fromkeys("mck", 1e-6))  # nothing pulls: a straight line
     model = OutputError(Problem(system, (given,), prior))
     theta = np.concatenate([prior.log_mean, [0.0, 0.0]])
-    search = Search(model, theta, np.array([0.1]))
-    for _ in range(20):
-        search.step(*model.jacobian(search.trial))
+    reached, _ = model.search(model.point(theta[None]), np.array([[0.1]]), 20)
     slope, level = np.polyfit(times, values, 1)
-    assert search.kept[3:] == pytest.approx([level, slope], rel=1e-5)
+    assert reached.theta[0, 3:] == pytest.approx([level, slope], rel=1e-5)
 
 
 def test_steps_keep_the_error_that_they_are_asked_for() -> None:

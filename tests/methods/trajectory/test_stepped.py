@@ -14,8 +14,7 @@ from bench.systems import SDOF, BoucWen, Coulomb, Duffing, Pendulum
 
 pytest.importorskip("casadi")
 from methods.trajectory.fineness import SUBSTEPS, Fineness
-from methods.trajectory.stepped import Stepped
-from methods.trajectory.stepped_motion import stepped_accelerations, stepped_motion
+from methods.trajectory.stepped import SteppedOutputError, stepped_accelerations, stepped_motion
 
 KNOTS = np.linspace(0.0, 2.0, 21)
 GRID = np.linspace(0.0, 2.0, 41)
@@ -124,7 +123,8 @@ def test_unknown_starts_and_offsets_are_those_that_fit_best() -> None:
     p, start = np.array(SYSTEMS[system]), np.array([0.3, 0.4])
     steps = Steps.over(times, np.full(39, 8), [], 1)
     values = stepped_motion(system, p[None], start[None], steps, by_start=False)[0, :, 0, 0] + 0.2
-    model = OutputError(Problem(system, (Record((Channel(times, values, offset=True),)),)), gauge=p[0])
-    batch = Stepped(tuple([model]), np.array([8]), Fineness(1e-8, 0.05))
-    theta = np.concatenate([np.log(p[1:]), np.zeros(3)])[None]
-    np.testing.assert_allclose(batch.with_starts(np.zeros(1, int), theta)[0, 3:], [0.3, 0.4, 0.2], atol=1e-6)
+    problem = Problem(system, (Record((Channel(times, values, offset=True),)),))
+    model = SteppedOutputError(problem, p[0], fineness=Fineness(1e-8, 0.05))
+    theta, one = np.concatenate([np.log(p[1:]), np.zeros(3)])[None], np.zeros(1, int)
+    fine = SteppedOutputError.batch([model]).refined(one, theta, 1e-6 * model.rms[None])
+    np.testing.assert_allclose(fine[one].with_initial_states(theta, 5)[0, 3:], [0.3, 0.4, 0.2], atol=1e-6)

@@ -11,11 +11,9 @@ from scipy import integrate, optimize, stats
 from bench import OutputError, Problem, Status
 from bench.scenario.scenario import PriorSpec, Scenario
 from methods.starts.candidates import candidates
-from methods.trajectory.errors import STUDENT
-from methods.trajectory.student import student_fit
+from methods.trajectory.student import FEW, STUDENT, student_fit
 
 pytest.importorskip("casadi")
-from methods.trajectory.maximum import FEW
 from methods.trajectory.shooting import Shooting
 
 NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})

@@ -12,13 +12,8 @@ from bench.config.experiment import expand
 from bench.contract.estimate import Status
 
 pytest.importorskip("casadi")
-from methods.trajectory import together
-from methods.trajectory.fineness import Fineness
-from methods.trajectory.screened import Screening
+from methods.trajectory import shooting
 from methods.trajectory.shooting import Shooting
-from methods.trajectory.together import Rules, solve_together
-
-RULES = Rules(Screening(3, 5, 15.0), sigma_rounds=4, sigma_tolerance=0.01, fineness=Fineness(1e-8, 0.05))
 
 
 def problems(arguments: Sequence[str], n: int) -> list[Problem]:
@@ -31,6 +26,8 @@ ARGUMENTS = (
     ["snr=10"],
     ["snr=20", "initial_state=unknown"],
     ["system=sdof_forced"],
+    ["system=sdof_forced", "prior=handbook"],
+    ["system=duffing_forced", "prior=handbook"],
     ["system=duffing", "snr=10", "initial_state=unknown"],
     ["system=coulomb"],
     ["system=duffing_forced"],
@@ -62,7 +59,7 @@ def test_the_maximum_is_at_least_as_high_as_shooting_s(arguments: Sequence[str],
     """Two masses under a force, where searches go astray, and others: the log-posteriors of both, at their ends."""
     given = problems(arguments, n)
     models = [OutputError(problem.expressed_in(problem.natural_units())) for problem in given]
-    found = solve_together(models, RULES)
+    found = Shooting().maxima(models)
     method = Shooting()
     for model, solution in zip(models, found, strict=True):
         other = method.estimate(model.problem, np.random.default_rng(0))
@@ -73,10 +70,10 @@ def test_the_maximum_is_at_least_as_high_as_shooting_s(arguments: Sequence[str],
 
 
 def test_a_search_that_does_not_end_is_left_to_shooting(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(together, "MOST_ITERATIONS", 0)
+    monkeypatch.setattr(shooting, "MOST_ITERATIONS", 0)
     given = problems(["snr=20"], 2)
     models = [OutputError(problem.expressed_in(problem.natural_units())) for problem in given]
-    assert solve_together(models, RULES) == [None, None]
+    assert Shooting().maxima(models) == [None, None]
     answers = Shooting().identify_many(given, [np.random.default_rng(0) for _ in given])
     assert [answer.status for answer in answers] == [Status.OK, Status.OK]
 
@@ -84,14 +81,14 @@ def test_a_search_that_does_not_end_is_left_to_shooting(monkeypatch: pytest.Monk
 def test_a_long_record_of_a_nonlinear_system_is_left_to_shooting() -> None:
     """A single trajectory from a start that is a little off loses count of the cycles."""
     problem = problems(["system=duffing", "system.samples=301"], 1)[0]
-    assert solve_together([OutputError(problem.expressed_in(problem.natural_units()))], RULES) == [None]
+    assert Shooting().maxima([OutputError(problem.expressed_in(problem.natural_units()))]) == [None]
 
 
 def test_a_critically_damped_oscillator_is_solved() -> None:
     """A repeated pole: modes would be defective."""
     given = problems(["snr=40", "system.parameters.c=5.656854249492381"], 3)  # 2 sqrt(k m), k = 8 N/m and m = 1 kg
     models = [OutputError(problem.expressed_in(problem.natural_units())) for problem in given]
-    assert all(solution is not None for solution in solve_together(models, RULES))
+    assert all(solution is not None for solution in Shooting().maxima(models))
     answers = Shooting().identify_many(given, [np.random.default_rng(0) for _ in given])
     for problem, answer in zip(given, answers, strict=True):
         marginal = answer.marginal(problem.system.quantity("k_over_m"))

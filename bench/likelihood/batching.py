@@ -1,0 +1,53 @@
+"""Problems that can be solved together: those of one *layout*, which differ in data, initial states and priors alone.
+
+Same system, sensors, sample times and forces, so that one call simulates them all. Forces and added masses are compared
+over the largest: where the mass of the prior sets the unit, they are the same but for a factor, which is a unit of mass
+(:attr:`bench.OutputError.mass_unit`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Sequence
+
+import numpy as np
+
+from bench.contract.problem import Problem
+from bench.likelihood.output_error import OutputError, mass_scale
+
+DECIMALS = 12
+"""To which times, forces and masses of one layout agree, in natural units."""
+MOST_AT_ONCE = 1_000_000
+"""Derivatives of predictions that are held together, with one initial guess a problem."""
+
+
+def layout(problem: Problem) -> Hashable:
+    """Return what problems in natural units must have in common to be solved together."""
+    mass = mass_scale(problem)
+
+    def rounded(values: np.ndarray | None) -> bytes:
+        return b"" if values is None else (np.round(values, DECIMALS) + 0.0).tobytes()
+
+    records = tuple(
+        (
+            tuple((rounded(c.times), c.measures, c.dof, c.offset) for c in record.channels),
+            tuple((rounded(f.times), rounded(f.values / mass), f.hold, f.dof) for f in record.forces),
+            record.initial_state is None,
+            None if record.added_mass is None else rounded(record.added_mass / mass),
+        )
+        for record in problem.records
+    )
+    return problem.system, records, problem.prior is None
+
+
+def batches(models: Sequence[OutputError], alone: Sequence[bool]) -> Iterator[list[int]]:
+    """Sort likelihoods of problems in natural units by layout; yield the places of those to be solved together.
+
+    Those that ``alone`` says are a batch of one.
+    """
+    groups: dict[Hashable, list[int]] = {}
+    for i, model in enumerate(models):
+        groups.setdefault(i if alone[i] else layout(model.problem), []).append(i)
+    for places in groups.values():
+        first = models[places[0]]
+        size = max(1, MOST_AT_ONCE // (first.data.size * first.size))
+        yield from (places[i : i + size] for i in range(0, len(places), size))

@@ -1,0 +1,190 @@
+"""Fit and noise in turn, for many problems at once, and the best maximum of each.
+
+Where the motion follows from parameters and initial state, multiple shooting and output error have the same maximum of
+the same posterior: the states at the cuts of shooting are functions of the parameters and the initial state, and at a
+solution the joins hold. Both come here with the guesses of :mod:`methods.trajectory.screening`, which are searched by
+Levenberg-Marquardt, all problems and guesses together: fit, ``sigma² = RSS / (N - p)``, fit again from there, until it
+settles; p is the number of directions that the data determine, ``trace(H_data H^-1)``.
+
+Where all parameters are identifiable without a prior (a known force, an added mass), the likelihood may have no maximum
+at positive ones, as where the noise hides the damping: then a very wide prior about the first guess holds them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bench import FIRST_DAMPING, SIGMA_FLOOR, Cost, Estimate, OutputError, SimulatedData, degrees_used, estimate_at
+from methods.starts.open_parameters import left_open, very_wide
+from methods.trajectory.ends import ends
+from methods.trajectory.screening import Guesses, Screening
+
+LEFT = 1e-6
+"""What a search may still gain where it counts as ended at a maximum, in minus twice the log-posterior."""
+LEFT_AT_KINKS = 1e-3
+"""The same where a system bends suddenly: so does its likelihood, and there no step gains what its slopes promise."""
+HELD = "the likelihood has no maximum at positive parameters: held by a prior of a factor of 20 about the data's start"
+OPEN = "the data leave a parameter open here, so there is no uncertainty"
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How guesses are chosen and when fit and noise have settled: the settings of the methods by the same names.
+
+    A fit takes at most ``iterations`` trial steps, the first of them with ``damping``.
+    """
+
+    screening: Screening
+    sigma_rounds: int
+    sigma_tolerance: float
+    iterations: int
+    damping: float = FIRST_DAMPING
+
+
+@dataclass(frozen=True, eq=False)
+class Maximum:
+    """A vector of unknowns with the derivatives (N, size) of the predictions and the noise of each channel there.
+
+    ``used``: degrees of freedom that the data spent. ``objectives``: minus the log posterior where the search from each
+    guess ended. ``converged``: whether the search ended at a maximum, of a linear system that from every guess.
+    ``done``: whether it ended before its last trial step.
+    """
+
+    model: OutputError
+    theta: np.ndarray
+    residuals: np.ndarray
+    slopes: np.ndarray
+    sigma: np.ndarray
+    used: float
+    iterations: int
+    message: str = ""
+    objectives: tuple[float, ...] = ()
+    converged: bool = True
+    done: bool = True
+
+    @property
+    def covariance(self) -> np.ndarray | None:
+        """Inverse of the Gauss-Newton Hessian; None where the data leave a direction open."""
+        return self.model.covariance(self.slopes, self.sigma)
+
+    def estimate(self) -> Estimate:
+        """Return the answer; without uncertainty, and said so, where the data leave a parameter open."""
+        covariance, cost = self.covariance, Cost(self.iterations, self.iterations)
+        message = "; ".join(part for part in (self.message, OPEN if covariance is None else "") if part)
+        estimate = estimate_at(self.model, self.theta, covariance, self.used, cost, message)
+        sigma = np.maximum(self.sigma, SIGMA_FLOOR * self.model.rms)
+        return replace(estimate, traces=ends(self.model, self.theta, self.slopes, sigma, self.objectives))
+
+
+def best_maxima(
+    models: Sequence[OutputError], batch: OutputError, guesses: Guesses, rules: Rules
+) -> list[Maximum | None]:
+    """Fit a batch from its guesses; return the best end of each problem, None where no guess has a finite response."""
+    if not guesses.cases.size:
+        return [None] * len(models)
+    fits, maxima = fit(batch, guesses.cases, guesses.thetas, rules), list[Maximum | None]()
+    for number, model in enumerate(models):
+        places = np.flatnonzero((guesses.cases == number) & np.isfinite(fits.profile))
+        if not places.size:
+            maxima.append(None)
+            continue
+        best = places[np.argmin(fits.profile[places])]
+        wanted = np.flatnonzero(guesses.cases == number) if model.system.linear else best
+        maxima.append(
+            Maximum(
+                model=model,
+                theta=fits.point.theta[best],
+                residuals=model.data - fits.point.predicted[best],
+                slopes=fits.point.slopes[best],
+                sigma=fits.sigma[best],
+                used=float(fits.used[best]),
+                iterations=int(fits.iterations[places].sum()),
+                objectives=tuple(map(float, 0.5 * fits.profile[places])),
+                converged=bool(np.all(fits.converged[wanted])),
+                done=bool(fits.done[best]),
+            )
+        )
+    return maxima
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """Where each case ended: noise as the residuals have it, without a floor, and minus twice the log-posterior."""
+
+    point: SimulatedData
+    sigma: np.ndarray
+    used: np.ndarray
+    profile: np.ndarray
+    iterations: np.ndarray
+    converged: np.ndarray
+    done: np.ndarray
+
+
+def fit(batch: OutputError, cases: np.ndarray, thetas: np.ndarray, rules: Rules) -> Fits:
+    """Fit and noise in turn, from one vector a case, until the noise settles; each case goes on by itself."""
+    left = LEFT if batch.system.linear or batch.system.smooth else LEFT_AT_KINKS
+    current, n, samples = batch.for_screening(cases, thetas), cases.size, batch.channel_of.size
+    point = current[cases].point(thetas)
+    used, iterations = np.full(n, float(batch.size)), np.zeros(n, int)
+    residuals = batch.data[cases] - point.predicted
+    converged = np.all(np.isfinite(residuals), axis=1)
+    done, going = converged.copy(), np.flatnonzero(converged)
+    sigma, searched_at = np.ones((n, batch.counts.size)), np.ones((n, batch.counts.size))
+    sigma[going] = batch[cases[going]].noise(residuals[going], used[going])
+    for _ in range(rules.sigma_rounds if going.size else 0):
+        chosen = cases[going]
+        batch = batch.refined(chosen, point.theta[going], batch[chosen].noise(residuals[going], used[going], 0.0))
+        if batch is not current:
+            current = batch
+            point.put(going, batch[chosen].point(point.theta[going]))
+        model = batch[chosen]
+        reached, end = model.search(point[going], sigma[going], rules.iterations, rules.damping)
+        point.put(going, reached)
+        iterations[going] += end.iterations
+        finite = np.isfinite(end.at.cost)
+        converged[going], done[going] = finite & (end.left < left), end.done
+        used[going[finite]] = degrees_used(end.at.slopes[finite], samples)
+        residuals[going] = model.data - reached.predicted
+        before = searched_at[going] = sigma[going]
+        sigma[going] = model.noise(residuals[going], used[going])
+        moved = np.max(np.abs(np.log(sigma[going] / before)), axis=1) >= rules.sigma_tolerance
+        # where the answer moves faster than its guess did, or fits better, the steps were too long
+        coarse = batch.coarse(chosen, reached.theta, model.noise(residuals[going], used[going], 0.0))
+        going = going[finite & (moved | coarse)]
+        if not going.size:
+            break
+    if batch.system.linear:
+        ended = np.flatnonzero(converged)
+        reached, _ = batch[cases[ended]].search(point[ended], searched_at[ended], 0, polished=True)
+        point.put(ended, reached)
+        residuals[ended] = batch.data[cases[ended]] - reached.predicted
+    model = batch[cases]
+    free, profile = model.noise(residuals, used, 0.0), model.profile_of(point.theta, residuals)
+    return Fits(point, free, used, profile, iterations, converged, done)
+
+
+def held(maximum: Maximum, first: np.ndarray) -> tuple[OutputError, np.ndarray] | None:
+    """Return the problem with a very wide prior, and the vector to search it from; None where no parameter is open.
+
+    So it is where the data leave a parameter more open than that prior would. The prior is about the data's ``first``
+    guess in the open parameters, and about the maximum in the others: there it says next to nothing.
+    """
+    model, k = maximum.model, len(maximum.model.free)
+    if model.prior is not None or not model.problem.scale_told:
+        return None
+    which = leaves_open(model, maximum.covariance)
+    if not np.any(which):
+        return None
+    theta = maximum.theta.copy()
+    theta[:k] = np.where(which, first[:k], theta[:k])
+    prior = very_wide({name: float(value) for name, value in model.parameters(theta).items()})
+    return OutputError(replace(model.problem, prior=prior)), theta
+
+
+def leaves_open(model: OutputError, covariance: np.ndarray | None) -> np.ndarray:
+    """Return which log-parameters the data leave more open than the very wide prior would; all without covariance."""
+    k = len(model.free)
+    return np.ones(k, bool) if covariance is None else left_open(np.diag(covariance)[:k])

@@ -1,0 +1,89 @@
+"""The initial guesses that are worth a fit, of a batch of problems, by the rules that shooting and output error share.
+
+The parameter sets of :mod:`methods.starts.candidates` take a few output-error steps each; kept are separate ends that
+could still win.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bench import Channel, OutputError
+from methods.starts.candidates import candidates, screened
+from methods.starts.separate import separate
+
+LONGEST = 300
+"""Samples of each channel on which initial guesses of a nonlinear system are compared; a longer record is solved
+alone."""
+NONLINEAR_STEPS = 5
+"""Gauss-Newton steps of the initial states and offsets that fit the data of a nonlinear system best."""
+
+
+@dataclass(frozen=True)
+class Screening:
+    """At most so many ``starts`` after ``iterations`` steps, within ``margin`` of the best's profile."""
+
+    starts: int
+    iterations: int
+    margin: float
+
+
+@dataclass(frozen=True, eq=False)
+class Guesses:
+    """Initial guesses that are worth a fit: problem numbers and vectors, and each problem's first one before any step.
+
+    ``cases`` (n,), ``thetas`` (n, size), ``first`` (problems, size).
+    """
+
+    cases: np.ndarray
+    thetas: np.ndarray
+    first: np.ndarray
+
+
+def screen(models: Sequence[OutputError], batch: OutputError, rules: Screening) -> Guesses:
+    """Choose the guesses for each of the models of a batch."""
+    sets = [candidates(model, rules.starts + 1) for model in models]
+    cases = np.repeat(np.arange(len(sets)), [len(guesses) for guesses in sets])
+    heads = np.concatenate([[0], np.cumsum([len(guesses) for guesses in sets])[:-1]])
+    thetas = np.zeros((cases.size, batch.size))
+    thetas[:, : len(batch.free)] = np.log([[p[name] for name in batch.free] for guesses in sets for p in guesses])
+    batch = batch.for_screening(cases, thetas)
+    thetas = batch[cases].with_initial_states(thetas, 1 if batch.system.linear else NONLINEAR_STEPS)
+    first = thetas[heads]
+    point = batch[cases].point(thetas)
+    finite = np.flatnonzero(np.all(np.isfinite(point.predicted), axis=1))
+    cases, point = cases[finite], point[finite]
+    chosen = batch[cases]
+    sigma = chosen.noise(chosen.data - point.predicted, 0.0)
+    settled, _ = chosen.search(point, sigma, rules.iterations)
+    values = chosen.profile_of(settled.theta, chosen.data - settled.predicted)
+    kept: list[int] = []
+    for number, model in enumerate(models):
+        places = np.flatnonzero(cases == number)
+        best = places[separate(model, values[places], settled.theta[places])[: rules.starts]]
+        kept += [i for i in best if values[i] <= values[best[0]] + rules.margin]
+    return Guesses(cases[kept], settled.theta[kept], first)
+
+
+def screened_alone(model: OutputError, rules: Screening) -> list[np.ndarray]:
+    """Choose the guesses for one problem of any system, best first; none where no response is finite."""
+    guesses = screened(head(model), rules.starts, rounds=1, iterations=rules.iterations)
+    return [theta for value, theta in guesses if value <= guesses[0][0] + rules.margin]
+
+
+def head(model: OutputError) -> OutputError:
+    """Return the first samples of long records of a nonlinear system: ``theta`` means the same for them.
+
+    Its step-by-step simulations would outlast the fit; linear responses are quick at any length.
+    """
+    if model.system.linear or all(c.n <= LONGEST for _, c in model.channels):
+        return model
+
+    def short(c: Channel) -> Channel:
+        return replace(c, times=c.times[:LONGEST], values=c.values[:LONGEST])
+
+    records = tuple(replace(r, channels=tuple(short(c) for c in r.channels)) for r in model.problem.records)
+    return OutputError(replace(model.problem, records=records))
