@@ -29,6 +29,9 @@ class Tape:
     output: Tensor
 
 
+RANK = 1e-12
+"""Singular values over the largest below which a combination of functions is taken for rounding."""
+
 Adjoints = list[Tensor]
 """Adjoints of the linear part of each layer, each of shape (B, 3, n_rows, n_out of the layer)."""
 
@@ -59,6 +62,14 @@ class Ansatz(ABC):
     @abstractmethod
     def jacobian(self, tape: Tape, adjoints: Adjoints, points: Tensor, rows: slice = slice(None)) -> Tensor:
         """J itself at the given rows, (B, n_rows, count)."""
+
+    def mixed(self, theta: Tensor) -> Tensor:
+        """Return the coefficients of a :class:`Mixture` of this function; of any other its own."""
+        return theta
+
+    def unmixed(self, theta: Tensor) -> Tensor:
+        """Return the coefficients before they were mixed."""
+        return theta
 
     @abstractmethod
     def take(self, who: Tensor) -> Ansatz:
@@ -114,6 +125,59 @@ class Basis(Ansatz):
         return self
 
     def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
+        return self, theta
+
+    def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
+        return coefficients
+
+
+@dataclass
+class Mixture(Ansatz):
+    """A linear ``inner`` whose coefficients are ``mixing @ theta``; ``weights @`` them is theta again."""
+
+    inner: Ansatz
+    mixing: Tensor
+    weights: Tensor
+
+    def __post_init__(self) -> None:
+        self.count = self.mixing.shape[2]
+
+    @staticmethod
+    def of(inner: Ansatz, jacobian: Tensor) -> Mixture:
+        """Mix the coefficients such that a Jacobian (B, n_rows, count) by them becomes orthonormal.
+
+        Combinations with a singular value below :data:`RANK` of the largest are rounding, and are left out.
+        """
+        _, sizes, axes = torch.linalg.svd(torch.linalg.qr(jacobian, mode="r")[1], full_matrices=False)
+        inverse = torch.where(sizes < RANK * sizes[:, :1], 0.0, 1.0 / sizes)
+        return Mixture(inner, axes.mT * inverse[:, None], sizes[..., None] * axes)
+
+    def mixed(self, theta: Tensor) -> Tensor:
+        return (self.weights @ theta[..., None])[..., 0]
+
+    def unmixed(self, theta: Tensor) -> Tensor:
+        return (self.mixing @ theta[..., None])[..., 0]
+
+    def forward(self, theta: Tensor) -> Tape:
+        return self.inner.forward(self.unmixed(theta))
+
+    def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
+        return self.inner.adjoint(self.unmixed(theta), tape, seeds, points)
+
+    def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
+        j = self.jacobian(tape, adjoints, points)
+        return j @ j.mT
+
+    def pull_back(self, tape: Tape, adjoints: Adjoints, points: Tensor | None, dual: Tensor | None = None) -> Tensor:
+        return (self.inner.pull_back(tape, adjoints, points, dual)[:, None] @ self.mixing)[:, 0]
+
+    def jacobian(self, tape: Tape, adjoints: Adjoints, points: Tensor, rows: slice = slice(None)) -> Tensor:
+        return self.inner.jacobian(tape, adjoints, points, rows) @ self.mixing
+
+    def take(self, who: Tensor) -> Mixture:
+        return Mixture(self.inner.take(who), self.mixing[who], self.weights[who])
+
+    def head(self, theta: Tensor) -> tuple[Mixture, Tensor]:
         return self, theta
 
     def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:

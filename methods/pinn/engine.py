@@ -33,6 +33,9 @@ DAMPING = (1e-3, 1e-6, 1e-7)
 minimum; with more damping than this a stage ends early, for the little that a damped step promises."""
 OVERTONES = 3.0
 """Highest frequency that matters over the dominant one, where there are several modes, harmonics or a force."""
+CONVERGED = 1e-9
+"""Promised decrease of minus the log posterior below which the output layer and the parameters have converged: a step
+of a few hundred-thousandths of a standard error, which costs two or three cheap iterations more."""
 ROUNDS = 3
 """How often the noise may be estimated anew and the fit polished with it."""
 SETTLED = 0.03
@@ -237,12 +240,18 @@ class Attempt:
         return np.asarray(change[who])
 
     def run(
-        self, residuals: Residuals, softness: float, iterations: int, damping: float, who: np.ndarray
+        self,
+        residuals: Residuals,
+        softness: float,
+        iterations: int,
+        damping: float,
+        tolerance: float,
+        who: np.ndarray,
     ) -> np.ndarray:
         """Levenberg-Marquardt at the present noise, then the noise from what it leaves; returns the noise's change."""
         deviations = residuals.deviations(self.spread(softness))
         self.walk.damping[who] = damping
-        levenberg.minimise(residuals, self.walk, deviations, iterations, self.settings.tolerance, who)
+        levenberg.minimise(residuals, self.walk, deviations, iterations, tolerance, who)
         return self.estimate_noise(residuals, deviations, who) if softness == 1.0 else np.zeros(who.size)
 
     def respond(self, heads: Residuals, iterations: int, damping: float, who: np.ndarray) -> None:
@@ -257,10 +266,12 @@ class Attempt:
         self.walk.iterations[who] += walk.iterations
 
     def levenberg(self) -> None:
-        """The default path: soft physics, then nearly hard, both on the output layer alone; then all coefficients.
+        """Minimise with soft physics, then nearly hard, on the output layer alone; then over all coefficients.
 
         With soft physics the loss has one basin where the hard one has many; with the hidden layers fixed an iteration
-        is cheap, and their spread features already resolve the motion. The last stage frees all weights.
+        is cheap, and their spread features already resolve the motion. The next stage frees all weights, which gains
+        where the features do not resolve the motion to the noise; the last brings the output layer and the parameters
+        to convergence.
 
         Where noise is as large as the motion, soft physics follows the noise, and where samples are fewer than two a
         cycle the smoothest curve through them. A ``firm`` fit keeps to the scan's wave instead: it begins with hard
@@ -268,19 +279,32 @@ class Attempt:
         """
         s = self.settings
         far, near, close = DAMPING
-        everyone = np.arange(len(self.problems))
-        whole = self.walk.z
-        heads, self.walk.z = self.residuals.heads(whole)
+        heads, whole = self._heads()
         free, firm = np.flatnonzero(~self.firm), np.flatnonzero(self.firm)
         if free.size:
-            self.run(heads, s.softness, s.output_iterations, far, free)
+            self.run(heads, s.softness, s.output_iterations, far, s.tolerance, free)
         if firm.size:
             self.respond(heads, s.output_iterations, near, firm)
-        self.run(heads, 1.0, s.output_iterations, near, everyone)
-        self.walk.z = self.residuals.with_heads(whole, self.walk.z)
-        who = everyone
+        self.rounds(heads, s.output_iterations, near, CONVERGED)
+        self.walk.z = self.residuals.with_heads(whole, heads.unmixed(self.walk.z))
+        if heads.n_z < self.residuals.n_z:
+            self.rounds(self.residuals, s.iterations, close, s.tolerance)
+            heads, whole = self._heads()
+            self.rounds(heads, s.output_iterations, near, CONVERGED)
+            self.walk.z = self.residuals.with_heads(whole, heads.unmixed(self.walk.z))
+
+    def _heads(self) -> tuple[Residuals, Tensor]:
+        """Go over to the coefficients of the output layers, mixed to weigh alike; returns also all that there were."""
+        whole = self.walk.z
+        heads, z = self.residuals.heads(whole)
+        mixed, self.walk.z = heads.mixed(z, heads.deviations(self.spread()))
+        return mixed, whole
+
+    def rounds(self, residuals: Residuals, iterations: int, damping: float, tolerance: float) -> None:
+        """Minimise with hard physics, again where the noise has changed by it."""
+        who = np.arange(len(self.problems))
         for _ in range(ROUNDS):
-            change = self.run(self.residuals, 1.0, s.iterations, close, who)
+            change = self.run(residuals, 1.0, iterations, damping, tolerance, who)
             self.watch(self.results)
             who = who[change >= SETTLED]
             if not who.size:

@@ -28,7 +28,7 @@ import torch
 from torch import Tensor
 
 from bench import Problem, array_ops
-from methods.network.ansatz import Adjoints, Ansatz, Tape
+from methods.network.ansatz import Adjoints, Ansatz, Mixture, Tape
 from methods.pinn.block import Block, Spread
 
 TERMS = ("data", "physics", "initial", "prior")
@@ -149,6 +149,28 @@ class Residuals:
         pairs = [a.head(part) for a, part in zip(self.ansatzes, parts, strict=True)]
         other.ansatzes = [basis for basis, _ in pairs]
         return other, torch.cat([*[own for _, own in pairs], rest], 1)
+
+    def mixed(self, z: Tensor, deviations: Tensor) -> tuple[Residuals, Tensor]:
+        """Return the same vectors as a function of coefficients by which J has orthonormal columns at z, and these.
+
+        Random features are so much alike that J has singular values over twelve decades, and a damped step moves
+        along the small ones only after hundreds of iterations. Splines are left as they are.
+        """
+        other = copy.copy(self)
+        parts, rest = self.split_flat(z)
+        state = self.evaluate(z, deviations)
+        linear = self.linearise(state, deviations)
+        ansatzes = zip(self.blocks, self.ansatzes, state.tapes, linear.adjoints, strict=True)
+        other.ansatzes = [
+            a if a.local else Mixture.of(a, a.jacobian(tape, adjoints, block.points))
+            for block, a, tape, adjoints in ansatzes
+        ]
+        return other, torch.cat([*[a.mixed(part) for a, part in zip(other.ansatzes, parts, strict=True)], rest], 1)
+
+    def unmixed(self, z: Tensor) -> Tensor:
+        """Return the coefficients before :meth:`mixed`, and the other unknowns."""
+        parts, rest = self.split_flat(z)
+        return torch.cat([*[a.unmixed(part) for a, part in zip(self.ansatzes, parts, strict=True)], rest], 1)
 
     def with_heads(self, z: Tensor, short: Tensor) -> Tensor:
         """z with its last layers and other unknowns as in the vector ``short`` of :meth:`heads`."""

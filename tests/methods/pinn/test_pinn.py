@@ -269,6 +269,21 @@ def test_heads_are_the_last_layers() -> None:
     np.testing.assert_array_equal((whole != z).numpy()[0], expected)
 
 
+def test_mixed_heads_have_orthonormal_columns_and_the_same_rows() -> None:
+    residuals, z, deviations = small(Chain(2))
+    heads, short = residuals.heads(z)
+    mixed, coefficients = heads.mixed(short, deviations)
+    rows = heads.evaluate(short, deviations).rows
+    torch.testing.assert_close(mixed.evaluate(coefficients, deviations).rows, rows, rtol=1e-8, atol=1e-8)
+    torch.testing.assert_close(mixed.unmixed(coefficients), short, rtol=1e-6, atol=1e-8)
+    state = mixed.evaluate(coefficients, deviations)
+    linear = mixed.linearise(state, deviations)
+    jacobian = torch.cat([part for _, part in mixed.jacobian_parts(state, linear)], 1)
+    own = jacobian[0, :, : mixed.ansatzes[0].count]
+    sizes = torch.linalg.svdvals(own)
+    assert bool(((sizes - 1.0).abs() < 1e-6).all())
+
+
 def test_levenberg_goes_lower_than_scipys_lbfgs() -> None:
     problem = Problem(SDOF(), (record(0.05, known=True),), PRIOR)
     scaled = problem.expressed_in(problem.natural_units())
