@@ -14,7 +14,8 @@ from bench.contract.method import Identifier
 from bench.contract.online import Layout, OnlineCard, OnlineIdentifier, Tracker
 from bench.contract.problem import Problem
 from bench.contract.window import WindowTracker, window_problem
-from bench.entrants.registry import default_settings, entries, load_class, load_method, make, make_method, registered
+from bench.entrants.registry import default_settings, load_dataclass, load_method, make, make_method, registered
+from bench.entry_points import entries
 from bench.errors import InputError
 
 GROUP = "bench.trackers"
@@ -83,7 +84,7 @@ def registered_online() -> dict[str, EntryPoint]:
 
 
 def _load(name: str) -> type[OnlineIdentifier]:
-    cls: type[OnlineIdentifier] = load_class(registered_online(), name, OnlineIdentifier, online_names())
+    cls: type[OnlineIdentifier] = load_dataclass(registered_online(), name, OnlineIdentifier, online_names())
     return cls
 
 

@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import Any, TypeVar
 
 from bench.contract.method import Identifier
 from bench.entrants.reference import REFERENCES
+from bench.entry_points import entries, load_class
 from bench.errors import InputError, did_you_mean
 from bench.scenario.declaration import validated
 
 GROUP = "bench.methods"
 DISTRIBUTION = "vibration-bench"
 Made = TypeVar("Made")
-
-
-@cache
-def entries(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a group by name; nothing is imported."""
-    return {point.name: point for point in sorted(entry_points(group=group), key=lambda point: point.name)}
 
 
 def registered() -> dict[str, EntryPoint]:
@@ -38,21 +33,15 @@ def method_names() -> list[str]:
 @cache
 def load_method(name: str) -> type[Identifier]:
     """Return the class of a method; raises InputError for an unknown name or an entry point that does not load."""
-    cls: type[Identifier] = load_class(registered(), name, Identifier, method_names())
+    cls: type[Identifier] = load_dataclass(registered(), name, Identifier, method_names())
     return cls
 
 
-def load_class(points: Mapping[str, EntryPoint], name: str, base: type, names: Iterable[str]) -> Any:
+def load_dataclass(points: Mapping[str, EntryPoint], name: str, base: type, names: Collection[str]) -> Any:
     """Return the dataclass below ``base`` that is registered by a name; raises InputError, which lists ``names``."""
-    if name not in points:
-        raise InputError("method", name, f"{did_you_mean(name, list(names))}known methods: {', '.join(names)}")
-    try:
-        loaded = points[name].load()
-    except Exception as error:
-        remedy = f"its entry point does not load ({type(error).__name__}: {error})"
-        raise InputError("method", name, remedy) from None
-    if not (isinstance(loaded, type) and issubclass(loaded, base) and dataclasses.is_dataclass(loaded)):
-        raise InputError("method", name, f"its entry point must name a dataclass that subclasses bench.{base.__name__}")
+    loaded = load_class("method", name, points, base, names)
+    if not dataclasses.is_dataclass(loaded):
+        raise InputError("method", name, f"its entry point ({points[name].value}) must name a dataclass")
     return loaded
 
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import Any
 
+from bench.entry_points import entries, load_class
 from bench.errors import InputError
 from bench.systems.contract import (
     DAMPING,
@@ -68,24 +69,16 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__} has no attribute {name}")
 
 
-@cache
 def registered_systems() -> dict[str, EntryPoint]:
-    """Entry points by the name of the system; nothing is imported."""
-    return {point.name: point for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)}
+    """Return the entry points by the name of the system; nothing is imported."""
+    return entries(GROUP)
 
 
 @cache
 def load_system(name: str) -> type[System]:
-    """The class behind a name; raises InputError for an unknown name or an entry point that does not load."""
-    if name not in registered_systems():
-        raise InputError("system", name, f"known systems: {', '.join(registered_systems())}")
-    try:
-        loaded = registered_systems()[name].load()
-    except Exception as error:
-        raise InputError("system", name, f"its entry point does not load ({type(error).__name__}: {error})") from None
-    if not (isinstance(loaded, type) and issubclass(loaded, System)):
-        raise InputError("system", name, "its entry point must name a subclass of bench.System")
-    return loaded
+    """Return the class of a system; raises InputError for an unknown name or an entry point that does not load."""
+    cls: type[System] = load_class("system", name, registered_systems(), System)
+    return cls
 
 
 def make_system(name: str, options: Mapping[str, Any]) -> System:
