@@ -36,7 +36,8 @@ from bench.dynamics.mechanics import acceleration, mass_matrix, regression_colum
 from bench.dynamics.ops import array_ops, nan_ops, numpy_ops, ops_from
 from bench.dynamics.rates import fastest_rates
 from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurements, simulate
-from bench.errors import InputError
+from bench.entry_points import entry_points_of, load_entry_point
+from bench.errors import InputError, check_name
 from bench.likelihood.batching import batches, layout
 from bench.likelihood.least_squares import FIRST_DAMPING, Linearisation, Minimum, StepLimits, degrees_used, minimise
 from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, SimulatedData, Start, estimate_at
@@ -101,10 +102,12 @@ __all__ = [
     "WindowTracker",
     "acceleration",
     "array_ops",
+from bench.entry_points import entry_points_of, load_entry_point
     "batches",
     "compiled_path",
     "degrees_used",
     "dimension_scale",
+    "entry_points_of",
     "estimate_at",
     "experiment",
     "fastest_rates",
@@ -113,6 +116,7 @@ __all__ = [
     "interval_polynomials",
     "layout",
     "levelled",
+    "load_entry_point",
     "mass_matrix",
     "measurements",
     "minimise",

@@ -11,12 +11,12 @@ from bench.errors import InputError, did_you_mean
 
 
 @cache
-def entries(group: str) -> dict[str, EntryPoint]:
+def entry_points_of(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of a group by name; nothing is imported."""
     return {point.name: point for point in sorted(entry_points(group=group), key=lambda point: point.name)}
 
 
-def load_class(
+def load_entry_point(
     field: str,
     name: str,
     points: Mapping[str, EntryPoint],

@@ -31,7 +31,7 @@ from bench.isolation.failure import one_line
 from bench.isolation.limits import limited
 from bench.scenario.scenario import METHOD
 from bench.store.results import read_result, write_result
-from bench.store.version import cell_version
+from bench.store.version import settings_version
 
 LIMIT_S = 60.0
 KINDS = {kind.__name__: kind for kind in (FreeDecay, Forced)}
@@ -53,7 +53,7 @@ class Block:
         """Return a digest of points, method with settings, versions, seed and replicates."""
         stated = [point.numbers() for point in self.points]
         parts = [stated, self.method, self.settings, self.replicates, self.seed, columns(self.quantities), LIMIT_S]
-        version = cell_version(self.method, self.points[0].scenario().system).as_json()
+        version = settings_version(self.method, self.points[0].scenario().system, self.settings).as_json()
         text = json.dumps([version, *parts], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 

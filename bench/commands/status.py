@@ -21,7 +21,7 @@ from bench.reporting.terminal_tables import cell_table
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored import Head
-from bench.store.version import cell_version
+from bench.store.version import settings_version
 from bench.systems import registered_systems
 
 MOST_REASONS = 3
@@ -41,7 +41,11 @@ def _standing(head: Head) -> tuple[str, str]:
     for kind, name, known in (("method", method, method_names()), ("system", system, registered_systems())):
         if name not in known:
             return FOREIGN, f"no {kind} {name} is installed here"
-    state, why = standing(head, method, cell_version(method, system))
+    try:
+        today = settings_version(method, system, head.cell.get("settings", {}))
+    except InputError as error:  # of a value that no installed package supplies
+        return FOREIGN, str(error)
+    state, why = standing(head, method, today)
     return state.value, why
 
 

@@ -19,11 +19,17 @@ SILENT = "no sensor shows any motion; check the wiring or choose another record"
 
 @dataclass(frozen=True)
 class Choice:
-    """A value of a setting that stands in a table as a row of its own: its name, where it is from, its package."""
+    """A value of a setting that stands in a table as a row of its own: its name, where it is from, its package.
+
+    ``supplier``: the class of another package that the value stands for, as ``module:class`` (none: the method itself
+    does what the value says); ``version``: that class's, raised where a change of it alters results.
+    """
 
     title: str
     source: str
     package: str = ""
+    supplier: str = ""
+    version: int = 1
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from bench.contract.online import Layout, OnlineCard, OnlineIdentifier, Tracker
 from bench.contract.problem import Problem
 from bench.contract.window import WindowTracker, window_problem
 from bench.entrants.registry import default_settings, load_dataclass, load_method, make, make_method, registered
-from bench.entry_points import entries
+from bench.entry_points import entry_points_of
 from bench.errors import InputError
 
 GROUP = "bench.trackers"
@@ -80,7 +80,7 @@ class _MethodTracker(WindowTracker):
 
 def registered_online() -> dict[str, EntryPoint]:
     """Return the entry points of trackers by name; nothing is imported."""
-    return entries(GROUP)
+    return entry_points_of(GROUP)
 
 
 def _load(name: str) -> type[OnlineIdentifier]:

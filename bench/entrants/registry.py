@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from bench.contract.method import Identifier
 from bench.entrants.reference import REFERENCES
-from bench.entry_points import entries, load_class
+from bench.entry_points import entry_points_of, load_entry_point
 from bench.errors import InputError, did_you_mean
 from bench.scenario.declaration import validated
 
@@ -22,7 +22,7 @@ Made = TypeVar("Made")
 
 def registered() -> dict[str, EntryPoint]:
     """Return the entry points by method name; nothing is imported."""
-    return entries(GROUP)
+    return entry_points_of(GROUP)
 
 
 def method_names() -> list[str]:
@@ -39,7 +39,7 @@ def load_method(name: str) -> type[Identifier]:
 
 def load_dataclass(points: Mapping[str, EntryPoint], name: str, base: type, names: Collection[str]) -> Any:
     """Return the dataclass below ``base`` that is registered by a name; raises InputError, which lists ``names``."""
-    loaded = load_class("method", name, points, base, names)
+    loaded = load_entry_point("method", name, points, base, names)
     if not dataclasses.is_dataclass(loaded):
         raise InputError("method", name, f"its entry point ({points[name].value}) must name a dataclass")
     return loaded

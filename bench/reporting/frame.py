@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any, TypeVar
@@ -24,12 +24,13 @@ from bench.contract.estimate import Status
 from bench.contract.problem import InitialState
 from bench.entrants.reference import REFERENCES
 from bench.errors import InputError
-from bench.reporting.labels import title
+from bench.reporting.labels import cards, title
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored import MARK, StoredCell
+from bench.store.version import settings_version
 from bench.systems import System, make_system
 
 ERROR = "_error_pct"
@@ -368,8 +369,27 @@ def table_experiments() -> list[str]:
 def experiment_frame(experiment: str, store: Store) -> Frame:
     """The cells of an experiment, with what the store holds of each."""
     found = Experiment(experiment)
-    results = tuple(Result.of_cell(cell, store.load(cell.identity)) for cell in found.cells())
-    return Frame(experiment, str(found.table["title"]), found.table, results)
+    results = [Result.of_cell(cell, store.load(cell.identity)) for cell in found.cells()]
+    if found.table.get("form") == "family":
+        results += supplied_results(store, {result.question for result in results})
+    return Frame(experiment, str(found.table["title"]), found.table, tuple(results))
+
+
+def supplied_results(store: Store, questions: Collection[str]) -> list[Result]:
+    """Return stored cells of a method whose settings name what another package supplies, on some questions."""
+    results = []
+    for head in store.heads():
+        card = cards().get(str(head.cell.get("method")))
+        if head.problem or card is None or not card.choices:
+            continue
+        with contextlib.suppress(InputError):  # it is not installed here, or does not load
+            settings = head.cell["settings"]
+            if not settings_version(head.cell["method"], head.cell["data"]["system"], settings).supplied:
+                continue
+            stored = store.load(head.identity)
+            result = Result.of_cell(stored_as_cell(stored), stored) if stored else None
+            results += [result] if result and result.question in questions else []
+    return results
 
 
 SHOWING_SUBMITTED = ("paper", "systems", "open")

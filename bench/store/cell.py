@@ -21,7 +21,7 @@ from bench.isolation.failure import one_line
 from bench.scenario.scenario import Scenario
 from bench.store.shape import DESCRIPTION, fits
 from bench.store.stored import StoredCell
-from bench.store.version import Version, cell_version
+from bench.store.version import Version, settings_version
 
 FORMAT = 2
 """Raised when scores change their meaning, so that older rows are not taken for new ones."""
@@ -83,7 +83,7 @@ class Cell:
     @property
     def version(self) -> Version:
         """Return the version that would compute the cell now."""
-        return cell_version(self.method, self.scenario.system)
+        return settings_version(self.method, self.scenario.system, self.settings)
 
     @cached_property
     def identity(self) -> str:

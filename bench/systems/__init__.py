@@ -12,7 +12,7 @@ from importlib import import_module
 from importlib.metadata import EntryPoint
 from typing import Any
 
-from bench.entry_points import entries, load_class
+from bench.entry_points import entry_points_of, load_entry_point
 from bench.errors import InputError
 from bench.systems.contract import (
     DAMPING,
@@ -71,13 +71,13 @@ def __getattr__(name: str) -> Any:
 
 def registered_systems() -> dict[str, EntryPoint]:
     """Return the entry points by the name of the system; nothing is imported."""
-    return entries(GROUP)
+    return entry_points_of(GROUP)
 
 
 @cache
 def load_system(name: str) -> type[System]:
     """Return the class of a system; raises InputError for an unknown name or an entry point that does not load."""
-    cls: type[System] = load_class("system", name, registered_systems(), System)
+    cls: type[System] = load_entry_point("system", name, registered_systems(), System)
     return cls
 
 

@@ -1,5 +1,26 @@
-"""The PINN family: one loss, many ways to train; see :mod:`methods.pinn_family.method`. Loads no torch by itself."""
+"""The PINN family: one loss, many ways to train; see :mod:`methods.pinn_family.method`. Loads no torch by itself.
 
+:class:`Optimizer`, :class:`Weighting` and :class:`Features` are the base classes of what other packages add.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from methods.pinn_family.choices import BASES
 from methods.pinn_family.method import PINNFamily
 
-__all__ = ["PINNFamily"]
+if TYPE_CHECKING:
+    from methods.pinn_family.architectures import Features
+    from methods.pinn_family.loss import Optimizer
+    from methods.pinn_family.weighting import Weighting
+
+__all__ = ["Features", "Optimizer", "PINNFamily", "Weighting"]
+
+
+def __getattr__(name: str) -> Any:
+    """Return a base class, whose module imports torch."""
+    for base in BASES.values():
+        module, _, class_name = base.partition(":")
+        if name == class_name:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__} has no attribute {name}")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,13 +16,91 @@ import torch
 from torch import Tensor
 
 from methods.network.ansatz import Adjoints, Ansatz, Basis, Tape
-from methods.pinn_family.jet import Jet
+from methods.pinn_family.choices import TrainingComponent
 
 Parts = Sequence[Tensor]
+"""Coefficients, layer by layer."""
+
+
+@dataclass
+class Jet:
+    """A function of time at points: value, first and second derivative by time, of any common shape.
+
+    The three are carried through a network together (Taylor mode; see the tanh network).
+    """
+
+    value: Tensor
+    first: Tensor
+    second: Tensor
+
+    @staticmethod
+    def of_time(tau: Tensor, rate: Tensor) -> Jet:
+        """Return scaled time (..., 1) itself, whose derivative by time is ``rate``."""
+        return Jet(tau, rate.expand_as(tau), torch.zeros_like(tau))
+
+    def linear(self, weight: Tensor, bias: Tensor | None = None) -> Jet:
+        """Return ``W h + b`` over the last axis."""
+        value = self.value @ weight.mT
+        return Jet(value if bias is None else value + bias, self.first @ weight.mT, self.second @ weight.mT)
+
+    def through(self, value: Tensor, slope: Tensor, curvature: Tensor) -> Jet:
+        """Return a function of this, given its value and its two derivatives by this value."""
+        return Jet(value, slope * self.first, slope * self.second + curvature * self.first**2)
+
+    def tanh(self) -> Jet:
+        """Return the hyperbolic tangent."""
+        h = torch.tanh(self.value)
+        slope = 1.0 - h * h
+        return self.through(h, slope, -2.0 * h * slope)
+
+    def sin(self) -> Jet:
+        """Return the sine."""
+        s, c = torch.sin(self.value), torch.cos(self.value)
+        return self.through(s, c, -s)
+
+    def gaussians(self, centres: Tensor, width: float) -> Jet:
+        """Return Gaussian bumps of the last axis' entries, (..., n) to (..., n * n_centres)."""
+        u = (self.value[..., None] - centres) / width
+        g = torch.exp(-0.5 * u * u)
+        wide = Jet(self.value[..., None], self.first[..., None], self.second[..., None])
+        bumps = wide.through(g, -u * g / width, (u * u - 1.0) * g / width**2)
+        return Jet(bumps.value.flatten(-2), bumps.first.flatten(-2), bumps.second.flatten(-2))
+
+    def __add__(self, other: Jet) -> Jet:
+        return Jet(self.value + other.value, self.first + other.first, self.second + other.second)
+
+    def __sub__(self, other: Jet) -> Jet:
+        return Jet(self.value - other.value, self.first - other.first, self.second - other.second)
+
+    def __mul__(self, other: Jet) -> Jet:
+        """Return the product, by the product rule."""
+        return Jet(
+            self.value * other.value,
+            self.first * other.value + self.value * other.first,
+            self.second * other.value + 2.0 * self.first * other.first + self.value * other.second,
+        )
+
+    def scaled(self, factor: Tensor | float) -> Jet:
+        """Return this times a number."""
+        return Jet(self.value * factor, self.first * factor, self.second * factor)
+
+    @staticmethod
+    def one(like: Tensor) -> Jet:
+        """Return the constant 1."""
+        return Jet(torch.ones_like(like), torch.zeros_like(like), torch.zeros_like(like))
+
+    def beside(self, other: Jet) -> Jet:
+        """Return both, along the last axis."""
+        pairs = ((self.value, other.value), (self.first, other.first), (self.second, other.second))
+        return Jet(*(torch.cat(pair, -1) for pair in pairs))
+
+    def stacked(self) -> Tensor:
+        """Return the three along an axis in front of the last two."""
+        return torch.stack([self.value, self.first, self.second], -3)
 
 
 @dataclass(frozen=True)
-class Features(ABC):
+class Features(TrainingComponent, ABC):
     """Features of scaled time on [-1, 1]: ``width`` of them, from layers ``depth`` deep."""
 
     width: int = 64
@@ -30,20 +108,31 @@ class Features(ABC):
 
     @abstractmethod
     def start(self, cycles: float, rng: np.random.Generator) -> list[np.ndarray]:
-        """First coefficients, for a function of about so many oscillations; the last part is the output layer's."""
+        """Return the first coefficients, layer by layer, for a function of about so many oscillations."""
 
     @abstractmethod
     def jet(self, parts: Parts, time: Jet) -> Jet:
-        """The features (..., n_features) of time (..., 1)."""
+        """Return the features (..., n_features) of time (..., 1), from coefficients of the shapes of ``start``."""
 
     def n_features(self) -> int:
-        """How many there are."""
+        """Return the number of features."""
         return self.width
 
 
 def _glorot(n_out: int, n_in: int, rng: np.random.Generator) -> np.ndarray:
-    """Normal weights of variance 2 / (n_in + n_out): X. Glorot and Y. Bengio, AISTATS 2010."""
+    """Draw normal weights of variance 2 / (n_in + n_out): X. Glorot and Y. Bengio, AISTATS 2010."""
     return rng.standard_normal((n_out, n_in)) * math.sqrt(2.0 / (n_in + n_out))
+
+
+def _frequencies(n: int, cycles: float, rng: np.random.Generator) -> np.ndarray:
+    """Draw angular frequencies (n, 1) of scaled time about those of so many oscillations."""
+    return rng.standard_normal((n, 1)) * math.pi * max(cycles, 1.0)
+
+
+def _waves(frequencies: Tensor, time: Jet) -> Jet:
+    """Return sines and cosines of time; the frequencies stay as they are drawn."""
+    phase = time.linear(frequencies.detach())
+    return phase.sin().beside(Jet(phase.value + 0.5 * math.pi, phase.first, phase.second).sin())
 
 
 @dataclass(frozen=True)
@@ -54,10 +143,8 @@ class Sine(Features):
         fastest = 2.0 * math.pi * max(cycles, 1.0)  # two cycles of scaled time's half-length
         parts = [rng.uniform(-fastest, fastest, (self.width, 1)), rng.uniform(-math.pi, math.pi, self.width)]
         for _ in range(self.depth - 1):
-            parts += [
-                rng.uniform(-1.0, 1.0, (self.width, self.width)) * math.sqrt(6.0 / self.width),
-                np.zeros(self.width),
-            ]
+            weights = rng.uniform(-1.0, 1.0, (self.width, self.width)) * math.sqrt(6.0 / self.width)
+            parts += [weights, np.zeros(self.width)]
         return parts
 
     def jet(self, parts: Parts, time: Jet) -> Jet:
@@ -71,16 +158,14 @@ class Fourier(Features):
     """Random Fourier features before a tanh network: S. Wang, H. Wang and P. Perdikaris, CMAME 384:113938, 2021."""
 
     def start(self, cycles: float, rng: np.random.Generator) -> list[np.ndarray]:
-        frequencies = rng.standard_normal((self.width // 2, 1)) * math.pi * max(cycles, 1.0)
-        parts, n_in = [frequencies], 2 * (self.width // 2)
+        parts, n_in = [_frequencies(self.width // 2, cycles, rng)], 2 * (self.width // 2)
         for _ in range(self.depth):
             parts += [_glorot(self.width, n_in, rng), np.zeros(self.width)]
             n_in = self.width
         return parts
 
     def jet(self, parts: Parts, time: Jet) -> Jet:
-        waves = time.linear(parts[0].detach())  # the frequencies stay as they are drawn
-        h = waves.sin().beside(Jet(waves.value + 0.5 * math.pi, waves.first, waves.second).sin())
+        h = _waves(parts[0], time)
         for weight, bias in zip(parts[1::2], parts[2::2], strict=True):
             h = h.linear(weight, bias).tanh()
         return h
@@ -118,7 +203,7 @@ class KolmogorovArnold(Features):
 
 
 def _grid(n: int, like: Tensor) -> tuple[Tensor, float]:
-    """Centres of n bumps on [-1, 1] and their width."""
+    """Return the centres of n bumps on [-1, 1] and their width."""
     return torch.linspace(-1.0, 1.0, n, dtype=like.dtype, device=like.device), 2.0 / (n - 1)
 
 
@@ -131,7 +216,7 @@ class Pirate(Features):
 
     def start(self, cycles: float, rng: np.random.Generator) -> list[np.ndarray]:
         n = 2 * (self.width // 2)
-        parts = [rng.standard_normal((n // 2, 1)) * math.pi * max(cycles, 1.0)]
+        parts = [_frequencies(n // 2, cycles, rng)]
         for _ in range(2 + 3 * max(1, self.depth - 1)):  # two gates, then three layers a block
             parts += [_glorot(n, n, rng), np.zeros(n)]
         return [*parts, np.zeros(max(1, self.depth - 1))]
@@ -140,8 +225,7 @@ class Pirate(Features):
         return 2 * (self.width // 2)
 
     def jet(self, parts: Parts, time: Jet) -> Jet:
-        waves = time.linear(parts[0].detach())
-        h = waves.sin().beside(Jet(waves.value + 0.5 * math.pi, waves.first, waves.second).sin())
+        h = _waves(parts[0], time)
         layers = list(zip(parts[1:-1:2], parts[2:-1:2], strict=True))
         u, v = (h.linear(*layer).tanh() for layer in layers[:2])
         for block in range(parts[-1].shape[-1]):
@@ -157,7 +241,7 @@ def _gated(f: Jet, u: Jet, v: Jet) -> Jet:
     return v + f * (u - v)
 
 
-FEATURES: dict[str, type[Features]] = {
+COMPONENTS: Mapping[str, type[Features]] = {
     "sine": Sine,
     "fourier": Fourier,
     "kolmogorov_arnold": KolmogorovArnold,
@@ -188,20 +272,23 @@ class FeatureAnsatz(Ansatz):
         return replace(self, tau=self.tau[who], rate=self.rate[who])
 
     def _features(self, body: Tensor, tau: Tensor, rate: Tensor) -> Tensor:
-        """Streams (3, n, n_features + 1) of features and of one, for one fit's coefficients."""
+        """Return streams (3, n, n_features + 1) of features and of 1, for one fit's coefficients."""
         parts = [part.reshape(shape) for part, shape in zip(body.split(self.sizes), self.shapes, strict=True)]
         jet = self.features.jet(parts, Jet.of_time(tau[:, None], rate))
-        one = Jet(torch.ones_like(tau[:, None]), torch.zeros_like(tau[:, None]), torch.zeros_like(tau[:, None]))
-        return jet.beside(one).stacked()
+        return jet.beside(Jet.one(tau[:, None])).stacked()
 
     def _streams(self, theta: Tensor, tau: Tensor, rate: Tensor) -> Tensor:
-        """Streams (3, n, n_paths) for one fit's coefficients (count,)."""
+        """Return streams (3, n, n_paths) for one fit's coefficients (count,)."""
         head = theta[self.body :].reshape(self.n_paths, -1)
         return self._features(theta[: self.body], tau, rate) @ head.mT
 
+    def _all_streams(self, theta: Tensor) -> Tensor:
+        """Return streams (B, 3, n, n_paths) for the coefficients (B, count) of all fits."""
+        fits = zip(theta, self.tau, self.rate, strict=True)
+        return torch.stack([self._streams(*coefficients) for coefficients in fits])
+
     def forward(self, theta: Tensor) -> Tape:
-        own = [self._streams(t, tau, rate) for t, tau, rate in zip(theta, self.tau, self.rate, strict=True)]
-        return Tape([theta], [], torch.stack(own))
+        return Tape([theta], [], self._all_streams(theta))
 
     def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
         return [seeds]
@@ -213,29 +300,24 @@ class FeatureAnsatz(Ansatz):
             seeds = at_points.index_add_(2, points, seeds)
         theta = tape.inputs[0].detach().requires_grad_(True)
         with torch.enable_grad():
-            own = [self._streams(t, tau, rate) for t, tau, rate in zip(theta, self.tau, self.rate, strict=True)]
-            return torch.autograd.grad(torch.stack(own), theta, seeds)[0]
+            return torch.autograd.grad(self._all_streams(theta), theta, seeds)[0]
 
     def jacobian(self, tape: Tape, adjoints: Adjoints, points: Tensor, rows: slice = slice(None)) -> Tensor:
-        own = points[rows]
-        found = []
-        for b, theta in enumerate(tape.inputs[0].detach()):
+        def value(theta: Tensor, seed: Tensor, tau: Tensor, rate: Tensor) -> Tensor:
+            return (self._streams(theta, tau[None], rate)[:, 0] * seed).sum()
 
-            def row(seed: Tensor, tau: Tensor, theta: Tensor = theta, b: int = b) -> Tensor:
-                value = lambda t: (self._streams(t, tau[None], self.rate[b])[:, 0] * seed).sum()  # noqa: E731
-                return torch.func.grad(value)(theta)
-
-            with torch.enable_grad():
-                found.append(torch.func.vmap(row)(adjoints[0][b, :, rows].transpose(0, 1), self.tau[b, own]))
-        return torch.stack(found)
+        slopes = torch.func.vmap(torch.func.grad(value), (None, 0, 0, None))
+        theta, seeds, tau = tape.inputs[0].detach(), adjoints[0][:, :, rows].transpose(1, 2), self.tau[:, points[rows]]
+        with torch.enable_grad():
+            return torch.stack([slopes(*fit) for fit in zip(theta, seeds, tau, self.rate, strict=True)])
 
     def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
         j = self.jacobian(tape, adjoints, points)
         return j @ j.mT
 
     def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
-        pairs = zip(theta[:, : self.body], self.tau, self.rate, strict=True)
-        return Basis(torch.stack([self._features(*own) for own in pairs]), self.n_paths), theta[:, self.body :]
+        fits = zip(theta[:, : self.body], self.tau, self.rate, strict=True)
+        return Basis(torch.stack([self._features(*fit) for fit in fits]), self.n_paths), theta[:, self.body :]
 
     def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
         return torch.cat([theta[:, : self.body], coefficients], 1)
@@ -252,7 +334,7 @@ class FeatureResponse:
     duration: float
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
-        """The paths at times (n,)."""
+        """Return the paths at times (n,)."""
         tau = torch.as_tensor(2.0 * np.asarray(times, float) / self.duration - 1.0)[None]
         ansatz = FeatureAnsatz(self.features, self.shapes, tau, torch.ones(1, dtype=torch.float64), self.n_paths)
         with torch.no_grad():

@@ -1,51 +1,143 @@
-"""What the family compares: the values of its settings, with their names in tables, their sources and packages."""
+"""What the family compares: the values of its settings, with their names in tables, their sources and packages.
+
+Optimisers, weightings and architectures may come from other packages, by entry points of the groups :data:`GROUPS`.
+Loads no torch by itself.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from typing import Any, ClassVar
 
-from bench import Choice
+from bench import Choice, InputError, check_name, entry_points_of, load_entry_point
 
-OPTIMIZERS: Mapping[str, Choice] = {
-    "adam": Choice("Adam", "D. P. Kingma and J. Ba, ICLR 2015", "torch"),
-    "adam_lbfgs": Choice(
-        "Adam, then L-BFGS", "the paper's; D. C. Liu and J. Nocedal, Math. Program. 45:503, 1989", "scipy"
-    ),
-    "lbfgs": Choice("L-BFGS", "D. C. Liu and J. Nocedal, Math. Program. 45:503, 1989", "scipy"),
-    "soap": Choice("SOAP", "N. Vyas et al., ICLR 2025", "pytorch_optimizer"),
-    "muon": Choice("Muon", "K. Jordan et al., 2024", "torch"),
-    "self_scaled_bfgs": Choice("self-scaled BFGS", "J. F. Urbán et al., J. Comput. Phys. 523:113656, 2025"),
-    "self_scaled_broyden": Choice("self-scaled Broyden", "J. F. Urbán et al., J. Comput. Phys. 523:113656, 2025"),
-    "nystrom_newton_cg": Choice("Adam, then Nyström-Newton-CG", "P. Rathore et al., ICML 2024"),
-    "natural_gradient": Choice(
-        "energy natural gradient", "J. Müller and M. Zeinhofer, ICML 2023; a Gauss-Newton step with a line search"
-    ),
-    "variable_projection": Choice(
-        "random features, variable projection", "V. Dwivedi and B. Srinivasan, Neurocomputing 391:96, 2020", "scipy"
-    ),
-    "lm": Choice("Levenberg-Marquardt", "H. B. Nielsen, IMM-REP-1999-05; in residual space as the PINN here"),
+
+class TrainingComponent:
+    """Base class of optimisers, weightings and architectures; one of another package states what its row says.
+
+    ``title``: its name in tables; ``source``: where it was published; ``package``: what it is computed with, beside its
+    own package; ``version``: raised where a change of the class alters results, so that stored ones are stale.
+    """
+
+    title: ClassVar[str] = ""
+    source: ClassVar[str] = ""
+    package: ClassVar[str] = ""
+    version: ClassVar[int] = 1
+
+
+BASES = {
+    "optimizer": "optimizers:Optimizer",
+    "weighting": "weighting:Weighting",
+    "architecture": "architectures:Features",
 }
-WEIGHTINGS: Mapping[str, Choice] = {
-    "noise": Choice("by the estimated noise", "minus the log posterior, as the PINN here"),
-    "paper": Choice("fixed, all one", "the paper's: selected empirically"),
-    "relobralo": Choice("ReLoBRaLo", "R. Bischof and M. Kraus, arXiv:2110.09813, 2021"),
-    "tangent_kernel": Choice("neural tangent kernel", "S. Wang et al., J. Comput. Phys. 449:110768, 2022"),
-    "gradient_norms": Choice("gradient norms", "S. Wang et al., SIAM J. Sci. Comput. 43:A3055, 2021; arXiv:2308.08468"),
-    "self_adaptive": Choice(
-        "self-adaptive", "L. McClenny and U. Braga-Neto, J. Comput. Phys. 474:111722, 2023", "torch"
-    ),
-    "attention": Choice("residual-based attention", "S. Anagnostopoulos et al., CMAME 421:116805, 2024"),
-    "augmented_lagrangian": Choice("augmented Lagrangian", "D. P. Bertsekas, 1982; PINNverse, arXiv:2504.05248, 2025"),
-    "causal": Choice("causal", "S. Wang et al., CMAME 421:116813, 2024"),
-}
-ARCHITECTURES: Mapping[str, Choice] = {
-    "tanh": Choice("tanh network", "the paper's: two hidden layers of 64", "torch"),
-    "sine": Choice("sine activations", "V. Sitzmann et al., NeurIPS 2020", "torch"),
-    "fourier": Choice("Fourier features", "S. Wang, H. Wang and P. Perdikaris, CMAME 384:113938, 2021", "torch"),
-    "kolmogorov_arnold": Choice("Kolmogorov-Arnold", "Z. Liu et al., ICLR 2025; bumps of arXiv:2405.06721", "torch"),
-    "pirate": Choice("PirateNet", "S. Wang et al., J. Mach. Learn. Res. 25:402, 2024", "torch"),
-    "spline": Choice("B-spline", "J. M. Varah, SIAM J. Sci. Stat. Comput. 3:28, 1982", "scipy"),
-}
+"""By setting, the module and the class that a component subclasses; each module names ours in ``COMPONENTS``."""
+GROUPS = {setting: f"bench.pinn_{setting}s" for setting in BASES}
+"""By setting, the group of its entry points."""
+
+
+def component(setting: str, name: str) -> Any:
+    """Return the class of an optimiser, a weighting or an architecture.
+
+    Raises InputError for an entry point that does not load, or does not state what a row of the table needs.
+    """
+    module_name, base_name = BASES[setting].split(":")
+    module = import_module(f"methods.pinn_family.{module_name}")
+    if name in module.COMPONENTS:
+        return module.COMPONENTS[name]
+    points, base = entry_points_of(GROUPS[setting]), getattr(module, base_name)
+    found = load_entry_point(f"method.{setting}", name, points, base, needs=("title", "source", "version"))
+    if type(found.version) is not int or found.version < 1:
+        remedy = f"the version of its entry point ({points[name].value}) is {found.version!r}; a whole number from 1"
+        raise InputError(f"method.{setting}", name, remedy)
+    return found
+
+
+class OpenChoices(Mapping[str, Choice]):
+    """The values of a setting: ours, and those that installed packages register, which are loaded when looked up."""
+
+    def __init__(self, setting: str, ours: Mapping[str, Choice]) -> None:
+        self.setting, self.ours = setting, ours
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self.ours
+        yield from (name for name in entry_points_of(GROUPS[self.setting]) if name not in self.ours)
+
+    def __len__(self) -> int:
+        return len(list(iter(self)))
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.ours or name in entry_points_of(GROUPS[self.setting])
+
+    def __getitem__(self, name: str) -> Choice:
+        if name in self.ours or name not in self:
+            return self.ours[name]
+        found, point = component(self.setting, name), entry_points_of(GROUPS[self.setting])[name]
+        package = found.package or (point.dist.name if point.dist else "")
+        return Choice(found.title, found.source, package, point.value, found.version)
+
+    def check(self, value: str) -> None:
+        """Raise InputError for a value that is neither ours nor registered, or whose entry point is broken."""
+        check_name(f"method.{self.setting}", value, list(self))
+        if value not in self.ours:
+            component(self.setting, value)
+
+
+OPTIMIZERS = OpenChoices(
+    "optimizer",
+    {
+        "adam": Choice("Adam", "D. P. Kingma and J. Ba, ICLR 2015", "torch"),
+        "adam_lbfgs": Choice(
+            "Adam, then L-BFGS", "the paper's; D. C. Liu and J. Nocedal, Math. Program. 45:503, 1989", "scipy"
+        ),
+        "lbfgs": Choice("L-BFGS", "D. C. Liu and J. Nocedal, Math. Program. 45:503, 1989", "scipy"),
+        "soap": Choice("SOAP", "N. Vyas et al., ICLR 2025", "pytorch_optimizer"),
+        "muon": Choice("Muon", "K. Jordan et al., 2024", "torch"),
+        "self_scaled_bfgs": Choice("self-scaled BFGS", "J. F. Urbán et al., J. Comput. Phys. 523:113656, 2025"),
+        "self_scaled_broyden": Choice("self-scaled Broyden", "J. F. Urbán et al., J. Comput. Phys. 523:113656, 2025"),
+        "nystrom_newton_cg": Choice("Adam, then Nyström-Newton-CG", "P. Rathore et al., ICML 2024"),
+        "natural_gradient": Choice(
+            "energy natural gradient", "J. Müller and M. Zeinhofer, ICML 2023; a Gauss-Newton step with a line search"
+        ),
+        "variable_projection": Choice(
+            "random features, variable projection", "V. Dwivedi and B. Srinivasan, Neurocomputing 391:96, 2020", "scipy"
+        ),
+        "lm": Choice("Levenberg-Marquardt", "H. B. Nielsen, IMM-REP-1999-05; in residual space as the PINN here"),
+    },
+)
+WEIGHTINGS = OpenChoices(
+    "weighting",
+    {
+        "noise": Choice("by the estimated noise", "minus the log posterior, as the PINN here"),
+        "paper": Choice("fixed, all one", "the paper's: selected empirically"),
+        "relobralo": Choice("ReLoBRaLo", "R. Bischof and M. Kraus, arXiv:2110.09813, 2021"),
+        "tangent_kernel": Choice("neural tangent kernel", "S. Wang et al., J. Comput. Phys. 449:110768, 2022"),
+        "gradient_norms": Choice(
+            "gradient norms", "S. Wang et al., SIAM J. Sci. Comput. 43:A3055, 2021; arXiv:2308.08468"
+        ),
+        "self_adaptive": Choice(
+            "self-adaptive", "L. McClenny and U. Braga-Neto, J. Comput. Phys. 474:111722, 2023", "torch"
+        ),
+        "attention": Choice("residual-based attention", "S. Anagnostopoulos et al., CMAME 421:116805, 2024"),
+        "augmented_lagrangian": Choice(
+            "augmented Lagrangian", "D. P. Bertsekas, 1982; PINNverse, arXiv:2504.05248, 2025"
+        ),
+        "causal": Choice("causal", "S. Wang et al., CMAME 421:116813, 2024"),
+    },
+)
+ARCHITECTURES = OpenChoices(
+    "architecture",
+    {
+        "tanh": Choice("tanh network", "the paper's: two hidden layers of 64", "torch"),
+        "sine": Choice("sine activations", "V. Sitzmann et al., NeurIPS 2020", "torch"),
+        "fourier": Choice("Fourier features", "S. Wang, H. Wang and P. Perdikaris, CMAME 384:113938, 2021", "torch"),
+        "kolmogorov_arnold": Choice(
+            "Kolmogorov-Arnold", "Z. Liu et al., ICLR 2025; bumps of arXiv:2405.06721", "torch"
+        ),
+        "pirate": Choice("PirateNet", "S. Wang et al., J. Mach. Learn. Res. 25:402, 2024", "torch"),
+        "spline": Choice("B-spline", "J. M. Varah, SIAM J. Sci. Stat. Comput. 3:28, 1982", "scipy"),
+    },
+)
 SAMPLINGS: Mapping[str, Choice] = {
     "uniform": Choice("evenly spaced", "the paper's: 200 points"),
     "random": Choice("drawn anew each step", "M. Raissi et al., J. Comput. Phys. 378:686, 2019, as commonly trained"),

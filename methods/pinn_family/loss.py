@@ -1,4 +1,4 @@
-"""What every optimiser of the family minimises: half the squared, weighted residual vector, with a budget of work.
+"""What every optimiser of the family minimises, half the squared, weighted residual vector, and their base class.
 
 The budget is counted in gradients, so that a training is the same on every machine; what else an optimiser does is
 counted by what it costs beside one (:data:`COSTS`, measured on the reference network). Seconds are noted, never asked.
@@ -6,7 +6,10 @@ counted by what it costs beside one (:data:`COSTS`, measured on the reference ne
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -14,26 +17,68 @@ from torch import Tensor
 
 from methods.pinn.levenberg import DualEquations, PrimalEquations, equations
 from methods.pinn.residuals import Residuals, State
-from methods.pinn_family.path import Path
-from methods.pinn_family.residuals import TrainingResiduals
-from methods.pinn_family.sampling import Sampling
+from methods.pinn_family.choices import TrainingComponent
+from methods.pinn_family.sampling import Sampling, TrainingResiduals
 from methods.pinn_family.weighting import Weighting
 
 COSTS = {"value": 0.3, "gradient": 1.0, "equations": 5.0, "matrix": 8e-7}
 """Work in gradients: of a value, a gradient, a linearisation with its matrix, and of an entry of a dense matrix that
 is read and written once."""
-
-
 MOVES = 30
 """How often weights and points move where the optimiser takes least-squares steps: before each of the first ones."""
-
-
 FIRST_MOVE = 5
 """Steps before the first of these: at rest, where training begins, no equation is violated and no weight is right."""
+NEGLIGIBLE = 1e-6
+"""Share of a loss below which a decrease is negligible, where the loss is no log posterior."""
+GROWTH = 1.15
+"""Work from one record of a path to the next, as a factor: moments are evenly spaced in its logarithm."""
 
 
 class Exhausted(Exception):
     """Raised where the work of a stage is used up; the loss holds the best point of it."""
+
+
+class Clock:
+    """Processor seconds since a fit began, less those that were spent on noting where it is."""
+
+    def __init__(self) -> None:
+        self.started, self.noting = time.process_time(), 0.0
+
+    def seconds(self) -> float:
+        """Return the seconds by now."""
+        return time.process_time() - self.started - self.noting
+
+
+class Path:
+    """Moments of a training: processor seconds, log-parameters, and the plain residual vector on the first grid.
+
+    Each start of a fit has one of its own, by one clock.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock, self.next = clock, 0.0
+        self.seconds: list[float] = []
+        self.logs: list[np.ndarray] = []
+        self.rows: list[np.ndarray] = []
+
+    def note(self, residuals: Residuals, z: Tensor, work: float) -> None:
+        """Note where z (1, n_z) is."""
+        begun = time.process_time()
+        self.seconds.append(self.clock.seconds())
+        ones = torch.ones(1, residuals.n_rows, dtype=torch.float64, device=residuals.device)
+        self.rows.append(np.asarray(residuals.evaluate(z, ones).rows[0].cpu()))
+        self.logs.append(np.asarray(residuals.split(z)[1][0].cpu()))
+        self.next = GROWTH * max(work, 1.0)
+        self.clock.noting += time.process_time() - begun
+
+    def traces(self, deviations: Tensor) -> Mapping[str, np.ndarray]:
+        """Return the path as arrays; the loss is at the weights that ``deviations`` (1, n_rows) state."""
+        scaled = np.array(self.rows) / np.asarray(deviations[0].cpu())
+        return {
+            "path_cpu_s": np.array(self.seconds),
+            "path_parameters": np.exp(np.array(self.logs)),
+            "path_loss": 0.5 * np.sum(scaled**2, 1),
+        }
 
 
 class Loss:
@@ -44,12 +89,23 @@ class Loss:
         weighting: What gives the rows their weights, and may change them as training goes on.
         sampling: What moves the collocation points, if anything does.
         path: Notes where the training is.
+        shapes: Shapes of the parts of z: coefficients layer by layer, and the other unknowns.
+        tolerance: A decrease that is negligible where the loss is a log posterior; None where it is none.
     """
 
-    def __init__(self, residuals: TrainingResiduals, weighting: Weighting, sampling: Sampling, path: Path) -> None:
+    def __init__(
+        self,
+        residuals: TrainingResiduals,
+        weighting: Weighting,
+        sampling: Sampling,
+        path: Path,
+        shapes: Sequence[tuple[int, ...]],
+        tolerance: float | None,
+    ) -> None:
         self.first = residuals
         self.residuals: Residuals = residuals
         self.weighting, self.sampling, self.path = weighting, sampling, path
+        self.shapes, self.tolerance = shapes, tolerance
         self.work, self.limit = 0.0, np.inf
         self.gradients = self.moves = 0
         self.stage_begun = 0.0
@@ -67,8 +123,17 @@ class Loss:
         """The share of the stage's work that is done."""
         return min(1.0, (self.work - self.stage_begun) / max(self.limit - self.stage_begun, 1e-9))
 
+    @property
+    def adaptive(self) -> bool:
+        """True where weights or points move at all."""
+        return self.weighting.every + self.sampling.every > 0
+
+    def negligible(self, value: float) -> float:
+        """Return the decrease of a loss of this value that is not worth a step."""
+        return max(NEGLIGIBLE * value if self.tolerance is None else self.tolerance, 1e-300)
+
     def begin(self, work: float) -> None:
-        """A stage of so much work begins: what was best at other weights is forgotten."""
+        """Begin a stage of so much work; what was best at other weights is forgotten."""
         self.stage_begun, self.limit, self.best = self.work, self.work + work, None
 
     def charge(self, work: float) -> None:
@@ -78,23 +143,23 @@ class Loss:
             raise Exhausted
 
     def value(self, z: Tensor) -> float:
-        """The loss alone."""
+        """Return the loss alone."""
         self.charge(COSTS["value"])
-        state = self.residuals.evaluate(z[None], self.deviations)
-        return self.seen(z, state)
+        return self.seen(z, self.residuals.evaluate(z[None], self.deviations))
 
     def gradient(self, z: Tensor) -> tuple[float, Tensor]:
-        """The loss and its gradient (n_z,)."""
+        """Return the loss and its gradient (n_z,)."""
         state, gradient = self.residuals.gradient(z[None], self.deviations)
         value = self.seen(z, state)
         self.gradients += 1
         if self.moving:
-            self.adapt(z, state)
+            due = (every > 0 and self.gradients % every == 0 for every in (self.weighting.every, self.sampling.every))
+            self._move(z, state, *due)
         self.charge(COSTS["gradient"])
         return value, gradient[0]
 
     def equations(self, z: Tensor) -> tuple[State, DualEquations | PrimalEquations]:
-        """The state and the normal equations at z."""
+        """Return the state and the normal equations at z."""
         self.charge(COSTS["equations"])
         state = self.residuals.evaluate(z[None], self.deviations)
         if self.moving and self.adaptive:
@@ -106,20 +171,9 @@ class Loss:
         self.seen(z, state)
         return state, equations(self.residuals, state, self.deviations)
 
-    @property
-    def adaptive(self) -> bool:
-        """Whether weights or points move at all."""
-        return self.weighting.every + self.sampling.every > 0
-
-    def adapt(self, z: Tensor, state: State) -> None:
-        """Let weights and points move, where it is time."""
-        weigh, sample = (
-            every > 0 and self.gradients % every == 0 for every in (self.weighting.every, self.sampling.every)
-        )
-        if weigh or sample:
-            self._move(z, state, weigh, sample)
-
     def _move(self, z: Tensor, state: State, weigh: bool, sample: bool) -> None:
+        if not (weigh or sample):
+            return
         assert isinstance(self.residuals, TrainingResiduals)  # the output layer's alone are never moved
         if weigh:
             self.weighting.update(self.residuals, state)
@@ -129,7 +183,7 @@ class Loss:
         self.best = None
 
     def freeze(self) -> None:
-        """From here on weights and points stay: a line search needs one and the same function."""
+        """Let weights and points stay from here on: a line search needs one and the same function."""
         self.moving, self.best = False, None
 
     def seen(self, z: Tensor, state: State) -> float:
@@ -137,24 +191,48 @@ class Loss:
         value = float(state.loss[0])
         if np.isfinite(value) and (self.best is None or value < self.best[0]):
             self.best = value, z.detach().clone()
-        if self.path.due(self.work) and self.best is not None:
+        if self.work >= self.path.next and self.best is not None:
             self.path.note(self.first, self.expand(self.best[1])[None], self.work)
         return value
 
 
-def best_of(loss: Loss, z: Tensor, minimise: Callable[[Loss, Tensor], Tensor]) -> Tensor:
-    """What a minimiser reaches from z within the stage's work: its answer, or the best point it saw."""
+class Optimizer(TrainingComponent, ABC):
+    """A way to the minimum of a loss, with a first learning ``rate`` where it has any; ``rng`` is all its randomness.
+
+    The ``rate`` of the class is what ``method.rate`` replaces. Where ``adam_first``, Adam has a share of the work
+    before.
+    """
+
+    rate: float = 1e-3
+    adam_first: ClassVar[bool] = False
+
+    def __init__(self, rate: float | None, rng: np.random.Generator) -> None:
+        self.rate = rate or type(self).rate
+        self.rng = rng
+
+    @abstractmethod
+    def minimise(self, loss: Loss, z: Tensor) -> Tensor:
+        """Return the unknowns (n_z,) at the least loss found, from z on.
+
+        ``loss.gradient(z)`` gives the loss and its gradient, ``loss.value(z)`` the loss alone. Both raise
+        :class:`Exhausted` where the work is used up; let it pass: the best point seen is then the answer.
+        ``loss.progress`` is the share of the work that is done, ``loss.shapes`` the shapes of the parts of z.
+        """
+
+
+def best_of(loss: Loss, z: Tensor, optimizer: Optimizer) -> Tensor:
+    """Return what an optimiser reaches from z within the stage's work: its answer, or the best point it saw."""
     try:
-        return minimise(loss, z)
+        return optimizer.minimise(loss, z)
     except Exhausted:
         return loss.best[1] if loss.best is not None else z
 
 
 def plain(z: Tensor) -> np.ndarray:
-    """A vector as numpy."""
+    """Return a vector as numpy has it."""
     return np.asarray(z.detach().cpu())
 
 
 def tensor(values: np.ndarray, like: Tensor) -> Tensor:
-    """A numpy vector on the device of another."""
+    """Return a numpy vector on the device of another."""
     return torch.as_tensor(values, dtype=torch.float64, device=like.device)

@@ -2,21 +2,22 @@
 
 Except for ``noise``, which knows what each row's standard deviation should be, the terms are mean squares of numbers
 without dimension: data over their root mean square, the equation of motion over the acceleration of a wave of that size
-and of the scan's frequency, a told start likewise, and the prior in its standard deviations (:data:`PRIOR` of it, for
-the paper's is mild). A weight w of a row stands in the loss as ``w r²``, so the row's standard deviation is divided by
-its root.
+and of the scan's frequency, a known initial state likewise, and the prior in its standard deviations (:data:`PRIOR` of
+it, for the paper's is mild). A weight w of a row stands in the loss as ``w r²``, so the row's standard deviation is
+divided by its root.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from methods.pinn.residuals import TERMS, Residuals, State
+from methods.pinn_family.choices import TrainingComponent
 
 PRIOR = 1e-3
 """Weight of the mean square of the prior's term where no noise is estimated."""
@@ -34,10 +35,12 @@ class Sizes:
     by_noise: Callable[[float], Tensor]
 
 
-class Weighting(ABC):
+class Weighting(TrainingComponent, ABC):
     """Gives every row a standard deviation; ``every`` so many gradients it may change them (0: never).
 
-    ``shift`` (1, n_rows), if any, is added to the rows.
+    ``weights`` (4,) are those of the terms, ``balanced`` (4,) those that are present and balanced, all but the prior;
+    ``members`` (4, n_rows) and ``counts`` (4,) say which rows a term has, and how many. ``shift`` (1, n_rows), if any,
+    is added to the rows.
     """
 
     every = 0
@@ -48,32 +51,36 @@ class Weighting(ABC):
         self.members = residuals.term_rows.T.bool()  # (4, n_rows)
         self.counts = residuals.term_rows.sum(0).clamp(min=1.0)
         self.present = residuals.term_rows.sum(0) > 0
+        self.balanced = self.present & (torch.arange(len(TERMS)) != BELIEF)
         self.weights = torch.ones(len(TERMS), dtype=torch.float64)
         self.weights[BELIEF] = PRIOR
         self.deviations = self.scaled()
 
     def scaled(self, rows: Tensor | None = None) -> Tensor:
-        """Deviations for the weights of the terms, and of the rows (n_rows,) besides."""
+        """Return deviations for the weights of the terms, and of the rows (n_rows,) besides."""
         by_row = (self.weights / self.counts) @ self.members.to(torch.float64)
         if rows is not None:
             by_row = by_row * rows
         return self.sizes.plain * by_row.clamp(min=1e-30).rsqrt()
 
     def begin(self, softness: float) -> None:
-        """A stage begins: the noise is known better, and the physics may be asked for softly at first."""
+        """Begin a stage: the noise is known better, and the physics may be asked for softly at first."""
         return  # most know no noise
 
     def squares(self, rows: Tensor) -> Tensor:
-        """Mean square (4,) of each term without dimension, from plain rows (n_rows,)."""
-        own = (rows / self.sizes.plain[0]) ** 2
-        return (self.members.to(torch.float64) @ own) / self.counts
+        """Return the mean square (4,) of each term without dimension, from plain rows (n_rows,)."""
+        return self.means((rows / self.sizes.plain[0]) ** 2)
+
+    def means(self, by_row: Tensor) -> Tensor:
+        """Return the means (4,) over the rows of each term."""
+        return (self.members.to(torch.float64) @ by_row) / self.counts
 
     @abstractmethod
     def update(self, residuals: Residuals, state: State) -> None:
-        """Change the weights, from a state whose rows are divided by ``deviations``."""
+        """Change ``weights`` and ``deviations``, from a state whose rows are divided by ``deviations``."""
 
     def plain_rows(self, state: State) -> Tensor:
-        """The residual vector (n_rows,) as it is, without shift or weights."""
+        """Return the residual vector (n_rows,) as it is, without shift or weights."""
         rows = (state.rows * self.deviations)[0]
         return rows if self.shift is None else rows - self.shift[0]
 
@@ -95,23 +102,7 @@ class Paper(Weighting):
         """Nothing."""
 
 
-class _Gradients(Weighting):
-    """Weights from the gradients of the terms by the coefficients."""
-
-    def norms(self, residuals: Residuals, state: State) -> Tensor:
-        """Norm (4,) of the gradient of each term's mean square by all unknowns."""
-        found = torch.zeros(len(TERMS), dtype=torch.float64)
-        linear = residuals.linearise(state, self.deviations)
-        ones = self.sizes.plain
-        for term in range(len(TERMS)):
-            if self.present[term]:
-                # d/dz of mean (r/size)²: rows of J are divided by the deviations, so these are multiplied in again
-                dual = 2.0 * self.members[term] * self.plain_rows(state) * self.deviations[0] / ones[0] ** 2
-                found[term] = residuals.pull_back(state, linear, dual[None] / self.counts[term]).norm()
-        return found
-
-
-class GradientNorms(_Gradients):
+class GradientNorms(Weighting):
     """Terms have gradients of equal length: S. Wang, Y. Teng and P. Perdikaris, SIAM J. Sci. Comput. 43:A3055, 2021.
 
     With their moving average of 0.9, in the form of S. Wang et al., arXiv:2308.08468 (norms instead of largest and
@@ -121,28 +112,30 @@ class GradientNorms(_Gradients):
     every = 100
 
     def update(self, residuals: Residuals, state: State) -> None:
-        norms = self.norms(residuals, state)
-        used = self.present.clone()
-        used[BELIEF] = False
-        wanted = norms[used].sum() / norms[used].clamp(min=1e-12)
-        self.weights[used] = 0.9 * self.weights[used] + 0.1 * wanted
+        linear, plain = residuals.linearise(state, self.deviations), self.plain_rows(state)
+        # d/dz of (r/size)²: rows of J are divided by the deviations, so these are multiplied in again
+        dual = 2.0 * plain * self.deviations[0] / self.sizes.plain[0] ** 2
+        norms = torch.stack(
+            [
+                residuals.pull_back(state, linear, (own * dual / count)[None]).norm()
+                for own, count in zip(self.members[self.balanced], self.counts[self.balanced], strict=True)
+            ]
+        )
+        balance = norms.sum() / norms.clamp(min=1e-12)
+        self.weights[self.balanced] = 0.9 * self.weights[self.balanced] + 0.1 * balance
         self.deviations = self.scaled()
 
 
-class TangentKernel(_Gradients):
+class TangentKernel(Weighting):
     """Terms have equal traces of the neural tangent kernel: S. Wang, X. Yu and P. Perdikaris, JCP 449:110768, 2022."""
 
     every = 100
 
     def update(self, residuals: Residuals, state: State) -> None:
         linear = residuals.linearise(state, self.deviations)
-        squared = (
-            residuals.gram(state, linear).diagonal(dim1=1, dim2=2)[0] * (self.deviations / self.sizes.plain)[0] ** 2
-        )
-        traces = (self.members.to(torch.float64) @ squared) / self.counts
-        used = self.present.clone()
-        used[BELIEF] = False
-        self.weights[used] = traces[used].sum() / traces[used].clamp(min=1e-12)
+        squares = residuals.gram(state, linear).diagonal(dim1=1, dim2=2)[0]
+        traces = self.means(squares * (self.deviations / self.sizes.plain)[0] ** 2)[self.balanced]
+        self.weights[self.balanced] = traces.sum() / traces.clamp(min=1e-12)
         self.deviations = self.scaled()
 
 
@@ -159,19 +152,17 @@ class ReLoBRaLo(Weighting):
     def __init__(self, sizes: Sizes, residuals: Residuals) -> None:
         super().__init__(sizes, residuals)
         self.first: Tensor | None = None
-        self.last = torch.ones(len(TERMS), dtype=torch.float64)
+        self.last: Tensor = torch.empty(0)
         self.generator = torch.Generator().manual_seed(0)
 
     def update(self, residuals: Residuals, state: State) -> None:
-        used = self.present.clone()
-        used[BELIEF] = False
-        losses = self.squares(self.plain_rows(state))[used].clamp(min=1e-30)
+        losses = self.squares(self.plain_rows(state))[self.balanced].clamp(min=1e-30)
         if self.first is None:
             self.first = self.last = losses
         back = float(torch.rand((), generator=self.generator)) < self.lookback
         since_last, since_first = self._balance(losses, self.last), self._balance(losses, self.first)
-        history = self.weights[used] if back else since_first
-        self.weights[used] = self.decay * history + (1.0 - self.decay) * since_last
+        history = self.weights[self.balanced] if back else since_first
+        self.weights[self.balanced] = self.decay * history + (1.0 - self.decay) * since_last
         self.last = losses
         self.deviations = self.scaled()
 
@@ -194,9 +185,9 @@ class SelfAdaptive(Weighting):
         self.optimizer = torch.optim.Adam([self.masks], lr=self.rate, maximize=True)
 
     def update(self, residuals: Residuals, state: State) -> None:
-        own = (self.plain_rows(state) / self.sizes.plain[0]) ** 2 / (self.counts @ self.members.to(torch.float64))
-        own[self.members[BELIEF]] = 0.0
-        self.masks.grad = 2.0 * self.masks.detach() * own
+        squares = (self.plain_rows(state) / self.sizes.plain[0]) ** 2 / (self.counts @ self.members.to(torch.float64))
+        squares[self.members[BELIEF]] = 0.0
+        self.masks.grad = 2.0 * self.masks.detach() * squares
         self.optimizer.step()
         self.deviations = self.scaled(self.masks.detach() ** 2)
 
@@ -217,11 +208,10 @@ class ResidualAttention(Weighting):
     def update(self, residuals: Residuals, state: State) -> None:
         size = (self.plain_rows(state) / self.sizes.plain[0]).abs()
         for term in (DATA, PHYSICS, START):
-            own = self.members[term]
             if self.present[term]:
-                self.attention[own] = self.memory * self.attention[own] + self.rate * size[own] / size[own].max().clamp(
-                    min=1e-30
-                )
+                rows = self.members[term]
+                largest = size[rows].max().clamp(min=1e-30)
+                self.attention[rows] = self.memory * self.attention[rows] + self.rate * size[rows] / largest
         self.deviations = self.scaled(self.attention**2)
 
 
@@ -241,10 +231,11 @@ class AugmentedLagrangian(Weighting):
         self.before = float("inf")
 
     def update(self, residuals: Residuals, state: State) -> None:
-        rows, own = self.plain_rows(state), self.members[PHYSICS]
+        physics = self.members[PHYSICS]
+        violations = self.plain_rows(state)[physics]
         assert self.shift is not None
-        self.shift[0, own] += rows[own]
-        violation = float(rows[own].norm())
+        self.shift[0, physics] += violations
+        violation = float(violations.norm())
         if violation > self.wanted * self.before and self.weights[PHYSICS] < self.largest:
             self.weights[PHYSICS] *= self.growth
             self.shift /= self.growth  # the multiplier itself, penalty times shift, stays
@@ -264,19 +255,19 @@ class Causal(Weighting):
 
     def update(self, residuals: Residuals, state: State) -> None:
         size = (self.plain_rows(state) / self.sizes.plain[0]) ** 2
-        weights, at = torch.ones_like(size), 0
+        weights, first = torch.ones_like(size), 0
         for block in residuals.blocks:
-            physics = slice(at + block.slices["physics"].start, at + block.slices["physics"].stop)
+            physics = slice(first + block.slices["physics"].start, first + block.slices["physics"].stop)
             paths = size[physics].reshape(block.n_paths, block.collocation).sum(0)
             earlier = torch.cumsum(paths, 0) - paths
             weights[physics] = torch.exp(-self.strictness * earlier).repeat(block.n_paths)
-            at += block.n_rows
+            first += block.n_rows
         if weights.min() > 0.99 and self.strictness < self.largest:
             self.strictness *= 10.0
         self.deviations = self.scaled(weights.clamp(min=1e-12))
 
 
-WEIGHTINGS: dict[str, type[Weighting]] = {
+COMPONENTS: Mapping[str, type[Weighting]] = {
     "noise": Noise,
     "paper": Paper,
     "relobralo": ReLoBRaLo,

@@ -12,8 +12,8 @@ from conftest import REPOSITORY
 from pages import agree, blocks
 
 TUTORIALS = REPOSITORY / "docs" / "tutorials"
-BESIDE = {"add_method", "add_system"}
-"""Run by tests/bench/entrants/test_newcomer_method.py and tests/bench/systems/test_newcomer_system.py."""
+BESIDE = {"add_method", "add_optimizer", "add_system"}
+"""Run by tests/bench/entrants/test_newcomer_*.py and tests/bench/systems/test_newcomer_system.py."""
 
 
 def run_through(page: Path, folder: Path) -> None:

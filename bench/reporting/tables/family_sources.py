@@ -19,9 +19,9 @@ def sources(family: Family) -> str:
     own = [member for member in family.members if member.method == family.method]
     lines = []
     for setting, values in cards()[family.method].choices.items():
-        for value, choice in values.items():
+        for value in values:  # one of another package is loaded only where a row has it
             users = [member for member in own if member.settings.get(setting, usual[setting]) == value]
-            lines += [_line(choice, users)] if users else []
+            lines += [_line(values[value], users)] if users else []
     lines += [_package_line(row.member) for row in family.others.rows]
     return "\n".join(f"- {line}" for line in dict.fromkeys(lines))
 

@@ -15,20 +15,20 @@ from bench import Channel, Draws, Estimate, Force, InitialState, Prior, Problem,
 from bench.systems import SDOF, Chain, Duffing
 from methods.pinn_family import PINNFamily
 from methods.pinn_family.choices import UNCERTAINTIES
-from methods.pinn_family.settings import Uncertainty
+from methods.pinn_family.method import Uncertainty
 
 torch = pytest.importorskip("torch")
 
 from methods.pinn.task import Task  # noqa: E402
-from methods.pinn_family.attempt import fit  # noqa: E402
-from methods.pinn_family.beliefs import WAYS, dropout, last_layer, nuts, variational  # noqa: E402
-from methods.pinn_family.beliefs.output_layer import Coordinates  # noqa: E402
-from methods.pinn_family.beliefs.trained import Posterior, TrainedFit, hidden_units  # noqa: E402
-from methods.pinn_family.path import Clock, Path  # noqa: E402
+from methods.pinn_family import nuts, uncertainty  # noqa: E402
+from methods.pinn_family.loss import Clock, Path  # noqa: E402
+from methods.pinn_family.nuts import Coordinates  # noqa: E402
+from methods.pinn_family.training import TrainedFit, fit  # noqa: E402
+from methods.pinn_family.uncertainty import WAYS, TrainedPosterior, hidden_units  # noqa: E402
 
 TRUE = {"m": 1.7, "c": 0.9, "k": 14.0}
 PRIOR = Prior({"m": 1.68, "c": 1.5, "k": 9.0}, {"m": 0.02, "c": 1.0, "k": 0.5})
-BEYOND = sorted(WAYS)
+BEYOND = sorted([*WAYS, "nuts"])
 QUICK, NUTS = [way for way in BEYOND if way != "nuts"], pytest.param("nuts", marks=pytest.mark.slow)
 
 
@@ -40,13 +40,13 @@ def problem(noise: float = 0.05, known: bool = True, prior: Prior | None = PRIOR
     return Problem(SDOF(), (Record((Channel(times, values),), (), start if known else None),), prior)
 
 
-def trained(own: Problem, **settings: Any) -> tuple[TrainedFit, Posterior]:
+def trained(own: Problem, **settings: Any) -> tuple[TrainedFit, TrainedPosterior]:
     """A fit of the problem in natural units, and the posterior at its end."""
     method = PINNFamily(**settings)
     task = Task(own.expressed_in(own.natural_units()), np.random.default_rng(0))
     found, _ = fit(task.scaled, task.guesses[0], method, task.rng, Path(Clock()), lambda results: None)
     assert found.attempt is not None
-    return found, Posterior(found.attempt)
+    return found, TrainedPosterior(found.attempt)
 
 
 def deviation(covariance: np.ndarray, *weights: float) -> float:
@@ -62,8 +62,7 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few steps and draws: what is tested is not how good they are."""
     for module, values in (
         (nuts, {"WARMUP": (4, 4), "DRAWS": 6, "DOUBLINGS": 2}),
-        (variational, {"STEPS": 20, "DRAWS": 12}),
-        (dropout, {"STEPS": 20, "MASKS": 6}),
+        (uncertainty, {"VARIATIONAL_STEPS": 20, "VARIATIONAL_DRAWS": 12, "DROPOUT_STEPS": 20, "MASKS": 6}),
     ):
         for name, value in values.items():
             monkeypatch.setattr(module, name, value)
@@ -96,7 +95,7 @@ def checked(estimate: Estimate) -> None:
 
 def test_every_way_of_the_setting_is_named_and_made() -> None:
     assert set(get_args(Uncertainty)) == set(UNCERTAINTIES)
-    assert set(WAYS) == set(UNCERTAINTIES) - {"laplace", "ensemble", "bootstrap"}
+    assert set(WAYS) == set(UNCERTAINTIES) - {"laplace", "ensemble", "bootstrap", "nuts"}
     assert PINNFamily.card.choices["uncertainty"] is UNCERTAINTIES
 
 
@@ -186,7 +185,7 @@ def steps(u: np.ndarray) -> np.ndarray:
     return STEP * np.eye(u.size)
 
 
-def with_unit_prior(posterior: Posterior) -> tuple[np.ndarray, np.ndarray]:
+def with_unit_prior(posterior: TrainedPosterior) -> tuple[np.ndarray, np.ndarray]:
     """scipy's mode of the log-parameters, and their covariance by its Jacobian, with a unit prior of the weights."""
 
     def rows(z: np.ndarray) -> np.ndarray:
@@ -242,7 +241,7 @@ def test_fixed_hidden_layers_make_no_interval_wider(known: bool) -> None:
     """To condition on some of the unknowns of a normal takes from the variance of the others."""
     found, posterior = trained(problem(known=known))
     with torch.no_grad():
-        own = last_layer.stated(posterior, found, np.random.default_rng(0), 2)
+        own = uncertainty.last_layer(posterior, found, np.random.default_rng(0), 2)
     for weights in (K_OVER_M, C_OVER_M):
         assert deviation(own.covariance, *weights) <= 1.001 * deviation(found.covariance, *weights)
 
@@ -251,7 +250,7 @@ def test_last_layer_is_the_linear_models_own() -> None:
     """Against the inverse of JᵀJ over output layer and parameters, J by finite differences of the rows."""
     found, posterior = trained(problem(), architecture="fourier", width=8, collocation=60)
     with torch.no_grad():
-        own = last_layer.stated(posterior, found, np.random.default_rng(0), 2)
+        own = uncertainty.last_layer(posterior, found, np.random.default_rng(0), 2)
         heads, short = posterior.residuals.heads(posterior.z)
 
         def rows(z: np.ndarray) -> np.ndarray:
@@ -272,11 +271,11 @@ def test_mean_field_has_the_deviations_of_each_unknown_alone(monkeypatch: pytest
 
     C. Bishop, Pattern Recognition and Machine Learning, 2006, section 10.1.2. The rows are linear in all but products.
     """
-    monkeypatch.setattr(variational, "STEPS", 1000)
+    monkeypatch.setattr(uncertainty, "VARIATIONAL_STEPS", 1000)
     found, posterior = trained(problem(0.02), architecture="spline", collocation=60)
     mode, covariance = with_unit_prior(posterior)
     with torch.no_grad():
-        own = variational.stated(posterior, found, np.random.default_rng(0), 2)
+        own = uncertainty.variational(posterior, found, np.random.default_rng(0), 2)
 
         def rows(z: np.ndarray) -> np.ndarray:
             return posterior.residuals.evaluate(torch.as_tensor(z[None]), posterior.deviations).rows[0].numpy()  # type: ignore[no-any-return]
@@ -292,8 +291,8 @@ def test_mean_field_has_the_deviations_of_each_unknown_alone(monkeypatch: pytest
 def test_masks_silence_units_and_keep_the_mean() -> None:
     _, posterior = trained(problem(), collocation=60, width=8, budget=300.0)
     with torch.no_grad():
-        masks = dropout.Masks(posterior, np.random.default_rng(0))
-        drawn = torch.stack([masks.draw()[0] for _ in range(400)]).numpy()
+        rng = np.random.default_rng(0)
+        drawn = torch.stack([uncertainty.random_mask(posterior, rng)[0] for _ in range(400)]).numpy()
         short = posterior.residuals.heads(posterior.z)[1]
         ones = posterior.residuals.with_heads(torch.zeros_like(posterior.z), torch.ones_like(short))[0].numpy() == 1
     assert np.all(drawn[:, ~ones] == 1)
@@ -302,15 +301,15 @@ def test_masks_silence_units_and_keep_the_mean() -> None:
     assert moved.size == units
     assert np.all(ones[moved])
     share = np.mean(drawn[:, moved] == 0)
-    assert share == pytest.approx(dropout.RATE, abs=4.0 * np.sqrt(dropout.RATE / (400 * units)))
+    assert share == pytest.approx(uncertainty.DROPOUT, abs=4.0 * np.sqrt(uncertainty.DROPOUT / (400 * units)))
     assert drawn[:, moved].mean() == pytest.approx(1.0, abs=0.01)
 
 
 def test_a_masked_responses_parameters_are_scipys() -> None:
     _, posterior = trained(problem(), architecture="fourier", collocation=60, width=8)
     with torch.no_grad():
-        z = posterior.z * dropout.Masks(posterior, np.random.default_rng(1)).draw()
-        own = dropout.fitted(posterior, z)[0, posterior.n_weights :].numpy()
+        z = posterior.z * uncertainty.random_mask(posterior, np.random.default_rng(1))
+        own = uncertainty.with_best_parameters(posterior, z)[0, posterior.n_weights :].numpy()
 
         def rows(free: np.ndarray) -> np.ndarray:
             at = z.clone()
@@ -337,15 +336,13 @@ def test_bootstrap_spreads_as_the_linearisation_and_the_ensemble_hardly_at_all()
 
 def test_members_are_trained_by_the_familys_own_optimiser() -> None:
     """A member has the path of a training of the family, which the engine's own fits lack."""
-    from methods.pinn_family.beliefs.members import members
-
     method = PINNFamily(optimizer="adam", budget=60.0, uncertainty="ensemble", members=2, collocation=60, width=8)
     own = problem()
     task = Task(own.expressed_in(own.natural_units()), np.random.default_rng(0))
     method.attempt([task])
     best = task.best
     assert best is not None
-    found = members(task, best, replace(method, budget=20.0))
+    found = uncertainty.members(task, best, replace(method, budget=20.0))
     assert len(found) == 2
     assert all(member.evaluations <= 20 for member in found)
     assert all("path_loss" in member.history for member in found)

@@ -7,9 +7,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from methods.pinn_family.architectures import FEATURES, FeatureAnsatz, FeatureResponse, Features  # noqa: E402
+from methods.pinn_family.architectures import COMPONENTS, FeatureAnsatz, FeatureResponse, Features, Jet  # noqa: E402
 from methods.pinn_family.choices import ARCHITECTURES  # noqa: E402
-from methods.pinn_family.jet import Jet  # noqa: E402
 
 TIMES = np.linspace(0.0, 3.0, 7)
 
@@ -26,10 +25,10 @@ def ansatz(features: Features, times: np.ndarray, n_paths: int = 2) -> tuple[Fea
     return own, torch.as_tensor(np.concatenate([body, head]))[None]
 
 
-@pytest.mark.parametrize("name", FEATURES)
+@pytest.mark.parametrize("name", COMPONENTS)
 def test_streams_are_the_derivatives_of_the_response(name: str) -> None:
     """Central differences of the function that the answer carries, which is evaluated in another way of calling."""
-    features = FEATURES[name](16, 2)
+    features = COMPONENTS[name](16, 2)
     own, theta = ansatz(features, TIMES)
     streams = own.forward(theta).output[0].numpy()
     response = FeatureResponse(features, own.shapes, theta[0].numpy(), 2, 3.0)
@@ -40,9 +39,9 @@ def test_streams_are_the_derivatives_of_the_response(name: str) -> None:
     assert streams[2] == pytest.approx((ahead - 2 * here + behind) / h**2, rel=1e-3, abs=1e-3)
 
 
-@pytest.mark.parametrize("name", FEATURES)
+@pytest.mark.parametrize("name", COMPONENTS)
 def test_rows_have_the_jacobian_of_differences(name: str) -> None:
-    own, theta = ansatz(FEATURES[name](8, 2), TIMES)
+    own, theta = ansatz(COMPONENTS[name](8, 2), TIMES)
     rng = np.random.default_rng(1)
     points = torch.tensor([0, 3, 3, 6])
     seeds = torch.as_tensor(rng.standard_normal((1, 3, 4, 2)))
@@ -65,16 +64,16 @@ def test_rows_have_the_jacobian_of_differences(name: str) -> None:
     assert pulled.numpy() == pytest.approx((dual[0] @ jacobian).detach().numpy(), rel=1e-9, abs=1e-10)
 
 
-@pytest.mark.parametrize("name", FEATURES)
+@pytest.mark.parametrize("name", COMPONENTS)
 def test_the_output_layer_alone_gives_the_same_response(name: str) -> None:
-    own, theta = ansatz(FEATURES[name](8, 2), TIMES)
+    own, theta = ansatz(COMPONENTS[name](8, 2), TIMES)
     basis, coefficients = own.head(theta)
     assert basis.forward(coefficients).output.numpy() == pytest.approx(own.forward(theta).output.numpy(), rel=1e-12)
     assert torch.equal(own.with_head(theta, coefficients), theta)
 
 
 def test_every_other_function_of_time_is_built_from_features() -> None:
-    assert set(ARCHITECTURES) == {"tanh", "spline", *FEATURES}
+    assert set(ARCHITECTURES) == {"tanh", "spline", *COMPONENTS}
 
 
 def test_a_product_of_jets_follows_the_product_rule() -> None:

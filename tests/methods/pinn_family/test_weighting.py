@@ -13,8 +13,8 @@ from methods.pinn_family import PINNFamily
 
 torch = pytest.importorskip("torch")
 
-from methods.pinn_family.attempt import FamilyAttempt  # noqa: E402
-from methods.pinn_family.path import Clock, Path  # noqa: E402
+from methods.pinn_family.loss import Clock, Path  # noqa: E402
+from methods.pinn_family.training import FamilyAttempt  # noqa: E402
 from methods.starts.waves import Guess  # noqa: E402
 
 DATA, PHYSICS, START = 0, 1, 2

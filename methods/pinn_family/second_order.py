@@ -1,0 +1,212 @@
+"""Second-order optimisers: Gauss-Newton steps, Newton steps by conjugate gradients, and variable projection.
+
+Gauss-Newton steps are solved in residual space, ``Jᵀ (J Jᵀ + μ)⁻¹ r`` (push-through, or Woodbury's, identity).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.optimize import least_squares
+from torch import Tensor
+
+from methods.pinn.levenberg import GREATEST_DAMPING, LEAST_DAMPING, Walk, minimise
+from methods.pinn_family.loss import COSTS, Loss, Optimizer, tensor
+
+FIRST_DAMPING = 1e-6
+"""Levenberg-Marquardt's first damping, over the largest squared row of J."""
+NATURAL_DAMPINGS = (1e-12, 1e-9, 1e-6)
+"""The natural gradient's, likewise, one after the other."""
+LENGTHS = 0.5 ** np.arange(0.0, 31.0, 1.0)
+"""Lengths that the natural gradient's line search tries, as its authors do: powers of a half down to 2^-30."""
+GAIN = 1e-6
+"""The natural gradient raises its damping where no length gains this share of the loss."""
+RANK, REFRESH, CG_STEPS = 60, 20, 60
+"""Rank of the preconditioner, steps from one to the next, and the most products with the Hessian in a step."""
+CG_DAMPING = 1e-6
+"""Added to the Hessian, over its largest eigenvalue that the preconditioner finds."""
+DIFFERENCE = 1e-5
+"""Half the distance of the two gradients of a difference."""
+INNER = 20
+"""The most Levenberg-Marquardt steps to the output layer of given parameters."""
+
+
+class LevenbergMarquardt(Optimizer):
+    """Levenberg-Marquardt with Nielsen's damping (IMM-REP-1999-05).
+
+    It adapts the damping and takes the whole step. It ends where the linear model promises a negligible decrease.
+    """
+
+    def minimise(self, loss: Loss, z: Tensor) -> Tensor:
+        damping, growth = FIRST_DAMPING, 2.0
+        while True:
+            state, normal = loss.equations(z)
+            value, size = float(state.loss[0]), float(normal.size[0])
+            while True:
+                step, promise = normal.solve(torch.full((1,), damping * size, dtype=torch.float64))
+                promised = float(promise[0])
+                if promised < loss.negligible(value):
+                    return z
+                after = loss.value(z - step[0])
+                gain = (value - after) / promised if promised > 0 else -1.0
+                if gain > 0:
+                    break
+                damping, growth = damping * growth, 2.0 * growth
+                if damping > GREATEST_DAMPING:
+                    return z
+            z = z - step[0]
+            damping = max(damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), LEAST_DAMPING)
+            growth = 2.0
+
+
+class NaturalGradient(Optimizer):
+    """Energy natural gradient: J. Müller and M. Zeinhofer, ICML 2023; by Woodbury's identity, arXiv:2505.12149, 2025.
+
+    For a sum of squares its metric is the Gauss-Newton matrix, so the direction is that of Levenberg-Marquardt at a
+    fixed, small damping; the length is the best of a grid.
+    """
+
+    def minimise(self, loss: Loss, z: Tensor) -> Tensor:
+        for damping in NATURAL_DAMPINGS:
+            least, value = -np.inf, np.inf
+            while least < value * (1.0 - GAIN):
+                state, normal = loss.equations(z)
+                value = float(state.loss[0])
+                step, promise = normal.solve(normal.size * damping)
+                length, least = 0.0, value
+                if np.isfinite(float(promise[0])):
+                    length, least = _best_length(loss, z, step[0], value)
+                z = z - length * step[0] if length else z
+        return z
+
+
+def _best_length(loss: Loss, z: Tensor, step: Tensor, value: float) -> tuple[float, float]:
+    """Return the length of the grid with the least loss, and that loss; zero where none is below ``value``."""
+    best, least = 0.0, value
+    for length in LENGTHS:
+        trial = loss.value(z - length * step)
+        if trial < least:
+            best, least = length, trial
+        elif best:
+            break  # the best of the grid is behind
+    return best, least
+
+
+class NystromNewtonCG(Optimizer):
+    """Adam, then Newton steps by conjugate gradients with a randomised preconditioner, with Armijo's rule.
+
+    P. Rathore, W. Lei, Z. Frangella, L. Lu and M. Udell, Challenges in Training PINNs, ICML 2024. DeepXDE ships it for
+    networks whose gradient torch records; the engine's gradient is in closed form, so products with the Hessian are
+    central differences of it here.
+    """
+
+    adam_first = True
+
+    def minimise(self, loss: Loss, z: Tensor) -> Tensor:
+        loss.freeze()
+        generator = torch.Generator().manual_seed(int(self.rng.integers(2**31)))
+        value, gradient = loss.gradient(z)
+        failures, steps = 0, 0
+        while failures < 3:
+            if steps % REFRESH == 0:
+                vectors, values = _nystrom(loss, z, generator)
+            direction = _conjugate_gradients(loss, z, gradient, vectors, values, CG_DAMPING * float(values[0]))
+            slope = float(gradient @ direction)
+            if slope >= 0:
+                direction, slope = -gradient, -float(gradient @ gradient)
+            length = 1.0
+            while not loss.value(z + length * direction) <= value + 0.1 * length * slope and length > 1e-10:
+                length *= 0.5
+            before = value
+            if length > 1e-10:
+                z = z + length * direction
+                value, gradient = loss.gradient(z)
+            failures = failures + 1 if before - value <= 1e-10 * max(value, 1e-300) else 0
+            steps += 1
+        return z
+
+
+def _hessian_product(loss: Loss, z: Tensor, vector: Tensor) -> Tensor:
+    size = float(vector.norm())
+    if size == 0.0:
+        return torch.zeros_like(vector)
+    ahead, behind = (loss.gradient(z + sign * DIFFERENCE / size * vector)[1] for sign in (1.0, -1.0))
+    return (ahead - behind) * (size / (2.0 * DIFFERENCE))
+
+
+def _nystrom(loss: Loss, z: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Return leading eigenvectors (n_z, rank) and eigenvalues of the Hessian, largest first: a randomised sketch."""
+    sketch = torch.linalg.qr(torch.randn(z.shape[0], RANK, dtype=torch.float64, generator=generator))[0]
+    image = torch.stack([_hessian_product(loss, z, column) for column in sketch.unbind(1)], 1)
+    shift = np.finfo(float).eps ** 0.5 * float(image.norm())
+    image = image + shift * sketch
+    core = sketch.mT @ image
+    values, axes = torch.linalg.eigh(0.5 * (core + core.mT))
+    root = axes * values.clamp(min=1e-12 * float(values[-1])).rsqrt()
+    left, sizes, _ = torch.linalg.svd(image @ root, full_matrices=False)
+    return left, (sizes**2 - shift).clamp(min=0.0)
+
+
+def _conjugate_gradients(
+    loss: Loss, z: Tensor, gradient: Tensor, vectors: Tensor, values: Tensor, damping: float
+) -> Tensor:
+    """Return an approximate Newton direction; stop at a direction of negative curvature."""
+
+    def precondition(r: Tensor) -> Tensor:
+        inside = vectors.mT @ r
+        scaled = (values[-1] + damping) * (inside / (values + damping))
+        return vectors @ scaled + (r - vectors @ inside)
+
+    x, r = torch.zeros_like(z), -gradient
+    y = precondition(r)
+    p, size = y, float(r @ y)
+    enough = min(0.1, float(gradient.norm()) ** 0.5) * float(gradient.norm())
+    for _ in range(CG_STEPS):
+        product = _hessian_product(loss, z, p) + damping * p
+        curvature = float(p @ product)
+        if curvature <= 0:
+            break
+        length = size / curvature
+        x, r = x + length * p, r - length * product
+        if float(r.norm()) <= enough:
+            break
+        y = precondition(r)
+        size, before = float(r @ y), size
+        p = y + size / before * p
+    return x
+
+
+class VariableProjection(Optimizer):
+    """Variable projection on random features: the hidden layers stay as drawn, the output layer is solved for.
+
+    An extreme learning machine (G.-B. Huang et al., Neurocomputing 70:489, 2006; as a PINN V. Dwivedi and B.
+    Srinivasan, Neurocomputing 391:96, 2020). For given physical parameters the output layer is that of a least-squares
+    problem; what is left is a function of the parameters alone (G. Golub and V. Pereyra, SIAM J. Numer. Anal. 10:413,
+    1973), which scipy's trust-region least squares minimises.
+    """
+
+    def minimise(self, loss: Loss, z: Tensor) -> Tensor:
+        loss.freeze()
+        residuals, deviations = loss.residuals, loss.deviations
+        heads, short = residuals.heads(z[None])
+        free = slice(heads.n_coefficients, heads.n_coefficients + len(residuals.free))
+
+        def projected(logs: np.ndarray) -> Tensor:
+            """Return all unknowns of the output layer's problem where the parameters are given."""
+            point = short.clone()
+            point[0, free] = tensor(logs, point)
+            held, unknowns = heads.held(point)
+            walk = Walk.start(unknowns, 1e-9)
+            minimise(held, walk, deviations[:, : held.n_rows], INNER, 1e-9)
+            loss.charge(COSTS["equations"] * float(walk.iterations[0]))
+            return heads.with_responses(point, walk.z)
+
+        def rows(logs: np.ndarray) -> np.ndarray:
+            point = projected(logs)
+            state = heads.evaluate(point, deviations)
+            loss.seen(residuals.with_heads(z[None], point)[0], state)
+            return np.asarray(state.rows[0].cpu())
+
+        first = np.asarray(short[0, free].cpu())
+        search = least_squares(rows, first, method="trf", x_scale=1.0, ftol=1e-9, xtol=1e-10, diff_step=1e-6)
+        return residuals.with_heads(z[None], projected(search.x))[0]

@@ -1,0 +1,188 @@
+"""One fit of the family: the engine's residuals of one problem, trained as the settings say, with its path noted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bench import Problem
+from methods.network.ansatz import Sum
+from methods.network.tanh import Network
+from methods.pinn.block import Spread
+from methods.pinn.engine import Attempt, Fit, Watch, torch_threads
+from methods.pinn.levenberg import DualEquations, Walk, equations, minimise
+from methods.pinn.residuals import Residuals
+from methods.pinn_family.architectures import FeatureAnsatz
+from methods.pinn_family.choices import component
+from methods.pinn_family.loss import Loss, Path, best_of
+from methods.pinn_family.optimizers import Adam, LevenbergMarquardt
+from methods.pinn_family.sampling import SAMPLINGS, TrainingResiduals
+from methods.pinn_family.weighting import Sizes
+from methods.starts.waves import Guess
+
+if TYPE_CHECKING:
+    from methods.pinn_family.method import PINNFamily
+
+STAGES = ((30.0, 0.1), (1.0, 0.2), (1.0, 0.7))
+"""How soft the physics is and which share of the work it takes, stage by stage, where the noise is estimated."""
+ADAM_SHARE = 0.3
+"""Share of a stage's work that Adam gets before L-BFGS or another second method."""
+ROUNDS, SETTLED = 3, 0.03
+"""As the engine: how often the last stage may be run again with a noise that has changed by more than this."""
+POLISH, POLISHED = 50, 1e-6
+"""Steps of Levenberg-Marquardt to the minimum that a training is judged by, and the promise over the loss to end at."""
+
+
+class FamilyAttempt(Attempt):
+    """One problem's fit; see the module. Only one at a time, since each optimiser goes its own way."""
+
+    def __init__(
+        self, problem: Problem, guess: Guess, settings: PINNFamily, rng: np.random.Generator, watch: Watch, path: Path
+    ) -> None:
+        super().__init__([problem], [guess], settings, [rng], watch)
+        self.family, self.rng = settings, rng
+        self.by_noise = settings.weighting == "noise"
+        self.residuals = TrainingResiduals.of(self.residuals, problem, self._ansatz)
+        sizes = Sizes(self._plain_deviations(), lambda softness: self.residuals.deviations(self.spread(softness)))
+        self.optimizer = component("optimizer", settings.optimizer)(settings.rate, rng)
+        self.loss = Loss(
+            self.residuals,
+            component("weighting", settings.weighting)(sizes, self.residuals),
+            SAMPLINGS[settings.sampling](float(self.omega[0]), rng),
+            path,
+            self._shapes(),
+            settings.tolerance if self.by_noise else None,
+        )
+
+    def _plain_deviations(self) -> Tensor:
+        """Return what takes the dimension off the rows: a wave of the data's size and of the scan's frequency."""
+        size = np.max(self.rms * self.to_displacement, 1)
+        acceleration = self.omega**2 * size
+        return self.residuals.deviations(Spread(self.rms, acceleration, acceleration, size, self.omega * size))
+
+    def _shapes(self) -> list[tuple[int, ...]]:
+        """Return shapes of the coefficients, layer by layer, and of the other unknowns, in the order of z."""
+        shapes = [shape for ansatz in self.residuals.ansatzes for shape in _ansatz_shapes(ansatz)]
+        return [*shapes, (self.residuals.n_unknowns,)] if self.residuals.n_unknowns else shapes
+
+    def train(self) -> None:
+        """Go through all stages; the noise is estimated after each."""
+        loss, budget = self.loss, self.family.budget
+        z = self.walk.z[0]
+        loss.path.note(loss.first, z[None], 0.0)
+        stages = STAGES if self.by_noise else ((1.0, 1.0),)
+        for number, (softness, share) in enumerate(stages):
+            last = number == len(stages) - 1
+            for _ in range(ROUNDS if last else 1):
+                work = budget - loss.work if last else share * budget
+                if work <= 0:
+                    break
+                loss.weighting.begin(softness)
+                loss.moving = True
+                loss.begin(work)
+                z = self._minimise(z, last)
+                self.walk.z = z[None].clone()
+                deviations = self.residuals.deviations(self.spread())
+                change = float(self.estimate_noise(self.residuals, deviations, np.arange(1))[0])
+                self.watch(self.results)
+                if change < SETTLED:
+                    break
+        loss.path.note(loss.first, z[None], loss.work)
+        self.walk.evaluations[0] = self.walk.iterations[0] = loss.gradients
+        self.walk.converged[0] = loss.work < budget
+        ended = "it found no further decrease" if self.walk.converged[0] else "the budget of work was used up"
+        self.walk.reasons[0] = ended
+
+    def _minimise(self, z: Tensor, last: bool) -> Tensor:
+        """Run one stage by the optimiser of the settings."""
+        loss, optimizer = self.loss, self.optimizer
+        if optimizer.adam_first:
+            end = loss.limit
+            loss.begin(ADAM_SHARE * (end - loss.work))
+            z = best_of(loss, z, Adam(optimizer.rate, self.rng))
+            loss.begin(end - loss.work)
+        if isinstance(optimizer, LevenbergMarquardt) and not last:
+            return self._on_heads(z)
+        z = best_of(loss, z, optimizer)
+        while loss.moving and loss.adaptive and loss.work < loss.limit:  # it converged before the weights settled
+            z = best_of(loss, z, optimizer)
+        return z
+
+    def _on_heads(self, z: Tensor) -> Tensor:
+        """Optimise the output layer alone, as the engine begins."""
+        whole, loss = self.residuals, self.loss
+        heads, short = whole.heads(z[None])
+        loss.moving = False
+        loss.residuals, loss.expand = heads, lambda layer: whole.with_heads(z[None], layer[None])[0]
+        try:
+            return loss.expand(best_of(loss, short[0], self.optimizer))
+        finally:
+            loss.residuals, loss.expand, loss.best = whole, lambda point: point, None
+
+    def judged(self) -> Mapping[str, np.ndarray]:
+        """Return the path, and how far its end is from the minimum of the loss at the weights of the end.
+
+        The minimum is where Levenberg-Marquardt goes from there, on the first grid. ``certificate``: the gradient over
+        the product of the lengths of Jacobian and residual, a cosine that is zero at a minimum.
+        """
+        residuals, deviations = self.residuals, self.loss.deviations
+        walk = Walk.start(self.walk.z, 1e-6)
+        loss = float(residuals.evaluate(self.walk.z, deviations).loss[0])
+        minimise(residuals, walk, deviations, POLISH, max(POLISHED * loss, 1e-12))
+        least = float(residuals.evaluate(walk.z, deviations).loss[0])
+        return {
+            **self.loss.path.traces(deviations),
+            "minimum_loss": np.array([min(least, loss)]),
+            "minimum_parameters": np.exp(np.asarray(residuals.split(walk.z)[1][0].cpu())),
+            "certificate": np.array([certificate(residuals, self.walk.z, deviations)]),
+        }
+
+
+def _ansatz_shapes(ansatz: object) -> list[tuple[int, ...]]:
+    if isinstance(ansatz, Sum):
+        return [*_ansatz_shapes(ansatz.inner), (ansatz.fixed.count,)]
+    if isinstance(ansatz, Network):
+        pairs = zip(ansatz.widths, ansatz.widths[1:], strict=False)
+        return [shape for n_in, n_out in pairs for shape in ((n_out, n_in), (n_out,))]
+    if isinstance(ansatz, FeatureAnsatz):
+        return [*ansatz.shapes, (ansatz.n_paths, (ansatz.count - ansatz.body) // ansatz.n_paths)]
+    return [(ansatz.count,)]  # type: ignore[attr-defined]
+
+
+def certificate(residuals: Residuals, z: Tensor, deviations: Tensor) -> float:
+    """Return ``‖Jᵀ r‖ / (‖J‖ ‖r‖)`` at z (1, n_z), with the Frobenius norm of J."""
+    state = residuals.evaluate(z, deviations)
+    normal = equations(residuals, state, deviations)
+    linear = residuals.linearise(state, deviations)
+    gradient = residuals.pull_back(state, linear, state.rows)
+    matrix = normal.gram if isinstance(normal, DualEquations) else normal.matrix
+    size = math.sqrt(float(matrix.diagonal(dim1=1, dim2=2).sum()))
+    return float(gradient.norm()) / max(size * float(state.rows.norm()), 1e-300)
+
+
+@dataclass(eq=False)
+class TrainedFit(Fit):
+    """A fit that remembers its training. ``draws`` (n, n_parameters): log-parameters, where draws are the belief."""
+
+    attempt: FamilyAttempt | None = None
+    draws: np.ndarray | None = None
+
+
+def fit(
+    problem: Problem, guess: Guess, settings: PINNFamily, rng: np.random.Generator, path: Path, watch: Watch
+) -> tuple[TrainedFit, float]:
+    """Train from a starting guess; returns the fit, with the path and its judgement, and its work."""
+    with torch_threads(settings.threads), torch.no_grad():
+        attempt = FamilyAttempt(problem, guess, settings, rng, watch, path)
+        attempt.record()
+        attempt.train()
+        attempt.record()
+        plain = attempt.results()[0]
+        plain.history = {**plain.history, **attempt.judged()}
+        return TrainedFit(**vars(plain), attempt=attempt), attempt.loss.work
