@@ -102,8 +102,8 @@ __all__ = [
     "WindowTracker",
     "acceleration",
     "array_ops",
-from bench.entry_points import entry_points_of, load_entry_point
     "batches",
+    "check_name",
     "compiled_path",
     "degrees_used",
     "dimension_scale",

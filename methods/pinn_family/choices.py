@@ -32,7 +32,7 @@ BASES = {
     "architecture": "architectures:Features",
 }
 """By setting, the module and the class that a component subclasses; each module names ours in ``COMPONENTS``."""
-GROUPS = {setting: f"bench.pinn_{setting}s" for setting in BASES}
+GROUPS = {setting: f"pinn_family.{setting}s" for setting in BASES}
 """By setting, the group of its entry points."""
 
 

@@ -27,7 +27,7 @@ from methods.pinn_family.weighting import Sizes
 from methods.starts.waves import Guess
 
 if TYPE_CHECKING:
-    from methods.pinn_family.method import PINNFamily
+    from methods.pinn_family.settings import FamilySettings
 
 STAGES = ((30.0, 0.1), (1.0, 0.2), (1.0, 0.7))
 """How soft the physics is and which share of the work it takes, stage by stage, where the noise is estimated."""
@@ -43,7 +43,13 @@ class FamilyAttempt(Attempt):
     """One problem's fit; see the module. Only one at a time, since each optimiser goes its own way."""
 
     def __init__(
-        self, problem: Problem, guess: Guess, settings: PINNFamily, rng: np.random.Generator, watch: Watch, path: Path
+        self,
+        problem: Problem,
+        guess: Guess,
+        settings: FamilySettings,
+        rng: np.random.Generator,
+        watch: Watch,
+        path: Path,
     ) -> None:
         super().__init__([problem], [guess], settings, [rng], watch)
         self.family, self.rng = settings, rng
@@ -175,7 +181,7 @@ class TrainedFit(Fit):
 
 
 def fit(
-    problem: Problem, guess: Guess, settings: PINNFamily, rng: np.random.Generator, path: Path, watch: Watch
+    problem: Problem, guess: Guess, settings: FamilySettings, rng: np.random.Generator, path: Path, watch: Watch
 ) -> tuple[TrainedFit, float]:
     """Train from a starting guess; returns the fit, with the path and its judgement, and its work."""
     with torch_threads(settings.threads), torch.no_grad():

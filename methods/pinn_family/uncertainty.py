@@ -30,7 +30,7 @@ from methods.pinn_family.training import FamilyAttempt, TrainedFit, fit
 
 if TYPE_CHECKING:
     from methods.pinn.engine import Fit
-    from methods.pinn_family.method import PINNFamily
+    from methods.pinn_family.settings import FamilySettings
 
 CURVES = 50
 """The most responses that are averaged in a reconstruction."""
@@ -116,14 +116,14 @@ def from_draws(posterior: TrainedPosterior, fit: TrainedFit, draws: Sequence[Ten
     )
 
 
-def stated(way: Way, fit: TrainedFit, settings: PINNFamily, rng: np.random.Generator) -> TrainedFit:
+def stated(way: Way, fit: TrainedFit, settings: FamilySettings, rng: np.random.Generator) -> TrainedFit:
     """Return the fit with its uncertainty as a way states it."""
     assert fit.attempt is not None
     with torch_threads(settings.threads), torch.no_grad():
         return way(TrainedPosterior(fit.attempt), fit, rng, settings.members)
 
 
-def members(task: Task, best: Fit, settings: PINNFamily) -> list[Fit]:
+def members(task: Task, best: Fit, settings: FamilySettings) -> list[Fit]:
     """Return fits from the guess of the best, each with its own first weights and the whole budget.
 
     They are of the same data (ensemble), or of simulated records (bootstrap).

@@ -58,7 +58,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str]
     folder = tmp_path_factory.mktemp("site")
     (folder / "lion_pinn.py").write_text(CODE + MORE, encoding="utf-8")
     points = "".join(f"{name} = lion_pinn:{cls}\n" for name, cls in CLASSES.items())
-    return folder, install(folder, "lion_pinn", f"[bench.pinn_optimizers]\n{points}")
+    return folder, install(folder, "lion_pinn", f"[pinn_family.optimizers]\n{points}")
 
 
 def test_it_is_at_most_thirty_lines() -> None:

@@ -15,7 +15,7 @@ from bench import Channel, Draws, Estimate, Force, InitialState, Prior, Problem,
 from bench.systems import SDOF, Chain, Duffing
 from methods.pinn_family import PINNFamily
 from methods.pinn_family.choices import UNCERTAINTIES
-from methods.pinn_family.method import Uncertainty
+from methods.pinn_family.settings import Uncertainty
 
 torch = pytest.importorskip("torch")
 
