@@ -18,6 +18,8 @@ deviations, so that is next to nothing."""
 FIRST_DAMPING, MOST_DAMPING = 1e-3, 1e12
 EASED, STIFFENED = 0.3, 8.0
 """Factors of the damping after a step that lowers the cost, and after one that does not."""
+LEAST_CONDITION = 1e-9
+"""Smallest over largest singular value of scaled derivatives below which a direction counts as open."""
 ROUNDING = 1e-9
 """Part of a cost that rounding may add."""
 
@@ -170,3 +172,18 @@ def degrees_used(slopes: np.ndarray, samples: int) -> np.ndarray:
     basis, values, _ = np.linalg.svd(slopes, full_matrices=False)
     determined = values > 1e-12 * values[:, :1]
     return np.asarray(np.sum(np.sum(basis[:, :samples] ** 2, axis=1) * determined, axis=1))
+
+
+def covariances(slopes: np.ndarray) -> list[np.ndarray | None]:
+    """Invert ``JᵀJ`` of every case, of derivatives (cases, N, size); None where they leave a direction open."""
+    sizes = np.sqrt(np.sum(slopes**2, axis=1))
+    usable = np.all(np.isfinite(sizes) & (sizes > 0), axis=1) & (slopes.shape[1] >= slopes.shape[2])
+    inverses: list[np.ndarray | None] = [None] * len(slopes)
+    if np.any(usable):
+        sizes = sizes[usable]
+        _, values, axes = np.linalg.svd(slopes[usable] / sizes[:, None], full_matrices=False)
+        closed = values[:, -1] >= LEAST_CONDITION * values[:, 0]
+        roots = np.swapaxes(axes, 1, 2) / np.where(closed[:, None], values, 1.0)[:, None] / sizes[..., None]
+        for i, whole, inverse in zip(np.flatnonzero(usable), closed, roots @ np.swapaxes(roots, 1, 2), strict=True):
+            inverses[i] = inverse if whole else None
+    return inverses

@@ -22,11 +22,21 @@ from bench.contract.prior import Prior
 from bench.contract.problem import Channel, InitialState, Problem, Record
 from bench.dynamics.linear_motion import linear_readings
 from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurements
-from bench.likelihood.least_squares import FIRST_DAMPING, Linearisation, Minimum, StepLimits, minimise, polish
+from bench.likelihood.least_squares import (
+    FIRST_DAMPING,
+    Linearisation,
+    Minimum,
+    StepLimits,
+    covariances,
+    minimise,
+    polish,
+)
 from bench.systems import System
 
 SIGMA_FLOOR = 1e-4
 """The noise assumed while fitting is at least this part of a channel's root mean square; see ``noise``."""
+LEAST_NOISE = 1e-8
+"""The noise of which a covariance is taken is at least this part of a channel's root mean square."""
 LOG_LIMIT = 40.0
 """Largest size of a log-parameter in a search."""
 LONGEST_STEP = 1.5
@@ -369,17 +379,15 @@ class OutputError:
         ``slopes`` (N, size) are the derivatives of the predictions, ``sigma`` the noise by channel; ``log_sd`` is the
         width of a prior on the log-parameters where the problem has none.
         """
-        sigma, k = np.maximum(sigma, 1e-8 * self.rms), len(self.free)
-        sds = self.prior.log_sds if self.prior is not None else np.full(k, log_sd or np.inf)
-        rows = np.concatenate([slopes / sigma[self.channel_of][:, None], np.eye(k, slopes.shape[1]) / sds[:, None]])
-        sizes = np.linalg.norm(rows, axis=0)
-        if np.any(sizes == 0) or not np.all(np.isfinite(rows)) or len(rows) < rows.shape[1]:
-            return None
-        _, values, axes = np.linalg.svd(rows / sizes, full_matrices=False)
-        if values[-1] < 1e-9 * values[0]:
-            return None
-        root = axes.T / values / sizes[:, None]
-        return np.asarray(root @ root.T)
+        k = len(self.free)
+        precision = self.precision if self.prior is not None else np.full(k, 1.0 / (log_sd or np.inf))
+        sigma = np.maximum(sigma, LEAST_NOISE * self.rms)
+        rows = [slopes / sigma[self.channel_of][:, None], precision[:, None] * np.eye(k, slopes.shape[1])]
+        return covariances(np.concatenate(rows)[None])[0]
+
+    def covariances(self, point: SimulatedData, sigma: np.ndarray) -> list[np.ndarray | None]:
+        """The same of every case, at noise (cases, channels)."""
+        return covariances(self.standardised(point, np.maximum(sigma, LEAST_NOISE * self.rms)).slopes)
 
     def with_initial_states(self, theta: np.ndarray, steps: int = 1) -> np.ndarray:
         """Vectors (cases, size) with the initial states and offsets that fit the data best at their parameters.

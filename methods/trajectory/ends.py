@@ -10,13 +10,19 @@ from bench import OutputError
 
 
 def ends(
-    model: OutputError, theta: np.ndarray, slopes: np.ndarray, sigma: np.ndarray, objectives: Sequence[float]
+    model: OutputError,
+    theta: np.ndarray,
+    residuals: np.ndarray,
+    slopes: np.ndarray,
+    sigma: np.ndarray,
+    objectives: Sequence[float],
 ) -> dict[str, np.ndarray]:
     """Traces of a fit that ended at ``theta``.
 
     Args:
         model: Of the problem.
         theta: The vector of unknowns.
+        residuals: What the predictions there leave of the data, (N,).
         slopes: Derivatives (N, size) of the predictions there.
         sigma: Noise of each channel.
         objectives: Minus the log posterior, up to a constant, where the search from each start ended.
@@ -26,7 +32,7 @@ def ends(
         with the Frobenius norm of J: the cosine between them, zero at a minimum.
     """
     weights = 1.0 / sigma[model.channel_of]
-    rows, jacobian = weights * (model.predict(theta) - model.data), weights[:, None] * slopes
+    rows, jacobian = -weights * residuals, weights[:, None] * slopes
     if model.prior is not None:
         rows = np.concatenate([rows, model.penalty(theta)])
         jacobian = np.concatenate([jacobian, np.eye(len(model.free), theta.size) / model.prior.log_sds[:, None]])

@@ -48,7 +48,8 @@ class Rules:
 class Maximum:
     """A vector of unknowns with the derivatives (N, size) of the predictions and the noise of each channel there.
 
-    ``used``: degrees of freedom that the data spent. ``objectives``: minus the log posterior where the search from each
+    ``covariance``: inverse of the Gauss-Newton Hessian, None where the data leave a direction open. ``used``: degrees
+    of freedom that the data spent. ``objectives``: minus the log posterior where the search from each
     guess ended. ``converged``: whether the search ended at a maximum, of a linear system that from every guess.
     ``done``: whether it ended before its last trial step.
     """
@@ -58,6 +59,7 @@ class Maximum:
     residuals: np.ndarray
     slopes: np.ndarray
     sigma: np.ndarray
+    covariance: np.ndarray | None
     used: float
     iterations: int
     message: str = ""
@@ -65,18 +67,15 @@ class Maximum:
     converged: bool = True
     done: bool = True
 
-    @property
-    def covariance(self) -> np.ndarray | None:
-        """Inverse of the Gauss-Newton Hessian; None where the data leave a direction open."""
-        return self.model.covariance(self.slopes, self.sigma)
-
     def estimate(self) -> Estimate:
         """Return the answer; without uncertainty, and said so, where the data leave a parameter open."""
-        covariance, cost = self.covariance, Cost(self.iterations, self.iterations)
-        message = "; ".join(part for part in (self.message, OPEN if covariance is None else "") if part)
-        estimate = estimate_at(self.model, self.theta, covariance, self.used, cost, message)
+        cost = Cost(self.iterations, self.iterations)
+        message = "; ".join(part for part in (self.message, OPEN if self.covariance is None else "") if part)
+        estimate = estimate_at(self.model, self.theta, self.covariance, self.used, cost, message)
         sigma = np.maximum(self.sigma, SIGMA_FLOOR * self.model.rms)
-        return replace(estimate, traces=ends(self.model, self.theta, self.slopes, sigma, self.objectives))
+        return replace(
+            estimate, traces=ends(self.model, self.theta, self.residuals, self.slopes, sigma, self.objectives)
+        )
 
 
 def best_maxima(
@@ -85,27 +84,27 @@ def best_maxima(
     """Fit a batch from its guesses; return the best end of each problem, None where no guess has a finite response."""
     if not guesses.cases.size:
         return [None] * len(models)
-    fits, maxima = fit(batch, guesses.cases, guesses.thetas, rules), list[Maximum | None]()
-    for number, model in enumerate(models):
-        places = np.flatnonzero((guesses.cases == number) & np.isfinite(fits.profile))
-        if not places.size:
-            maxima.append(None)
-            continue
-        best = places[np.argmin(fits.profile[places])]
-        wanted = np.flatnonzero(guesses.cases == number) if model.system.linear else best
-        maxima.append(
-            Maximum(
-                model=model,
-                theta=fits.point.theta[best],
-                residuals=model.data - fits.point.predicted[best],
-                slopes=fits.point.slopes[best],
-                sigma=fits.sigma[best],
-                used=float(fits.used[best]),
-                iterations=int(fits.iterations[places].sum()),
-                objectives=tuple(map(float, 0.5 * fits.profile[places])),
-                converged=bool(np.all(fits.converged[wanted])),
-                done=bool(fits.done[best]),
-            )
+    fits = fit(batch, guesses.cases, guesses.thetas, rules)
+    places = [np.flatnonzero((guesses.cases == i) & np.isfinite(fits.profile)) for i in range(len(models))]
+    solved = [i for i, own in enumerate(places) if own.size]
+    best = np.array([places[i][np.argmin(fits.profile[places[i]])] for i in solved], int)
+    covariances = batch[guesses.cases[best]].covariances(fits.point[best], fits.sigma[best])
+    maxima: list[Maximum | None] = [None] * len(models)
+    for i, place, covariance in zip(solved, best, covariances, strict=True):
+        model = models[i]
+        wanted = np.flatnonzero(guesses.cases == i) if model.system.linear else place
+        maxima[i] = Maximum(
+            model=model,
+            theta=fits.point.theta[place],
+            residuals=model.data - fits.point.predicted[place],
+            slopes=fits.point.slopes[place],
+            sigma=fits.sigma[place],
+            covariance=covariance,
+            used=float(fits.used[place]),
+            iterations=int(fits.iterations[places[i]].sum()),
+            objectives=tuple(map(float, 0.5 * fits.profile[places[i]])),
+            converged=bool(np.all(fits.converged[wanted])),
+            done=bool(fits.done[place]),
         )
     return maxima
 

@@ -197,8 +197,18 @@ class Shooting(SearchingIdentifier):
         iterations = sum(fit.iterations for fit in good)
         best = min(good, key=lambda fit: fit.profile)
         objectives = tuple(0.5 * fit.profile for fit in good)
+        covariance = model.covariance(best.slopes, best.sigma)
         return Maximum(
-            model, best.theta, best.residuals, best.slopes, best.sigma, best.used, iterations, message, objectives
+            model,
+            best.theta,
+            best.residuals,
+            best.slopes,
+            best.sigma,
+            covariance,
+            best.used,
+            iterations,
+            message,
+            objectives,
         )
 
     def _without_cuts(self, model: OutputError, starts: Sequence[np.ndarray]) -> Maximum:

@@ -146,7 +146,10 @@ def with_student_errors(maximum: Maximum, batch: OutputError) -> Maximum:
     if not fit.settled:
         raise NoEstimate(UNSETTLED, cost=Cost(iterations, iterations))
     residuals = model.data - look(fit.theta)[0]
-    return Maximum(model, fit.theta, residuals, fit.slopes, fit.sigma, fit.used, iterations, maximum.message)
+    covariance = model.covariance(fit.slopes, fit.sigma)
+    return Maximum(
+        model, fit.theta, residuals, fit.slopes, fit.sigma, covariance, fit.used, iterations, maximum.message
+    )
 
 
 def student_fit(model: OutputError, look: Look, theta: np.ndarray) -> StudentFit:
