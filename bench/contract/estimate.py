@@ -177,6 +177,7 @@ class Estimate:
 
     def checked(self) -> Estimate:
         """Itself, or a failure with status ``nonfinite`` where a number in it is not finite."""
-        if self.status is Status.OK and (self.belief is None or not self.belief.finite()):
+        beliefs = [part.belief for part in (self, *self.alternatives)]
+        if self.status is Status.OK and not all(belief is not None and belief.finite() for belief in beliefs):
             return Estimate.failed(self.system, Status.NONFINITE, "the estimate is not finite", self.cost)
         return self

@@ -212,7 +212,9 @@ class Scorer:
 def _estimate(outcome: Mapping[str, Any], problem: Problem) -> Estimate:
     """Return the estimate of an outcome; where it has no answer, a failed one that says why."""
     if "answer" in outcome:
-        return replace(outcome["answer"], system=problem.system)
+        answer: Estimate = outcome["answer"]
+        alternatives = tuple(replace(other, system=problem.system) for other in answer.alternatives)
+        return replace(answer, system=problem.system, alternatives=alternatives)
     return Estimate.failed(problem.system, Status(outcome["status"]), outcome["message"])
 
 

@@ -38,6 +38,9 @@ class Sampled:
 
 
 PLAIN = (Cost, Draws, Estimate, InitialState, Normal, Sampled, Status)
+MOST_ALTERNATIVES = 50
+"""Of an estimate that are kept."""
+WEIGHT_ROUNDING = 1e-6
 REBUILT = {(kind.__module__, kind.__qualname__): kind for kind in PLAIN}
 NUMPY = {"_reconstruct", "ndarray", "dtype", "scalar", "_frombuffer"}
 
@@ -87,12 +90,14 @@ def plain(estimate: Estimate, times: np.ndarray) -> Estimate:
     what is not as the contract has it.
     """
     starts, n_dof = estimate.initial_states, estimate.system.n_dof
-    groups = _plain_belief(estimate.groups)
-    assert groups is None or isinstance(groups, Normal)
-    return Estimate(
-        None,  # type: ignore[arg-type]
-        parameters=_plain_belief(estimate.parameters),
-        groups=groups,
+    bare = _plain_beliefs(estimate)
+    alternatives = tuple(map(_plain_beliefs, estimate.alternatives[:MOST_ALTERNATIVES]))
+    weights = [part.weight for part in (bare, *alternatives)]
+    if not (min(weights) >= 0.0 and abs(sum(weights) - 1.0) < WEIGHT_ROUNDING):
+        raise ValueError(f"weights of an answer and its alternatives that add up to 1 were expected, not {weights}")
+    return replace(
+        bare,
+        alternatives=alternatives,
         reconstructions=tuple(_sampled(function, times, n_dof) for function in estimate.reconstructions),
         bands=tuple(_sampled(function, times, n_dof) for function in estimate.bands),
         initial_states=None
@@ -103,6 +108,18 @@ def plain(estimate: Estimate, times: np.ndarray) -> Estimate:
         message=printable(str(estimate.message), LONGEST_MESSAGE),
         cost=Cost(int(estimate.cost.evaluations), int(estimate.cost.iterations)),
         traces={printable(str(name), LONGEST_NAME): np.array(trace, float) for name, trace in estimate.traces.items()},
+    )
+
+
+def _plain_beliefs(estimate: Estimate) -> Estimate:
+    """Return what an estimate, or an alternative of one, believes of the parameters, and its weight."""
+    groups = _plain_belief(estimate.groups)
+    assert groups is None or isinstance(groups, Normal)
+    return Estimate(
+        None,  # type: ignore[arg-type]
+        parameters=_plain_belief(estimate.parameters),
+        groups=groups,
+        weight=float(estimate.weight),
     )
 
 

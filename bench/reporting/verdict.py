@@ -43,6 +43,8 @@ def verdict(stored: StoredCell) -> str:
         else _accuracy({name: float(own["excess"]) for name, own in told.items()}, n)
     )
     parts = [accuracy, _intervals(stored, told, n)]
+    ambiguous = sum(math.isfinite(row.scores.get("other_basins_pct", math.nan)) for row in stored.rows)
+    parts += [f"{ambiguous} of {n} answers name another basin that fits"] if ambiguous else []
     parts += [f"{silent} of {len(stored.rows)} fits have no answer"] if silent else []
     return "; ".join(part for part in parts if part)
 

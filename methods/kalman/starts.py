@@ -13,6 +13,8 @@ import numpy as np
 
 from bench import Channel, NoEstimate, OutputError
 from methods.starts.candidates import candidates, screening
+from methods.starts.evidence import most_probable
+from methods.starts.reach import is_unresolved
 from methods.starts.separate import separate
 
 STARTS = 3
@@ -46,7 +48,8 @@ def screened_starts(model: OutputError) -> np.ndarray:
     best = separate(head, values, thetas)[:STARTS]
     if not best:
         raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
-    return np.asarray(thetas[[i for i in best if values[i] <= values[best[0]] + MARGIN]])
+    kept = [thetas[i] for i in best if values[i] <= values[best[0]] + MARGIN]
+    return np.stack(most_probable(head, kept) if len(kept) > 1 and is_unresolved(head.problem) else kept)
 
 
 def _vectors(quick: OutputError, found: Sequence[dict[str, float]]) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 from bench import OutputError, Problem
 from methods.network.response import Function
 from methods.pinn.starts import starts
+from methods.starts.evidence import log_evidence
 from methods.starts.open_parameters import left_open, very_wide
 from methods.starts.rounding import DIGITS, rounded
 from methods.starts.scan import records_by_load
@@ -91,13 +92,13 @@ class Task:
         return min(finite, key=self._judged if self.rivals > 1 else lambda fit: fit.loss, default=None)
 
     def _judged(self, fit: Fit) -> float:
-        """Minus the log posterior of a rival's parameters by their simulated response.
+        """Minus the logarithm of the evidence of a rival's parameters by their simulated response.
 
         The loss would not do: how closely a function follows the equation of motion hangs on how fast it turns.
         """
         model = OutputError(self.scaled)
         theta = model.vector(dict(zip(self.scaled.system.names, map(float, np.exp(fit.logs)), strict=True)))
-        return 0.5 * model.profile(theta)
+        return -log_evidence(model, theta)
 
 
 def simulated(problem: Problem, fit: Fit, rng: np.random.Generator) -> Problem:

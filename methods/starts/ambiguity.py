@@ -1,11 +1,10 @@
 """Answers that know when they are ambiguous: other frequencies that fit the samples as well, and the band of an answer.
 
 Even samples of a free vibration do not tell a frequency from its aliases, and few or uneven samples may leave several
-basins of the likelihood alike. A method that searches with a prior weighs them: each is taken to its own maximum by the
-output-error likelihood, and its probability is the Laplace approximation of its evidence (D. J. C. MacKay, Information
-Theory, Inference, and Learning Algorithms, 2003, chapter 27), ``max posterior × sqrt(det covariance)``, the noise at
-its best value and the initial state uniform. The method's own answer stands first, whatever its probability; others
-above :data:`LEAST_WEIGHT` are alternatives.
+basins of the likelihood alike. A method that searches with a prior starts in the most probable one; the others are
+taken to their own maxima by the output-error likelihood, which gives all of them their probabilities
+(:mod:`methods.starts.evidence`). The method's own answer stands first, whatever its probability; others above
+:data:`LEAST_WEIGHT` are alternatives.
 
 Without a prior, or by its nature, a method answers for frequencies below half the sampling rate. Where its answer has
 few samples a cycle it says so, and names the next frequency that would give the same samples.
@@ -19,8 +18,21 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Cost, Draws, Estimate, Identifier, OutputError, Problem, Status, System, degrees_used, estimate_at
+from bench import (
+    Cost,
+    Draws,
+    Estimate,
+    Identifier,
+    Normal,
+    OutputError,
+    Problem,
+    Status,
+    System,
+    degrees_used,
+    estimate_at,
+)
 from methods.starts.candidates import screening
+from methods.starts.evidence import Basins, basins
 from methods.starts.reach import UP, expected_rate, is_unresolved, resolved_cycles
 from methods.starts.scan import scan
 from methods.starts.separate import APART
@@ -32,8 +44,6 @@ FEW_SAMPLES = 4.0
 """A cycle, below which an answer without a prior names its first alias."""
 MOST_BASINS = 16
 """Minima of the scan that are compared."""
-ROUNDS, ITERATIONS = 2, 12
-"""Of fit and noise in turn, and steps of each fit, from every start."""
 SAME_RATE, SAME_SDS = 0.02, 5.0
 """Logarithms of stiffness over mass as near as this to a basin's, or within so many standard deviations, are in it."""
 
@@ -86,13 +96,16 @@ def with_alternatives(problem: Problem, estimate: Estimate) -> Estimate:
     scales = units.scales(problem.system)
     model = OutputError(problem.expressed_in(units))
     values = {name: value / scales[name] for name, value in _values(estimate).items()}
-    basins = _basins(model, values)
-    if basins is None:
+    starts = [p for p in _starts(model, values) if all(np.isfinite(value) and value > 0 for value in p.values())]
+    if not starts:
         return estimate
-    thetas, covariances, weights, used = basins
-    rates = np.array([_log_rate(model, {n: float(v) for n, v in model.parameters(t).items()}) for t in thetas])
+    found = basins(model, np.stack([screening(model).vector(p) for p in starts]))
+    if not found.evidence.size:
+        return estimate
+    rates = np.array([_log_rate(model, {n: float(v) for n, v in model.parameters(t).items()}) for t in found.thetas])
+    answers, weights = [_answer(model, found, i) for i in range(rates.size)], found.weights
     unit = np.log(scales[_stiffness(problem.system)] / scales[problem.system.gauge])
-    own, answer = _basin_of(model, rates, covariances, _log_rate(model, values)), estimate
+    own, answer = _basin_of(answers, rates, _log_rate(model, values)), estimate
     if isinstance(estimate.parameters, Draws):
         own, answer = _largest_part(estimate, rates + unit)
     others = [i for i in np.argsort(-weights) if i != own and weights[i] > LEAST_WEIGHT]
@@ -100,59 +113,31 @@ def with_alternatives(problem: Problem, estimate: Estimate) -> Estimate:
         return estimate
     weight = 0.0 if own is None else float(weights[own])
     total = weight + float(weights[others].sum())
-    alternatives = tuple(
-        replace(
-            estimate_at(model, thetas[i], covariances[i], used[i], Cost()).returned(problem, units),
-            weight=float(weights[i]) / total,
-        )
-        for i in others
-    )
+    alternatives = tuple(replace(answers[i].returned(problem, units), weight=float(weights[i]) / total) for i in others)
     answer = replace(answer, alternatives=alternatives, weight=weight / total)
     return replace(answer, message="; ".join(filter(None, [_sentence(problem, answer), estimate.message])))
 
 
-def _basins(
-    model: OutputError, values: Mapping[str, float]
-) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, list[float]] | None:
-    """Maxima of the posterior, from the scan and from the answer: theta, covariance, probability, data-decided size."""
+def _starts(model: OutputError, values: Mapping[str, float]) -> list[dict[str, float]]:
+    """The answer, its aliases, and the minima of the scan."""
     scanned = scan(model.problem, MOST_BASINS) if model.system.linear else best_speeds(screening(model), MOST_BASINS)
-    starts = [dict(values), *_aliases(model, values), *scanned]
-    starts = [p for p in starts if all(np.isfinite(value) and value > 0 for value in p.values())]
-    if not starts:
-        return None
-    quick = screening(model)
-    thetas = quick.settle(np.stack([quick.vector(p) for p in starts]), ROUNDS, ITERATIONS)
-    predicted, slopes = quick.jacobian(thetas)
-    profiles = np.array([quick.profile_of(t, model.data - y) for t, y in zip(thetas, predicted, strict=True)])
-    kept: list[int] = []
-    evidence, covariances, used = [], [], []
-    for i in map(int, np.argsort(profiles)):
-        logs = thetas[i, : len(model.free)]
-        if not np.isfinite(profiles[i]) or any(np.max(np.abs(logs - thetas[j, : logs.size])) < APART for j in kept):
-            continue
-        residuals = model.data - predicted[i]
-        at_best = model.covariance(slopes[i], model.noise(residuals, 0.0))
-        if at_best is None:
-            continue
-        spent = _spent(model, slopes[i], model.noise(residuals, 0.0))
-        covariance = model.covariance(slopes[i], model.noise(residuals, spent))
-        assert covariance is not None
-        kept.append(i)
-        covariances.append(covariance)
-        used.append(spent)
-        evidence.append(-0.5 * profiles[i] + 0.5 * np.linalg.slogdet(at_best)[1])
-    if not kept:
-        return None
-    weights = np.exp(np.array(evidence) - max(evidence))
-    return thetas[kept], covariances, weights / weights.sum(), used
+    return [dict(values), *_aliases(model, values), *scanned]
 
 
-def _basin_of(model: OutputError, rates: np.ndarray, covariances: Sequence[np.ndarray], rate: float) -> int | None:
+def _answer(model: OutputError, found: Basins, i: int) -> Estimate:
+    """The answer that a basin is."""
+    spent = _spent(model, found.slopes[i], model.noise(found.residuals[i], 0.0))
+    covariance = model.covariance(found.slopes[i], model.noise(found.residuals[i], spent))
+    return estimate_at(model, found.thetas[i], covariance, spent, Cost())
+
+
+def _basin_of(answers: Sequence[Estimate], rates: np.ndarray, rate: float) -> int | None:
     """The basin in which an answer of this logarithm of stiffness over mass is; None where it is in none of them."""
-    stiffness, mass = model.free.index(_stiffness(model.system)), model.free.index(model.system.gauge)
     nearest = int(np.argmin(np.abs(rates - rate)))
-    c = covariances[nearest]
-    sd = np.sqrt(max(c[stiffness, stiffness] + c[mass, mass] - 2.0 * c[stiffness, mass], 0.0))
+    system, belief = answers[nearest].system, answers[nearest].parameters
+    assert isinstance(belief, Normal)
+    direction = np.array([(name == _stiffness(system)) - float(name == system.gauge) for name in belief.names])
+    sd = 0.0 if belief.covariance is None else np.sqrt(max(direction @ belief.covariance @ direction, 0.0))
     return nearest if abs(rates[nearest] - rate) <= max(SAME_RATE, SAME_SDS * sd) else None
 
 

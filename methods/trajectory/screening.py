@@ -13,6 +13,8 @@ import numpy as np
 
 from bench import Channel, OutputError
 from methods.starts.candidates import candidates, screened
+from methods.starts.evidence import most_probable
+from methods.starts.reach import is_unresolved
 from methods.starts.separate import separate
 
 LONGEST = 300
@@ -64,6 +66,9 @@ def screen(models: Sequence[OutputError], batch: OutputError, rules: Screening) 
     for number, model in enumerate(models):
         places = np.flatnonzero(cases == number)
         best = places[separate(model, values[places], settled.theta[places])[: rules.starts]]
+        if best.size > 1 and is_unresolved(model.problem):
+            (settled.theta[best[0]],) = most_probable(model, list(settled.theta[best]))
+            best = best[:1]
         kept += [i for i in best if values[i] <= values[best[0]] + rules.margin]
     return Guesses(cases[kept], settled.theta[kept], first)
 
@@ -71,7 +76,8 @@ def screen(models: Sequence[OutputError], batch: OutputError, rules: Screening) 
 def screened_alone(model: OutputError, rules: Screening) -> list[np.ndarray]:
     """Choose the guesses for one problem of any system, best first; none where no response is finite."""
     guesses = screened(head(model), rules.starts, rounds=1, iterations=rules.iterations)
-    return [theta for value, theta in guesses if value <= guesses[0][0] + rules.margin]
+    starts = [theta for value, theta in guesses if value <= guesses[0][0] + rules.margin]
+    return most_probable(head(model), starts) if len(starts) > 1 and is_unresolved(model.problem) else starts
 
 
 def head(model: OutputError) -> OutputError:
