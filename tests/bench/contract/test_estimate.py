@@ -139,3 +139,48 @@ def test_a_failure_stays_what_it_is() -> None:
     assert failed.marginal(SDOF().quantity("m")) is None
     fine = Estimate(SDOF(), groups=GROUPS)
     assert fine.checked() is fine
+
+
+def a_mixture() -> Estimate:
+    """A log-normal stiffness of 9 (70 %) or 40 (30 %), all else as in LOGS."""
+    other = Normal(LOGS.names, LOGS.mean + np.log([1.0, 1.0, 40.0 / 9.0]), COVARIANCE / 4, log=True)
+    return Estimate(
+        SDOF(),
+        parameters=LOGS,
+        weight=0.7,
+        alternatives=(Estimate(SDOF(), parameters=other, weight=0.3),),
+    )
+
+
+def test_the_quantiles_of_an_estimate_with_alternatives_are_those_of_the_mixture() -> None:
+    marginal = a_mixture().marginal(SDOF().quantity("k"))
+    assert marginal is not None
+    assert marginal.ppf is not None
+    assert marginal.cdf is not None
+    parts = stats.lognorm(0.4, scale=9.0), stats.lognorm(0.2, scale=40.0)
+    quantiles = marginal.ppf(LEVELS)
+    mixture = 0.7 * parts[0].cdf(quantiles) + 0.3 * parts[1].cdf(quantiles)
+    np.testing.assert_allclose(mixture, LEVELS, atol=1e-9)
+    assert marginal.cdf(20.0) == pytest.approx(0.7 * parts[0].cdf(20.0) + 0.3 * parts[1].cdf(20.0))
+    assert marginal.value == pytest.approx(9.0)
+
+
+def test_the_interval_of_an_estimate_with_alternatives_is_a_union_and_its_hull() -> None:
+    marginal = a_mixture().marginal(SDOF().quantity("k"))
+    assert marginal is not None
+    separate, joined = marginal.intervals(0.8), marginal.intervals(0.999999)
+    expected = [stats.lognorm(sd, scale=scale).ppf([0.1, 0.9]) for sd, scale in ((0.4, 9.0), (0.2, 40.0))]
+    np.testing.assert_allclose(separate, expected)
+    assert marginal.interval(0.8) == (separate[0][0], separate[1][1])
+    assert len(joined) == 1  # both reach over the gap
+    other = a_mixture().expressed_in(Units(2.0, 3.0, 5.0)).marginal(SDOF().quantity("k"))
+    assert other is not None
+    np.testing.assert_allclose(
+        other.intervals(0.8), np.array(separate) / Units(2.0, 3.0, 5.0).of(SDOF().parameters[2].dimension)
+    )
+
+
+def test_an_alternative_that_is_not_finite_makes_the_answer_a_failure() -> None:
+    broken = Estimate(SDOF(), parameters=Normal(LOGS.names, np.full(3, np.nan), None, log=True), weight=0.3)
+    estimate = Estimate(SDOF(), parameters=LOGS, weight=0.7, alternatives=(broken,))
+    assert estimate.checked().status is Status.NONFINITE

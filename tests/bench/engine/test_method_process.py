@@ -14,10 +14,10 @@ import pytest
 from conftest import REPOSITORY
 from misbehaving import misbehave
 
-from bench import Estimate, InitialState, Problem, SimulatedResponse, Status
+from bench import Estimate, InitialState, Normal, Problem, SimulatedResponse, Status
 from bench.contract.problem import Units
 from bench.engine.method_process import FitTask, outcomes, perform
-from bench.engine.wire import evaluated_together, pack, unpack
+from bench.engine.wire import evaluated_together, pack, plain, unpack
 from bench.entrants.registry import make_method
 from bench.scenario.scenario import Scenario
 from bench.systems import SDOF
@@ -129,3 +129,14 @@ def test_pickles_are_rebuilt_from_pipes_alone() -> None:
         "engine/pool.py", "engine/cells.py", "engine/method_process.py", "engine/scoring_process.py", "engine/wire.py",
     }  # fmt: skip
     assert not any((REPOSITORY / "bench" / name).read_text().count("read_bytes") for name in places)
+
+
+def test_alternatives_pass_between_the_processes_and_their_weights_must_add_up(problem: Problem) -> None:
+    logs = Normal(("m", "c", "k"), np.zeros(3), np.eye(3), log=True)
+    other = Estimate(problem.system, parameters=replace(logs, mean=np.ones(3)), weight=0.25)
+    estimate = Estimate(problem.system, parameters=logs, alternatives=(other,), weight=0.75)
+    passed = unpack(pack(plain(estimate, TIMES)))
+    assert [part.weight for part in (passed, *passed.alternatives)] == [0.75, 0.25]
+    np.testing.assert_array_equal(passed.alternatives[0].parameters.mean, np.ones(3))
+    with pytest.raises(ValueError, match="add up to 1"):
+        plain(replace(estimate, weight=1.0), TIMES)

@@ -54,6 +54,27 @@ def test_the_interval_score_by_hand() -> None:
     assert interval_score([(1.0, 3.0)], 3.1, 0.80) == pytest.approx(2.0 + 10 * 0.1)
 
 
+def test_the_interval_score_of_several_pieces_adds_their_widths_and_the_least_miss() -> None:
+    assert interval_score([(1.0, 3.0), (5.0, 6.0)], 5.5, 0.95) == pytest.approx(3.0)
+    assert interval_score([(1.0, 3.0), (5.0, 6.0)], 3.5, 0.95) == pytest.approx(3.0 + 40 * 0.5)
+
+
+def test_an_alternative_that_holds_the_truth_is_scored() -> None:
+    """The answer's stiffness is four times too low, the other one right: as PIT the mixture's level, 0.6 + 0.4 / 2."""
+    right = an_estimate(weight=0.6)
+    wrong = an_estimate()
+    assert wrong.parameters is not None
+    logs = wrong.parameters.mean + np.log([1.0, 1.0, 0.25])  # type: ignore[attr-defined]
+    low = Estimate(SDOF(), parameters=Normal(NAMES, logs, 0.01**2 * np.eye(3), log=True), weight=0.6)
+    estimate = replace(low, alternatives=(replace(right, weight=0.4),))
+    columns = score(estimate, *a_pair())
+    assert columns["k_coverage_95"] == 1.0
+    assert columns["k_pit"] == pytest.approx(0.6 + 0.4 / 2)
+    assert columns["k_error_pct"] == pytest.approx(75.0)
+    assert columns["other_basins_pct"] == pytest.approx(40.0)
+    assert score(low, *a_pair())["k_coverage_95"] == 0.0
+
+
 def test_a_perfect_estimate_scores_perfectly() -> None:
     scores = score(an_estimate(), *a_pair())
     for quantity in SDOF().quantities:
