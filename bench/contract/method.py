@@ -153,9 +153,9 @@ class Identifier(ABC):
         except NoEstimate as reason:
             return Estimate.failed(problem.system, reason.status, str(reason), reason.cost)
 
-    def completed(self, problem: Problem, estimate: Estimate) -> Estimate:
-        """Add what all methods of a kind say of their answers, in the user's units; itself by default."""
-        return estimate
+    def completed(self, problems: Sequence[Problem], estimates: Sequence[Estimate]) -> list[Estimate]:
+        """Add what all methods of a kind say of their answers, in the user's units; nothing by default."""
+        return list(estimates)
 
     @final
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
@@ -177,7 +177,7 @@ class Identifier(ABC):
 
         with reported_as(given, originals, [partial(back, i) for i in range(len(given))]), np.errstate(all="ignore"):
             found = self.estimate_many(given, own_rngs) if given else []
-            answers = iter([self.completed(originals[i], back(i, estimate)) for i, estimate in enumerate(found)])
+            answers = iter(self.completed(originals, [back(i, estimate) for i, estimate in enumerate(found)]))
         return [next(answers) if no is None else no for no in refused]
 
     def _refusal(self, problem: Problem) -> Estimate | None:

@@ -56,24 +56,34 @@ class SearchingIdentifier(Identifier):
 
     version: ClassVar[int] = 2
 
-    def completed(self, problem: Problem, estimate: Estimate) -> Estimate:
+    def completed(self, problems: Sequence[Problem], estimates: Sequence[Estimate]) -> list[Estimate]:
         """Add alternatives and name them, or the alias where there is no prior."""
-        if estimate.status is not Status.OK or problem.system.n_dof > 1 or problem.system.n_hidden:
-            return estimate
-        if problem.prior is None:
-            return with_band(problem, estimate)
-        natural = problem.expressed_in(problem.natural_units())
-        return with_alternatives(problem, estimate) if is_unresolved(natural) else estimate
+        answers, ambiguous = list(estimates), list[int]()
+        for i, (problem, estimate) in enumerate(zip(problems, estimates, strict=True)):
+            if not _is_one_oscillator(problem, estimate):
+                continue
+            if problem.prior is None:
+                answers[i] = with_band(problem, estimate)
+            elif is_unresolved(problem):
+                ambiguous.append(i)
+        completed = with_alternatives([problems[i] for i in ambiguous], [answers[i] for i in ambiguous])
+        for i, answer in zip(ambiguous, completed, strict=True):
+            answers[i] = answer
+        return answers
 
 
 class BandIdentifier(Identifier):
     """A method that sees one band of frequencies, up to half the sampling rate: it says so, and names the alias."""
 
-    def completed(self, problem: Problem, estimate: Estimate) -> Estimate:
+    def completed(self, problems: Sequence[Problem], estimates: Sequence[Estimate]) -> list[Estimate]:
         """State the band where the answer has few samples a cycle."""
-        if estimate.status is not Status.OK or problem.system.n_dof > 1 or problem.system.n_hidden:
-            return estimate
-        return with_band(problem, estimate)
+        pairs = zip(problems, estimates, strict=True)
+        return [with_band(p, estimate) if _is_one_oscillator(p, estimate) else estimate for p, estimate in pairs]
+
+
+def _is_one_oscillator(problem: Problem, estimate: Estimate) -> bool:
+    """Decide whether an answer is of one degree of freedom without hidden states, which has one frequency."""
+    return estimate.status is Status.OK and problem.system.n_dof == 1 and not problem.system.n_hidden
 
 
 def with_band(problem: Problem, estimate: Estimate) -> Estimate:
@@ -90,18 +100,25 @@ def with_band(problem: Problem, estimate: Estimate) -> Estimate:
     return replace(estimate, message="; ".join(filter(None, [estimate.message, sentence])))
 
 
-def with_alternatives(problem: Problem, estimate: Estimate) -> Estimate:
-    """The estimate with the other basins that data and prior support, each with its probability."""
+def with_alternatives(problems: Sequence[Problem], estimates: Sequence[Estimate]) -> list[Estimate]:
+    """The estimates with the other basins that data and prior support, each with its probability."""
+    models, values, starts = list[OutputError](), list[dict[str, float]](), list[np.ndarray]()
+    for problem, estimate in zip(problems, estimates, strict=True):
+        units = problem.natural_units()
+        scales, model = units.scales(problem.system), OutputError(problem.expressed_in(units))
+        values.append({name: value / scales[name] for name, value in _values(estimate).items()})
+        guesses = [p for p in _starts(model, values[-1]) if all(np.isfinite(v) and v > 0 for v in p.values())]
+        models.append(model)
+        starts.append(np.array([screening(model).vector(p) for p in guesses]).reshape(-1, model.size))
+    cases = zip(problems, estimates, models, values, basins(models, starts), strict=True)
+    return [_with_basins(*case) if case[-1].evidence.size else case[1] for case in cases]
+
+
+def _with_basins(
+    problem: Problem, estimate: Estimate, model: OutputError, values: Mapping[str, float], found: Basins
+) -> Estimate:
     units = problem.natural_units()
     scales = units.scales(problem.system)
-    model = OutputError(problem.expressed_in(units))
-    values = {name: value / scales[name] for name, value in _values(estimate).items()}
-    starts = [p for p in _starts(model, values) if all(np.isfinite(value) and value > 0 for value in p.values())]
-    if not starts:
-        return estimate
-    found = basins(model, np.stack([screening(model).vector(p) for p in starts]))
-    if not found.evidence.size:
-        return estimate
     rates = np.array([_log_rate(model, {n: float(v) for n, v in model.parameters(t).items()}) for t in found.thetas])
     answers, weights = [_answer(model, found, i) for i in range(rates.size)], found.weights
     unit = np.log(scales[_stiffness(problem.system)] / scales[problem.system.gauge])

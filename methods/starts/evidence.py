@@ -7,11 +7,12 @@ most probable one another.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from bench import OutputError
+from bench import OutputError, batches
 from methods.starts.candidates import screening
 from methods.starts.separate import APART
 
@@ -38,39 +39,53 @@ class Basins:
         return np.asarray(weights / weights.sum())
 
 
-def basins(model: OutputError, starts: np.ndarray) -> Basins:
-    """The maxima at which searches from ``starts`` (n, size) end, of those whose covariance the data and prior give."""
-    quick = screening(model)
-    thetas = quick.settle(starts, ROUNDS, ITERATIONS)
-    predicted, slopes = quick.jacobian(thetas)
-    residuals = model.data - predicted
-    profiles = np.array([quick.profile_of(theta, left) for theta, left in zip(thetas, residuals, strict=True)])
-    kept: list[int] = []
-    evidence = []
-    for i in map(int, np.argsort(profiles)):
-        logs = thetas[i, : len(model.free)]
-        if not np.isfinite(profiles[i]) or any(np.max(np.abs(logs - thetas[j, : logs.size])) < APART for j in kept):
+def basins(models: Sequence[OutputError], starts: Sequence[np.ndarray]) -> list[Basins]:
+    """Return the separate maxima at which searches from each problem's ``starts`` (n, size) end, those of a batch at
+    once; left out are those whose covariance data and prior do not give.
+    """
+    found = [Basins(own, np.zeros((0, 0, 0)), np.zeros((0, 0)), np.zeros(0)) for own in starts]
+    for places in batches(models, [not model.system.linear for model in models]):
+        quick = [screening(models[i]) for i in places]
+        cases = np.repeat(np.arange(len(places)), [len(starts[i]) for i in places])
+        if not cases.size:
             continue
-        value = _log_evidence(model, profiles[i], slopes[i], residuals[i])
-        if np.isfinite(value):
+        batch = type(quick[0]).batch(quick)[cases]
+        point = batch.point(batch.settle(np.concatenate([starts[i] for i in places]), ROUNDS, ITERATIONS))
+        residuals = batch.data - point.predicted
+        profiles = batch.profile_of(point.theta, residuals)
+        covariances = batch.covariances(point, batch.noise(residuals, 0.0))
+        evidence = np.array([_log_evidence(*pair) for pair in zip(profiles, covariances, strict=True)])
+        for number, i in enumerate(places):
+            own = np.flatnonzero((cases == number) & np.isfinite(evidence))
+            kept = _apart(point.theta[:, : len(batch.free)], own[np.argsort(profiles[own])])
+            found[i] = Basins(point.theta[kept], point.slopes[kept], residuals[kept], evidence[kept])
+    return found
+
+
+def _apart(logs: np.ndarray, places: np.ndarray) -> list[int]:
+    """Those of the places, best first, whose log-parameters are apart."""
+    kept = list[int]()
+    for i in map(int, places):
+        if not any(np.max(np.abs(logs[i] - logs[j])) < APART for j in kept):
             kept.append(i)
-            evidence.append(value)
-    return Basins(thetas[kept], slopes[kept], residuals[kept], np.array(evidence))
+    return kept
 
 
 def log_evidence(model: OutputError, theta: np.ndarray) -> float:
     """The logarithm of the evidence about a maximum, up to a constant; minus infinity where it has no covariance."""
     predicted, slopes = model.jacobian(theta)
     residuals = model.data - predicted
-    return _log_evidence(model, model.profile_of(theta, residuals), slopes, residuals)
+    covariance = model.covariance(slopes, model.noise(residuals, 0.0))
+    return _log_evidence(model.profile_of(theta, residuals), covariance)
 
 
-def _log_evidence(model: OutputError, profile: float, slopes: np.ndarray, residuals: np.ndarray) -> float:
-    covariance = model.covariance(slopes, model.noise(residuals, 0.0)) if np.isfinite(profile) else None
-    return -np.inf if covariance is None else float(-0.5 * profile + 0.5 * np.linalg.slogdet(covariance)[1])
+def _log_evidence(profile: float, covariance: np.ndarray | None) -> float:
+    if covariance is None or not np.isfinite(profile):
+        return -np.inf
+    return float(-0.5 * profile + 0.5 * np.linalg.slogdet(covariance)[1])
 
 
 def most_probable(model: OutputError, starts: list[np.ndarray]) -> list[np.ndarray]:
     """The end of most evidence alone, of searches from these starts; the starts where none has any."""
-    ends = basins(model, np.stack(starts)) if starts else None
+    ends = basins([model], [np.stack(starts)])[0] if starts else None
     return starts if ends is None or not ends.evidence.size else [ends.thetas[int(np.argmax(ends.evidence))]]

@@ -19,8 +19,14 @@ FEW = 0.1
 
 def resolved_cycles(record: Record) -> float:
     """Half the sampling rate of the densest channel, in cycles per unit of time."""
-    gaps = [float(np.median(np.diff(c.times))) for c in record.channels if c.n > 1]
+    gaps = [_median(np.diff(c.times)) for c in record.channels if c.n > 1]
     return 0.5 / min(gaps, default=FEW)
+
+
+def _median(values: np.ndarray) -> float:
+    """The median of values without NaN, several times faster than numpy's for a few."""
+    ordered = np.sort(values)
+    return float(0.5 * (ordered[(values.size - 1) // 2] + ordered[values.size // 2]))
 
 
 def expected_rate(problem: Problem) -> tuple[float, float] | None:
@@ -45,12 +51,19 @@ def most_cycles(problem: Problem, limit: float = np.inf) -> float:
     expected = expected_rate(problem)
     if expected is None:
         return min(resolved, limit)
-    centre, sd = expected
-    highest = float(np.ceil(np.exp(min(centre + UP * sd, LOG_LIMIT)) / (2 * np.pi)))
-    return min(max(resolved, highest), limit)
+    return min(max(resolved, _highest_cycles(*expected)), limit)
 
 
 def is_unresolved(problem: Problem) -> bool:
-    """Decide whether the prior expects motion beyond half the sampling rate, in natural units."""
-    resolved = max(resolved_cycles(record) for record in problem.records)
-    return problem.prior is not None and most_cycles(problem) > resolved * (1.0 + 1e-9)
+    """Decide whether the prior expects motion beyond half the sampling rate; in any units."""
+    expected = expected_rate(problem)
+    if expected is None:
+        return False
+    time = max(record.duration for record in problem.records)
+    highest = _highest_cycles(expected[0] + float(np.log(time)), expected[1])
+    return highest > time * max(resolved_cycles(record) for record in problem.records) * (1.0 + 1e-9)
+
+
+def _highest_cycles(centre: float, sd: float) -> float:
+    """What a prior on the logarithm of the rate expects, rounded up to whole cycles."""
+    return float(np.ceil(np.exp(min(centre + UP * sd, LOG_LIMIT)) / (2 * np.pi)))

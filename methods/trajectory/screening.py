@@ -13,7 +13,7 @@ import numpy as np
 
 from bench import Channel, OutputError
 from methods.starts.candidates import candidates, screened
-from methods.starts.evidence import most_probable
+from methods.starts.evidence import basins, most_probable
 from methods.starts.reach import is_unresolved
 from methods.starts.separate import separate
 
@@ -62,15 +62,20 @@ def screen(models: Sequence[OutputError], batch: OutputError, rules: Screening) 
     sigma = chosen.noise(chosen.data - point.predicted, 0.0)
     settled, _ = chosen.search(point, sigma, rules.iterations)
     values = chosen.profile_of(settled.theta, chosen.data - settled.predicted)
-    kept: list[int] = []
+    kept = list[list[int]]()
     for number, model in enumerate(models):
         places = np.flatnonzero(cases == number)
         best = places[separate(model, values[places], settled.theta[places])[: rules.starts]]
-        if best.size > 1 and is_unresolved(model.problem):
-            (settled.theta[best[0]],) = most_probable(model, list(settled.theta[best]))
-            best = best[:1]
-        kept += [i for i in best if values[i] <= values[best[0]] + rules.margin]
-    return Guesses(cases[kept], settled.theta[kept], first)
+        kept.append(list(best))
+    # beyond half the sampling rate the best fit may be a narrow basin, and the most probable one another
+    ambiguous = [i for i, own in enumerate(kept) if len(own) > 1 and is_unresolved(models[i].problem)]
+    ends = basins([models[i] for i in ambiguous], [settled.theta[kept[i]] for i in ambiguous])
+    for i, end in zip(ambiguous, ends, strict=True):
+        if end.evidence.size:
+            kept[i] = kept[i][:1]
+            settled.theta[kept[i][0]] = end.thetas[np.argmax(end.evidence)]
+    worth = [i for own in kept for i in own if values[i] <= values[own[0]] + rules.margin]
+    return Guesses(cases[worth], settled.theta[worth], first)
 
 
 def screened_alone(model: OutputError, rules: Screening) -> list[np.ndarray]:
