@@ -109,7 +109,7 @@ def _stated(
     noise = deviation**2 * coloured / white
     colour = _half(noise, NOTHING, at) / (deviation * standard_quantile(UPPER, dof))
     whole = _half(noise, share, at) / (deviation * standard_quantile(UPPER, dof))
-    below, above = (min(whole * half, MOST_LOG) for half in (below, above))
+    below, above = (min(whole * half, MOST_LOG if log else np.inf) for half in (below, above))
     low, high = (
         (own.value * np.exp(-below), own.value * np.exp(above))
         if log

@@ -20,7 +20,8 @@ The same maximum can be had without cuts, where the search gets there: problems 
 :mod:`methods.trajectory.fit`, linear ones with their exact motion, others by the same steps; and by the programme
 where a search there does not end at a maximum, or where the record of a nonlinear system is long. Where the programme
 of a linear system has no solution either, as where the likelihood rises towards no damping, the answer is where a
-search without cuts ends, and its message says so.
+search without cuts ends, and its message says so; that of a nonlinear system, as with dry friction, is found by
+continuation (:mod:`methods.trajectory.continuation`).
 The covariance is the inverse of the Hessian reduced to the space that satisfies the constraints, with Student's t at
 ``N - p`` degrees of freedom. The programme itself is :mod:`methods.trajectory.programme`.
 
@@ -51,6 +52,7 @@ from bench import (
 from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import candidates, screening
 from methods.starts.open_parameters import very_wide
+from methods.trajectory.continuation import solve_by_continuation
 from methods.trajectory.fineness import Fineness
 from methods.trajectory.fit import HELD, Maximum, Rules, best_maxima, held, leaves_open
 from methods.trajectory.programme import (
@@ -74,6 +76,9 @@ MOST_ITERATIONS_ALONE = 200
 NO_PROGRAMME = "the programme has no solution: this is where a search without cuts ends"
 POLISH = 3
 """Gauss-Newton steps in the reduced space after IPOPT, at most: they make the answer free of its tolerance."""
+
+AS_GOOD = 0.1
+"""A maximum is as good as another where minus twice its log-posterior, the motion integrated exactly, is this close."""
 
 
 @dataclass(frozen=True)
@@ -198,6 +203,11 @@ class Shooting(SearchingIdentifier):
         best = min(good, key=lambda fit: fit.profile)
         objectives = tuple(0.5 * fit.profile for fit in good)
         covariance = model.covariance(best.slopes, best.sigma)
+        if not model.system.linear and covariance is None:
+            # a parameter ran down to zero, where it has no uncertainty; and a better maximum may be elsewhere
+            other = solve_by_continuation(model, used, self._rules, self._fineness, [fit.theta for fit in good])
+            if other is not None and model.profile(other.theta) < model.profile(best.theta) + AS_GOOD:
+                return other
         return Maximum(
             model,
             best.theta,
@@ -212,11 +222,15 @@ class Shooting(SearchingIdentifier):
         )
 
     def _without_cuts(self, model: OutputError, starts: Sequence[np.ndarray]) -> Maximum:
-        """The best end of single-shooting searches, where the programme has no solution.
+        """Search without cuts, where the programme has no solution; a nonlinear system by continuation.
 
-        So it is where the likelihood rises towards a parameter of zero, as towards no damping: there is nothing to
-        converge to in its logarithm, but the other quantities are told all the same.
+        The programme has none where the likelihood rises towards a parameter of zero, as towards no damping, and where
+        friction holds the motion. The other quantities are identifiable all the same.
         """
+        if not model.system.linear:
+            maximum = solve_by_continuation(model, starts, self._rules, self._fineness)
+            if maximum is not None:
+                return maximum
         end = None
         if model.system.linear:
             guesses = Guesses(np.zeros(len(starts), int), np.stack(starts), starts[0][None])
