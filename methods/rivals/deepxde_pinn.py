@@ -1,7 +1,7 @@
 """The inverse PINN of DeepXDE, on torch in double precision: Adam, then its L-BFGS.
 
 L. Lu, X. Meng, Z. Mao, G. E. Karniadakis, SIAM Review 63:208, 2021. As in its examples of inverse problems for ordinary
-differential equations: a ``TimeDomain``, the data as a ``PointSetBC``, a told start as ``IC`` and ``OperatorBC``, the
+differential equations: a ``TimeDomain``, the data as a ``PointSetBC``, a known start as ``IC`` and ``OperatorBC``, the
 unknowns as external trainable variables, Glorot-normal weights. Its L-BFGS is torch's with the options that it ships
 (100 pairs, strong Wolfe, no tolerance of the loss), but comes back after 20 iterations instead of 1,000, so that the
 clock can be read; it takes a return after a single iteration for convergence, so a return must not be due to the number
@@ -19,10 +19,18 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bench import Card, Estimate, NoEstimate
-from methods.rivals.decay import ADAM_RATE, COLLOCATION, HIDDEN, Decay
-from methods.rivals.guests import torch_for_a_guest
-from methods.rivals.path import Now, Path
-from methods.rivals.rival import TorchRival
+from methods.rivals.rival import (
+    ADAM_RATE,
+    COLLOCATION,
+    HIDDEN,
+    FitPath,
+    FreeDecay,
+    Now,
+    TorchRival,
+    linear_layers,
+    rival_card,
+    torch_set_up,
+)
 
 ITERATIONS_A_RETURN = 20
 MANY = 10**9
@@ -33,24 +41,13 @@ MANY = 10**9
 class DeepXDE(TorchRival):
     """DeepXDE: Adam, then L-BFGS; see :class:`methods.rivals.rival.Rival`."""
 
-    card: ClassVar[Card] = Card(
-        summary="inverse PINN of the package DeepXDE: tanh network, Adam, then its L-BFGS, in double precision",
-        start="used when known",
-        scale="groups",
-        reconstruction="own",
-        uncertainty="none: the package states none",
-        settings_source="DeepXDE 1.15.0 on torch as it ships; network and collocation of the paper; our start scan",
-        tuning="none",
-        title="DeepXDE",
-        order=1001,
-        colour="#7A1FA2",
-        marker=(5, 1, 0.0),
-        remarks=True,
+    card: ClassVar[Card] = rival_card(
+        "DeepXDE", "Adam, then its L-BFGS, in double precision", "DeepXDE 1.15.0 on torch", 1001, "#7A1FA2", (5, 1, 0.0)
     )
     requires: ClassVar[tuple[str, ...]] = ("deepxde", "torch")
 
-    def train(self, decay: Decay, path: Path, seed: int) -> Estimate:
-        with torch_for_a_guest(self.threads, seed):
+    def train(self, decay: FreeDecay, path: FitPath, seed: int) -> Estimate:
+        with torch_set_up(self.threads, seed):
             dde = _package()
             before = dde.config.default_float()
             dde.config.set_default_float("float64")
@@ -59,7 +56,7 @@ class DeepXDE(TorchRival):
             finally:
                 dde.config.set_default_float(before)
 
-    def _train(self, dde: ModuleType, decay: Decay, path: Path, seed: int) -> Estimate:
+    def _train(self, dde: ModuleType, decay: FreeDecay, path: FitPath, seed: int) -> Estimate:
         dde.config.set_random_seed(seed)
         logs = [dde.Variable(value) for value in decay.logs]
         model, terms = _model(dde, decay, logs)
@@ -82,41 +79,40 @@ class DeepXDE(TorchRival):
         model.compile("L-BFGS", **common)
         model.train(callbacks=[watch], verbose=0)
         model._test(verbose=0)
-        layers = [(own.weight.detach().numpy().copy(), own.bias.detach().numpy().copy()) for own in model.net.linears]
-        return path.end(now(), layers, decay.duration, f"loss {now()[2]:.3g} after {path.steps} steps")
+        return path.end(now(), linear_layers(model.net.linears), decay.duration)
 
 
 def _package() -> ModuleType:
-    """DeepXDE with torch behind it, without the file in the home folder that it else writes.
+    """Import DeepXDE with torch behind it, without the file in the home folder that it else writes.
 
     Raises NoEstimate where it was imported earlier with something else behind it.
     """
     import torch
 
-    told = os.environ.get("DDE_BACKEND")
+    backend = os.environ.get("DDE_BACKEND")
     if "deepxde" not in sys.modules:
         os.environ["DDE_BACKEND"] = "pytorch"
     try:
         import deepxde
     finally:
-        if told is None:
+        if backend is None:
             os.environ.pop("DDE_BACKEND", None)
         else:
-            os.environ["DDE_BACKEND"] = told
+            os.environ["DDE_BACKEND"] = backend
     torch.set_default_device(None)  # its import chooses a graphics card where there is one
     if deepxde.backend.backend_name != "pytorch":
         raise NoEstimate(f"DeepXDE runs on {deepxde.backend.backend_name} in this process; it is needed on torch")
     return deepxde
 
 
-def _model(dde: ModuleType, decay: Decay, logs: list[Any]) -> tuple[Any, int]:
-    """Equation, data, told start and network; and the number of terms of the loss."""
+def _model(dde: ModuleType, decay: FreeDecay, logs: list[Any]) -> tuple[Any, int]:
+    """Return the model of equation, data, known start and network; and the number of terms of the loss."""
     import torch
 
-    speed, inverse = decay.speed, (decay.stiffness_unit, decay.damping_unit)
+    speed = decay.speed
 
     def motion(s: Any, u: Any) -> Any:
-        stiffness, damping = (torch.exp(log - unit) for log, unit in zip(logs, inverse, strict=True))
+        stiffness, damping = (torch.exp(log - unit) for log, unit in zip(logs, decay.units, strict=True))
         velocity = speed * dde.grad.jacobian(u, s)
         return speed**2 * dde.grad.hessian(u, s) + damping * velocity + stiffness * u
 
@@ -125,8 +121,8 @@ def _model(dde: ModuleType, decay: Decay, logs: list[Any]) -> tuple[Any, int]:
 
     line = dde.geometry.TimeDomain(-1.0, 1.0)
     conditions = [dde.icbc.PointSetBC(decay.times[:, None], decay.values[:, None])]
-    if decay.told is not None:
-        x0, v0 = decay.told
+    if decay.known_start is not None:
+        x0, v0 = decay.known_start
         conditions += [
             dde.icbc.IC(line, lambda s: np.full((len(s), 1), x0), at_the_start),
             dde.icbc.OperatorBC(line, lambda s, u, _: speed * dde.grad.jacobian(u, s) - v0, at_the_start),
@@ -138,8 +134,8 @@ def _model(dde: ModuleType, decay: Decay, logs: list[Any]) -> tuple[Any, int]:
     return dde.Model(data, net), 1 + len(conditions)
 
 
-def _watch(dde: ModuleType, path: Path, now: Any) -> Any:
-    """A callback that tells the path of each step, and ends the training when it says so."""
+def _watch(dde: ModuleType, path: FitPath, now: Any) -> Any:
+    """Return a callback that counts each step on the path, and ends the training when it says so."""
 
     class Watch(dde.callbacks.Callback):  # type: ignore[misc,name-defined]
         before = -1

@@ -1,7 +1,7 @@
 """The inverse PINN of jinns, on JAX in double precision: Adam of optax, then its self-scaled Broyden method.
 
 H. Gangloff, N. Jouvin, arXiv:2412.14132, 2024. Its ``PINN_MLP``, ``LossODE`` and ``solve`` with the first weights of
-equinox; the equation is differentiated by weights and unknowns. A told displacement is its initial condition; it has
+equinox; the equation is differentiated by weights and unknowns. A known displacement is its initial condition; it has
 none for a velocity, so that this is a second dynamic loss, which asks at the start whatever the time. The second
 optimiser is the one that it ships beside those of optax, ``scale_by_SSBroyden_family`` (after arXiv:2405.04230), with a
 dense inverse Hessian.
@@ -20,9 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bench import Card, Estimate
-from methods.rivals.decay import ADAM_RATE, COLLOCATION, HIDDEN, Decay
-from methods.rivals.path import Path
-from methods.rivals.rival import Rival
+from methods.rivals.rival import ADAM_RATE, COLLOCATION, HIDDEN, FitPath, FreeDecay, Rival, rival_card
 
 MOST_A_SECOND = 20_000
 """Steps that are made room for."""
@@ -39,23 +37,12 @@ class Jinns(Rival):
 
     second_steps: int = 300
 
-    card: ClassVar[Card] = Card(
-        summary="inverse PINN of the package jinns: tanh network, Adam, then its self-scaled Broyden method",
-        start="used when known",
-        scale="groups",
-        reconstruction="own",
-        uncertainty="none: the package states none",
-        settings_source="jinns 1.10.2 as it ships; network and collocation of the paper; our start scan",
-        tuning="none",
-        title="jinns",
-        order=1002,
-        colour="#00796B",
-        marker=(6, 0, 0.0),
-        remarks=True,
+    card: ClassVar[Card] = rival_card(
+        "jinns", "Adam, then its self-scaled Broyden method", "jinns 1.10.2", 1002, "#00796B", (6, 0, 0.0)
     )
     requires: ClassVar[tuple[str, ...]] = ("jinns", "jax")
 
-    def train(self, decay: Decay, path: Path, seed: int) -> Estimate:
+    def train(self, decay: FreeDecay, path: FitPath, seed: int) -> Estimate:
         import jax
 
         jax.config.update("jax_enable_x64", True)
@@ -79,15 +66,15 @@ class Jinns(Rival):
             (scale_by_SSBroyden_family(), extra, 1, self.second_steps),
         ]
         for seconds, (optimiser, needs, every, most) in zip(self.stages, stages, strict=True):
-            own = _Stage(path, seconds, every, most or int(MOST_A_SECOND * seconds) + 1)
-            params, last = _solve(own, loss, params, data, optimiser, needs)
-        layers = _layers(params)
+            stage = SolveStage(path, seconds, every, most or int(MOST_A_SECOND * seconds) + 1)
+            params, last = _solve(stage, loss, params, data, optimiser, needs)
+        leaves = [np.array(leaf) for leaf in jax.tree.leaves(params.nn_params)]
         logs = float(params.eq_params.log_k), float(params.eq_params.log_c)
-        return path.end((*logs, last), layers, decay.duration, f"loss {last:.3g} after {path.steps} steps")
+        return path.end((*logs, last), list(zip(leaves[::2], leaves[1::2], strict=True)), decay.duration)
 
 
 def get_value_fn(loss: Any, batch: Any) -> Callable[..., Any]:
-    """The loss as a function of the parameters, for a line search; jinns finds its arguments by their names."""
+    """Return the loss as a function of the parameters; jinns finds the arguments by their names."""
 
     def value(params: Any, **_: Any) -> Any:
         return loss(params, batch)[0]
@@ -96,14 +83,14 @@ def get_value_fn(loss: Any, batch: Any) -> Callable[..., Any]:
 
 
 def get_grad_fn(loss: Any, batch: Any) -> Callable[..., Any]:
-    """The gradient of the loss as a function of the parameters; jinns finds its arguments by their names."""
+    """Return the gradient of the loss as a function of the parameters; jinns finds the arguments by their names."""
     import jax
 
     return jax.grad(lambda params, **_: loss(params, batch)[0])
 
 
-def _network(decay: Decay, key: Any) -> tuple[Any, Any]:
-    """The package's network, and its weights with the unknowns at our start."""
+def _network(decay: FreeDecay, key: Any) -> tuple[Any, Any]:
+    """Return the package's network, and its weights with the unknowns at our start."""
     import equinox
     import jax
     import jax.numpy as jnp
@@ -118,56 +105,49 @@ def _network(decay: Decay, key: Any) -> tuple[Any, Any]:
     return net, Params(nn_params=weights, eq_params=unknowns)
 
 
-def _layers(params: Any) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Weights and biases, layer by layer."""
-    import jax
-
-    leaves = [np.array(leaf) for leaf in jax.tree.leaves(params.nn_params)]
-    return list(zip(leaves[::2], leaves[1::2], strict=True))
-
-
-def _loss(decay: Decay, net: Any, params: Any) -> Any:
-    """Equation, told start and data, each with weight 1."""
+def _loss(decay: FreeDecay, net: Any, params: Any) -> Any:
+    """Return the loss: equation, known start and data, each with weight 1."""
     import jax
     import jax.numpy as jnp
     from jinns.loss import ODE, LossODE, LossWeightsODE
     from jinns.parameters import DerivativeKeysODE
 
-    def rate(u: Any, own: Any) -> Callable[[Any], Any]:
-        """The derivative of the network by its time, a number."""
-        return lambda s: jax.grad(lambda at: u(at, own)[0])(s)[0]
+    start = decay.known_start
+
+    def rate(u: Any, params: Any) -> Callable[[Any], Any]:
+        """Return the derivative of the network by its time, a number."""
+        return lambda s: jax.grad(lambda t: u(t, params)[0])(s)[0]
 
     class Motion(ODE):  # type: ignore[misc]
         def equation(self, t: Any, u: Any, params: Any) -> Any:
-            stiffness = jnp.exp(params.eq_params.log_k - decay.stiffness_unit)
-            damping = jnp.exp(params.eq_params.log_c - decay.damping_unit)
+            stiffness = jnp.exp(params.eq_params.log_k - decay.units[0])
+            damping = jnp.exp(params.eq_params.log_c - decay.units[1])
             first = rate(u, params)
             second = jax.grad(first)(t)[0]
             return jnp.array([decay.speed**2 * second + damping * decay.speed * first(t) + stiffness * u(t, params)[0]])
 
     class Velocity(ODE):  # type: ignore[misc]
         def equation(self, t: Any, u: Any, params: Any) -> Any:
-            assert decay.told is not None
-            return jnp.array([decay.speed * rate(u, params)(jnp.array([-1.0])) - decay.told[1]])
+            assert start is not None
+            return jnp.array([decay.speed * rate(u, params)(jnp.array([-1.0])) - start[1]])
 
-    told = decay.told is not None
     keys = DerivativeKeysODE.from_str(
         params=params, dyn_loss="both", observations="nn_params", initial_condition="nn_params"
     )
     return LossODE(
         u=net,
-        dynamic_loss=(Motion(), Velocity()) if told else Motion(),
-        initial_condition=(jnp.array([-1.0]), jnp.array([decay.told[0]])) if decay.told is not None else None,
+        dynamic_loss=(Motion(), Velocity()) if start else Motion(),
+        initial_condition=(jnp.array([-1.0]), jnp.array([start[0]])) if start else None,
         loss_weights=LossWeightsODE(
-            dyn_loss=(1.0, 1.0) if told else 1.0, initial_condition=1.0 if told else None, observations=1.0
+            dyn_loss=(1.0, 1.0) if start else 1.0, initial_condition=1.0 if start else None, observations=1.0
         ),
         derivative_keys=keys,
         params=params,
     )
 
 
-def _data(decay: Decay, key: Any, other: Any) -> dict[str, Any]:
-    """Collocation points and observations."""
+def _data(decay: FreeDecay, key: Any, other: Any) -> dict[str, Any]:
+    """Return collocation points and observations."""
     import jax.numpy as jnp
     from jinns.data import DataGeneratorObservations, DataGeneratorODE
 
@@ -181,38 +161,38 @@ def _data(decay: Decay, key: Any, other: Any) -> dict[str, Any]:
     }
 
 
-class _Stage:
+class SolveStage:
     """One call of ``solve``: at most ``most`` steps and so many seconds from its first, asked each ``every`` steps."""
 
-    def __init__(self, path: Path, seconds: float, every: int, most: int) -> None:
+    def __init__(self, path: FitPath, seconds: float, every: int, most: int) -> None:
         self.path, self.seconds, self.every, self.most = path, seconds, every, most
         self.begun = path.steps
         self.noted: list[tuple[int, int]] = []  # moments of the path, and the step of this stage that each was at
 
     def ask(self, log_k: Any, log_c: Any) -> np.ndarray:
-        """Whether to stop, as what the compiled loop takes."""
+        """Return True where it is to stop, as what the compiled loop takes."""
         path = self.path
         if path.steps == self.begun:
             path.stage(self.seconds, 0)
-        at, moments = path.steps - self.begun, len(path.losses)
+        step, moments = path.steps - self.begun, len(path.losses)
         stop = path.step(lambda: (float(log_k), float(log_c), float("nan")), self.every)
         if len(path.losses) > moments:
-            self.noted.append((moments, at))
+            self.noted.append((moments, step))
         return np.array(stop)
 
     def end(self, losses: np.ndarray) -> float:
-        """Give the moments their losses, with those of all steps, zero where there was none; the last loss."""
-        for moment, at in self.noted:
-            self.path.losses[moment] = float(losses[at])
+        """Give the moments their losses, from those of all steps, zero where there was none; returns the last loss."""
+        for moment, step in self.noted:
+            self.path.losses[moment] = float(losses[step])
         taken = int(np.max(np.flatnonzero(losses), initial=0)) + 1
         self.path.steps = self.begun + taken
         return float(losses[taken - 1])
 
 
 def _solve(
-    stage: _Stage, loss: Any, params: Any, data: dict[str, Any], optimiser: Any, needs: Any
+    stage: SolveStage, loss: Any, params: Any, data: dict[str, Any], optimiser: Any, needs: Any
 ) -> tuple[Any, float]:
-    """Train by one optimiser until the stage ends it; the parameters and the last loss."""
+    """Train by one optimiser until the stage ends it; returns the parameters and the last loss."""
     import jax
     import jinns
 
@@ -232,7 +212,7 @@ def _solve(
 
 
 def _clock(ask: Callable[[Any, Any], np.ndarray], every: int) -> Any:
-    """What the package takes for a validation: it asks whether to stop, each so many steps."""
+    """Return what the package takes for a validation: it asks whether to stop, each so many steps."""
     import equinox
     import jax
     import jax.numpy as jnp

@@ -1,7 +1,7 @@
 """The inverse PINN of PINA, on torch and Lightning: Adam, then torch's L-BFGS through its optimiser interface.
 
 D. Coscia, A. Ivagnes, N. Demo, G. Rozza, Journal of Open Source Software 8:5352, 2023. An ``InverseProblem`` with the
-data, the equation and a told start as conditions, its ``FeedForward`` network with torch's first weights, its
+data, the equation and a known start as conditions, its ``FeedForward`` network with torch's first weights, its
 physics-informed solver and trainer, in double precision. L-BFGS has the options that DeepXDE ships, 20 iterations a
 step.
 
@@ -20,10 +20,18 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bench import Card, Estimate
-from methods.rivals.decay import ADAM_RATE, COLLOCATION, HIDDEN, Decay
-from methods.rivals.guests import torch_for_a_guest
-from methods.rivals.path import Now, Path
-from methods.rivals.rival import TorchRival
+from methods.rivals.rival import (
+    ADAM_RATE,
+    COLLOCATION,
+    HIDDEN,
+    FitPath,
+    FreeDecay,
+    Now,
+    TorchRival,
+    linear_layers,
+    rival_card,
+    torch_set_up,
+)
 
 ITERATIONS_A_STEP = 20
 LBFGS = {"lr": 1.0, "history_size": 100, "tolerance_grad": 1e-8, "tolerance_change": 0.0}
@@ -35,24 +43,14 @@ WIDE = 5.0
 class PINA(TorchRival):
     """PINA: Adam, then L-BFGS; see :class:`methods.rivals.rival.Rival`."""
 
-    card: ClassVar[Card] = Card(
-        summary="inverse PINN of the package PINA: tanh network, Adam, then torch's L-BFGS, in double precision",
-        start="used when known",
-        scale="groups",
-        reconstruction="own",
-        uncertainty="none: the package states none",
-        settings_source="PINA 0.3.2 (pina-mathlab) as it ships; network and collocation of the paper; our start scan",
-        tuning="none",
-        title="PINA",
-        order=1003,
-        colour="#B71C5C",
-        marker=(10, 1, 18.0),
-        remarks=True,
-    )
+    card: ClassVar[Card] = rival_card(
+        "PINA", "Adam, then torch's L-BFGS, in double precision", "PINA 0.3.2 (pina-mathlab)", 1003, "#B71C5C",
+        (10, 1, 18.0),
+    )  # fmt: skip
     requires: ClassVar[tuple[str, ...]] = ("pina", "torch")
 
-    def train(self, decay: Decay, path: Path, seed: int) -> Estimate:
-        with torch_for_a_guest(self.threads, seed):
+    def train(self, decay: FreeDecay, path: FitPath, seed: int) -> Estimate:
+        with torch_set_up(self.threads, seed):
             import torch
             from pina.model import FeedForward
             from pina.optim import TorchOptimizer
@@ -68,18 +66,12 @@ class PINA(TorchRival):
             own = min(ITERATIONS_A_STEP, self.second_steps or ITERATIONS_A_STEP)
             options = {**LBFGS, "max_iter": own, "max_eval": 50 * own, "line_search_fn": "strong_wolfe"}
             loss = _fit(problem, net, TorchOptimizer(_lbfgs(), **options), path, own)
-            layers = [
-                (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
-                for layer in net.model
-                if isinstance(layer, torch.nn.Linear)
-            ]
-            return path.end(
-                (*_logs(problem), loss), layers, decay.duration, f"loss {loss:.3g} after {path.steps} steps"
-            )
+            layers = [layer for layer in net.model if isinstance(layer, torch.nn.Linear)]
+            return path.end((*_logs(problem), loss), linear_layers(layers), decay.duration)
 
 
 def _lbfgs() -> type[Any]:
-    """Torch's L-BFGS that takes further parameters into its one group."""
+    """Return torch's L-BFGS that takes further parameters into its one group."""
     import torch
 
     class OneGroup(torch.optim.LBFGS):
@@ -96,8 +88,8 @@ def _logs(problem: Any) -> tuple[float, float]:
     return problem.unknown_parameters["log_k"].item(), problem.unknown_parameters["log_c"].item()
 
 
-def _problem(decay: Decay) -> Any:
-    """The package's statement of the decay, its unknowns at our start."""
+def _problem(decay: FreeDecay) -> Any:
+    """Return the package's statement of the decay, its unknowns at our start."""
     import torch
     from pina import Condition, LabelTensor
     from pina.domain import CartesianDomain
@@ -108,8 +100,8 @@ def _problem(decay: Decay) -> Any:
     speed = decay.speed
 
     def motion(s: Any, u: Any, unknowns: dict[str, Any]) -> Any:
-        stiffness = torch.exp(unknowns["log_k"] - decay.stiffness_unit)
-        damping = torch.exp(unknowns["log_c"] - decay.damping_unit)
+        stiffness = torch.exp(unknowns["log_k"] - decay.units[0])
+        damping = torch.exp(unknowns["log_c"] - decay.units[1])
         first = grad(u, s, components=["u"], d=["s"])
         second = grad(first, s, components=["duds"], d=["s"])
         return speed**2 * second + damping * speed * first + stiffness * u
@@ -121,15 +113,15 @@ def _problem(decay: Decay) -> Any:
         "data": Condition(input=labelled(decay.times, "s"), target=labelled(decay.values, "u")),
         "motion": Condition(domain="record", equation=Equation(motion)),
     }
-    if decay.told is not None:
-        x0, v0 = decay.told
+    if decay.known_start is not None:
+        x0, v0 = decay.known_start
         stated["place"] = Condition(domain="beginning", equation=FixedValue(x0))
         stated["velocity"] = Condition(
             domain="beginning", equation=Equation(lambda s, u: speed * grad(u, s, components=["u"], d=["s"]) - v0)
         )
     bounds = {name: [log - WIDE, log + WIDE] for name, log in zip(("log_k", "log_c"), decay.logs, strict=True)}
 
-    class FreeDecay(TimeDependentProblem, InverseProblem):  # type: ignore[misc]
+    class StatedDecay(TimeDependentProblem, InverseProblem):  # type: ignore[misc]
         output_variables: ClassVar[list[str]] = ["u"]
         temporal_domain = CartesianDomain({"s": [-1.0, 1.0]})
         unknown_parameter_domain = CartesianDomain(bounds)
@@ -139,7 +131,7 @@ def _problem(decay: Decay) -> Any:
         }
         conditions: ClassVar[dict[str, Any]] = stated
 
-    problem = FreeDecay()
+    problem = StatedDecay()
     problem.discretise_domain(COLLOCATION, "grid", domains=["record"])
     problem.discretise_domain(1, "grid", domains=["beginning"])
     for name, log in zip(("log_k", "log_c"), decay.logs, strict=True):
@@ -147,7 +139,7 @@ def _problem(decay: Decay) -> Any:
     return problem
 
 
-def _fit(problem: Any, net: Any, optimiser: Any, path: Path, iterations: int) -> float:
+def _fit(problem: Any, net: Any, optimiser: Any, path: FitPath, iterations: int) -> float:
     """Train by one optimiser, of so many iterations a step, until the path ends it; the last loss."""
     from lightning.pytorch.callbacks import Callback
     from pina.solver import PhysicsInformedSingleModelSolver
@@ -166,16 +158,6 @@ def _fit(problem: Any, net: Any, optimiser: Any, path: Path, iterations: int) ->
 
     watch = Watch()
     solver = PhysicsInformedSingleModelSolver(problem, net, optimizer=optimiser)
-    trainer = Trainer(
-        solver,
-        max_epochs=-1,
-        accelerator="cpu",
-        devices=1,
-        logger=False,
-        callbacks=[watch],
-        enable_checkpointing=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-    )
-    trainer.train()
+    silent = dict.fromkeys(("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False)
+    Trainer(solver, max_epochs=-1, accelerator="cpu", devices=1, callbacks=[watch], **silent).train()
     return watch.loss
