@@ -194,3 +194,19 @@ def test_no_file_names_a_place_on_somebodys_machine() -> None:
         text = path.read_text(encoding="utf-8")
         for place in ("/home/", "/root/", "/Users/", "/work/"):
             assert place not in text, path
+
+
+SHARED_CLASS_NAMES = {
+    "Bank", "Chain", "Head", "Layout", "Matrices", "Mixture", "Model", "Motion", "Settings", "Standing", "Sum", "_Fit",
+}  # fmt: skip
+
+
+def test_a_class_name_stands_once() -> None:
+    """A reader who meets a class by its name alone must find one; names inside functions and classes apart."""
+    places: dict[str, list[str]] = {}
+    for path in BENCH + METHODS:
+        for item in parsed(path).body:
+            if isinstance(item, ast.ClassDef):
+                places.setdefault(item.name, []).append(str(path.relative_to(REPOSITORY)))
+    repeated = {name: paths for name, paths in places.items() if len(paths) > 1 and name not in SHARED_CLASS_NAMES}
+    assert repeated == {}

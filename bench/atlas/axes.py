@@ -27,7 +27,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Choice:
+class AxisValues:
     """What a test has one of: ``values`` of equal share."""
 
     name: str

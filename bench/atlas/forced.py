@@ -6,7 +6,7 @@ import math
 from dataclasses import astuple, dataclass
 from typing import ClassVar
 
-from bench.atlas.axes import Axis, Choice
+from bench.atlas.axes import Axis, AxisValues
 from bench.atlas.point import DAMPED, DENSE, GROUPS, NOISY, SIZED, Point
 from bench.scenario.force import ForceSpec, Shape
 from bench.scenario.scenario import Scenario
@@ -36,7 +36,7 @@ class Forced(Point):
         SIZED, Axis("cycles", 2.0, 50.0, "logarithmic"), DAMPED, NOISY,
         Axis("bandwidth", 0.5, 4.0, "logarithmic"), Axis("force_snr_db", 10.0, 70.0),
     )  # fmt: skip
-    CHOICE: ClassVar[Choice] = Choice("force", KINDS)
+    CHOICE: ClassVar[AxisValues] = AxisValues("force", KINDS)
     QUANTITIES: ClassVar[tuple[str, ...]] = (*GROUPS, "m")
 
     def numbers(self) -> list[float]:

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench.atlas.axes import Axis, Choice
+from bench.atlas.axes import Axis, AxisValues
 from bench.errors import InputError
 from bench.scenario.scenario import Scenario
 
@@ -37,7 +37,7 @@ class Point(ABC):
     snr_db: float
 
     AXES: ClassVar[tuple[Axis, ...]]
-    CHOICE: ClassVar[Choice]
+    CHOICE: ClassVar[AxisValues]
     QUANTITIES: ClassVar[tuple[str, ...]]
 
     def __post_init__(self) -> None:
@@ -84,7 +84,7 @@ class FreeDecay(Point):
     AXES: ClassVar[tuple[Axis, ...]] = (
         SIZED, Axis("cycles", 0.3, 100.0, "logarithmic"), DAMPED, NOISY, Axis("phase", 0.0, math.pi),
     )  # fmt: skip
-    CHOICE: ClassVar[Choice] = Choice("start_known", (True, False))
+    CHOICE: ClassVar[AxisValues] = AxisValues("start_known", (True, False))
     QUANTITIES: ClassVar[tuple[str, ...]] = GROUPS
 
     def scenario(self) -> Scenario:

@@ -38,7 +38,7 @@ KINDS = {kind.__name__: kind for kind in (FreeDecay, Forced)}
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class PointBlock:
     """A task of the engine: a method at several points, ``replicates`` fits at each."""
 
     points: Sequence[Point]
@@ -84,7 +84,7 @@ class Block:
         return {"test": type(self.points[0]).__name__, "points": points, **{n: getattr(self, n) for n in names}}
 
     @classmethod
-    def restored(cls, stated: Mapping[str, Any], key: str) -> Block:
+    def restored(cls, stated: Mapping[str, Any], key: str) -> PointBlock:
         """Return the block that is stated so; raises InputError where this version would name it otherwise."""
         reason = "this version describes it differently; start the sweep again"
         try:
@@ -107,7 +107,7 @@ class Block:
         write_block(folder, self, [at_point(self, identifier, point) for point in self.points])
 
 
-def read_block(folder: Path, block: Block) -> list[Statistics] | None:
+def read_block(folder: Path, block: PointBlock) -> list[Statistics] | None:
     """Return the statistics of a block, point by point; None where there are none, or they are damaged."""
     content = read_result(folder, block.key)
     if content is None:
@@ -116,14 +116,14 @@ def read_block(folder: Path, block: Block) -> list[Statistics] | None:
     return [Statistics.of_row(row) for row in rows]
 
 
-def write_block(folder: Path, block: Block, statistics: Sequence[Statistics]) -> None:
+def write_block(folder: Path, block: PointBlock, statistics: Sequence[Statistics]) -> None:
     """Store the statistics of a block; raises InputError where the folder cannot be written."""
     content = io.BytesIO()
     np.save(content, np.stack([at.row() for at in statistics]), allow_pickle=False)
     write_result(folder, block.key, content.getvalue())
 
 
-def at_point(block: Block, identifier: Identifier, point: Point) -> Statistics:
+def at_point(block: PointBlock, identifier: Identifier, point: Point) -> Statistics:
     """Compute all replicates of a method at a point."""
     scenario = point.scenario()
     make, least = scenario.maker(block.seed), bound_at(point)

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from bench.commands.declaration import Choice, Others, Within
+from bench.commands.declaration import OneOf, Others, Within
 from bench.commands.work import DryRun, Fit, Work, Workers
 from bench.config.atlas import SAMPLED, TESTS, atlas_blocks, atlas_methods, atlas_slices, part_names
 from bench.errors import InputError
 from bench.isolation.machine import usable_cores
 
 if TYPE_CHECKING:
-    from bench.atlas.run import Block
+    from bench.atlas.run import PointBlock
 
 COMMAND = "python -m bench -m experiment=atlas"
 
@@ -23,9 +23,9 @@ def _every_method() -> list[str]:
 
 
 def atlas(
-    test: Annotated[str, Choice(tuple(TESTS)), "kind of test"] = "free_decay",
+    test: Annotated[str, OneOf(tuple(TESTS)), "kind of test"] = "free_decay",
     part: Annotated[tuple[str, ...], "parts of the test, which are points and its slices [all]"] = (),
-    method: Annotated[tuple[str, ...], Choice(_every_method), "methods [all]"] = (),
+    method: Annotated[tuple[str, ...], OneOf(_every_method), "methods [all]"] = (),
     points: Annotated[int | None, Within(ge=1), "the first so many points of the sequence or slice [all]"] = None,
     workers: Workers = None,
     store: Annotated[Path, "folder of finished blocks"] = Path("outputs/atlas"),
@@ -68,7 +68,7 @@ def _check_packages() -> None:
         raise InputError("package", error.name, "installed: pip install 'vibration-bench[figures]'") from None
 
 
-def _write(test: str, blocks: dict[str, list[Block]], work: Work, command: str) -> None:
+def _write(test: str, blocks: dict[str, list[PointBlock]], work: Work, command: str) -> None:
     """Write the atlas, its tables and maps, and print their paths."""
     from bench.reporting.atlas import PAGES, atlas_frame, packed, written
     from bench.reporting.figures.atlas import draw_atlas

@@ -76,7 +76,7 @@ def _request(data: str, system: str, method: Sequence[str], record: Sequence[str
 @contextmanager
 def _progress() -> Iterator[Callable[[str, int, int], None]]:
     """Show a progress bar over steps on the error stream; gives the callback that advances it."""
-    from bench.engine.progress import Look, progress_bar
+    from bench.engine.progress import RunState, progress_bar
 
     with progress_bar() as on_look:
-        yield lambda step, done, steps: on_look(Look("step", done, steps, step))
+        yield lambda step, done, steps: on_look(RunState("step", done, steps, step))

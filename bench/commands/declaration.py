@@ -9,11 +9,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.config.declaration import Choice, Field, Others, fields_of, written
+from bench.config.declaration import Field, OneOf, Others, fields_of, written
 from bench.errors import InputError, did_you_mean
 from bench.scenario.declaration import Parsed, Within
 
-__all__ = ["Choice", "Others", "Parsed", "Within"]
+__all__ = ["OneOf", "Others", "Parsed", "Within"]
 WIDE = 14
 """Most letters of a field's name on a page of help that stand in a column of their own."""
 

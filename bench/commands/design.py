@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from bench.commands.certify import RECORD
-from bench.commands.declaration import Choice, Others, Parsed, Within, file
+from bench.commands.declaration import OneOf, Others, Parsed, Within, file
 from bench.errors import InputError
 from bench.scenario.declaration import value_of
 
@@ -69,7 +69,7 @@ Noise = Annotated[float, Parsed(length), "standard deviation of a sample, as 0.5
 Amplitude = Annotated[float, Parsed(length), "initial displacement, as 1cm"]
 Duration = Annotated[Size, "duration (s)"]
 Few = Annotated[int, Within(ge=8, le=500), "number of samples"]
-Method = Annotated[str | None, Choice(methods), "method that fits [the first that reaches the bound]"]
+Method = Annotated[str | None, OneOf(methods), "method that fits [the first that reaches the bound]"]
 Verify = Annotated[int, Within(ge=0, le=100_000), "number of simulations of each proposed test"]
 
 
@@ -212,7 +212,7 @@ def _request(
     """Return the request; raises InputError, before any work, where it cannot be met or its file not be written."""
     from bench.config.atlas import on_the_bound
     from bench.planning.search import Likely
-    from bench.reporting.plans.request import Request
+    from bench.reporting.plans.request import PlanRequest
     from bench.reporting.whole_file import check_file
 
     if damping[0] >= 1.0:
@@ -220,7 +220,7 @@ def _request(
     if out is not None:
         check_file(out)
     likely = Likely(frequency[0], damping[0], frequency[1], damping[1])
-    return Request(*want, likely, noise, method or on_the_bound()[0], verify)
+    return PlanRequest(*want, likely, noise, method or on_the_bound()[0], verify)
 
 
 def _shown(text: str, out: Path | None, header: str, rows: Sequence[str]) -> int:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from bench.commands.declaration import Choice, Within, folder
+from bench.commands.declaration import OneOf, Within, folder
 from bench.commands.work import DryRun, Fit, Work
 from bench.config.choices import check_choice
 from bench.config.records import track_methods
@@ -15,9 +15,8 @@ from bench.measured.sets import set_names
 from bench.reporting.whole_file import check_file, write
 
 if TYPE_CHECKING:
-    from bench.measured.track import Fit as Fitted
-    from bench.measured.track import MeasuredFit
-    from bench.reporting.tables.track_table import FreeRun, Panel, Track
+    from bench.measured.track import MeasuredFit, TrackFit
+    from bench.reporting.tables.track_table import FreeRun, Track, TrackPanel
 
 COMMAND = "python -m bench -m experiment=measured data_root=<folder>"
 MEMORY_MB = 16384.0
@@ -26,7 +25,7 @@ MEMORY_MB = 16384.0
 
 def measured(
     data_root: Annotated[Path | None, "where records lie that do not travel with the package"] = None,
-    set: Annotated[tuple[str, ...], Choice(set_names), "empty: all"] = (),
+    set: Annotated[tuple[str, ...], OneOf(set_names), "empty: all"] = (),
     method: Annotated[tuple[str, ...], "methods; empty: those of the track"] = (),
     timeout_s: Annotated[int, Within(ge=1), "s, limit of a fit"] = 120,
     store: Annotated[Path, "folder of finished fits"] = Path("outputs/measured"),
@@ -66,20 +65,20 @@ def measured(
     return 0
 
 
-def _panels(name: str, own: Sequence[MeasuredFit], fits: Sequence[Fitted], root: Path | None) -> list[Panel]:
+def _panels(name: str, own: Sequence[MeasuredFit], fits: Sequence[TrackFit], root: Path | None) -> list[TrackPanel]:
     """A panel a system of a set; one that says so where its files are not there."""
     from bench.measured.sets import measured_set
-    from bench.reporting.tables.track_table import Panel
+    from bench.reporting.tables.track_table import TrackPanel
 
     of = measured_set(name)
     if not own:
         place = f"{of.folder}/{of.files[0]}"
         said = f"not found under data_root={root or ''}: {place}" if root else f"not found under data_root=: {place}"
-        return [Panel(name, of, system, absent=said) for system in of.systems]
-    return [Panel(name, of, system, [fit for fit in fits if fit.system == system]) for system in of.systems]
+        return [TrackPanel(name, of, system, absent=said) for system in of.systems]
+    return [TrackPanel(name, of, system, [fit for fit in fits if fit.system == system]) for system in of.systems]
 
 
-def _free_runs(panel: Panel, root: Path | None) -> Iterator[FreeRun]:
+def _free_runs(panel: TrackPanel, root: Path | None) -> Iterator[FreeRun]:
     """Models simulated over the test parts: shooting's, at its median parameters, and what others have published."""
     import numpy as np
 

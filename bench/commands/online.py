@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from bench.commands.declaration import Choice, Others, Parsed, Within
+from bench.commands.declaration import OneOf, Others, Parsed, Within
 from bench.commands.work import DryRun, Fit, Work, Workers
 from bench.config.online import VARYING, online_scenario, online_track, own_scenarios, scenario_names
 from bench.errors import InputError
@@ -39,7 +39,7 @@ def force_of(text: str) -> Any:
 
 def online(
     scenario: Annotated[
-        tuple[str, ...], Choice(scenario_names), f"those of the track [all]: {', '.join(scenario_names())}"
+        tuple[str, ...], OneOf(scenario_names), f"those of the track [all]: {', '.join(scenario_names())}"
     ] = (),
     method: Annotated[tuple[str, ...], "trackers, or window_<batch method> [those of the track]"] = (),
     system: Annotated[str, "a system of conf/system in place of the scenarios"] = "",
@@ -168,7 +168,7 @@ def _scored(scenario: OnlineScenario, tasks: Sequence[Tracking], store: Path) ->
     from bench.online.bound import bound_variances
     from bench.online.paths import read_paths
     from bench.online.score import score, score_bound, scored
-    from bench.reporting.figures.online import Shown
+    from bench.reporting.figures.online import ShownTrack
     from bench.reporting.tables.online_table import BOUND, Line
 
     count = max(task.replicates for task in tasks)
@@ -199,7 +199,7 @@ def _scored(scenario: OnlineScenario, tasks: Sequence[Tracking], store: Path) ->
         )  # fmt: skip
         if 0 in good:
             drawn[title] = (good[0], scores[quantities[0]].excess)
-    shown = Shown(scenario.label, streams[0], bounds[0], quantities[0], drawn) if drawn else None
+    shown = ShownTrack(scenario.label, streams[0], bounds[0], quantities[0], drawn) if drawn else None
     return lines, shown
 
 

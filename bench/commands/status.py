@@ -11,7 +11,7 @@ from bench.commands.stores import OWN, ArchiveFolder, CellIdentity, StoreFolder,
 from bench.commands.watch import follow
 from bench.config.overrides import settable
 from bench.contract.estimate import Status
-from bench.engine.plan import State, plan, read_retry, standing
+from bench.engine.plan import CellState, plan, read_retry, standing
 from bench.entrants.registry import method_names
 from bench.errors import InputError, shortened
 from bench.isolation.machine import usable_cores
@@ -36,7 +36,7 @@ def standings(store: Store) -> list[tuple[Head, str, str]]:
 
 def _standing(head: Head) -> tuple[str, str]:
     if head.problem:
-        return State.DAMAGED.value, head.problem
+        return CellState.DAMAGED.value, head.problem
     method, system = str(head.cell.get("method")), str(head.cell.get("data", {}).get("system"))
     for kind, name, known in (("method", method, method_names()), ("system", system, registered_systems())):
         if name not in known:
@@ -56,7 +56,7 @@ def store_page(store: Store) -> str:
         return f"{store.folder}: no cells yet; python -m bench method=ls computes a first one"
     counts = Counter((head.label, state) for head, state, _ in cells)
     total = Counter(state for _, state, _ in cells)
-    order = [state for state in (*(s.value for s in State), FOREIGN) if total[state]]
+    order = [state for state in (*(s.value for s in CellState), FOREIGN) if total[state]]
     rows = []
     for label in sorted({label for label, _ in counts}):
         heads = [head for head, _, _ in cells if head.label == label]
@@ -70,7 +70,7 @@ def store_page(store: Store) -> str:
     ]  # fmt: skip
     if store.archive is not None:
         lines.append(f"published archive: {store.archive.folder} ({len(cells) - own} cells)")
-    for state in (State.STALE.value, State.FAILED.value, FOREIGN, State.DAMAGED.value):
+    for state in (CellState.STALE.value, CellState.FAILED.value, FOREIGN, CellState.DAMAGED.value):
         reasons = Counter(why for _, own_state, why in cells if own_state == state)
         for why, n in reasons.most_common(MOST_REASONS):
             labels = sorted({head.label for head, *reason in cells if reason == [state, why]} - {"?"})[:6]

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from bench.commands.declaration import Choice, Others, Parsed, Within, file, settings_of
+from bench.commands.declaration import OneOf, Others, Parsed, Within, file, settings_of
 from bench.errors import InputError
 from bench.scenario.declaration import value_of
 
@@ -46,8 +46,8 @@ def trackers() -> Sequence[str]:
 
 def track(
     settings: Annotated[Sequence[str], Others(("method",)), "method.<setting>="],
-    system: Annotated[str, Choice(systems), "system of conf/system, for its equations alone"] = "sdof",
-    method: Annotated[str | None, Choice(trackers), "online method, or window_<batch method> (method.length=150 "
+    system: Annotated[str, OneOf(systems), "system of conf/system, for its equations alone"] = "sdof",
+    method: Annotated[str | None, OneOf(trackers), "online method, or window_<batch method> (method.length=150 "
                       "method.every=10) [the first of results/online.md]"] = None,
     sensors: Annotated[tuple[str, ...], "displacement:0,acceleration:1 [displacement of every DOF]"] = (),
     forced: Annotated[tuple[str, ...], "DOFs whose force is in the lines, e.g. 0 [none]"] = (),
@@ -158,9 +158,9 @@ def _displays(layout: Layout, view: bool, page: bool, port: int) -> list[Display
 
         displays.append(View(layout))
     if page:
-        from bench.twin.page import Page
+        from bench.twin.page import PageServer
 
-        served = Page(layout, port)
+        served = PageServer(layout, port)
         print(f"bench track: {served.url}", file=sys.stderr, flush=True)
         displays.append(served)
     return displays

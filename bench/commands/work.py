@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.config.fields import MOST_WORKERS
-from bench.engine.pool import Limits, Task, run_tasks, say
+from bench.engine.pool import Limits, StoredTask, run_tasks, say
 from bench.engine.progress import progress_bar
 from bench.reporting.whole_file import check_folder
 from bench.scenario.declaration import Within
@@ -33,7 +33,7 @@ class Work:
     dry_run: bool = False
     launcher: tuple[str, ...] = ()
 
-    def complete(self, tasks: Sequence[Task], unit: str) -> bool:
+    def complete(self, tasks: Sequence[StoredTask], unit: str) -> bool:
         """Have the tasks done that the store lacks; returns whether tables are to be written. Raises InputError."""
         if not self.dry_run:
             check_folder(self.store, "store")

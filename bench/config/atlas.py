@@ -8,7 +8,7 @@ from typing import Any
 from bench.atlas.design import Slice, blocks, made, sobol
 from bench.atlas.forced import Forced
 from bench.atlas.point import FreeDecay, Point
-from bench.atlas.run import Block
+from bench.atlas.run import PointBlock
 from bench.config.files import read_yaml
 from bench.entrants.registry import make_method
 from bench.errors import check_name
@@ -54,7 +54,7 @@ def on_the_bound() -> list[str]:
 
 def atlas_blocks(
     part: str, methods: Sequence[str] = (), most_points: int | None = None, test: str = FREE_DECAY
-) -> list[Block]:
+) -> list[PointBlock]:
     """Return what is to be computed for a part, block by block, with all methods of a block one behind the other.
 
     Raises InputError for a kind of test, a part or a method that the atlas does not have.
@@ -79,5 +79,5 @@ def atlas_blocks(
             make_method(method, settings)  # a name or a setting that is wrong is said before any work starts
             n = content["replicates_by_method"].get(label, content["replicates"])
             n = n if sampled else content["slice_replicates"]
-            result.append(Block(block, method, settings, n, content["seed"], label))
+            result.append(PointBlock(block, method, settings, n, content["seed"], label))
     return result

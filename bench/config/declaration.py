@@ -28,7 +28,7 @@ Names = Sequence[str] | Callable[[], Sequence[str]]
 EMPTY = inspect.Parameter.empty
 
 
-class Choice:
+class OneOf:
     """Limits a text, or each of a tuple of texts, to some names; an error guesses what was meant."""
 
     def __init__(self, names: Names) -> None:
@@ -96,7 +96,7 @@ class Field:
     @property
     def choices(self) -> Sequence[str]:
         """The names among which a value is chosen; empty for any other field."""
-        named = next((part.names for part in typing.get_args(self.kind) if isinstance(part, Choice)), ())
+        named = next((part.names for part in typing.get_args(self.kind) if isinstance(part, OneOf)), ())
         if bool in self.types:
             return ("true", "false")
         return named or next((typing.get_args(t) for t in self.types if typing.get_origin(t) is Literal), ())

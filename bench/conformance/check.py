@@ -22,7 +22,7 @@ class Refusal(Exception):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CheckOutcome:
     """The result of a check: a remark or a reason as ``found``, and a remedy where it failed."""
 
     name: str
@@ -51,14 +51,14 @@ class Check:
     remedy: str
     gate: bool = False
 
-    def failed(self, found: str, remedy: str = "", traceback: str = "") -> Outcome:
+    def failed(self, found: str, remedy: str = "", traceback: str = "") -> CheckOutcome:
         """Return the outcome of a failure."""
-        return Outcome(self.name, self.about, False, found, remedy or self.remedy, traceback)
+        return CheckOutcome(self.name, self.about, False, found, remedy or self.remedy, traceback)
 
-    def outcome(self, subject: Any) -> Outcome:
+    def outcome(self, subject: Any) -> CheckOutcome:
         """Run the check; whatever the subject raises makes it fail."""
         try:
-            return Outcome(self.name, self.about, True, self.run(subject) or "")
+            return CheckOutcome(self.name, self.about, True, self.run(subject) or "")
         except Refusal as refusal:
             return self.failed(str(refusal), refusal.remedy)
         except Exception as error:

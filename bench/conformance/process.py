@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from multiprocessing.connection import Connection
 from typing import Any
 
-from bench.conformance.check import Checks, Outcome
+from bench.conformance.check import CheckOutcome, Checks
 from bench.conformance.method_checks import METHOD_CHECKS
 from bench.conformance.subjects import Subject, made, subjects_of
 from bench.conformance.system_checks import SYSTEM_CHECKS
@@ -22,7 +22,7 @@ Settings = Mapping[str, Mapping[str, Any]]
 """Settings of methods and options of systems, by kind."""
 
 
-def checked(text: str, settings: Settings, timeout_s: float) -> Iterator[tuple[Subject, Outcome]]:
+def checked(text: str, settings: Settings, timeout_s: float) -> Iterator[tuple[Subject, CheckOutcome]]:
     """Run the checks of all that a text names, each within a time limit (s), up to a gate that fails.
 
     Raises:

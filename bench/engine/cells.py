@@ -20,9 +20,9 @@ import numpy as np
 from bench.contract.estimate import Status
 from bench.engine import method_process, scoring_process
 from bench.engine.method_process import reference_fit
-from bench.engine.plan import FAILURES, Planned, State
-from bench.engine.pool import Counted, Job, Limits, Worker
-from bench.engine.scoring_process import Failure, Scored
+from bench.engine.plan import FAILURES, CellState, Planned
+from bench.engine.pool import Counted, DividedTask, Limits, Worker
+from bench.engine.scoring_process import Failure, ScoredRows
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import make_method, missing_package
 from bench.errors import InputError
@@ -69,7 +69,7 @@ def ask(worker: Worker, request: str, *arguments: Any, limit_s: float = SCORING_
     return answer
 
 
-class CellJob(Job):
+class CellJob(DividedTask):
     """A cell to be computed: the replicates that are still to be fitted, and the rows so far.
 
     Args:
@@ -96,13 +96,13 @@ class CellJob(Job):
         self.bounded, self.kept = not unbounded, replicates is None
         self.alone: set[int] = set()
         """Replicates that are fitted one by one."""
-        self.scored = Scored()
+        self.scored = ScoredRows()
         self._prepare_fit()
         lacking = missing_package(cell.method)
         if unbounded or lacking:
             status = Status.INVALID if unbounded else Status.MISSING_DEPENDENCY
             self.scored.rows = Rows.of(Row(i, status, unbounded or lacking or "") for i in wanted)
-        elif planned.state is State.FAILED:
+        elif planned.state is CellState.FAILED:
             self._keep_good()
         there = set(self.scored.rows.plain("replicate"))
         self.done = len(there)
@@ -154,7 +154,7 @@ class CellJob(Job):
         self.alone.update(parts)
         self.pending.extendleft(reversed(parts))
 
-    def perform(self, parts: tuple[int, ...], worker: Worker) -> Scored | None:
+    def perform(self, parts: tuple[int, ...], worker: Worker) -> ScoredRows | None:
         """Fit and score replicates; None where they are to be tried again one by one."""
         started = time.monotonic()
         try:
@@ -173,7 +173,7 @@ class CellJob(Job):
             return ask(worker, "fail", self.cell, parts[0], failure, wall_s)  # type: ignore[no-any-return]
         except (Died, ScoringError):
             row = Row(parts[0], failure.status, failure.message, wall_s=wall_s)
-            return Scored(Rows.of([row]), {parts[0]: failure.log})
+            return ScoredRows(Rows.of([row]), {parts[0]: failure.log})
 
     def _answers(self, parts: tuple[int, ...], worker: Worker) -> bytes | Failure | None:
         """Return the packed answers of the method; else why there are none, or None where that is not known."""
@@ -195,7 +195,7 @@ class CellJob(Job):
             best = reports[-1] if reports and n == 1 else None
             return Failure(Status(died.reason), died.message, died.log, best)
 
-    def add(self, outcome: Scored) -> Counted:
+    def add(self, outcome: ScoredRows) -> Counted:
         self.scored.add(outcome)
         self.done += len(outcome.rows)
         return Counted(len(outcome.rows), sum(status in FAILURES for status in outcome.rows.statuses))
@@ -226,5 +226,5 @@ class CellJob(Job):
     def refuse(self, message: str, log: str = "") -> None:
         """Replace all that is known of the cell by the reason why it cannot be scored."""
         rows = [replace(row, status=Status.INVALID, message=message, scores={}) for row in self.scored.rows]
-        self.scored = Scored(Rows.of(rows), {rows[0].replicate: log})
+        self.scored = ScoredRows(Rows.of(rows), {rows[0].replicate: log})
         self.bounded = False  # that may have been the reason

@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from bench.atlas.run import Block
-from bench.engine.plan import Planned, State
+from bench.atlas.run import PointBlock
+from bench.engine.plan import CellState, Planned
 from bench.engine.pool import Limits, run_tasks, say
 from bench.engine.progress import OnLook
 from bench.engine.runner import run_cells
@@ -26,7 +26,7 @@ from bench.store.seal import Unsealed, sealed, unsealed
 from bench.store.store import Store
 
 FORMAT = 4
-LaunchTask = Planned | Block
+LaunchTask = Planned | PointBlock
 
 
 @dataclass(frozen=True)
@@ -37,14 +37,14 @@ class StatedTask:
     kind: Literal["cell", "block"]
     key: str
     content: dict[str, Any]
-    state: State = State.MISSING
+    state: CellState = CellState.MISSING
     stamp: int = 0
     force_file: str | None = None
 
     @classmethod
     def of(cls, task: LaunchTask) -> StatedTask:
         """Return what is written of a task."""
-        if isinstance(task, Block):
+        if isinstance(task, PointBlock):
             return cls("block", task.key, task.stated())
         force = task.cell.scenario.force
         file = str(Path(force.file).resolve()) if force and force.file else None
@@ -53,7 +53,7 @@ class StatedTask:
     def restored(self) -> LaunchTask:
         """Return the task; raises InputError."""
         if self.kind == "block":
-            return Block.restored(self.content, self.key)
+            return PointBlock.restored(self.content, self.key)
         cell = Cell.restored(self.content, self.key, Path(self.force_file) if self.force_file else None)
         return Planned(cell, self.state, "", True, self.stamp)
 
@@ -93,7 +93,7 @@ class LaunchJob:
     def run(self, limits: Limits, on_look: OnLook) -> None:
         """Compute and store the tasks on this machine."""
         run_cells([task for task in self.tasks if isinstance(task, Planned)], self.store, limits, on_look)
-        blocks = [task for task in self.tasks if isinstance(task, Block)]
+        blocks = [task for task in self.tasks if isinstance(task, PointBlock)]
         for key, error in run_tasks(blocks, self.store.folder, limits, ("fit", "block"), on_look).items():
             say(f"block {key}: {error}")
 

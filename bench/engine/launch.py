@@ -23,7 +23,7 @@ from typing import Any
 from bench.engine.job_file import LaunchJob, read_job
 from bench.engine.plan import Planned, plan
 from bench.engine.pool import Limits, say
-from bench.engine.progress import Look, progress_bar
+from bench.engine.progress import RunState, progress_bar
 from bench.engine.runner import needed
 from bench.errors import InputError
 from bench.isolation.failure import one_line
@@ -117,7 +117,7 @@ def run_job(config: Any) -> dict[str, int]:
     limits = replace(job.limits, workers=_cores(HydraConfig.get().launcher), preload=tuple(config.preload))
     left = job.left()
 
-    def on_look(look: Look) -> None:
+    def on_look(look: RunState) -> None:
         if not path.exists():  # and with it whoever waits for the job
             remedy = "was removed while the sweep ran; start it again, what was stored is kept"
             raise InputError("store", path.parent, remedy)
@@ -251,7 +251,7 @@ def _watched(job: LaunchJob, shown: bool) -> Iterator[None]:
             left = len(job.left())
             done = len(job.tasks) - left
             seconds_left = (started - begun) / done * left if done else math.nan
-            on_look(Look(job.unit, done, len(job.tasks), "", seconds_left, False))
+            on_look(RunState(job.unit, done, len(job.tasks), "", seconds_left, False))
             return time.monotonic() - started
 
         def watch() -> None:

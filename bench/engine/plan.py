@@ -19,7 +19,7 @@ FAILURES = frozenset(Status) - {Status.OK, Status.UNSUPPORTED, Status.MISSING_DE
 """What ``retry=failed`` tries again; a method that cannot take a problem will not be able to the next time either."""
 
 
-class State(StrEnum):
+class CellState(StrEnum):
     """States of a cell in the store."""
 
     DONE = "done"
@@ -38,7 +38,7 @@ class Planned:
     """
 
     cell: Cell
-    state: State
+    state: CellState
     why: str
     run: bool
     stamp: int = 0
@@ -82,19 +82,19 @@ def _planned(cell: Cell, store: Store, retry: Collection[Status]) -> Planned:
     anew = set(retry) >= FAILURES
     damage = store.damage(cell.identity) if anew else ""
     if damage:
-        return Planned(cell, State.DAMAGED, damage, True, store.stamp(cell.identity))
+        return Planned(cell, CellState.DAMAGED, damage, True, store.stamp(cell.identity))
     stored = store.head(cell.identity)
     if stored is None:
-        return Planned(cell, State.MISSING, "not computed yet", True)
+        return Planned(cell, CellState.MISSING, "not computed yet", True)
     state, why = standing(stored, cell.method, cell.version)
-    if state is State.FAILED:
+    if state is CellState.FAILED:
         counts = set(map(Status, stored.statuses))
         installable = Status.MISSING_DEPENDENCY in counts and missing_package(cell.method) is None
         return Planned(cell, state, why, installable or bool(counts & set(retry)), stored.stamp)
-    return Planned(cell, state, why, state is State.STALE, stored.stamp)
+    return Planned(cell, state, why, state is CellState.STALE, stored.stamp)
 
 
-def standing(stored: Head, method: str, today: Version) -> tuple[State, str]:
+def standing(stored: Head, method: str, today: Version) -> tuple[CellState, str]:
     """Say whether a stored cell is current, and why not.
 
     Args:
@@ -103,9 +103,9 @@ def standing(stored: Head, method: str, today: Version) -> tuple[State, str]:
         today: The version that would compute it today.
     """
     if not today.is_that_of(stored.version):
-        return State.STALE, today.changed_since(stored.version)
+        return CellState.STALE, today.changed_since(stored.version)
     if Status.MISSING_DEPENDENCY in stored.statuses:
-        return State.FAILED, missing_package(method) or "its package is installed now"
+        return CellState.FAILED, missing_package(method) or "its package is installed now"
     counts = stored.statuses.items()
     why = ", ".join(f"{n} of {stored.replicates} {Status(name)}" for name, n in counts if name in FAILURES)
-    return (State.FAILED, why) if why else (State.DONE, "")
+    return (CellState.FAILED, why) if why else (CellState.DONE, "")

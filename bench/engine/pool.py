@@ -43,7 +43,7 @@ class Limits:
     preload: tuple[str, ...] = ()
 
 
-class Task(Protocol):
+class StoredTask(Protocol):
     """A piece of work with a stored result, e.g. a block of the atlas. It is pickled into a process of the pool.
 
     ``key`` is a digest of all that the result depends on; tasks of one ``kind`` cost as much; ``size`` is the number of
@@ -78,8 +78,8 @@ class Counted(NamedTuple):
     error: str = ""
 
 
-class Job:
-    """A task as the driver sees it: it has parts, which workers take one after another; a :class:`Task` has one.
+class DividedTask:
+    """A task as the driver sees it: it has parts, which workers take one after another; a :class:`StoredTask` has one.
 
     A cell has a replicate in each part (:class:`bench.engine.cells.CellJob`).
     """
@@ -116,10 +116,10 @@ class Job:
         """Store the result, once all parts are done; raises InputError where that cannot be."""
 
 
-class TaskJob(Job):
-    """A :class:`Task`, which one call in one process performs and stores."""
+class TaskJob(DividedTask):
+    """A :class:`StoredTask`, which one call in one process performs and stores."""
 
-    def __init__(self, task: Task, folder: Path, memory_mb: float) -> None:
+    def __init__(self, task: StoredTask, folder: Path, memory_mb: float) -> None:
         super().__init__(task.key, task.kind, " ".join(task.kind), task.size)
         self.task, self.folder, self.memory_mb = task, folder, memory_mb
         self.pending.append(task)
@@ -127,7 +127,7 @@ class TaskJob(Job):
     def stored(self) -> bool:
         return self.task.stored(self.folder)
 
-    def perform(self, parts: Task, worker: Worker) -> str:
+    def perform(self, parts: StoredTask, worker: Worker) -> str:
         try:
             child = worker.process(serve_tasks)
             child.send(pickle.dumps((parts, self.folder)))
@@ -163,13 +163,13 @@ def serve_tasks(connection: Connection) -> None:
 class TaskQueue:
     """The tasks of a run, shared by its threads: each call is one step under a lock."""
 
-    def __init__(self, jobs: Sequence[Job], claims: Path) -> None:
+    def __init__(self, jobs: Sequence[DividedTask], claims: Path) -> None:
         self.claims = Claims(claims)
         self.events: queue.Queue[Any] = queue.Queue()
         """For the driver: what was done, lines to be printed, errors, and workers that have ended."""
         self.stopped = threading.Event()
         self._waiting = deque(jobs)
-        self._open: list[Job] = []
+        self._open: list[DividedTask] = []
         self._changed = threading.Condition()
         self._waited_since: float | None = None
 
@@ -178,7 +178,7 @@ class TaskQueue:
         """Return whether there are tasks that no worker has begun."""
         return bool(self._waiting)
 
-    def take(self, last: Job | None) -> tuple[Job, Any] | None:
+    def take(self, last: DividedTask | None) -> tuple[DividedTask, Any] | None:
         """Return a task and the parts to be performed next, of the last task if it has any; None at the end.
 
         There are no parts where all are done.
@@ -210,7 +210,7 @@ class TaskQueue:
             holder = self.claims.holder(self._waiting[0].key)
             self.events.put(f"waiting for another run on this store (cells left: {len(self._waiting)}): {holder}")
 
-    def _claimed(self) -> Job | None:
+    def _claimed(self) -> DividedTask | None:
         """Claim the next task that no driver works on; one that another has stored meanwhile is done."""
         for _ in range(len(self._waiting)):
             job = self._waiting.popleft()
@@ -225,19 +225,19 @@ class TaskQueue:
                 return job
         return None
 
-    def put_back(self, job: Job, parts: Any) -> None:
+    def put_back(self, job: DividedTask, parts: Any) -> None:
         """Return parts of a task that are to be tried again."""
         with self._changed:
             job.put_back(parts)
             self._changed.notify_all()
 
-    def add(self, job: Job, outcome: Any, seconds: float) -> bool:
+    def add(self, job: DividedTask, outcome: Any, seconds: float) -> bool:
         """Keep an outcome, which took a worker ``seconds``; return whether the task is complete."""
         with self._changed:
             self.events.put((job, job.add(outcome), seconds))
             return job.done == job.size
 
-    def close(self, job: Job) -> None:
+    def close(self, job: DividedTask) -> None:
         """Give up the claim of a task that is finished."""
         with self._changed:
             self._open.remove(job)
@@ -251,12 +251,12 @@ class Worker(threading.Thread):
         super().__init__(daemon=True)
         self.tasks, self.children = tasks, children
         self.processes: dict[Hashable, Child] = {}
-        self.serving: Job | None = None
+        self.serving: DividedTask | None = None
         """The cell that the process of a method is for."""
 
     def run(self) -> None:
         """Perform tasks until there are none, and report what is raised."""
-        job: Job | None = None
+        job: DividedTask | None = None
         try:
             while (taken := self.tasks.take(job)) is not None:
                 job, parts = taken
@@ -270,7 +270,7 @@ class Worker(threading.Thread):
         finally:
             self.tasks.events.put(self)
 
-    def _perform(self, job: Job, parts: Any) -> None:
+    def _perform(self, job: DividedTask, parts: Any) -> None:
         complete = parts is None
         if not complete:
             started = time.monotonic()
@@ -303,7 +303,7 @@ class Worker(threading.Thread):
 
 
 def run_jobs(
-    jobs: Sequence[Job],
+    jobs: Sequence[DividedTask],
     claims: Path,
     children: Children,
     workers: int,
@@ -368,7 +368,7 @@ def say(line: str) -> None:
 
 
 def run_tasks(
-    tasks: Sequence[Task], folder: Path, limits: Limits, counted: tuple[str, str], on_look: OnLook | None = None
+    tasks: Sequence[StoredTask], folder: Path, limits: Limits, counted: tuple[str, str], on_look: OnLook | None = None
 ) -> dict[str, str]:
     """Compute and store the results of tasks that are not stored yet; see :func:`run_jobs`.
 

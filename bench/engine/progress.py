@@ -25,7 +25,7 @@ DRAWS_PER_S = 2
 
 
 @dataclass(frozen=True)
-class Look:
+class RunState:
     """State of a run.
 
     Attributes:
@@ -65,7 +65,7 @@ class Look:
         )
 
 
-OnLook = Callable[[Look], None]
+OnLook = Callable[[RunState], None]
 """Called once before the work and whenever some of it is done."""
 
 
@@ -89,7 +89,7 @@ class Progress:
         self._pieces = Counter[Hashable]()
         self._failed = 0
 
-    def add(self, key: str, n: int, seconds: float = math.nan, failed: int = 0, what: str = "") -> Look:
+    def add(self, key: str, n: int, seconds: float = math.nan, failed: int = 0, what: str = "") -> RunState:
         """Count ``n`` parts of a task that are done, of which some ``failed``.
 
         ``seconds`` is what they took a worker; NaN where they were not computed here.
@@ -105,14 +105,14 @@ class Progress:
                 self._pieces[label] += n
         return self.look(what)
 
-    def look(self, what: str = "") -> Look:
+    def look(self, what: str = "") -> RunState:
         """Return the state."""
         costs = {kind: self._cost(kind) for kind, n in self._left.items() if n}
         known = sum(self._left[kind] * cost for kind, cost in costs.items() if not math.isnan(cost))
         unknown = any(map(math.isnan, costs.values()))
         done = sum(not n for n in self._open.values())
         notes = [f"{done}/{len(self._open)} {self.task}s"] if self.task else []
-        return Look(
+        return RunState(
             unit=self.unit,
             done=self._total - sum(self._left.values()),
             total=self._total,
@@ -153,7 +153,7 @@ def duration(seconds: float) -> str:
 class _Stage:
     """The last look of a unit, and when it and the first were reported."""
 
-    def __init__(self, look: Look) -> None:
+    def __init__(self, look: RunState) -> None:
         self.look = look
         self.started = self.seen = self.printed = time.monotonic()
         self.bar: Any = None
@@ -194,7 +194,7 @@ def counter(unit: str, total: int) -> Iterator[Callable[..., None]]:
 def _lines() -> OnLook:
     stages: dict[str, _Stage] = {}
 
-    def on_look(look: Look) -> None:
+    def on_look(look: RunState) -> None:
         if look.unit in stages and look.done == look.total == stages[look.unit].look.done:
             return  # its last line is printed
         stage = stages.setdefault(look.unit, _Stage(look))
@@ -224,7 +224,7 @@ def _bars() -> Iterator[OnLook]:
     stages: dict[str, _Stage] = {}
     with Bars(*columns, console=console, refresh_per_second=DRAWS_PER_S, redirect_stdout=False, expand=True) as bars:
 
-        def on_look(look: Look) -> None:
+        def on_look(look: RunState) -> None:
             stage = stages.setdefault(look.unit, _Stage(look))
             if stage.bar is None:
                 stage.bar = bars.add_task(f"{look.unit}s", total=look.total, stage=stage)

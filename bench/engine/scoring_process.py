@@ -49,7 +49,7 @@ Pair = tuple[Problem, Truth]
 
 
 @dataclass
-class Scored:
+class ScoredRows:
     """Rows of a cell, and what belongs to them.
 
     Attributes:
@@ -64,7 +64,7 @@ class Scored:
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
     facts: dict[str, Any] = field(default_factory=dict)
 
-    def add(self, other: Scored) -> None:
+    def add(self, other: ScoredRows) -> None:
         """Add rows of the same cell."""
         self.rows += other.rows
         self.tracebacks |= other.tracebacks
@@ -126,20 +126,20 @@ class Scorer:
         )
         return pickle.dumps(task)
 
-    def score(self, cell: Cell, answers: bytes) -> Scored:
+    def score(self, cell: Cell, answers: bytes) -> ScoredRows:
         """Return the rows of what a method's process answered."""
         return self._scored(cell, outcomes(answers))
 
-    def fail(self, cell: Cell, replicate: int, failure: Failure, wall_s: float) -> Scored:
+    def fail(self, cell: Cell, replicate: int, failure: Failure, wall_s: float) -> ScoredRows:
         """Return the row of a replicate without an answer; with a last report, the scores of that."""
         problem, truth = self._pair(cell, replicate)
         scores: Mapping[str, float] = {}
         if failure.best is not None:
             scores = self._scored(cell, [unpack(failure.best)]).rows[0].scores
         row = Row(replicate, failure.status, failure.message, scores, wall_s=wall_s, data=data_digest(problem))
-        return Scored(Rows.of([row]), {replicate: failure.log}, facts=facts(truth))
+        return ScoredRows(Rows.of([row]), {replicate: failure.log}, facts=facts(truth))
 
-    def _scored(self, cell: Cell, answered: Sequence[Mapping[str, Any]]) -> Scored:
+    def _scored(self, cell: Cell, answered: Sequence[Mapping[str, Any]]) -> ScoredRows:
         """Return what became of replicates in their order; what cannot be scored together is scored one by one."""
         pairs = [self._pair(cell, outcome["replicate"]) for outcome in answered]
         estimates = [_estimate(outcome, problem) for outcome, (problem, _) in zip(answered, pairs, strict=True)]
@@ -147,7 +147,7 @@ class Scorer:
             with np.errstate(all="ignore"):
                 estimates, columns = _judged(estimates, pairs)
         except Exception as error:  # names or shapes that the contract does not allow
-            scored = Scored()
+            scored = ScoredRows()
             if len(answered) > 1:
                 for outcome in answered:
                     scored.add(self._scored(cell, [outcome]))
@@ -161,7 +161,7 @@ class Scorer:
             "evaluations": [estimate.cost.evaluations for estimate in estimates],
             "data": [data_digest(problem) for problem, _ in pairs],
         }
-        scored = Scored(Rows.of_columns([e.status for e in estimates], plain, columns), facts=facts(pairs[0][1]))
+        scored = ScoredRows(Rows.of_columns([e.status for e in estimates], plain, columns), facts=facts(pairs[0][1]))
         for outcome, estimate, pair in zip(answered, estimates, pairs, strict=True):
             if "answer" not in outcome:
                 scored.tracebacks[outcome["replicate"]] = outcome["traceback"]
@@ -173,7 +173,7 @@ class Scorer:
         self,
         cell: Cell,
         store: Store,
-        scored: Scored,
+        scored: ScoredRows,
         bounded: bool,
         version: dict[str, Any],
         provenance: Mapping[str, Any],

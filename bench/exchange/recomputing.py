@@ -8,7 +8,7 @@ from pathlib import Path
 
 from bench.config.fields import MOST_MEMORY_MB, MOST_TIMEOUT_S
 from bench.engine.launch import preloaded
-from bench.engine.plan import Planned, State
+from bench.engine.plan import CellState, Planned
 from bench.engine.pool import Limits
 from bench.engine.progress import progress_bar
 from bench.engine.runner import run_replicates
@@ -22,7 +22,7 @@ def recompute(chosen: Sequence[tuple[Cell, Collection[int]]], limits: Limits) ->
     """Compute some replicates of each cell; returns their rows in order, by the cell's identity."""
     with tempfile.TemporaryDirectory() as folder, progress_bar() as on_look:
         store = Store(Path(folder))
-        planned = [(Planned(cell, State.MISSING, "", True), replicates) for cell, replicates in chosen]
+        planned = [(Planned(cell, CellState.MISSING, "", True), replicates) for cell, replicates in chosen]
         return run_replicates(planned, store, limits, on_look)
 
 

@@ -24,7 +24,7 @@ from bench.reporting.record_page import record_page
 
 
 @dataclass(frozen=True, eq=False)
-class Residuals:
+class ChannelResiduals:
     """Measured minus identified motion of the first channel in ``unit``: all ``values`` and what they amount to.
 
     ``whiteness``: the p-value of the test that they are white noise.
@@ -62,7 +62,7 @@ class Identification:
     estimates: Mapping[str, StatedInterval]
     withdrawn: Mapping[str, StatedInterval]
     by_part: Mapping[str, tuple[float, ...]]
-    residuals: Residuals | None
+    residuals: ChannelResiduals | None
     scale_is_free: bool
 
     @property
@@ -247,7 +247,7 @@ def identified(finding: Finding) -> Identification:
     )
 
 
-def _residuals(finding: Finding) -> Residuals | None:
+def _residuals(finding: Finding) -> ChannelResiduals | None:
     at = finding.at
     if at is None:
         return None
@@ -255,7 +255,7 @@ def _residuals(finding: Finding) -> Residuals | None:
     own = at.channels[0]
     size = finding.channel_size
     values = size * at.residuals[own]
-    return Residuals(
+    return ChannelResiduals(
         values=values,
         rms=float(np.sqrt(np.mean(values**2))),
         part_of_signal=part_of_signal(at),

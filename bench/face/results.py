@@ -30,7 +30,7 @@ Values = Any
 
 
 @dataclass(frozen=True)
-class Result:
+class CellResult:
     """A cell and what the store holds of it: None where it was not computed."""
 
     cell: Cell
@@ -71,7 +71,7 @@ class Result:
 
 
 @dataclass(frozen=True)
-class Results(Sequence[Result]):
+class Results(Sequence[CellResult]):
     """The results of a sweep, cell by cell in its order; they are read from the store when they are looked at."""
 
     cells: tuple[Cell, ...]
@@ -84,9 +84,9 @@ class Results(Sequence[Result]):
         if isinstance(index, slice):
             return Results(self.cells[index], self.store)
         cell = self.cells[index]
-        return Result(cell, self.store.load(cell.identity))
+        return CellResult(cell, self.store.load(cell.identity))
 
-    def __iter__(self) -> Iterator[Result]:
+    def __iter__(self) -> Iterator[CellResult]:
         return (self[i] for i in range(len(self)))
 
     def frame(self) -> pd.DataFrame:

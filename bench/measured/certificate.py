@@ -47,7 +47,7 @@ DENSE = 1500
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class FittedMotion:
     """The fitted motion on a dense grid, in the channel's units."""
 
     times: np.ndarray
@@ -65,7 +65,7 @@ class Prediction:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class MethodComparison:
     """One method's value of one quantity beside the primary's: ``agrees``, ``level`` or ``off``.
 
     It agrees inside the primary's interval, and is level with it where its own interval holds the primary's value.
@@ -86,9 +86,9 @@ class Certificate:
 
     request: Request
     findings: tuple[Finding, ...]
-    compared: tuple[Comparison, ...]
+    compared: tuple[MethodComparison, ...]
     classes: tuple[ModelClass, ...] = ()
-    motion: Motion | None = None
+    motion: FittedMotion | None = None
     prediction: Prediction | None = None
     twins: Any = None
     what_if: tuple[Any, ...] = ()
@@ -201,7 +201,7 @@ def compared_quantities(findings: Sequence[Finding]) -> tuple[str, ...]:
     return tuple([*first, *(name for name in groups if name not in first)][:COMPARED])
 
 
-def comparisons(findings: Sequence[Finding]) -> tuple[Comparison, ...]:
+def comparisons(findings: Sequence[Finding]) -> tuple[MethodComparison, ...]:
     """Each method's values beside the primary's, the primary's own first."""
     found = []
     for name in compared_quantities(findings):
@@ -210,7 +210,7 @@ def comparisons(findings: Sequence[Finding]) -> tuple[Comparison, ...]:
             other = one.intervals.get(name)
             if other is not None:
                 standing = "primary" if one is findings[0] else standing_of(other, own)
-                found.append(Comparison(one.method, name, other, standing))
+                found.append(MethodComparison(one.method, name, other, standing))
     return tuple(found)
 
 
@@ -223,7 +223,7 @@ def standing_of(other: StatedInterval, own: StatedInterval | None) -> str:
     return "level" if other.low <= own.value <= other.high else "off"
 
 
-def motion_of(finding: Finding) -> Motion | None:
+def motion_of(finding: Finding) -> FittedMotion | None:
     """The fitted motion of the first channel's degree of freedom; None where it is not finite."""
     at = finding.at
     if at is None:
@@ -237,7 +237,7 @@ def motion_of(finding: Finding) -> Motion | None:
     x, v = path.displacement[mine.dof], path.velocity[mine.dof]
     if not (np.all(np.isfinite(x)) and np.all(np.isfinite(v))):
         return None
-    return Motion(units.time * times, units.of(LENGTH) * x, units.of(MEASURED["velocity"]) * v)
+    return FittedMotion(units.time * times, units.of(LENGTH) * x, units.of(MEASURED["velocity"]) * v)
 
 
 def prediction_of(at: Linearised) -> Prediction | None:

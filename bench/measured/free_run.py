@@ -14,7 +14,7 @@ from bench.dynamics.fixed_step import rk4_step
 from bench.dynamics.ops import numpy_ops
 from bench.measured.reading import read_recording
 from bench.measured.request import request_of
-from bench.measured.sets import MeasuredSet, Part
+from bench.measured.sets import MeasuredSet, SimulatedSpan
 from bench.measured.track import described
 from bench.systems import System
 
@@ -24,7 +24,7 @@ FIRST = 20
 """Samples whose spline gives the first state."""
 
 
-def part_problem(of: MeasuredSet, system: str, part: Part, folder: Path) -> tuple[System, Record]:
+def part_problem(of: MeasuredSet, system: str, part: SimulatedSpan, folder: Path) -> tuple[System, Record]:
     """The system and the whole record of a test part; raises InputError."""
     whole = of.model_copy(update={"first": part.first, "last": part.last})
     path = folder / part.file

@@ -19,7 +19,7 @@ BEST_FIRST = (Trust.TRUST, Trust.CARE, Trust.NO)
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class ChannelResponse:
     """The fitted response of a channel, in its unit.
 
     Attributes:
@@ -62,7 +62,7 @@ class Response:
     times: np.ndarray
     values: np.ndarray
     frequency: float
-    fit: Fit | None
+    fit: ChannelResponse | None
 
 
 def best_of(findings: Sequence[Finding]) -> Finding:
@@ -90,7 +90,7 @@ def response_of(finding: Finding) -> Response:
     )
 
 
-def _fit(finding: Finding, at: Linearised, frequency: float) -> Fit:
+def _fit(finding: Finding, at: Linearised, frequency: float) -> ChannelResponse:
     channel, size = finding.problem.records[0].channels[0], finding.channel_size
     residuals = size * at.residuals[at.channels[0]]
     n = int(np.clip(A_CYCLE * frequency * np.ptp(channel.times), FEWEST, MOST))
@@ -98,7 +98,7 @@ def _fit(finding: Finding, at: Linearised, frequency: float) -> Fit:
     times = np.linspace(channel.times[0], channel.times[-1], n)
     if not np.all(np.isfinite(curve)):  # the samples' own times are known to have a response
         times, curve = channel.times, channel.values - residuals
-    return Fit(times, curve, residuals, part_of_signal(at))
+    return ChannelResponse(times, curve, residuals, part_of_signal(at))
 
 
 def _between(at: Linearised, n: int) -> np.ndarray:

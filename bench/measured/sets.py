@@ -30,7 +30,7 @@ class Known(BaseModel):
     source: str
 
 
-class Part(BaseModel):
+class SimulatedSpan(BaseModel):
     """A record that fitted models are simulated over, from ``from`` to ``to`` (s) of a file's clock."""
 
     model_config = STRICT
@@ -81,7 +81,7 @@ class MeasuredSet(BaseModel):
     force_gain: float = 1.0
     hold: Hold = "linear"
     known: dict[str, Known] = {}
-    tests: dict[str, Part] = {}
+    tests: dict[str, SimulatedSpan] = {}
     unscored: int = 0
     quoted: list[Quoted] = []
 

@@ -72,7 +72,7 @@ class Stated:
 
 
 @dataclass(frozen=True)
-class Agreement:
+class SiblingAgreement:
     """How siblings agree on one quantity: R, and how many of ``counted`` intervals hold the mean of the others.
 
     ``n`` answers stand, with an interval or without; ``error`` is the median distance to the known value over it (%),
@@ -89,7 +89,7 @@ class Agreement:
     counted: int
 
 
-def agreement(found: Sequence[Stated], known: float | None = None) -> Agreement:
+def agreement(found: Sequence[Stated], known: float | None = None) -> SiblingAgreement:
     """The agreement of the siblings that have an answer that stands; one without an interval states nothing."""
     values = [one.value for one in found]
     bounded = [one for one in found if all(map(math.isfinite, (*one.ends(False), *one.ends(True))))]
@@ -104,7 +104,7 @@ def agreement(found: Sequence[Stated], known: float | None = None) -> Agreement:
     error = math.nan
     if known is not None and values:
         error = 100.0 * float(np.median(np.abs(np.array(values) - known))) / abs(known)
-    return Agreement(
+    return SiblingAgreement(
         n=len(found),
         median=float(np.median(values)) if values else math.nan,
         error=error,
@@ -140,7 +140,7 @@ class Total:
         return self.covered_white / self.counted if self.counted else math.nan
 
 
-def total(agreements: Iterable[Agreement]) -> Total:
+def total(agreements: Iterable[SiblingAgreement]) -> Total:
     """The sums of the counts, and the medians of R over those that have one."""
     several = [one for one in agreements if one.counted]
     return Total(

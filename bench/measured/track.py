@@ -37,7 +37,7 @@ ENDS = ("value", "low", "high", "white_low", "white_high")
 
 
 @dataclass(frozen=True)
-class Fit:
+class TrackFit:
     """One finished fit: what it is of, what was found, and how far to trust it.
 
     ``estimates`` stand; ``withdrawn`` are those of an answer that is not to be trusted. ``held_out``: the fit (%) of
@@ -66,12 +66,12 @@ class Fit:
         return json.dumps(asdict(self), sort_keys=True)
 
     @staticmethod
-    def of_json(text: str | bytes) -> Fit:
+    def of_json(text: str | bytes) -> TrackFit:
         """Return the fit of such a text."""
         content = json.loads(text)
         for name in ("estimates", "withdrawn"):
             content[name] = {quantity: Stated(**interval) for quantity, interval in content[name].items()}
-        return Fit(**{**content, "reasons": tuple(content["reasons"])})
+        return TrackFit(**{**content, "reasons": tuple(content["reasons"])})
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,13 +147,13 @@ def tasks(
                 yield MeasuredFit(name, of, request, job, label, recording, timeout_s)
 
 
-def read_fit(folder: Path, key: str) -> Fit | None:
+def read_fit(folder: Path, key: str) -> TrackFit | None:
     """Return a stored fit; None where there is none, or it is damaged."""
     content = read_result(folder, key)
-    return None if content is None else Fit.of_json(content)
+    return None if content is None else TrackFit.of_json(content)
 
 
-def fitted(task: MeasuredFit) -> Fit:
+def fitted(task: MeasuredFit) -> TrackFit:
     """Fit a sibling."""
     head = {
         "key": task.key, "set": task.name, "system": task.request.system, "sibling": task.sibling,
@@ -163,10 +163,10 @@ def fitted(task: MeasuredFit) -> Fit:
         finding = find(task.job, task.measured())
     except InputError as error:
         nothing = {"reasons": (), "wall_s": math.nan, "samples": 0}
-        return Fit(**head, status="refused", message=str(error), trust="do not trust", **nothing)  # type: ignore[arg-type]
+        return TrackFit(**head, status="refused", message=str(error), trust="do not trust", **nothing)  # type: ignore[arg-type]
     with np.errstate(all="ignore"):
         held_out = math.nan if finding.at is None else held_out_fit(finding.at)
-    return Fit(
+    return TrackFit(
         **head,  # type: ignore[arg-type]
         status=finding.outcome.status.value,
         message=finding.outcome.message,

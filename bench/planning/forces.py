@@ -33,18 +33,20 @@ ITERATIONS = 300
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class ForceInformation:
     """A ``force`` (n,), and by quantity the median error over the likely oscillators."""
 
     force: np.ndarray
     median: dict[str, float]
 
 
-def told_by(likely: Likely, test: ForcedTest, force: np.ndarray) -> Told:
+def told_by(likely: Likely, test: ForcedTest, force: np.ndarray) -> ForceInformation:
     """What a test under a force of any size tells, brought to the energy of the test."""
     scaled = test.scaled(force)
     every = [forced_errors(own, test, scaled) for own in likely.oscillators]
-    return Told(scaled, {name: float(np.median([one[name] for one in every])) for name in FORCED_QUANTITIES})
+    return ForceInformation(
+        scaled, {name: float(np.median([one[name] for one in every])) for name in FORCED_QUANTITIES}
+    )
 
 
 def line_frequencies(likely: Likely, test: ForcedTest) -> np.ndarray:

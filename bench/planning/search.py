@@ -69,7 +69,7 @@ class Likely:
 
 
 @dataclass(frozen=True)
-class Proposal:
+class ProposedTest:
     """A test with what it is expected to give.
 
     By quantity the error (standard deviation of the logarithm, by the bound) of the nominal oscillator, the median over
@@ -84,11 +84,11 @@ class Proposal:
     share: dict[str, float]
 
 
-def proposal(likely: Likely, decay: Decay) -> Proposal:
+def proposal(likely: Likely, decay: Decay) -> ProposedTest:
     """What a test is expected to give."""
     every = [errors(information(one, decay)) for one in likely.oscillators]
     by_name = {name: np.array([one[name] for one in every]) for name in QUANTITIES}
-    return Proposal(
+    return ProposedTest(
         decay,
         wrong_basin(as_point(likely.nominal, decay)),
         errors(information(likely.nominal, decay)),
@@ -110,7 +110,7 @@ def as_point(oscillator: Oscillator, decay: Decay) -> FreeDecay:
     return FreeDecay(decay.samples, decay.duration * oscillator.frequency, oscillator.damping_ratio, snr, 0.0, False)
 
 
-def cheapest(likely: Likely, quantity: str, error: float, amplitude: float, rate: float = 0.0) -> Proposal | None:
+def cheapest(likely: Likely, quantity: str, error: float, amplitude: float, rate: float = 0.0) -> ProposedTest | None:
     """The test of fewest samples that reaches an error of a quantity's logarithm in :data:`SHARE` of all cases.
 
     Args:

@@ -14,7 +14,7 @@ import pandas as pd
 from bench.atlas.forced import Forced
 from bench.atlas.model import FOLDS, TOLD, held_out, told
 from bench.atlas.point import GROUPS, FreeDecay, Point
-from bench.atlas.run import Block, bound_at, read_block
+from bench.atlas.run import PointBlock, bound_at, read_block
 from bench.atlas.statistics import DISPLACEMENT, columns
 from bench.atlas.threshold import wrong_basin
 from bench.entrants.registry import load_method
@@ -27,7 +27,7 @@ RARE = 0.05
 """Share of gross errors."""
 
 
-def atlas_frame(blocks: Sequence[Block], folder: Path) -> pd.DataFrame:
+def atlas_frame(blocks: Sequence[PointBlock], folder: Path) -> pd.DataFrame:
     """A line for each point and method of the blocks that are finished, with the bound; all of one kind of test."""
     lines, bounds = [], dict[Point, list[float]]()
     for block in blocks:
@@ -75,7 +75,7 @@ def near(frame: pd.DataFrame, quantity: str = GROUPS[0]) -> pd.Series:
 
 
 @dataclass(frozen=True)
-class Page:
+class AtlasPage:
     """What is said of the atlas of a kind of test, in files called ``name``."""
 
     kind: type[Point]
@@ -86,7 +86,7 @@ class Page:
     modelled: bool = False
 
 
-def written(frame: pd.DataFrame, page: Page, out: Path, command: str) -> list[Path]:
+def written(frame: pd.DataFrame, page: AtlasPage, out: Path, command: str) -> list[Path]:
     """The atlas as compressed CSV, and its summary with the data dictionary."""
     summed = out / f"{page.name}.md"
     write(summed, summary(frame, page, command), out)
@@ -103,7 +103,7 @@ def packed(frame: pd.DataFrame, path: Path) -> Path:
     return path
 
 
-def summary(frame: pd.DataFrame, page: Page, command: str) -> str:
+def summary(frame: pd.DataFrame, page: AtlasPage, command: str) -> str:
     """What a sampled atlas holds, a line a method, and what its columns mean."""
     points = len(frame.drop_duplicates([axis.name for axis in page.kind.AXES]))
     head = f"{int(frame.fits.sum()):,} fits at {points:,} points. {page.box}\n\n{HEAD}"
@@ -142,7 +142,7 @@ DICTIONARY = {
     "*_gross": "share of fits beyond five times the bound, or without an answer",
     "*_held, *_told": "share of 95 % intervals that hold the truth, of those there are; share of fits with one",
 }
-FREE_DECAYS = Page(
+FREE_DECAYS = AtlasPage(
     FreeDecay,
     "atlas",
     "The atlas of free decays",
@@ -156,7 +156,7 @@ FREE_DECAYS = Page(
     },
     modelled=True,
 )
-FORCED_TESTS = Page(
+FORCED_TESTS = AtlasPage(
     Forced,
     "atlas_forced",
     "The atlas of tests with a measured force",

@@ -65,7 +65,7 @@ class Member:
 
 
 @dataclass(frozen=True)
-class Row:
+class FamilyRow:
     """A member as a section calls it; ``base``: what the others of the section are compared with."""
 
     title: str
@@ -80,7 +80,7 @@ class Section:
     heading: str
     base: str
     settings: tuple[str, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[FamilyRow, ...]
 
     def common(self, place: Place) -> int:
         """How many data sets all rows have that are computed there: the first of the same."""
@@ -125,8 +125,8 @@ def family_of(frame: Frame) -> Family:
     members = _members(frame, method, names)
     own = [member for member in members if member.method == method]
     wanted = list(map(str, frame.table.get("references", [])))
-    references = [Row(m.name, m) for name in wanted for m in members if m.method == name]
-    others = [Row(m.name, m) for m in members if m.method not in (method, *wanted)]
+    references = [FamilyRow(m.name, m) for name in wanted for m in members if m.method == name]
+    others = [FamilyRow(m.name, m) for m in members if m.method not in (method, *wanted)]
     stated: Mapping[str, Mapping[str, Any]] = frame.table.get("bases", {"base": {}})
     product = tuple(map(str, frame.table.get("product", [])))
     bases = {name: {s: v for s, v in own.items() if names.usual.get(s) != v} for name, own in stated.items()}
@@ -139,7 +139,7 @@ def family_of(frame: Frame) -> Family:
         bases={base: names.whole(settings) for base, settings in bases.items()},
         references=Section("Reference rows", "", (), tuple(references)),
         sections=(*near, *_several([one for one in left if one not in combined], frame.table.get("factors", {}))),
-        combinations=Section("Combinations", "", product, tuple(Row(one.name, one) for one in combined)),
+        combinations=Section("Combinations", "", product, tuple(FamilyRow(one.name, one) for one in combined)),
         others=Section("Other packages", "", (), tuple(others)),
         members=tuple(members),
         names=names,
@@ -220,7 +220,7 @@ def _sections(
             first = next((m for m in members if not apart(m.settings, usual)), Member(method, base, usual, {}))
             if near:
                 called = names.together({setting: usual.get(setting, names.usual.get(setting)) for setting in settings})
-                yield Section(heading, base, tuple(settings), (Row(called, first, True), *near))
+                yield Section(heading, base, tuple(settings), (FamilyRow(called, first, True), *near))
 
 
 def _left(members: Sequence[Member], bases: Collection[Mapping[str, Any]], sections: Iterable[Section]) -> list[Member]:
@@ -232,10 +232,10 @@ def _left(members: Sequence[Member], bases: Collection[Mapping[str, Any]], secti
 def _several(members: Sequence[Member], factors: Mapping[str, Sequence[str]]) -> Iterable[Section]:
     """Sections of what is more than one setting from every base."""
     for heading, own in group(members, lambda member: _heading(member, factors)).items():
-        yield Section(heading, "several settings at once", (), tuple(Row(member.name, member) for member in own))
+        yield Section(heading, "several settings at once", (), tuple(FamilyRow(member.name, member) for member in own))
 
 
-def _near(members: Sequence[Member], base: Mapping[str, Any], settings: Sequence[str], names: Names) -> list[Row]:
+def _near(members: Sequence[Member], base: Mapping[str, Any], settings: Sequence[str], names: Names) -> list[FamilyRow]:
     """The members that differ from a base in one of these settings alone, in the order of its values."""
     found = []
     for member in members:
@@ -243,7 +243,9 @@ def _near(members: Sequence[Member], base: Mapping[str, Any], settings: Sequence
         if len(different) == 1 and different <= set(settings):
             setting = different.pop()
             value = member.settings.get(setting, names.usual.get(setting))
-            found.append((settings.index(setting), names.order(setting, value), Row(names.of(setting, value), member)))
+            found.append(
+                (settings.index(setting), names.order(setting, value), FamilyRow(names.of(setting, value), member))
+            )
     return [row for _, _, row in sorted(found, key=lambda one: one[:2])]
 
 

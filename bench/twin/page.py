@@ -28,7 +28,7 @@ POLICY = "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline
 """Nothing from elsewhere; the library of the curves sets styles on its elements."""
 
 
-class Page:
+class PageServer:
     """Serves the page in threads; ``url`` is its address."""
 
     def __init__(self, layout: Layout, port: int) -> None:
@@ -70,7 +70,7 @@ class Page:
 
 
 class _Server(ThreadingHTTPServer):
-    page: Page
+    page: PageServer
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -97,7 +97,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
 
-    def _events(self, page: Page) -> None:
+    def _events(self, page: PageServer) -> None:
         """Send what is kept, then what comes, several samples a message."""
         self._begin("text/event-stream")
         sent = 0

@@ -49,7 +49,7 @@ class Clock:
         return time.process_time() - self.started - self.noting
 
 
-class Path:
+class TrainingPath:
     """Moments of a training: processor seconds, log-parameters, and the plain residual vector on the first grid.
 
     Each start of a fit has one of its own, by one clock.
@@ -98,7 +98,7 @@ class Loss:
         residuals: TrainingResiduals,
         weighting: Weighting,
         sampling: Sampling,
-        path: Path,
+        path: TrainingPath,
         shapes: Sequence[tuple[int, ...]],
         tolerance: float | None,
     ) -> None:

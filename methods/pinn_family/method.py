@@ -74,11 +74,11 @@ class PINNFamily(FamilySettings):
                     used += work
 
     def _fitted(self, task: Task, n: int, clock: Clock, budget: float) -> tuple[Fit, float]:
-        from methods.pinn_family.loss import Path
+        from methods.pinn_family.loss import TrainingPath
         from methods.pinn_family.training import fit
 
         settings, watch = replace(self, budget=budget), partial(self._report, [task])
-        return fit(task.scaled, task.guesses[n], settings, task.rng, Path(clock), watch)
+        return fit(task.scaled, task.guesses[n], settings, task.rng, TrainingPath(clock), watch)
 
     def _resample(self, task: Task) -> None:
         """State the uncertainty in another way than the linearised (:mod:`methods.pinn_family.uncertainty`)."""

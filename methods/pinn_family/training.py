@@ -20,7 +20,7 @@ from methods.pinn.levenberg import DualEquations, Walk, equations, minimise
 from methods.pinn.residuals import Residuals
 from methods.pinn_family.architectures import FeatureAnsatz
 from methods.pinn_family.choices import component
-from methods.pinn_family.loss import Loss, Path, best_of
+from methods.pinn_family.loss import Loss, TrainingPath, best_of
 from methods.pinn_family.optimizers import Adam, LevenbergMarquardt
 from methods.pinn_family.sampling import SAMPLINGS, TrainingResiduals
 from methods.pinn_family.weighting import Sizes
@@ -49,7 +49,7 @@ class FamilyAttempt(Attempt):
         settings: FamilySettings,
         rng: np.random.Generator,
         watch: Watch,
-        path: Path,
+        path: TrainingPath,
     ) -> None:
         super().__init__([problem], [guess], settings, [rng], watch)
         self.family, self.rng = settings, rng
@@ -181,7 +181,7 @@ class TrainedFit(Fit):
 
 
 def fit(
-    problem: Problem, guess: Guess, settings: FamilySettings, rng: np.random.Generator, path: Path, watch: Watch
+    problem: Problem, guess: Guess, settings: FamilySettings, rng: np.random.Generator, path: TrainingPath, watch: Watch
 ) -> tuple[TrainedFit, float]:
     """Train from a starting guess; returns the fit, with the path and its judgement, and its work."""
     with torch_threads(settings.threads), torch.no_grad():

@@ -24,7 +24,7 @@ from methods.pinn.engine import torch_threads
 from methods.pinn.laplace import laplace
 from methods.pinn.task import Task, simulated
 from methods.pinn_family.architectures import FeatureAnsatz
-from methods.pinn_family.loss import Clock, Path, tensor
+from methods.pinn_family.loss import Clock, TrainingPath, tensor
 from methods.pinn_family.sampling import TrainingResiduals
 from methods.pinn_family.training import FamilyAttempt, TrainedFit, fit
 
@@ -85,7 +85,7 @@ class TrainedPosterior:
 
 
 @dataclass(frozen=True, eq=False)
-class MeanResponse:
+class AveragedResponse:
     """The mean of responses; can be pickled where they can."""
 
     responses: tuple[Function, ...]
@@ -108,7 +108,7 @@ def from_draws(posterior: TrainedPosterior, fit: TrainedFit, draws: Sequence[Ten
         fit,
         logs=logs.mean(0),
         covariance=np.atleast_2d(np.cov(logs[:, posterior.residuals.free].T)),
-        responses=tuple(map(MeanResponse, zip(*map(posterior.responses, few), strict=True))),
+        responses=tuple(map(AveragedResponse, zip(*map(posterior.responses, few), strict=True))),
         bands=tuple(Band(old.times, spread) for old, spread in zip(fit.bands, spreads, strict=True)),
         starts=[np.mean(record, axis=0) for record in zip(*starts, strict=True)],
         offsets=np.mean([posterior.offsets(z) for z in draws], axis=0),
@@ -133,7 +133,7 @@ def members(task: Task, best: Fit, settings: FamilySettings) -> list[Fit]:
     problems = [simulated(task.scaled, best, task.rng) if bootstrap else task.scaled for _ in range(settings.members)]
     fits: list[Fit] = []
     for problem, rng in zip(problems, task.rng.spawn(settings.members), strict=True):
-        member, _ = fit(problem, guess, settings, rng, Path(Clock()), lambda results: None)
+        member, _ = fit(problem, guess, settings, rng, TrainingPath(Clock()), lambda results: None)
         member.attempt = None
         if np.all(np.isfinite(member.logs)):
             fits.append(member)

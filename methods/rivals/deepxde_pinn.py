@@ -23,8 +23,8 @@ from methods.rivals.rival import (
     ADAM_RATE,
     COLLOCATION,
     HIDDEN,
+    DecayRecord,
     FitPath,
-    FreeDecay,
     Now,
     TorchRival,
     linear_layers,
@@ -46,7 +46,7 @@ class DeepXDE(TorchRival):
     )
     requires: ClassVar[tuple[str, ...]] = ("deepxde", "torch")
 
-    def train(self, decay: FreeDecay, path: FitPath, seed: int) -> Estimate:
+    def train(self, decay: DecayRecord, path: FitPath, seed: int) -> Estimate:
         with torch_set_up(self.threads, seed):
             dde = _package()
             before = dde.config.default_float()
@@ -56,7 +56,7 @@ class DeepXDE(TorchRival):
             finally:
                 dde.config.set_default_float(before)
 
-    def _train(self, dde: ModuleType, decay: FreeDecay, path: FitPath, seed: int) -> Estimate:
+    def _train(self, dde: ModuleType, decay: DecayRecord, path: FitPath, seed: int) -> Estimate:
         dde.config.set_random_seed(seed)
         logs = [dde.Variable(value) for value in decay.logs]
         model, terms = _model(dde, decay, logs)
@@ -105,7 +105,7 @@ def _package() -> ModuleType:
     return deepxde
 
 
-def _model(dde: ModuleType, decay: FreeDecay, logs: list[Any]) -> tuple[Any, int]:
+def _model(dde: ModuleType, decay: DecayRecord, logs: list[Any]) -> tuple[Any, int]:
     """Return the model of equation, data, known start and network; and the number of terms of the loss."""
     import torch
 

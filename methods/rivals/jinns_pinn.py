@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bench import Card, Estimate
-from methods.rivals.rival import ADAM_RATE, COLLOCATION, HIDDEN, FitPath, FreeDecay, Rival, rival_card
+from methods.rivals.rival import ADAM_RATE, COLLOCATION, HIDDEN, DecayRecord, FitPath, Rival, rival_card
 
 MOST_A_SECOND = 20_000
 """Steps that are made room for."""
@@ -42,7 +42,7 @@ class Jinns(Rival):
     )
     requires: ClassVar[tuple[str, ...]] = ("jinns", "jax")
 
-    def train(self, decay: FreeDecay, path: FitPath, seed: int) -> Estimate:
+    def train(self, decay: DecayRecord, path: FitPath, seed: int) -> Estimate:
         import jax
 
         jax.config.update("jax_enable_x64", True)
@@ -89,7 +89,7 @@ def get_grad_fn(loss: Any, batch: Any) -> Callable[..., Any]:
     return jax.grad(lambda params, **_: loss(params, batch)[0])
 
 
-def _network(decay: FreeDecay, key: Any) -> tuple[Any, Any]:
+def _network(decay: DecayRecord, key: Any) -> tuple[Any, Any]:
     """Return the package's network, and its weights with the unknowns at our start."""
     import equinox
     import jax
@@ -105,7 +105,7 @@ def _network(decay: FreeDecay, key: Any) -> tuple[Any, Any]:
     return net, Params(nn_params=weights, eq_params=unknowns)
 
 
-def _loss(decay: FreeDecay, net: Any, params: Any) -> Any:
+def _loss(decay: DecayRecord, net: Any, params: Any) -> Any:
     """Return the loss: equation, known start and data, each with weight 1."""
     import jax
     import jax.numpy as jnp
@@ -146,7 +146,7 @@ def _loss(decay: FreeDecay, net: Any, params: Any) -> Any:
     )
 
 
-def _data(decay: FreeDecay, key: Any, other: Any) -> dict[str, Any]:
+def _data(decay: DecayRecord, key: Any, other: Any) -> dict[str, Any]:
     """Return collocation points and observations."""
     import jax.numpy as jnp
     from jinns.data import DataGeneratorObservations, DataGeneratorODE

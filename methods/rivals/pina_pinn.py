@@ -24,8 +24,8 @@ from methods.rivals.rival import (
     ADAM_RATE,
     COLLOCATION,
     HIDDEN,
+    DecayRecord,
     FitPath,
-    FreeDecay,
     Now,
     TorchRival,
     linear_layers,
@@ -49,7 +49,7 @@ class PINA(TorchRival):
     )  # fmt: skip
     requires: ClassVar[tuple[str, ...]] = ("pina", "torch")
 
-    def train(self, decay: FreeDecay, path: FitPath, seed: int) -> Estimate:
+    def train(self, decay: DecayRecord, path: FitPath, seed: int) -> Estimate:
         with torch_set_up(self.threads, seed):
             import torch
             from pina.model import FeedForward
@@ -88,7 +88,7 @@ def _logs(problem: Any) -> tuple[float, float]:
     return problem.unknown_parameters["log_k"].item(), problem.unknown_parameters["log_c"].item()
 
 
-def _problem(decay: FreeDecay) -> Any:
+def _problem(decay: DecayRecord) -> Any:
     """Return the package's statement of the decay, its unknowns at our start."""
     import torch
     from pina import Condition, LabelTensor

@@ -48,7 +48,7 @@ Now = tuple[float, float, float]
 """log(k/m), log(c/m) and the loss."""
 
 
-class FreeDecay:
+class DecayRecord:
     """The record of a problem, to ten digits, and where to start, from the best wave of the start scan.
 
     ``times`` (n,) from -1 to 1, ``values`` (n,); ``known_start`` is (x0, v0 / omega) or None. ``logs`` are log(k/m) and
@@ -171,7 +171,7 @@ class Rival(Identifier):
         """
         path = FitPath(problem)
         with quiet():
-            return self.train(FreeDecay(problem), path, int(rng.integers(2**31)))
+            return self.train(DecayRecord(problem), path, int(rng.integers(2**31)))
 
     @property
     def stages(self) -> tuple[float, float]:
@@ -179,7 +179,7 @@ class Rival(Identifier):
         return ADAM_SHARE * self.seconds, (1.0 - ADAM_SHARE) * self.seconds
 
     @abstractmethod
-    def train(self, decay: FreeDecay, path: FitPath, seed: int) -> Estimate:
+    def train(self, decay: DecayRecord, path: FitPath, seed: int) -> Estimate:
         """Drive the package from the start to the answer."""
 
 

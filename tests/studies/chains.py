@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 
-from bench.config.declaration import Choice
+from bench.config.declaration import OneOf
 from bench.contract.estimate import Status
 from bench.dynamics.modal import modes
 from bench.engine.launch import complete
@@ -213,7 +213,7 @@ def _asked(at: Mapping[str, Any]) -> bool:
 
 def chains(
     sizes: Annotated[tuple[Count, ...], "numbers of masses"] = SIZES,
-    methods: Annotated[tuple[str, ...], Choice(method_names), "methods; left out: all"] = (),
+    methods: Annotated[tuple[str, ...], OneOf(method_names), "methods; left out: all"] = (),
     timeout_s: Annotated[Positive, "s by the clock, limit of a fit"] = 120.0,
     workers: Annotated[Count, "processes that fit"] = 1,
     store: Annotated[Path, "folder of finished cells, which are not computed again"] = Path(DEFAULT_STORE),

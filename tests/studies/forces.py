@@ -15,7 +15,7 @@ from bench.engine.progress import counter
 from bench.entrants.registry import make_method
 from bench.isolation.machine import single_threaded
 from bench.planning.forced import ForcedTest
-from bench.planning.forces import Forces, Told, told_by
+from bench.planning.forces import ForceInformation, Forces, told_by
 from bench.planning.search import Likely
 from bench.planning.verify import counted, simulated_forced
 from bench.reporting.tables.common import markdown_table
@@ -43,7 +43,7 @@ class Request:
         return self.test.duration * self.likely.frequency
 
 
-def drawn(number: int) -> list[tuple[Request, dict[str, Told]]]:
+def drawn(number: int) -> list[tuple[Request, dict[str, ForceInformation]]]:
     """Random tests with their forces; half of them with doubt about the oscillator."""
     rng, found = np.random.default_rng(2027), []
     for i in range(number):
@@ -56,7 +56,7 @@ def drawn(number: int) -> list[tuple[Request, dict[str, Told]]]:
     return found
 
 
-def _forces(one: Request) -> dict[str, Told]:
+def _forces(one: Request) -> dict[str, ForceInformation]:
     forces, wanted = Forces(one.likely, one.test), one.quantity
     every = {
         "hammer blow": forces.hammer_blow(), "noise": forces.noise(wanted),
@@ -91,7 +91,9 @@ def forces(
     return 0
 
 
-def page(planned: Sequence[tuple[Request, dict[str, Told]]], said: dict[str, float], method: str, tests: int) -> str:
+def page(
+    planned: Sequence[tuple[Request, dict[str, ForceInformation]]], said: dict[str, float], method: str, tests: int
+) -> str:
     """The page, a line a test."""
     titles = [title for title in planned[0][1] if title != "best"]
     ratios = np.array([

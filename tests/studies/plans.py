@@ -17,7 +17,7 @@ from bench.engine.progress import counter
 from bench.entrants.registry import make_method
 from bench.isolation.machine import single_threaded
 from bench.planning.free_decay import QUANTITIES, Decay, errors, information
-from bench.planning.search import MOST_SAMPLES, WITHIN, Likely, Proposal, cheapest, not_exceeded
+from bench.planning.search import MOST_SAMPLES, WITHIN, Likely, ProposedTest, cheapest, not_exceeded
 from bench.planning.verify import reached, simulated
 from bench.reporting.tables.common import markdown_table
 from tests.studies.common import RESULTS, Count, Out, publish, study
@@ -38,10 +38,10 @@ class Request:
     amplitude: float
 
 
-def drawn(number: int) -> list[tuple[Request, Proposal]]:
+def drawn(number: int) -> list[tuple[Request, ProposedTest]]:
     """Random requests with the test that is proposed for each; half of them with doubt about the oscillator."""
     rng = np.random.default_rng(2027)
-    found = list[tuple[Request, Proposal]]()
+    found = list[tuple[Request, ProposedTest]]()
     while len(found) < number:
         likely = drawn_likely(rng, len(found), -3.0)
         quantity = str(rng.choice(list(QUANTITIES)))
@@ -94,7 +94,7 @@ def plans(
     return 0
 
 
-Line = tuple[Request, Proposal, float, float, bool, int | None]
+Line = tuple[Request, ProposedTest, float, float, bool, int | None]
 
 
 def page(lines: Sequence[Line], method: str, tests: int, inside: int) -> str:

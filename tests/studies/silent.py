@@ -13,7 +13,7 @@ from typing import Annotated
 
 import numpy as np
 
-from bench.commands.declaration import Choice, Within
+from bench.commands.declaration import OneOf, Within
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
 from bench.entrants.registry import make_method
@@ -104,7 +104,7 @@ def silent(
     seed: Annotated[int, Within(ge=0), "seed of the draw, chosen on the day"],
     below: Annotated[Count, "scenarios below the Nyquist frequency"] = 140,
     beyond: Annotated[Count, "scenarios with 0.6 to 2 samples a cycle"] = 60,
-    methods: Annotated[tuple[str, ...], Choice(METHODS), "methods that are tried"] = METHODS,
+    methods: Annotated[tuple[str, ...], OneOf(METHODS), "methods that are tried"] = METHODS,
     out: Out = RESULTS,
 ) -> int:
     """Count the silent failures of methods on scenarios drawn by a seed."""

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
-from bench.commands.declaration import Choice, Within
+from bench.commands.declaration import OneOf, Within
 from bench.contract.estimate import Status
 from bench.contract.problem import Channel, Problem, Record
 from bench.entrants.registry import make_method
@@ -121,7 +121,7 @@ def _share(held: Sequence[bool]) -> str:
 def twins(
     records: Annotated[Count, "records of each case"] = 100,
     twins: Annotated[int, Within(ge=20, le=10**6), "twins of each record"] = 60,
-    cases: Annotated[tuple[str, ...], Choice(tuple(CASES)), "kinds of records"] = tuple(CASES),
+    cases: Annotated[tuple[str, ...], OneOf(tuple(CASES)), "kinds of records"] = tuple(CASES),
     seed: Annotated[int, Within(ge=0), "seed of all records"] = 1,
 ) -> int:
     """Measure whether intervals that were corrected by twins hold the truth.

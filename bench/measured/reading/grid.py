@@ -27,7 +27,7 @@ REPEATED_TABLE = 3
 
 
 @dataclass(slots=True)
-class Row:
+class TableRow:
     """Cells of one row and its number in the file, from 1; ``plain`` where all are numbers."""
 
     line: int
@@ -61,7 +61,7 @@ def cell_of(text: str) -> Cell:
     return NAN if text.lower() in MISSING else text
 
 
-def longest_run(rows: Sequence[Row]) -> Span:
+def longest_run(rows: Sequence[TableRow]) -> Span:
     """The longest run of rows of one width, with numbers in the same columns; the last of equals."""
     best = Span(0, 0, ())
     for span in _runs(rows):
@@ -70,7 +70,7 @@ def longest_run(rows: Sequence[Row]) -> Span:
     return best
 
 
-def _runs(rows: Sequence[Row]) -> Iterator[Span]:
+def _runs(rows: Sequence[TableRow]) -> Iterator[Span]:
     first, kinds = 0, list[bool | None]()
     for i, row in enumerate(rows):
         if row.plain and i > first and len(kinds) == len(row.cells) and not any(kinds):
@@ -108,7 +108,7 @@ def _merged(kinds: list[bool | None], cells: list[Cell]) -> list[bool | None] | 
     return [new if old is None else old for old, new in zip(kinds, news, strict=True)]
 
 
-def check_whole(rows: Sequence[Row], span: Span, source: object) -> tuple[Span, list[str]]:
+def check_whole(rows: Sequence[TableRow], span: Span, source: object) -> tuple[Span, list[str]]:
     """Refuse a table that a bad row cuts in two; leave out lines below it and rows of numbers above it, with a note.
 
     Raises:
@@ -138,14 +138,14 @@ def check_whole(rows: Sequence[Row], span: Span, source: object) -> tuple[Span, 
     return span, notes
 
 
-def _numbers_in(row: Row) -> list[str]:
+def _numbers_in(row: TableRow) -> list[str]:
     """The numbers of a row that holds nothing else, whatever stands between them."""
     cells = [cell if isinstance(cell, str) else "" if math.isnan(cell) else f"{cell:g}" for cell in row.cells]
     found = [text for text in re.split(r"[\s,;]+", " ".join(cells)) if text]
     return found if all(NUMBER.fullmatch(text) for text in found) else []
 
 
-def _alike(row: Row, span: Span) -> bool:
+def _alike(row: TableRow, span: Span) -> bool:
     if len(row.cells) != len(span.texts):
         return False
     kinds = [_kind(cell) for cell in row.cells]
@@ -153,13 +153,13 @@ def _alike(row: Row, span: Span) -> bool:
     return fit and False in kinds
 
 
-def _broken(row: Row, span: Span, source: object) -> InputError:
+def _broken(row: TableRow, span: Span, source: object) -> InputError:
     shown = ", ".join(cell if isinstance(cell, str) else f"{cell:g}" for cell in row.cells)
     remedy = f"{len(span.texts)} numbers are needed as in the rest of the table, found {shown[:80]}; mend or remove it"
     return InputError("data", f"{source} row {row.line}", remedy)
 
 
-def columns_of(rows: Sequence[Row], span: Span, names: Sequence[str], units: Sequence[str]) -> tuple[Column, ...]:
+def columns_of(rows: Sequence[TableRow], span: Span, names: Sequence[str], units: Sequence[str]) -> tuple[Column, ...]:
     """The columns of a run of rows; columns of text stand among them with a flaw, empty ones at the end do not."""
     body = [row.cells for row in rows[span.first : span.last]]
     if any(span.texts):
@@ -179,7 +179,9 @@ def columns_of(rows: Sequence[Row], span: Span, names: Sequence[str], units: Seq
     return tuple(columns)
 
 
-def make_table(rows: Sequence[Row], span: Span, heading: tuple[list[str], list[str]], notes: Sequence[str]) -> Table:
+def make_table(
+    rows: Sequence[TableRow], span: Span, heading: tuple[list[str], list[str]], notes: Sequence[str]
+) -> Table:
     """The table of a run of rows under its names and units."""
     lines = np.array([row.line for row in rows[span.first : span.last]])
     return Table(columns_of(rows, span, *heading), tuple(notes), lines)

@@ -12,7 +12,7 @@ from bench.measured.reading.grid import (
     NAN,
     Above,
     Cell,
-    Row,
+    TableRow,
     cell_of,
     check_whole,
     heading_above,
@@ -46,14 +46,14 @@ def read_workbook(data: bytes, source: object) -> Table:
     raise InputError("data", source, "no sheet has rows of numbers; a table of times and values is needed")
 
 
-def _rows(cells: Iterable[Sequence[object]], source: object) -> list[Row]:
+def _rows(cells: Iterable[Sequence[object]], source: object) -> list[TableRow]:
     rows = []
     for i, values in enumerate(cells, 1):
         if i > MAX_ROWS + 1000:
             check_rows(i, source)
         found = [_cell(value) for value in values]
         if any(isinstance(cell, str) or not math.isnan(cell) for cell in found):
-            rows.append(Row(i, found, not any(isinstance(cell, str) or math.isnan(cell) for cell in found)))
+            rows.append(TableRow(i, found, not any(isinstance(cell, str) or math.isnan(cell) for cell in found)))
     width = max((len(row.cells) for row in rows), default=0)
     for row in rows:
         if len(row.cells) < width:

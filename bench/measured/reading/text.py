@@ -16,8 +16,8 @@ from bench.measured.reading.grid import (
     NAN,
     Above,
     Cell,
-    Row,
     Span,
+    TableRow,
     cell_of,
     check_whole,
     heading_above,
@@ -157,8 +157,8 @@ def decode(data: bytes, source: object) -> str:
     raise InputError("data", source, f"it is a binary file of no known kind; {kinds} is read")
 
 
-def _rows(body: Sequence[tuple[int, str]], form: Format) -> list[Row]:
-    return [Row(i, *form.cells(line)) for i, line in body]
+def _rows(body: Sequence[tuple[int, str]], form: Format) -> list[TableRow]:
+    return [TableRow(i, *form.cells(line)) for i, line in body]
 
 
 def _format(body: Sequence[tuple[int, str]]) -> Format:
@@ -180,7 +180,9 @@ def _format(body: Sequence[tuple[int, str]]) -> Format:
     return best if len(spans[best].texts) > 1 else BLANKS
 
 
-def _fixed_width(body: Sequence[tuple[int, str]], form: Format, rows: list[Row], span: Span) -> tuple[list[Row], Span]:
+def _fixed_width(
+    body: Sequence[tuple[int, str]], form: Format, rows: list[TableRow], span: Span
+) -> tuple[list[TableRow], Span]:
     """Rows cut where no line has a character, where that makes more rows alike: blanks may be missing values."""
     lines = [line for (_, line), row in zip(body, rows, strict=True) if _is_numeric(row)]
     used = bytearray(max(map(len, lines), default=0))
@@ -192,14 +194,14 @@ def _fixed_width(body: Sequence[tuple[int, str]], form: Format, rows: list[Row],
     if len(cuts) != widest or any("\t" in line for line in lines):
         return rows, span
     cut = [
-        Row(i, *form.parsed([line[a:b] for a, b in cuts])) if _is_numeric(row) else row
+        TableRow(i, *form.parsed([line[a:b] for a, b in cuts])) if _is_numeric(row) else row
         for (i, line), row in zip(body, rows, strict=True)
     ]
     longer = longest_run(cut)
     return (cut, longer) if longer.n > span.n else (rows, span)
 
 
-def _is_numeric(row: Row) -> bool:
+def _is_numeric(row: TableRow) -> bool:
     return not any(isinstance(cell, str) for cell in row.cells)
 
 

@@ -16,7 +16,7 @@ MOST_GAPS, MOST_GAPS_AND_REPEATS = 0.5, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class TimeGrid:
     """Evenly spaced times with the sample number of each stamp, numbers being left out where samples are missing."""
 
     start: float
@@ -82,7 +82,7 @@ def _spacing(stamps: np.ndarray) -> float:
     return float(np.spacing(np.max(np.abs(stamps))))
 
 
-def _grid(stamps: np.ndarray, slack: float) -> Grid:
+def _grid(stamps: np.ndarray, slack: float) -> TimeGrid:
     """The even sampling nearest to stamps; a step may seem longer by ``slack`` than it is."""
     steps = np.diff(stamps)
     if slack:
@@ -90,7 +90,7 @@ def _grid(stamps: np.ndarray, slack: float) -> Grid:
     else:
         step = float(np.median(steps))
         step = float(np.mean(steps[steps <= GAP * step]))
-    grid = Grid(float(stamps[0]), step, np.zeros(stamps.size))
+    grid = TimeGrid(float(stamps[0]), step, np.zeros(stamps.size))
     for _ in range(3):
         missing = np.where(steps > GAP * grid.step + slack, np.round(steps / grid.step) - 1, 0)
         numbers = np.arange(stamps.size) + np.concatenate([[0.0], np.cumsum(missing)])
@@ -98,7 +98,7 @@ def _grid(stamps: np.ndarray, slack: float) -> Grid:
     return grid
 
 
-def _line(stamps: np.ndarray, numbers: np.ndarray) -> Grid:
+def _line(stamps: np.ndarray, numbers: np.ndarray) -> TimeGrid:
     """A straight line of stamp over sample number, by least squares, again without the stamps far from it."""
     kept = np.ones(stamps.size, dtype=bool)
     start = step = 0.0
@@ -112,10 +112,10 @@ def _line(stamps: np.ndarray, numbers: np.ndarray) -> Grid:
         if np.sum(near) < max(3, stamps.size // 2):
             break
         kept = near
-    return Grid(start, step, numbers)
+    return TimeGrid(start, step, numbers)
 
 
-def _gaps(grid: Grid, unit: float) -> list[str]:
+def _gaps(grid: TimeGrid, unit: float) -> list[str]:
     lost = np.diff(grid.numbers) - 1
     gaps, samples = int(np.sum(lost > 0)), int(np.sum(lost))
     if not gaps:

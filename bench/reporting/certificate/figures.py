@@ -23,14 +23,14 @@ MOST_WIDER = 8.0
 
 
 @dataclass(frozen=True)
-class Picture:
+class CertificatePicture:
     """An SVG with its caption."""
 
     drawing: str
     caption: str
 
 
-def pictures(shown: Mapping[str, Any]) -> list[Picture]:
+def pictures(shown: Mapping[str, Any]) -> list[CertificatePicture]:
     """What can be drawn of a certificate's contents."""
     series = shown["series"]
     drawers: list[tuple[str, str, bool, Callable[[Any, Any, Mapping[str, Any]], None], float]] = [
@@ -47,7 +47,7 @@ def pictures(shown: Mapping[str, Any]) -> list[Picture]:
             with plt.rc_context(RC):
                 figure = plt.figure(figsize=(SIZE[0], SIZE[1] * height), layout="constrained")
                 draw(figure, series, shown)
-                found.append(Picture(svg(figure, title, name), CAPTIONS[name](shown)))
+                found.append(CertificatePicture(svg(figure, title, name), CAPTIONS[name](shown)))
     return found
 
 

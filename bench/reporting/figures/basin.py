@@ -50,7 +50,7 @@ def misfit(cell: Result, arrays: Arrays, k: np.ndarray, c: np.ndarray) -> np.nda
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class BasinPanel:
     """A panel: k/m and c/m at its lower left and upper right corner, both axes logarithmic."""
 
     low: np.ndarray
@@ -85,7 +85,7 @@ def draw_basin(gallery: Gallery) -> Picture:
     }
     covariance = bound_covariance(cell)
     sds = np.sqrt(np.diag(covariance)) if covariance is not None else np.array([0.02, 0.1])
-    wide, floor = (Window(centre / factors, centre * factors) for factors in (np.array(FAR), 1.0 + NEAR * sds))
+    wide, floor = (BasinPanel(centre / factors, centre * factors) for factors in (np.array(FAR), 1.0 + NEAR * sds))
     on_floor = {label: floor.part(at) for label, at in points.items() if floor.holds(at)}
     beyond = {label: wide.part(at) for label, at in points.items() if label not in on_floor and wide.holds(at)}
     marked = [_marked(gallery, beyond), _marked(gallery, on_floor)]
@@ -151,7 +151,7 @@ def clusters(parts: Mapping[str, np.ndarray]) -> list[list[str]]:
     return found
 
 
-def _surface(figure: Any, axis: Any, window: Window, surface: np.ndarray, region: int) -> None:
+def _surface(figure: Any, axis: Any, window: BasinPanel, surface: np.ndarray, region: int) -> None:
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
     from matplotlib.ticker import MaxNLocator
@@ -186,7 +186,7 @@ def _estimates(axis: Any, marks: Sequence[Mark], height: float) -> None:
         axis.text(*at, f"{mark.count}", **style, zorder=5, transform=axis.transAxes)
 
 
-def _frame(axis: Any, floor: Window) -> None:
+def _frame(axis: Any, floor: BasinPanel) -> None:
     """The right panel on the left one."""
     from matplotlib.patches import Rectangle
 

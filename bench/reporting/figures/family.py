@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.config.experiment import Experiment
-from bench.reporting.family import Family, Row, Section, any_stored, family_of
+from bench.reporting.family import Family, FamilyRow, Section, any_stored, family_of
 from bench.reporting.figures.beside import LINE, spread
 from bench.reporting.figures.gallery import Gallery, Nothing, Picture, where
 from bench.reporting.figures.style import MORE_COLOURS, SMALL, panels, plain_logarithmic, wrapped
@@ -33,7 +33,7 @@ LABEL = 37.0
 class Curve:
     """The error of k/m over the bound (n,) at moments (n,) in s; ``end``: when the longest of the trainings ended."""
 
-    row: Row
+    row: FamilyRow
     seconds: np.ndarray
     ratios: np.ndarray
     end: float
@@ -145,7 +145,7 @@ def _line(axis: Any, curve: Curve, colour: str, dashes: Any) -> None:
 def _name_lines(
     axis: Any,
     own: Sequence[Curve],
-    names: Mapping[Row, str],
+    names: Mapping[FamilyRow, str],
     height: float,
     looks: Mapping[tuple[str, str], tuple[str, Any]],
     heading: str,

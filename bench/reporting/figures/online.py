@@ -24,7 +24,7 @@ ROOM = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class ShownTrack:
     """A scenario's first replicate: stream, bound, quantity, and by title each tracker's path with its excess."""
 
     scenario: str
@@ -39,7 +39,7 @@ class Shown:
         return sorted(self.paths, key=lambda title: self.paths[title][1])[:SHOWN]
 
 
-def draw_online(shown: Sequence[Shown], folder: Path) -> list[Path]:
+def draw_online(shown: Sequence[ShownTrack], folder: Path) -> list[Path]:
     """Draw a panel a scenario; returns the files."""
     if not shown:
         return []
@@ -59,7 +59,7 @@ def tracker_colours(titles: Iterable[str]) -> dict[str, str]:
     return {title: MORE_COLOURS[i % len(MORE_COLOURS)] for i, title in enumerate(dict.fromkeys(titles))}
 
 
-def caption(shown: Sequence[Shown]) -> str:
+def caption(shown: Sequence[ShownTrack]) -> str:
     """What the picture shows."""
     first = [one.best[0] for one in shown if one.best]
     most = max(map(first.count, first))
@@ -74,7 +74,7 @@ def caption(shown: Sequence[Shown]) -> str:
     )
 
 
-def _panel(axis: Any, one: Shown, colours: Mapping[str, str]) -> None:
+def _panel(axis: Any, one: ShownTrack, colours: Mapping[str, str]) -> None:
     names = [q.name for q in one.stream.layout.quantities]
     i = names.index(one.quantity)
     true = one.stream.layout.quantities[i].value(one.stream.truth.parameters)
@@ -94,7 +94,7 @@ def _panel(axis: Any, one: Shown, colours: Mapping[str, str]) -> None:
     _names(axis, one.best, colours)
 
 
-def _limits(one: Shown, true: np.ndarray, half: np.ndarray, i: int) -> tuple[float, float]:
+def _limits(one: ShownTrack, true: np.ndarray, half: np.ndarray, i: int) -> tuple[float, float]:
     """So that the truth, the late bound and the late estimates of the best tracker are seen, below the names."""
     late = slice(len(true) // 10, None)
     centre, reach = float(np.median(true)), max(float(np.ptp(true)), 4.0 * float(np.median((true * half)[late])))

@@ -6,7 +6,7 @@ import hashlib
 import re
 from collections.abc import Mapping, Sequence
 
-from bench.reporting.page.reading import Panel, decibels
+from bench.reporting.page.reading import ScenarioPanel, decibels
 
 LONGEST = 80
 
@@ -35,7 +35,7 @@ def slugs(names: Sequence[str]) -> Mapping[str, str]:
     return found
 
 
-def scenario_slugs(panels: Sequence[Panel]) -> list[str]:
+def scenario_slugs(panels: Sequence[ScenarioPanel]) -> list[str]:
     """One a scenario: system, noise, start and what is special; where that is not enough, a hash of the whole question.
 
     Panels come in the order of the tables, so that a scenario of a table keeps the plain name.

@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.contract.estimate import Status
 from bench.reporting.frame import ERROR, Result
-from bench.reporting.page.reading import Panel
+from bench.reporting.page.reading import ScenarioPanel
 from bench.reporting.page.standing import Ranking, fit_seconds, rank
 from bench.scoring.comparison import gross
 
@@ -29,13 +29,13 @@ Rankings = dict[tuple[int, str], Ranking | None]
 Line = list[float | int | None]
 
 
-def rankings(panels: Sequence[Panel]) -> Rankings:
+def rankings(panels: Sequence[ScenarioPanel]) -> Rankings:
     """Every scenario's methods by every metric that its data decide."""
     return {(i, metric): rank(panel, metric) for i, panel in enumerate(panels) for metric in panel.ranked}
 
 
 def blocks(
-    place: int, panel: Panel, ranked: Rankings, methods: Mapping[str, int], quantities: Mapping[str, int]
+    place: int, panel: ScenarioPanel, ranked: Rankings, methods: Mapping[str, int], quantities: Mapping[str, int]
 ) -> list[list[Any]]:
     """One a quantity of a scenario: what its lines share (:data:`SHARED`), then the lines (:data:`COLUMNS`)."""
     found = []

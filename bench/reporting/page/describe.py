@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from bench.reporting.frame import Result
-from bench.reporting.page.reading import Panel, decibels
+from bench.reporting.page.reading import ScenarioPanel, decibels
 from bench.reporting.page.words import number
 
 KINDS = ("mass", "damping", "stiffness", "other")
@@ -33,14 +33,14 @@ def system_words(facts: Result) -> str:
     return f"{what}, {'driven by a known ' + facts.force if facts.forced else 'free decay'}"
 
 
-def scenario_words(panel: Panel) -> str:
+def scenario_words(panel: ScenarioPanel) -> str:
     """A title: system, noise, initial state, and what is special about the data."""
     facts = panel.facts
     special = "" if panel.kind == "undisturbed" else f"; {panel.kind}"
     return f"{system_words(facts)}, {decibels(facts.snr_db)} dB, initial state {facts.initial_state}{special}"
 
 
-def distinct_words(panels: Sequence[Panel]) -> list[str]:
+def distinct_words(panels: Sequence[ScenarioPanel]) -> list[str]:
     """The titles of scenarios, with what tells apart those that would have the same."""
     titles = [scenario_words(panel) for panel in panels]
     first: dict[str, Result] = {}
@@ -56,7 +56,7 @@ def distinct_words(panels: Sequence[Panel]) -> list[str]:
     return found
 
 
-def told(panel: Panel) -> tuple[tuple[str, str], ...]:
+def told(panel: ScenarioPanel) -> tuple[tuple[str, str], ...]:
     """What the methods were told of a scenario, and what they were not."""
     facts = panel.facts
     duration = f"{facts.duration:g}" if math.isfinite(facts.duration) else "?"
@@ -92,7 +92,7 @@ def _prior(facts: Result) -> str:
     return f"nominal values, off by about: {', '.join(kinds)}{off}"
 
 
-def again(panel: Panel) -> str:
+def again(panel: ScenarioPanel) -> str:
     """The command that computes a scenario again."""
     if panel.experiments:
         return f"python -m bench -m experiment={panel.experiments[0].name}"

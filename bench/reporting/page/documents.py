@@ -15,7 +15,7 @@ FILES = "files"
 
 
 @dataclass(frozen=True)
-class Document:
+class ResultsDocument:
     """A page of a results file: ``files`` are the names of the forms in which it is there."""
 
     name: str
@@ -29,7 +29,7 @@ class Document:
         return f"results/{self.name}.html"
 
 
-def documents(folder: Path) -> list[Document]:
+def documents(folder: Path) -> list[ResultsDocument]:
     """Those of a folder, tables by number first."""
     found = [document(path) for path in sorted(folder.glob("*.md")) if path.name.lower() != "readme.md"]
     return sorted(found, key=lambda one: _order(one.name))
@@ -40,13 +40,13 @@ def _order(name: str) -> tuple[bool, int, str]:
     return number is None, int(number.group(1)) if number else 0, name
 
 
-def document(path: Path) -> Document:
+def document(path: Path) -> ResultsDocument:
     """One of them; raises UnicodeDecodeError for what is no text."""
     text = path.read_text(encoding="utf-8")
     tokens = _parser().parse(text)
     title = next((tokens[i + 1].content for i, t in enumerate(tokens) if t.type == "heading_open"), path.stem)
     files = tuple(path.stem + ending for ending in OTHER_FORMS if path.with_name(path.stem + ending).is_file())
-    return Document(path.stem, title, _body(tokens), sum(t.type == "table_open" for t in tokens), files)
+    return ResultsDocument(path.stem, title, _body(tokens), sum(t.type == "table_open" for t in tokens), files)
 
 
 def _parser() -> Any:

@@ -14,7 +14,7 @@ from bench.entrants.online import online_card
 from bench.errors import InputError
 from bench.reporting.atlas import RARE
 from bench.reporting.labels import title
-from bench.reporting.page.situations import Record, ordered
+from bench.reporting.page.situations import SituationRecord, ordered
 
 GROUPS = ("k_over_m", "c_over_m")
 MOST_LEFT_OUT = 0.1
@@ -22,7 +22,7 @@ MOST_LEFT_OUT = 0.1
 
 
 @dataclass(frozen=True)
-class Measured:
+class RecordSummary:
     """A method on real records: ``believed`` of ``fits`` were answers that its own checks do not withdraw."""
 
     label: str
@@ -33,7 +33,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Followed:
+class TrackerSummary:
     """A tracker: median and worst error over the bound along the path, coverage (%), microseconds a sample."""
 
     title: str
@@ -54,7 +54,7 @@ def read_csv(path: Path, needed: set[str]) -> pd.DataFrame | None:
     return found if needed <= set(found.columns) and len(found) else None
 
 
-def atlas_records(folder: Path) -> tuple[dict[str, Record], int]:
+def atlas_records(folder: Path) -> tuple[dict[str, SituationRecord], int]:
     """By label, what each method does over the atlas of free decays where the data tell k/m and c/m; its points."""
     needed = {"method", "aliased", "fits", "seconds"}
     needed |= {f"{name}{end}" for name in GROUPS for end in ("_core", "_gross")} | {f"bound_{name}" for name in GROUPS}
@@ -66,7 +66,7 @@ def atlas_records(folder: Path) -> tuple[dict[str, Record], int]:
     return {str(label): _over_points(str(label), told) for label in dict.fromkeys(data["method"])}, points
 
 
-def _over_points(label: str, told: list[pd.DataFrame]) -> Record:
+def _over_points(label: str, told: list[pd.DataFrame]) -> SituationRecord:
     """A method's lines of each quantity pooled; gross errors are counted by the quantity that has more."""
     own = [(frame[frame["method"] == label], name) for frame, name in zip(told, GROUPS, strict=True)]
     core = pd.concat([frame[f"{name}_core"] for frame, name in own]).dropna()
@@ -74,19 +74,21 @@ def _over_points(label: str, told: list[pd.DataFrame]) -> Record:
         (int((frame["fits"] * frame[f"{name}_gross"]).round().sum()), int(frame["fits"].sum())) for frame, name in own
     ]
     wrong, fits = max(counted, key=lambda pair: pair[0] / pair[1] if pair[1] else -1.0)
-    return Record(
+    return SituationRecord(
         label, label, float(core.median()) if len(core) else math.nan, float(core.max()) if len(core) else math.nan,
         wrong, fits, float(own[0][0]["seconds"].median()),
     )  # fmt: skip
 
 
-def unsteady(atlas: Mapping[str, Record]) -> frozenset[str]:
+def unsteady(atlas: Mapping[str, SituationRecord]) -> frozenset[str]:
     """The methods that ran on the whole atlas and have gross errors on more of it than counts as rare."""
     most = max((one.fits for one in atlas.values()), default=0)
     return frozenset(label for label, one in atlas.items() if one.risk > RARE and one.fits == most)
 
 
-def atlas_order(atlas: Mapping[str, Record]) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
+def atlas_order(
+    atlas: Mapping[str, SituationRecord],
+) -> tuple[tuple[SituationRecord, ...], tuple[SituationRecord, ...]]:
     """Those that are advised over the atlas, and those that are fragile there; in neither: methods on a part of it."""
     most = max((one.fits for one in atlas.values()), default=0)
     whole = {label: one for label, one in atlas.items() if one.fits == most}
@@ -96,7 +98,7 @@ def atlas_order(atlas: Mapping[str, Record]) -> tuple[tuple[Record, ...], tuple[
     return found.advised, found.fragile
 
 
-def measured(folder: Path) -> list[Measured]:
+def measured(folder: Path) -> list[RecordSummary]:
     """Every method of the measured track, the one with most answers that stand first."""
     data = read_csv(
         folder / "table11.csv", {"set", "system", "method", "sibling", "status", "trust", "held_out", "wall_s"}
@@ -110,11 +112,11 @@ def measured(folder: Path) -> list[Measured]:
         own = fits[fits["method"] == label]
         good = own[stands.loc[own.index]]
         held = float(good["held_out"].median()) if len(good) else math.nan
-        found.append(Measured(str(label), len(good), len(own), held, float(own["wall_s"].median())))
+        found.append(RecordSummary(str(label), len(good), len(own), held, float(own["wall_s"].median())))
     return sorted(found, key=lambda one: (-one.believed, one.seconds, one.label))
 
 
-def followed(folder: Path) -> list[Followed]:
+def followed(folder: Path) -> list[TrackerSummary]:
     """The trackers of the online track, the least error over the bound first; those of a few scenarios are left out."""
     needed = {"scenario", "method", "quantity", "excess", "coverage_pct", "ok", "replicates", "micros_median"}
     data = read_csv(folder / "table10.csv", needed)
@@ -129,7 +131,7 @@ def followed(folder: Path) -> list[Followed]:
         if label in enough:
             each = own.drop_duplicates("scenario")
             found.append(
-                Followed(
+                TrackerSummary(
                     tracker_title(str(label)), float(own["excess"].median()), float(own["excess"].max()),
                     float(own["coverage_pct"].median()), float(own["micros_median"].median()),
                     int(each["ok"].sum()), int(each["replicates"].sum()),

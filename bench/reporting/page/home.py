@@ -14,9 +14,9 @@ from bench.errors import InputError
 from bench.reporting.frame import group
 from bench.reporting.labels import title
 from bench.reporting.page.board import short
-from bench.reporting.page.elsewhere import Followed, Measured, atlas_order, followed, measured
-from bench.reporting.page.reading import Panel, decibels
-from bench.reporting.page.situations import MOST_EXTRA, Advice, Record, core_excess
+from bench.reporting.page.elsewhere import RecordSummary, TrackerSummary, atlas_order, followed, measured
+from bench.reporting.page.reading import ScenarioPanel, decibels
+from bench.reporting.page.situations import MOST_EXTRA, Advice, SituationRecord, core_excess
 from bench.reporting.page.told import accuracy, tells
 from bench.reporting.page.words import joined, number, percent, seconds
 
@@ -24,7 +24,7 @@ MOST_OTHERS = 1
 
 
 @dataclass(frozen=True)
-class Row:
+class HomeRow:
     """A line of the first screen; ``method`` is a label, empty where no page is about it; ``others`` are as good.
 
     ``tells``: what can be found there at all; ``accuracy``: what the error is in percent at the usual noise.
@@ -44,7 +44,7 @@ class Row:
     accuracy: str = ""
 
 
-def advice_row(one: Advice) -> Row:
+def advice_row(one: Advice) -> HomeRow:
     """The line of a situation."""
     situation = one.situation
     href, basis, told = f"situations/{situation.name}.html", basis_of(one.panels), tells(one.panels)
@@ -52,27 +52,27 @@ def advice_row(one: Advice) -> Row:
         best = min(((r.risk, r.label) for r in (*one.advised, *one.behind)), default=(math.nan, ""))
         risk = f"{percent(best[0])} at best" if best[1] else "–"
         none = "None: the model has to be mended first"
-        return Row(situation.words, href, basis, none, "", "–", risk, "–", "–", tells=told)
+        return HomeRow(situation.words, href, basis, none, "", "–", risk, "–", "–", tells=told)
     first = one.advised[0]
     others: dict[str, str] = {}
     for record in one.advised[1:]:
         if record.method not in {first.method, *others.values()}:
             others.setdefault(record.label, record.method)
     named = tuple((title(label), label) for label in list(others)[:MOST_OTHERS])
-    return Row(
+    return HomeRow(
         situation.words, href, basis, title(first.label), first.label, error_text(first), risk_text(first),
         seconds(first.seconds), needs(first.method), named, told, accuracy(one.panels, first.label),
     )  # fmt: skip
 
 
-def basis_of(panels: Sequence[Panel]) -> str:
+def basis_of(panels: Sequence[ScenarioPanel]) -> str:
     """How many scenarios, and which noise."""
     levels = sorted({panel.facts.snr_db for panel in panels})
     ends = f"{decibels(levels[0])} to {decibels(levels[-1])}" if len(levels) > 1 else decibels(levels[0])
     return f"{len(panels)} scenario{'s' if len(panels) > 1 else ''}, SNR {ends} dB"
 
 
-def error_text(one: Record) -> str:
+def error_text(one: SituationRecord) -> str:
     """Typical and largest error over the bound."""
     return f"{ratio(one.excess)}, worst scenario {ratio(one.worst)}"
 
@@ -82,7 +82,7 @@ def ratio(value: float) -> str:
     return f"{value:.2f}" if abs(value) < 10 else number(value)
 
 
-def risk_text(one: Record) -> str:
+def risk_text(one: SituationRecord) -> str:
     """Gross errors counted, and what their rate is at most."""
     rate = f" = {share(one.risk)}" if one.gross else ""
     return f"{one.gross:,} of {one.fits:,}{rate} (at most {share(one.risk_at_most)})"
@@ -111,14 +111,14 @@ def needs(name: str) -> str:
     return ("no prior" if free else "a prior") + packages
 
 
-def atlas_row(atlas: Mapping[str, Record], points: int) -> list[Row]:
+def atlas_row(atlas: Mapping[str, SituationRecord], points: int) -> list[HomeRow]:
     """The line of the atlas, where there is one."""
     advised, _ = atlas_order(atlas)
     if not advised:
         return []
     first, *rest = advised
     return [
-        Row(
+        HomeRow(
             "One mass, free decay: an atlas of other tests", "results/atlas.html",
             f"{points:,} tests; samples, cycles, damping and SNR vary", title(first.label), first.label,
             ratio(first.excess), risk_text(first), seconds(first.seconds),
@@ -127,13 +127,13 @@ def atlas_row(atlas: Mapping[str, Record], points: int) -> list[Row]:
     ]  # fmt: skip
 
 
-def measured_row(found: Sequence[Measured]) -> list[Row]:
+def measured_row(found: Sequence[RecordSummary]) -> list[HomeRow]:
     """The line of the measured track: there is no truth, so an answer counts that its checks do not withdraw."""
     if not found or not found[0].believed:
         return []
     first, *rest = found
     return [
-        Row(
+        HomeRow(
             "A real record of a rig", "results/table11.html", f"{first.fits} records of the measured track",
             title(first.label), first.label, "no truth is known",
             f"{first.fits - first.believed} of {first.fits} answers withdrawn by their own checks",
@@ -144,13 +144,13 @@ def measured_row(found: Sequence[Measured]) -> list[Row]:
     ]  # fmt: skip
 
 
-def followed_row(found: Sequence[Followed]) -> list[Row]:
+def followed_row(found: Sequence[TrackerSummary]) -> list[HomeRow]:
     """The line of the online track."""
     if not found:
         return []
     first, *rest = found
     return [
-        Row(
+        HomeRow(
             "Parameters that change while the data arrive", "results/table10.html", f"{first.records} records",
             first.title, "", f"{ratio(first.excess)}, worst {ratio(first.worst)}",
             f"{first.records - first.ok} of {first.records} records lost",
@@ -160,7 +160,7 @@ def followed_row(found: Sequence[Followed]) -> list[Row]:
     ]  # fmt: skip
 
 
-def rows(advice: Sequence[Advice], atlas: Mapping[str, Record], points: int, folder: Any) -> list[Row]:
+def rows(advice: Sequence[Advice], atlas: Mapping[str, SituationRecord], points: int, folder: Any) -> list[HomeRow]:
     """The whole table."""
     found = [advice_row(one) for one in advice]
     found += [*measured_row(measured(folder)), *followed_row(followed(folder))]
@@ -189,7 +189,7 @@ def forest(one: Advice) -> dict[str, Any]:
     return {"points": points, "lines": lines}
 
 
-def _at(panels: Sequence[Panel], label: str) -> float:
+def _at(panels: Sequence[ScenarioPanel], label: str) -> float:
     """The median over scenarios and told quantities at one noise level."""
     cells = [(panel, cell) for panel in panels for cell in panel.methods if cell.label == label]
     values = [core_excess(cell, metric) for panel, cell in cells for metric in panel.ranked if metric in cell.summary]

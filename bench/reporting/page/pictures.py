@@ -16,7 +16,7 @@ INITIALS = frozenset({"snr"})
 
 
 @dataclass(frozen=True)
-class Picture:
+class PagePicture:
     """A figure: its file's bytes, its size in pixels, the first sentence of its caption and the rest.
 
     ``least`` is the width (rem) that it is not shown below.
@@ -32,12 +32,12 @@ class Picture:
     least: float
 
 
-def pictures(folder: Path) -> list[Picture]:
+def pictures(folder: Path) -> list[PagePicture]:
     """Read those of a folder, by name."""
     return [picture(path) for path in sorted(folder.glob("*.png"))] if folder.is_dir() else []
 
 
-def picture(path: Path) -> Picture:
+def picture(path: Path) -> PagePicture:
     """Read a figure with its caption."""
     from PIL import Image
 
@@ -47,7 +47,7 @@ def picture(path: Path) -> Picture:
     first, rest = first_sentence(caption_of(path))
     heading = " ".join(_word(word) for word in path.stem.split("_"))
     heading = heading[:1].upper() + heading[1:]
-    return Picture(path.stem, heading, first, rest, path.read_bytes(), width, height, least)
+    return PagePicture(path.stem, heading, first, rest, path.read_bytes(), width, height, least)
 
 
 def _word(word: str) -> str:

@@ -45,7 +45,7 @@ def decibels(snr_db: float) -> str:
 
 
 @dataclass(frozen=True)
-class Table:
+class TableOfExperiment:
     """An experiment that describes a table: its name in ``conf``, the table's number if any, its scenarios' keys."""
 
     name: str
@@ -64,11 +64,11 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Panel:
+class ScenarioPanel:
     """All that is stored of one scenario and seed: one result a label, methods and reference rows alike."""
 
     results: tuple[Result, ...]
-    experiments: tuple[Table, ...]
+    experiments: tuple[TableOfExperiment, ...]
 
     @property
     def facts(self) -> Result:
@@ -131,19 +131,19 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class Reading:
+class StoreReading:
     """The store as the page needs it; ``hidden`` results gave way to others of the same label and scenario.
 
     ``hidden``: how many times each such label and scenario is there, as text.
     """
 
-    panels: tuple[Panel, ...]
+    panels: tuple[ScenarioPanel, ...]
     results: tuple[Result, ...]
-    experiments: tuple[Table, ...]
+    experiments: tuple[TableOfExperiment, ...]
     hidden: Mapping[str, int]
 
 
-def read(store: Store) -> Reading:
+def read(store: Store) -> StoreReading:
     """Read a store; raises InputError where there is none, where it is empty, or for a file that is no cell.
 
     Scenarios that were drawn, hundreds with one data set each, say something together only: they are left to their
@@ -158,29 +158,29 @@ def read(store: Store) -> Reading:
     panels = [_panel(own, [one for one in experiments if key in one.scenarios]) for key, own in grouped.items()]
     panels.sort(key=_order(experiments))
     shown = {result for panel in panels for result in panel.results}
-    hidden = Counter(f"{one.title} ({Panel((one,), ()).title()})" for one in results if one not in shown)
-    return Reading(tuple(panels), tuple(results), experiments, hidden)
+    hidden = Counter(f"{one.title} ({ScenarioPanel((one,), ()).title()})" for one in results if one not in shown)
+    return StoreReading(tuple(panels), tuple(results), experiments, hidden)
 
 
-def _table(name: str) -> Table:
+def _table(name: str) -> TableOfExperiment:
     """What an experiment describes."""
     number = Experiment(name).table.get("number")
-    return Table(name, None if number is None else int(number), questions(name))
+    return TableOfExperiment(name, None if number is None else int(number), questions(name))
 
 
-def _panel(results: Sequence[Result], experiments: Sequence[Table]) -> Panel:
+def _panel(results: Sequence[Result], experiments: Sequence[TableOfExperiment]) -> ScenarioPanel:
     """Of several results of a label, the one of most replicates."""
     chosen: dict[str, Result] = {}
     for result in sorted(results, key=lambda one: (-one.n, one.identity)):
         chosen.setdefault(result.label, result)
-    return Panel(tuple(chosen[label] for label in sorted(chosen)), tuple(experiments))
+    return ScenarioPanel(tuple(chosen[label] for label in sorted(chosen)), tuple(experiments))
 
 
-def _order(experiments: Sequence[Table]) -> Any:
+def _order(experiments: Sequence[TableOfExperiment]) -> Any:
     """Tables, other experiments, single cells; then by system, less noise first, start unknown first."""
     rank = {one.name: i for i, one in enumerate(experiments)}
 
-    def key(panel: Panel) -> tuple[Any, ...]:
+    def key(panel: ScenarioPanel) -> tuple[Any, ...]:
         places = [rank[one.name] for one in panel.experiments]
         first, facts = min(places, default=len(rank)), panel.facts
         unknown_first = facts.initial_state != "unknown"

@@ -11,7 +11,7 @@ import numpy as np
 from bench.reporting.frame import ERROR, Result
 from bench.reporting.page.board import short
 from bench.reporting.page.first_replicate import first_replicate, stated_interval
-from bench.reporting.page.reading import Panel
+from bench.reporting.page.reading import ScenarioPanel
 from bench.reporting.page.words import quantity
 from bench.store.store import Store
 
@@ -29,7 +29,7 @@ Failed fits have the last place.
 """
 
 
-def scenario_data(store: Store, panel: Panel) -> dict[str, Any]:
+def scenario_data(store: Store, panel: ScenarioPanel) -> dict[str, Any]:
     """All of it, as plain lists and numbers."""
     return {
         "record": record(store, panel),
@@ -45,12 +45,12 @@ def scenario_data(store: Store, panel: Panel) -> dict[str, Any]:
     }
 
 
-def bound_of(panel: Panel, metric: str) -> float:
+def bound_of(panel: ScenarioPanel, metric: str) -> float:
     """The bound on the root mean square of a metric; NaN where no cell has one."""
     return next((cell.bound(metric) for cell in panel.results if metric in cell.summary), math.nan)
 
 
-def unit(panel: Panel, metric: str) -> float:
+def unit(panel: ScenarioPanel, metric: str) -> float:
     """What errors are counted in: the bound, where there is one."""
     bound = bound_of(panel, metric)
     return bound if math.isfinite(bound) and bound > 0 else 1.0
@@ -78,7 +78,7 @@ def _median(cell: Result) -> float:
     return cell.statistic("rmse", "median")
 
 
-def record(store: Store, panel: Panel) -> dict[str, Any] | None:
+def record(store: Store, panel: ScenarioPanel) -> dict[str, Any] | None:
     """The first data set: samples, truth, and some methods' fits; None where no arrays are kept."""
     found = [(cell, first_replicate(store, cell)) for cell in chosen(panel.methods)]
     if not any(kept for _, kept in found):
@@ -115,7 +115,7 @@ def _short(values: np.ndarray) -> list[float | None]:
     return [short(float(value)) for value in values]
 
 
-def spreads(store: Store, panel: Panel, metric: str) -> list[list[Any]]:
+def spreads(store: Store, panel: ScenarioPanel, metric: str) -> list[list[Any]]:
     """By method, worst first: its name, and in percent off the truth the ends of the middle 95 % of all data sets, the
     first data set's value, and the ends of the interval that the method states there."""
     name = metric.removesuffix(ERROR)

@@ -20,9 +20,9 @@ from bench.reporting.grid import rendered
 from bench.reporting.labels import in_order, title
 from bench.reporting.page import board, cards, describe, elsewhere, home, origin, told
 from bench.reporting.page.addresses import scenario_slugs, slugs
-from bench.reporting.page.documents import FILES, Document, documents
-from bench.reporting.page.pictures import Picture, pictures
-from bench.reporting.page.reading import Panel, Reading, decibels, read
+from bench.reporting.page.documents import FILES, ResultsDocument, documents
+from bench.reporting.page.pictures import PagePicture, pictures
+from bench.reporting.page.reading import ScenarioPanel, StoreReading, decibels, read
 from bench.reporting.page.scenario_data import scenario_data
 from bench.reporting.page.situations import Advice, advise
 from bench.reporting.page.sketch import sketch
@@ -44,10 +44,10 @@ class Site:
 
     store: Store
     results: Path
-    reading: Reading
+    reading: StoreReading
 
     @property
-    def panels(self) -> tuple[Panel, ...]:
+    def panels(self) -> tuple[ScenarioPanel, ...]:
         return self.reading.panels
 
     @cached_property
@@ -103,11 +103,11 @@ class Site:
         return advise(self.panels, elsewhere.unsteady(self.atlas[0]))
 
     @cached_property
-    def documents(self) -> list[Document]:
+    def documents(self) -> list[ResultsDocument]:
         return documents(self.results)
 
     @cached_property
-    def pictures(self) -> list[Picture]:
+    def pictures(self) -> list[PagePicture]:
         return pictures(self.results / "figures")
 
 
@@ -279,7 +279,7 @@ def method_values(site: Site, label: str) -> dict[str, Any]:
     }
 
 
-def pooled(cell: Any, panel: Panel) -> float:
+def pooled(cell: Any, panel: ScenarioPanel) -> float:
     """A cell in a number: the median over the quantities that the data tell of the error over the bound."""
     return board.middle([cell.excess(metric) for metric in panel.ranked if metric in cell.summary])
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import beta
 
 from bench.reporting.frame import Result
-from bench.reporting.page.reading import Panel
+from bench.reporting.page.reading import ScenarioPanel
 from bench.reporting.page.standing import fit_seconds
 from bench.scoring.comparison import LEVEL, gross, more_often
 
@@ -36,11 +36,11 @@ class Situation:
 
     name: str
     words: str
-    has: Callable[[Panel], bool]
+    has: Callable[[ScenarioPanel], bool]
 
 
 @dataclass(frozen=True)
-class Record:
+class SituationRecord:
     """What a method did in a situation.
 
     ``excess``: median over scenarios and quantities of the root mean square error over the bound, gross errors left
@@ -73,9 +73,9 @@ class Record:
 class Order:
     """Methods as they are advised: errors alike, fastest first; ``behind`` them by error; ``fragile`` never advised."""
 
-    advised: tuple[Record, ...]
-    behind: tuple[Record, ...]
-    fragile: tuple[Record, ...]
+    advised: tuple[SituationRecord, ...]
+    behind: tuple[SituationRecord, ...]
+    fragile: tuple[SituationRecord, ...]
 
 
 @dataclass(frozen=True)
@@ -86,11 +86,11 @@ class Advice:
     """
 
     situation: Situation
-    panels: tuple[Panel, ...]
-    advised: tuple[Record, ...]
-    behind: tuple[Record, ...]
-    fragile: tuple[Record, ...]
-    partial: tuple[Record, ...]
+    panels: tuple[ScenarioPanel, ...]
+    advised: tuple[SituationRecord, ...]
+    behind: tuple[SituationRecord, ...]
+    fragile: tuple[SituationRecord, ...]
+    partial: tuple[SituationRecord, ...]
     elsewhere: frozenset[str] = frozenset()
 
     @property
@@ -99,20 +99,20 @@ class Advice:
         return not self.advised or self.advised[0].risk > HOPELESS
 
 
-def _linear(panel: Panel, masses: int) -> bool:
+def _linear(panel: ScenarioPanel, masses: int) -> bool:
     model = panel.facts.known_model
     return model is not None and model.linear and (model.n_dof == 1) == (masses == 1) and not model.n_hidden
 
 
-def _free(panel: Panel) -> bool:
+def _free(panel: ScenarioPanel) -> bool:
     return panel.plain and not panel.facts.forced and not panel.facts.added_mass
 
 
-def _regime(panel: Panel) -> bool:
+def _regime(panel: ScenarioPanel) -> bool:
     return "regimes" in {one.name for one in panel.experiments}
 
 
-def _nonlinear(panel: Panel) -> bool:
+def _nonlinear(panel: ScenarioPanel) -> bool:
     model = panel.facts.known_model
     return panel.plain and model is not None and not model.linear
 
@@ -150,11 +150,11 @@ SITUATIONS = (
 WRONG_MODEL = ("added_friction", "cubic_spring", "second_mode")
 
 
-def _wrong_model(panel: Panel) -> bool:
+def _wrong_model(panel: ScenarioPanel) -> bool:
     return panel.facts.disturbance in WRONG_MODEL
 
 
-def advise(panels: Sequence[Panel], unsteady: frozenset[str] = frozenset()) -> list[Advice]:
+def advise(panels: Sequence[ScenarioPanel], unsteady: frozenset[str] = frozenset()) -> list[Advice]:
     """The situations of which anything is stored; ``unsteady`` methods run away in other free decays of one mass."""
     found = []
     for situation in SITUATIONS:
@@ -167,12 +167,12 @@ def advise(panels: Sequence[Panel], unsteady: frozenset[str] = frozenset()) -> l
     return found
 
 
-def max_n(panel: Panel) -> int:
+def max_n(panel: ScenarioPanel) -> int:
     """The data sets of the method that has most."""
     return max((cell.n for cell in panel.methods), default=0)
 
 
-def advice(situation: Situation, panels: Sequence[Panel], unsteady: frozenset[str] = frozenset()) -> Advice:
+def advice(situation: Situation, panels: Sequence[ScenarioPanel], unsteady: frozenset[str] = frozenset()) -> Advice:
     """Who is advised over some scenarios."""
     cells = {label: _cells(panels, label) for label in dict.fromkeys(c.label for p in panels for c in p.methods)}
     whole = {label: own for label, own in cells.items() if len(own) == len(panels)}
@@ -184,7 +184,7 @@ def advice(situation: Situation, panels: Sequence[Panel], unsteady: frozenset[st
     return Advice(situation, tuple(panels), found.advised, found.behind, found.fragile, tuple(partial), unsteady)
 
 
-def ordered(records: Mapping[str, Record], whole: frozenset[str], unsteady: frozenset[str]) -> Order:
+def ordered(records: Mapping[str, SituationRecord], whole: frozenset[str], unsteady: frozenset[str]) -> Order:
     """The methods that ran on the ``whole`` of a situation, in the order in which they are advised."""
     several = max(len(whole), 1)
     fragile = {
@@ -199,7 +199,7 @@ def ordered(records: Mapping[str, Record], whole: frozenset[str], unsteady: froz
     return Order(tuple(alike), tuple(behind), tuple(sorted((records[label] for label in fragile), key=_by_excess)))
 
 
-def _by_excess(one: Record) -> tuple[float, str]:
+def _by_excess(one: SituationRecord) -> tuple[float, str]:
     return _last(one.excess), one.label
 
 
@@ -207,11 +207,11 @@ def _last(value: float) -> float:
     return math.inf if math.isnan(value) else value
 
 
-def _cells(panels: Iterable[Panel], label: str) -> list[tuple[Panel, Result]]:
+def _cells(panels: Iterable[ScenarioPanel], label: str) -> list[tuple[ScenarioPanel, Result]]:
     return [(p, c) for p in panels for c in p.methods if c.label == label and c.n]
 
 
-def _gross(panel: Panel, cell: Result) -> np.ndarray:
+def _gross(panel: ScenarioPanel, cell: Result) -> np.ndarray:
     """On which data sets (n,) a cell has a gross error in a quantity that the data tell, or no answer."""
     wrong = ~cell.ok
     for metric in panel.ranked:
@@ -234,18 +234,20 @@ def core_error(cell: Result, metric: str) -> float:
     return float(np.sqrt(np.mean(good**2)))
 
 
-def _record(label: str, own: Sequence[tuple[Panel, Result]]) -> Record:
+def _record(label: str, own: Sequence[tuple[ScenarioPanel, Result]]) -> SituationRecord:
     excess = [core_excess(cell, metric) for panel, cell in own for metric in panel.ranked if metric in cell.summary]
     finite = [value for value in excess if math.isfinite(value)]
     wrong = [_gross(panel, cell) for panel, cell in own]
     times = [seconds for _, cell in own if math.isfinite(seconds := fit_seconds(cell))]
-    return Record(
+    return SituationRecord(
         label, own[0][1].method, float(np.median(finite)) if finite else math.nan, max(finite, default=math.nan),
         sum(int(w.sum()) for w in wrong), sum(w.size for w in wrong), float(np.median(times)) if times else math.nan,
     )  # fmt: skip
 
 
-def _with_p_gross(records: Mapping[str, Record], runs: Mapping[str, Sequence[np.ndarray]]) -> dict[str, Record]:
+def _with_p_gross(
+    records: Mapping[str, SituationRecord], runs: Mapping[str, Sequence[np.ndarray]]
+) -> dict[str, SituationRecord]:
     """Each compared with the method that has gross errors least often, on the data sets of both."""
     full = {label: sum(w.size for w in own) for label, own in runs.items()}
     most = [label for label, n in full.items() if n == max(full.values())]

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from bench.reporting.frame import Result
-from bench.reporting.page.reading import Panel
+from bench.reporting.page.reading import ScenarioPanel
 from bench.scoring.comparison import Comparison, standing
 
 Place = Literal["best", "level", "behind", "alone", "all failed"]
@@ -34,7 +34,7 @@ class Ranking:
         return [label for label, place in self.places.items() if place in ("best", "level", "alone")]
 
 
-def rank(panel: Panel, metric: str) -> Ranking | None:
+def rank(panel: ScenarioPanel, metric: str) -> Ranking | None:
     """The methods of a scenario by one metric, by the rule of the tables; None where none has it."""
     own = {result.label: result for result in panel.methods if metric in result.summary and result.n}
     if not own:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bench.reporting.frame import group
-from bench.reporting.page.reading import Panel, decibels
+from bench.reporting.page.reading import ScenarioPanel, decibels
 from bench.reporting.page.situations import core_error
 from bench.reporting.page.words import joined, number, quantity
 
@@ -18,7 +18,7 @@ USUAL_DB = 20.0
 """The SNR (dB) at which errors are said in percent: the nearest that there is."""
 
 
-def tells(panels: Sequence[Panel]) -> str:
+def tells(panels: Sequence[ScenarioPanel]) -> str:
     """What can be found in a situation, whatever the method; by free decay and known force where both occur."""
     kinds = group(panels, lambda panel: panel.facts.forced)
     if len(kinds) == 1:
@@ -26,7 +26,7 @@ def tells(panels: Sequence[Panel]) -> str:
     return f"free decay tells {_told(kinds[False])}; known force: {_told(kinds[True])}"
 
 
-def _told(panels: Sequence[Panel]) -> str:
+def _told(panels: Sequence[ScenarioPanel]) -> str:
     lost = list(dict.fromkeys(name for panel in panels for name, told in panel.identifiable.items() if not told))
     if not lost:
         return joined(alone(panels[0])) if len({tuple(alone(p)) for p in panels}) == 1 else "every parameter"
@@ -38,28 +38,28 @@ def _told(panels: Sequence[Panel]) -> str:
     return f"ratios such as {first}, no mass" if first else "nothing by itself"
 
 
-def ranked(panel: Panel) -> list[str]:
+def ranked(panel: ScenarioPanel) -> list[str]:
     """The metrics of the quantities that the data tell."""
     return [metric for metric in panel.ranked if metric != "rmse"]
 
 
-def alone(panel: Panel) -> list[str]:
+def alone(panel: ScenarioPanel) -> list[str]:
     """The quantities that the data tell and that are no ratios of others."""
     return [name for name in map(quantity, ranked(panel)) if "/" not in name]
 
 
-def usual(panels: Sequence[Panel]) -> float:
+def usual(panels: Sequence[ScenarioPanel]) -> float:
     """The SNR (dB) at which errors are said in percent."""
     return min((p.facts.snr_db for p in panels), key=lambda snr: (abs(snr - USUAL_DB), snr), default=math.nan)
 
 
-def noise(panels: Sequence[Panel]) -> str:
+def noise(panels: Sequence[ScenarioPanel]) -> str:
     """Its standard deviation there, in percent of the signal's root mean square."""
     level = usual(panels)
     return f"{number(100 * 10 ** (-level / 20), 2)} %" if math.isfinite(level) else ""
 
 
-def accuracy(panels: Sequence[Panel], label: str) -> str:
+def accuracy(panels: Sequence[ScenarioPanel], label: str) -> str:
     """A method's root mean square error in percent at the usual noise, gross errors left out."""
     level = usual(panels)
     found: dict[str, list[float]] = {}

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from bench.reporting.frame import ERROR
-from bench.reporting.page.reading import Panel
+from bench.reporting.page.reading import ScenarioPanel
 from bench.reporting.page.told import ranked
 from bench.reporting.page.words import joined, percent, quantity
 
@@ -22,7 +22,7 @@ class Untold:
     shares: tuple[tuple[str, str], ...]
 
 
-def untold(panel: Panel) -> Untold | None:
+def untold(panel: ScenarioPanel) -> Untold | None:
     """What a scenario's data do not tell; None where they tell everything."""
     lost = [name for name, told in panel.identifiable.items() if not told]
     if not lost:

@@ -8,11 +8,11 @@ import numpy as np
 
 from bench.errors import InputError
 from bench.planning.forced import FORCED_QUANTITIES, ForcedTest
-from bench.planning.forces import LEAST_LINES, Forces, Told, line_frequencies, told_by
+from bench.planning.forces import LEAST_LINES, ForceInformation, Forces, line_frequencies, told_by
 from bench.planning.multisine import ALL
 from bench.planning.search import LEAST_RATE
 from bench.planning.verify import counted, simulated_forced
-from bench.reporting.plans.request import TITLES, Request, Simulation, percent
+from bench.reporting.plans.request import TITLES, PlanRequest, Simulation, percent
 from bench.reporting.terminal import table, wrapped
 
 MEANING = (
@@ -27,7 +27,7 @@ COUNTED = (
 
 
 def forced_test(
-    request: Request, samples: int, duration: float, energy: float, mass: float
+    request: PlanRequest, samples: int, duration: float, energy: float, mass: float
 ) -> tuple[ForcedTest, float]:
     """Return a test, and the force (N) of one unit of the plan; raises InputError for a test that is too short."""
     size = mass * request.noise
@@ -41,7 +41,7 @@ def forced_test(
     return test, size
 
 
-def forces_page(request: Request, test: ForcedTest, size: float, energy: float) -> tuple[str, np.ndarray]:
+def forces_page(request: PlanRequest, test: ForcedTest, size: float, energy: float) -> tuple[str, np.ndarray]:
     """Return a table of forces with their errors, and the best force (N) for the wanted quantity."""
     compared = _compared(request, test)
     best = compared[f"best for {request.title}"]
@@ -56,7 +56,7 @@ def forces_page(request: Request, test: ForcedTest, size: float, energy: float) 
     return "\n".join([table(rows, headers), "", *(wrapped(note, "") for note in notes)]), size * best.force
 
 
-def _compared(request: Request, test: ForcedTest) -> dict[str, Told]:
+def _compared(request: PlanRequest, test: ForcedTest) -> dict[str, ForceInformation]:
     forces, quantity, title = Forces(request.likely, test), request.quantity, request.title
     compared = {
         "hammer blow": forces.hammer_blow(),
@@ -70,15 +70,15 @@ def _compared(request: Request, test: ForcedTest) -> dict[str, Told]:
     return {title: told_by(request.likely, test, force) for title, force in compared.items()}
 
 
-def _row(title: str, force: Told, size: float, over: float) -> list[str]:
+def _row(title: str, force: ForceInformation, size: float, over: float) -> list[str]:
     peak = size * float(np.abs(force.force).max())
     return [title, f"{peak:.3g}", *(percent(force.median[name]) for name in FORCED_QUANTITIES), f"{over:.2f}"]
 
 
-def _counted(request: Request, test: ForcedTest, forces: list[Told]) -> list[str]:
+def _counted(request: PlanRequest, test: ForcedTest, forces: list[ForceInformation]) -> list[str]:
     """Return the errors of simulated tests, force by force."""
 
-    def simulation(force: Told) -> Simulation:
+    def simulation(force: ForceInformation) -> Simulation:
         return lambda method, number, report: simulated_forced(
             request.likely, test, force.force, request.quantity, method, number, report
         )

@@ -10,29 +10,29 @@ import numpy as np
 from bench.config.atlas import on_the_bound
 from bench.planning.free_decay import QUANTITIES, Decay
 from bench.planning.optimal import VOLUME, best_times, told_by
-from bench.planning.search import SHARE, WITHIN, Proposal, cheapest, proposal
+from bench.planning.search import SHARE, WITHIN, ProposedTest, cheapest, proposal
 from bench.planning.verify import reached, simulated
-from bench.reporting.plans.request import TITLES, Request, Simulation, percent
+from bench.reporting.plans.request import TITLES, PlanRequest, Simulation, percent
 from bench.reporting.terminal import table, wrapped
 
 AMPLITUDES = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 """Initial displacements that are proposed where none is given, in units of the noise."""
 
 
-def proposals(request: Request, amplitude: float | None, rate: float) -> list[Proposal]:
+def proposals(request: PlanRequest, amplitude: float | None, rate: float) -> list[ProposedTest]:
     """Return the free decay of fewest samples for each initial displacement (in units of the noise) that has one."""
     amplitudes = AMPLITUDES if amplitude is None else (amplitude,)
     tests = [cheapest(request.likely, request.quantity, request.error, start, rate) for start in amplitudes]
     return [test for test in tests if test is not None]
 
 
-def errors_of(request: Request, amplitude: float | None, samples: int, duration: float) -> list[Proposal]:
+def errors_of(request: PlanRequest, amplitude: float | None, samples: int, duration: float) -> list[ProposedTest]:
     """Return what a given test reaches from each initial displacement."""
     amplitudes = AMPLITUDES if amplitude is None else (amplitude,)
     return [proposal(request.likely, Decay(samples, duration, start)) for start in amplitudes]
 
 
-def decay_page(request: Request, tests: Sequence[Proposal]) -> str:
+def decay_page(request: PlanRequest, tests: Sequence[ProposedTest]) -> str:
     """Return a table of tests with their errors, and what it means."""
     rows = []
     for test in tests:
@@ -51,7 +51,7 @@ def decay_page(request: Request, tests: Sequence[Proposal]) -> str:
     return f"{table(rows, headers, ())}\n\n{wrapped(_meaning(request), '')}"
 
 
-def _meaning(request: Request) -> str:
+def _meaning(request: PlanRequest) -> str:
     parts = ["Each line is the test of fewest samples for its initial displacement, released from rest; percentages are"
              " standard deviations by the Cramér-Rao bound"]  # fmt: skip
     if request.likely.in_doubt:
@@ -65,7 +65,7 @@ def _meaning(request: Request) -> str:
     return text
 
 
-def times_page(request: Request, decay: Decay) -> tuple[str, np.ndarray]:
+def times_page(request: PlanRequest, decay: Decay) -> tuple[str, np.ndarray]:
     """Return a table that compares even sampling times with the best ones, and the best for the wanted quantity (s)."""
     best = f"best for {request.title}"
     compared = {
@@ -100,7 +100,9 @@ def _bursts(times: np.ndarray, decay: Decay) -> str:
     )
 
 
-def simulated_shares(request: Request, decays: Sequence[Decay], times: Sequence[np.ndarray | None] = ()) -> list[str]:
+def simulated_shares(
+    request: PlanRequest, decays: Sequence[Decay], times: Sequence[np.ndarray | None] = ()
+) -> list[str]:
     """Return the share (%) of simulated decays, sampled at ``times`` if any, that reach the wanted error, by test."""
 
     def simulation(decay: Decay, sampled: np.ndarray | None) -> Simulation:

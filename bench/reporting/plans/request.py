@@ -17,7 +17,7 @@ TITLES = {"k_over_m": "k/m", "c_over_m": "c/m", "natural_frequency": "frequency"
 
 
 @dataclass(frozen=True)
-class Request:
+class PlanRequest:
     """A quantity wanted to an ``error`` (of its logarithm), of a likely oscillator, from samples with ``noise`` (m).
 
     Each proposed test is simulated ``simulations`` times and fitted by ``method``.

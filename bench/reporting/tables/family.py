@@ -9,7 +9,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from bench.reporting.family import Family, Member, Place, Row, Section, any_stored, family_of
+from bench.reporting.family import Family, FamilyRow, Member, Place, Section, any_stored, family_of
 from bench.reporting.frame import Frame, Result
 from bench.reporting.tables.common import Line, Rows, csv, failure_notes, markdown_table
 from bench.reporting.tables.family_latex import latex
@@ -73,7 +73,7 @@ def lines(family: Family) -> list[Line]:
     return [line for section in sections for row in section.rows for line in _lines(family, section, row)]
 
 
-def _lines(family: Family, section: Section, row: Row) -> Iterable[Line]:
+def _lines(family: Family, section: Section, row: FamilyRow) -> Iterable[Line]:
     member = row.member
     for place in family.places:
         one = member.at(place)
@@ -133,7 +133,7 @@ def _section(family: Family, section: Section) -> Iterable[str]:
     yield markdown_table(*_training(section, _oracle(family, PLACE)))
 
 
-def _title(row: Row) -> str:
+def _title(row: FamilyRow) -> str:
     return f"{row.title} (base)" if row.base else row.title
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from bench.reporting.family import Family, Row, Section
+from bench.reporting.family import Family, FamilyRow, Section
 from bench.reporting.frame import group
 from bench.reporting.tables.common import latex_tables
 from bench.reporting.tables.family_numbers import ACCURACY, PLACE, accuracy_cells
@@ -24,7 +24,7 @@ def latex(title: str, family: Family) -> str:
 
 def _beside(bases: Sequence[str], sections: Iterable[Section]) -> Iterable[list[str]]:
     """The rows of a heading by title, and the numbers around each base."""
-    columns: Mapping[str, dict[str, Row]] = {base: {} for base in bases}
+    columns: Mapping[str, dict[str, FamilyRow]] = {base: {} for base in bases}
     for section in sections:
         column = columns[section.base if section.base in columns else bases[0]]
         column.update({row.title: row for row in section.rows})
@@ -32,7 +32,7 @@ def _beside(bases: Sequence[str], sections: Iterable[Section]) -> Iterable[list[
         yield [f"- {title}", *(cell for column in columns.values() for cell in _cells(column.get(title)))]
 
 
-def _cells(row: Row | None) -> list[str]:
+def _cells(row: FamilyRow | None) -> list[str]:
     if row is None:
         return [""] * len(HEADS)
     one = row.member.at(PLACE)

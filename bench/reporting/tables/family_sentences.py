@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from bench.reporting.family import Family, Member, Place, Row, Section
+from bench.reporting.family import Family, FamilyRow, Member, Place, Section
 from bench.reporting.tables.family_numbers import GROUP, OTHER, arrival, at_minimum, text
 from bench.reporting.tables.pooling import pooled_errors
 from bench.scoring.comparison import Comparison, Errors, adjusted, compare
@@ -35,7 +35,7 @@ def optimisers(family: Family, place: Place) -> str:
     return " ".join([*said, _own(sections[-1], known)])
 
 
-Arrival = tuple[Row, float, float]
+Arrival = tuple[FamilyRow, float, float]
 """A row, the share of its fits that reach the minimum, and the median time of these (s)."""
 
 
@@ -151,7 +151,7 @@ def against(one: Member, other: Member, places: Sequence[Place]) -> Comparison |
 # ---- words
 
 
-def _missing(rows: Sequence[Row], place: Place) -> str:
+def _missing(rows: Sequence[FamilyRow], place: Place) -> str:
     return _uncomputed(sum(row.member.at(place) is None for row in rows), len(rows))
 
 

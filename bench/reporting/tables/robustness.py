@@ -43,7 +43,7 @@ TOLD_APART = 0.01
 
 
 @dataclass(frozen=True)
-class Pair:
+class DisturbedPair:
     """A result and its undisturbed counterpart (its own cell, where it is undisturbed)."""
 
     disturbed: Result
@@ -55,7 +55,7 @@ class Pair:
         return self.disturbed.disturbance or "none"
 
 
-def pairs(results: Sequence[Result], store: Store) -> list[Pair]:
+def pairs(results: Sequence[Result], store: Store) -> list[DisturbedPair]:
     """Every result of an experiment with its counterpart, in order."""
     found = []
     known = {result.identity: result for result in results}
@@ -64,7 +64,7 @@ def pairs(results: Sequence[Result], store: Store) -> list[Pair]:
         plain = replace(result.cell, scenario=result.scenario.undisturbed)
         if plain.identity not in known:
             known[plain.identity] = Result.of_cell(plain, store.load(plain.identity))
-        found.append(Pair(result, known[plain.identity]))
+        found.append(DisturbedPair(result, known[plain.identity]))
     return found
 
 
@@ -83,12 +83,12 @@ def ratio(disturbed: np.ndarray, undisturbed: np.ndarray) -> tuple[float, float,
     return float(np.sqrt(middle[0] / middle[1])), float(low), float(high)
 
 
-def tidy(found: Iterable[Pair]) -> list[Line]:
+def tidy(found: Iterable[DisturbedPair]) -> list[Line]:
     """One line a cell and metric; a cell that was not run has n = 0."""
     return [line for pair in found for line in _lines(pair)]
 
 
-def _lines(pair: Pair) -> Iterable[Line]:
+def _lines(pair: DisturbedPair) -> Iterable[Line]:
     own, plain = pair.disturbed, pair.plain
     head = {
         "disturbance": pair.kind, "size": own.scenario.disturbance.size if own.scenario.disturbance else math.nan,

@@ -56,7 +56,7 @@ median fit. A dash for an error: the experiment does not ask for it. What a meth
 its panel."""
 
 
-class Panel:
+class SystemPanel:
     """The results of one system with one reading of the start, by noise level and method."""
 
     def __init__(self, results: Sequence[Result]) -> None:
@@ -250,10 +250,10 @@ def heading(result: Result) -> str:
     return result.system + (f", {result.disturbance}" if result.disturbance else "")
 
 
-def panels(results: Iterable[Result]) -> list[Panel]:
+def panels(results: Iterable[Result]) -> list[SystemPanel]:
     """One a system, disturbance and reading of the start, in order."""
     places = group(results, lambda result: (heading(result), result.initial_state, result.kind))
-    return [Panel(own) for own in places.values()]
+    return [SystemPanel(own) for own in places.values()]
 
 
 def _uses(classes: str, scenario: Scenario) -> str:
@@ -272,12 +272,12 @@ def _median_and_excess(result: Result, metric: str) -> str:
 # ------------------------------------------------------------------------------------------------ the tidy table
 
 
-def tidy(table: str, shown: Sequence[Panel]) -> list[dict[str, Any]]:
+def tidy(table: str, shown: Sequence[SystemPanel]) -> list[dict[str, Any]]:
     """One line a cell and metric: every score, the pooled ones, those of the modes, and the bound."""
     return [line for panel in shown for result in panel.results for line in _lines(table, panel, result)]
 
 
-def _lines(table: str, panel: Panel, result: Result) -> Iterable[dict[str, Any]]:
+def _lines(table: str, panel: SystemPanel, result: Result) -> Iterable[dict[str, Any]]:
     head = {
         "table": table, "system": panel.heading, "initial_state": result.initial_state, "snr_db": result.snr_db,
         "method": result.label,
@@ -302,7 +302,7 @@ def _lines(table: str, panel: Panel, result: Result) -> Iterable[dict[str, Any]]
         yield {**head, "metric": metric, "median": lower_median(values), **count}
 
 
-def _pools(panel: Panel, result: Result) -> Mapping[str, tuple[str, ...]]:
+def _pools(panel: SystemPanel, result: Result) -> Mapping[str, tuple[str, ...]]:
     return {
         "told_pooled": panel.told_quantities(result),
         "parameters_pooled": panel.model.names,
@@ -313,7 +313,7 @@ def _pools(panel: Panel, result: Result) -> Mapping[str, tuple[str, ...]]:
 # ------------------------------------------------------------------------------------------------ for reading
 
 
-def markdown(heading_: str, shown: Sequence[Panel], command: str) -> str:
+def markdown(heading_: str, shown: Sequence[SystemPanel], command: str) -> str:
     """The table for reading."""
     parts = [f"# {heading_}", LEGEND]
     for panel in shown:

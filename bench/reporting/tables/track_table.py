@@ -13,8 +13,8 @@ import numpy as np
 from bench.config.records import primary_method
 from bench.contract.belief import standard_quantile
 from bench.measured.sets import Known, MeasuredSet
-from bench.measured.siblings import Agreement, Stated, Total, agreement, total
-from bench.measured.track import Fit
+from bench.measured.siblings import SiblingAgreement, Stated, Total, agreement, total
+from bench.measured.track import TrackFit
 from bench.reporting.rounding import number, readable
 from bench.reporting.tables.common import csv, markdown_table
 
@@ -46,20 +46,20 @@ FREE_RUN = "Free simulation of the test parts, root mean square error (thousandt
 
 
 @dataclass(frozen=True, eq=False)
-class Panel:
+class TrackPanel:
     """A set with one system: its fits, and what is said where there are none."""
 
     name: str
     of: MeasuredSet
     system: str
-    fits: Sequence[Fit] = ()
+    fits: Sequence[TrackFit] = ()
     absent: str = ""
 
     @property
     def methods(self) -> list[str]:
         return list(dict.fromkeys(fit.method for fit in self.fits))
 
-    def own(self, method: str) -> list[Fit]:
+    def own(self, method: str) -> list[TrackFit]:
         """The fits of a method."""
         return [fit for fit in self.fits if fit.method == method]
 
@@ -69,7 +69,7 @@ class Panel:
         there = {name for fit in self.fits for name in (*fit.estimates, *fit.withdrawn)}
         return [name for name in dict.fromkeys([*MAIN, *self.of.known]) if name in there]
 
-    def agreement(self, method: str, quantity: str) -> Agreement:
+    def agreement(self, method: str, quantity: str) -> SiblingAgreement:
         """Of the siblings whose answer stands."""
         found = [fit.estimates[quantity] for fit in self.own(method) if quantity in fit.estimates]
         known = self.of.known.get(quantity)
@@ -90,7 +90,7 @@ class FreeRun:
 class Track:
     """All that the table shows; ``missing`` fits were asked for and are not made yet."""
 
-    panels: Sequence[Panel]
+    panels: Sequence[TrackPanel]
     free_runs: Sequence[FreeRun] = field(default_factory=list)
     missing: int = 0
 
@@ -143,7 +143,7 @@ def summary(track: Track) -> str:
     return "\n".join(found)
 
 
-def _verdicts(fits: Sequence[Fit]) -> Counter[str]:
+def _verdicts(fits: Sequence[TrackFit]) -> Counter[str]:
     """How many answers have each verdict."""
     return Counter(fit.trust for fit in fits if fit.status == "ok")
 
@@ -173,7 +173,7 @@ def overview(track: Track) -> tuple[list[list[str]], list[str]]:
     return rows, [*headers, "held-out %"]
 
 
-def _cells(one: Agreement) -> list[str]:
+def _cells(one: SiblingAgreement) -> list[str]:
     if not one.counted:
         return ["-", "-"]
     return [f"{number(one.ratio)} ({number(one.ratio_white)})", _both(one.covered, one.covered_white, one.counted)]
@@ -191,20 +191,20 @@ def _median(values: Sequence[float]) -> str:
 # ------------------------------------------------------------------------------------------------ a set
 
 
-def origin(panel: Panel) -> str:
+def origin(panel: TrackPanel) -> str:
     """What a set is, where it is from, and what was done to it."""
     of = panel.of
     note = f" {of.note[0].upper()}{of.note[1:]}." if of.note else ""
     return f"{of.title}. {of.source}; licence: {of.licence}.{note}"
 
 
-def known_values(panel: Panel) -> str:
+def known_values(panel: TrackPanel) -> str:
     """What others state, in a sentence."""
     known = [f"{readable(name)} {one.value:.6g} ({one.source})" for name, one in panel.of.known.items()]
     return f"Known: {'; '.join(known)}."
 
 
-def _panel(panel: Panel, runs: Sequence[FreeRun]) -> list[str]:
+def _panel(panel: TrackPanel, runs: Sequence[FreeRun]) -> list[str]:
     of = panel.of
     said = origin(panel)
     heading = f"## {panel.name}, {panel.system}"
@@ -219,7 +219,7 @@ def _panel(panel: Panel, runs: Sequence[FreeRun]) -> list[str]:
     return [*parts, FREE_RUN, markdown_table(*free)] if free else parts
 
 
-def free_runs(panel: Panel, runs: Sequence[FreeRun]) -> tuple[list[list[str]], list[str]] | None:
+def free_runs(panel: TrackPanel, runs: Sequence[FreeRun]) -> tuple[list[list[str]], list[str]] | None:
     """The models of a panel simulated over its test parts, and what others have published; None where nothing is."""
     own = [run for run in runs if run.set == f"{panel.name} {panel.system}"]
     if not own:
@@ -229,7 +229,7 @@ def free_runs(panel: Panel, runs: Sequence[FreeRun]) -> tuple[list[list[str]], l
     return rows, ["model", *panel.of.tests, "where from"]
 
 
-def method_rows(panel: Panel) -> tuple[list[list[str]], list[str]]:
+def method_rows(panel: TrackPanel) -> tuple[list[list[str]], list[str]]:
     """One row a method: of each quantity the median over siblings and how they agree, then time and verdicts."""
     quantities, rows = panel.quantities, []
     for method in panel.methods:
@@ -250,12 +250,12 @@ def method_rows(panel: Panel) -> tuple[list[list[str]], list[str]]:
     return rows, [*headers, "held-out %", "s", "verdicts", "without an answer"]
 
 
-def _why(own: Sequence[Fit]) -> str:
+def _why(own: Sequence[TrackFit]) -> str:
     counts = Counter(fit.status for fit in own if fit.status != "ok")
     return ", ".join(f"{n} {status}" for status, n in counts.items())
 
 
-def certified_rows(panel: Panel) -> tuple[list[list[str]], list[str]]:
+def certified_rows(panel: TrackPanel) -> tuple[list[list[str]], list[str]]:
     """Digits of the value, and the white interval over Student's t times the certified standard deviation."""
     rows = []
     for fit in panel.fits:
@@ -292,7 +292,7 @@ def lines(track: Track) -> list[dict[str, Any]]:
     return [line for panel in track.panels for line in _lines(panel)]
 
 
-def _lines(panel: Panel) -> list[dict[str, Any]]:
+def _lines(panel: TrackPanel) -> list[dict[str, Any]]:
     head = {"set": panel.name, "system": panel.system}
     if panel.absent:
         return [{**head, "status": panel.absent}]

@@ -11,7 +11,7 @@ import numpy as np
 from bench.measured.siblings import Stated
 from bench.reporting.inline_svg import INK, LINE, MUTED, RC, SERIES, pyplot, row_axis, svg
 from bench.reporting.rounding import readable
-from bench.reporting.tables.track_table import MAIN, Panel, Track
+from bench.reporting.tables.track_table import MAIN, Track, TrackPanel
 from bench.systems.sums import GROUPS
 
 BLUE, ORANGE, GREEN, PURPLE = SERIES
@@ -25,7 +25,7 @@ NOMINAL = 95.0
 UNITS = {quantity.name: quantity.unit for quantity in GROUPS}
 
 
-def forest(panel: Panel) -> str:
+def forest(panel: TrackPanel) -> str:
     """Values and intervals of every sibling of a set, by method; empty where no method has an answer."""
     names = [name for name in MAIN if any(name in fit.estimates for fit in panel.fits)]
     methods = [m for m in panel.methods if any(name in fit.estimates for fit in panel.own(m) for name in names)]
@@ -42,7 +42,7 @@ def forest(panel: Panel) -> str:
         return svg(figure, f"{panel.name}, {panel.system}: siblings by method", f"{panel.name}-{panel.system}")
 
 
-def _forest_of(axis: Any, panel: Panel, name: str, methods: Sequence[str]) -> None:
+def _forest_of(axis: Any, panel: TrackPanel, name: str, methods: Sequence[str]) -> None:
     from matplotlib.ticker import MaxNLocator
 
     siblings = list(dict.fromkeys(fit.sibling for fit in panel.fits))
@@ -124,7 +124,7 @@ def _coverage_of(axis: Any, name: str, shares: Sequence[Mapping[str, tuple[float
     row_axis(axis)
 
 
-def _shares(panel: Panel) -> dict[str, tuple[float, float]]:
+def _shares(panel: TrackPanel) -> dict[str, tuple[float, float]]:
     """Of all methods together, in percent: stated, white."""
     found = {}
     for name in MAIN:

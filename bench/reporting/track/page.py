@@ -9,8 +9,8 @@ from bench.reporting.grid import Grid, rendered, style
 from bench.reporting.tables.track_table import (
     CERTIFIED,
     FREE_RUN,
-    Panel,
     Track,
+    TrackPanel,
     certified_rows,
     free_runs,
     known_values,
@@ -23,7 +23,7 @@ from bench.reporting.track.figures import coverage, forest
 
 
 @dataclass(frozen=True)
-class Section:
+class TrackSection:
     """One set with one system: texts, a picture (maybe none) and captioned tables."""
 
     key: str
@@ -48,18 +48,18 @@ def page(track: Track, command: str) -> str:
     )
 
 
-def _section(panel: Panel, track: Track) -> Section:
+def _section(panel: TrackPanel, track: Track) -> TrackSection:
     known = known_values(panel) if panel.of.known else ""
     key = f"{panel.name}-{panel.system}".replace("+", "-")
     title = f"{panel.name}, {panel.system}"
     if panel.absent:
-        return Section(key, title, f"{origin(panel)} {panel.absent}.", known, "", ())
+        return TrackSection(key, title, f"{origin(panel)} {panel.absent}.", known, "", ())
     grids = [("Methods, over all siblings", _grid(method_rows(panel)))]
     if panel.name == CERTIFIED:
         grids.append(("Against the certified values", _grid(certified_rows(panel))))
     if (free := free_runs(panel, track.free_runs)) is not None:
         grids.append((FREE_RUN.removesuffix(":"), _grid(free)))
-    return Section(key, title, origin(panel), known, forest(panel), tuple(grids))
+    return TrackSection(key, title, origin(panel), known, forest(panel), tuple(grids))
 
 
 def _grid(table: tuple[Sequence[Sequence[str]], Sequence[str]]) -> Grid:

@@ -8,7 +8,7 @@ import pytest
 
 from bench import Card, Estimate, Identifier
 from bench.atlas.point import FreeDecay
-from bench.atlas.run import Block, at_point, read_block, write_block
+from bench.atlas.run import PointBlock, at_point, read_block, write_block
 from bench.commands.main import main
 from bench.config.atlas import SAMPLED, atlas_blocks, atlas_content, atlas_methods, part_names
 from bench.engine.pool import Limits, run_tasks
@@ -16,7 +16,7 @@ from bench.entrants.registry import make_method
 from bench.store.results import result_path
 
 EASY = FreeDecay(100, 10.0, 0.05, 40.0, 0.4, False)
-BLOCK = Block([EASY, replace(EASY, snr_db=30.0)], "matrix_pencil", {}, 10, 1, "matrix_pencil")
+BLOCK = PointBlock([EASY, replace(EASY, snr_db=30.0)], "matrix_pencil", {}, 10, 1, "matrix_pencil")
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from conftest import Python, install
 
 from bench import Identifier
 from bench.commands.main import main
-from bench.conformance.check import Outcome
+from bench.conformance.check import CheckOutcome
 from bench.conformance.method_checks import METHOD_CHECKS, Candidate
 
 FOLDER = Path(__file__).parent / "third_party"
@@ -59,7 +59,7 @@ def third_party(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleTyp
         sys.modules.pop(name, None)
 
 
-def failures(method: Identifier, *names: str) -> dict[str, Outcome]:
+def failures(method: Identifier, *names: str) -> dict[str, CheckOutcome]:
     """Return what fails of the checks of these names, by default of all."""
     candidate = Candidate(method)
     outcomes = [check.outcome(candidate) for check in METHOD_CHECKS if not names or check.name in names]

@@ -22,7 +22,7 @@ from bench import Estimate, Normal, Problem, Status
 from bench.engine import cells as cells_of_a_run
 from bench.engine.cells import CellJob, ScoringError
 from bench.engine.method_process import perform
-from bench.engine.plan import Planned, State, plan
+from bench.engine.plan import CellState, Planned, plan
 from bench.engine.pool import Limits
 from bench.engine.runner import make_bounds
 from bench.engine.scoring_process import Scorer
@@ -147,7 +147,7 @@ def test_a_bound_that_cannot_be_computed_costs_the_cells_of_its_scenario(
         (Status.INVALID, "its bound cannot be computed")
     }
     assert lost.summary["rmse"]["median"] == math.inf
-    assert [planned.state for planned in plan(cells, store)] == [State.FAILED, State.DONE]
+    assert [planned.state for planned in plan(cells, store)] == [CellState.FAILED, CellState.DONE]
 
 
 @pytest.mark.parametrize(("limits", "why"), [((0.0, 4000.0), "limit of 0 s"), ((100.0, 1.0), "memory limit of 1 MB")])
@@ -201,7 +201,7 @@ SAID = st.builds(
 
 def complete(said: Said, cell: Cell, store: Store) -> CellJob:
     """Return a cell whose one row is there, not yet stored."""
-    job, scorer = CellJob(Planned(cell, State.MISSING, "", True), store, Limits()), Scorer()
+    job, scorer = CellJob(Planned(cell, CellState.MISSING, "", True), store, Limits()), Scorer()
     task = pickle.loads(scorer.open(cell, pickle.dumps(said), job.take(), 600.0))
     job.add(scorer.score(cell, pack((0.0, 0.0, 0.0, perform(task)))))
     return job

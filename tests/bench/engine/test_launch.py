@@ -20,9 +20,9 @@ from bench.config.experiment import Experiment, expand
 from bench.engine import job_file, launch
 from bench.engine.job_file import FORMAT, LaunchJob, read_job
 from bench.engine.launch import CACHE, Launch, make_private_folder
-from bench.engine.plan import Planned, State, plan
+from bench.engine.plan import CellState, Planned, plan
 from bench.engine.pool import Limits
-from bench.engine.progress import Look
+from bench.engine.progress import RunState
 from bench.isolation.limits import limited
 from bench.scenario.force import ForceSpec
 from bench.store.archive import Archive
@@ -113,7 +113,7 @@ def test_a_job_that_is_tried_again_takes_what_its_first_try_did_not_store(
     path = store.path(cells[1].identity)
     path.write_text("{}")
     assert [task.key for task in job.left()] == [cell.identity for cell in (cells[0], *cells[2:])]
-    stale = job.part([Planned(cells[1], State.STALE, "", True, store.stamp(cells[1].identity))])
+    stale = job.part([Planned(cells[1], CellState.STALE, "", True, store.stamp(cells[1].identity))])
     assert stale.left() == list(stale.tasks)
     os.utime(path, ns=(0, 1))
     assert stale.left() == []
@@ -167,7 +167,7 @@ def test_a_job_ends_with_its_sweep(
 
     def interrupted(planned: Any, store: Store, limits: Limits, on_look: Any) -> None:
         shutil.rmtree(store.folder / "launches")
-        on_look(Look("fit", 1, 2, "", 1.0, False))
+        on_look(RunState("fit", 1, 2, "", 1.0, False))
         after.append(planned)
 
     monkeypatch.setattr(job_file, "run_cells", interrupted)
@@ -190,7 +190,7 @@ def many() -> list[Cell]:
 def job(many: list[Cell], tmp_path: Path) -> LaunchJob:
     store = Store(tmp_path / "rows", Archive(tmp_path / "archive"))
     store.prepare()
-    planned = [replace(cell, state=State.STALE, stamp=10**18 + i) for i, cell in enumerate(plan(many, store))]
+    planned = [replace(cell, state=CellState.STALE, stamp=10**18 + i) for i, cell in enumerate(plan(many, store))]
     blocks = [block for test in ("free_decay", "forced") for block in atlas_blocks("points", [], 32, test)]
     return LaunchJob((*planned, *blocks), store, Limits(7, 1.5, 3.0, ("torch",)))
 
@@ -220,7 +220,7 @@ def test_a_force_that_was_read_from_a_file_comes_along(
     column.write_text("0\n1\n0.5\n-1\n0\n")
     force = ForceSpec(1.0, None, None, kind="column", file="force.txt")
     cell = replace(many[0], scenario=replace(many[0].scenario, force=force))
-    job.part([Planned(cell, State.MISSING, "", True)]).write(tmp_path / "0.job")
+    job.part([Planned(cell, CellState.MISSING, "", True)]).write(tmp_path / "0.job")
     monkeypatch.chdir(job.store.folder)
     (back,) = read_job(tmp_path / "0.job", job.store.folder).tasks
     assert isinstance(back, Planned)

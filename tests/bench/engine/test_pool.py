@@ -16,7 +16,7 @@ import pytest
 
 from bench import InputError
 from bench.engine.pool import Limits, run_tasks
-from bench.engine.progress import Kind, Look
+from bench.engine.progress import Kind, RunState
 from bench.store.results import read_result, result_path, write_result
 
 HERE = Path(__file__).parent
@@ -59,7 +59,7 @@ def marks(folder: Path) -> list[str]:
 
 def test_what_is_stored_is_not_computed_again_and_what_fails_harms_no_other(tmp_path: Path) -> None:
     deeds = [Deed("a"), Deed("b", "raise"), Deed("c", "die"), Deed("d")]
-    looks: list[Look] = []
+    looks: list[RunState] = []
     errors = run_tasks(deeds, tmp_path, Limits(), ("deed", ""), looks.append)
     assert errors == {"b": "ValueError: two lines of reasons", "c": "its process was ended by SIGKILL"}
     assert [deed.key for deed in deeds if deed.stored(tmp_path)] == ["a", "d"]

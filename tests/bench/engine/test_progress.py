@@ -15,7 +15,7 @@ from conftest import Plugins, StoreFactory
 from bench.engine import progress as bars
 from bench.engine.plan import plan
 from bench.engine.pool import Limits
-from bench.engine.progress import Look, Progress, firsts_first, progress_bar
+from bench.engine.progress import Progress, RunState, firsts_first, progress_bar
 from bench.engine.runner import run_cells
 from bench.entrants.registry import default_settings
 from bench.scenario.scenario import Scenario
@@ -89,7 +89,7 @@ def test_the_first_of_a_kind_is_no_example_once_there_is_a_second() -> None:
     assert shown == [(0, None, True), (1, 40.0, True), (2, 41.0, False), (3, 3.0, False), (4, 1.0, False)]
 
 
-FITS = Look("fit", 9, 40, "ls 20 dB", 100.0, False, "2/8 cells, 3 failed")
+FITS = RunState("fit", 9, 40, "ls 20 dB", 100.0, False, "2/8 cells, 3 failed")
 
 
 @pytest.mark.parametrize(
@@ -101,10 +101,10 @@ FITS = Look("fit", 9, 40, "ls 20 dB", 100.0, False, "2/8 cells, 3 failed")
         (replace(FITS, seconds_left=math.nan, at_least=True), 0.0, "time left not known yet"),
     ],
 )
-def test_the_time_left_runs_down_and_stands_first(look: Look, since: float, said: str) -> None:
+def test_the_time_left_runs_down_and_stands_first(look: RunState, since: float, said: str) -> None:
     """Since a narrow terminal shows the beginning alone."""
     assert look.words(since, 30.0) == f"{said}, 2/8 cells, 3 failed, 9/40 fits, 30 s so far, ls 20 dB"
-    assert Look("bound", 4, 4, "sdof", 0.0, False).words(0.0, 12.0) == "4/4 bounds, in 12 s"
+    assert RunState("bound", 4, 4, "sdof", 0.0, False).words(0.0, 12.0) == "4/4 bounds, in 12 s"
 
 
 def test_a_run_shows_its_bounds_and_then_all_its_fits(
@@ -114,7 +114,7 @@ def test_a_run_shows_its_bounds_and_then_all_its_fits(
     monkeypatch.setattr(bars, "LINE_S", 0.0)
     monkeypatch.setattr("sys.stderr", io.StringIO())
     plugins("Wrong")
-    store, looks = new_store(), list[Look]()
+    store, looks = new_store(), list[RunState]()
     settings = {**default_settings("wrong"), "kind": "raise"}
     louder = replace(reference, snr_db=19.0)  # a scenario of which no bound is kept yet
     cells = [Cell(louder, "wrong", settings, 3, 0, "wrong"), Cell(louder, "prior", {}, 4, 0, "prior")]

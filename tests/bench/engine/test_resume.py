@@ -21,7 +21,7 @@ from bench.commands.main import main
 from bench.config.experiment import expand
 from bench.engine import pool
 from bench.engine.cells import CellJob
-from bench.engine.plan import FAILURES, Planned, State, plan, read_retry
+from bench.engine.plan import FAILURES, CellState, Planned, plan, read_retry
 from bench.engine.pool import Limits, TaskQueue
 from bench.engine.runner import run_cells
 from bench.scenario.scenario import Scenario
@@ -41,7 +41,11 @@ def test_only_what_is_missing_is_computed(reference: Scenario, store: Store, any
     cells = [a_cell(replace(reference, snr_db=snr), "draw") for snr in (40.0, 20.0, 10.0)]
     run_cells(plan(cells[1:2], store), store, LIMITS)
     first, second, third = plan([*cells, cells[0]], store)  # asked for twice is computed once
-    assert [planned.state for planned in (first, second, third)] == [State.MISSING, State.DONE, State.MISSING]
+    assert [planned.state for planned in (first, second, third)] == [
+        CellState.MISSING,
+        CellState.DONE,
+        CellState.MISSING,
+    ]
     assert [planned.run for planned in (first, second, third)] == [True, False, True]
     assert (first.stamp, second.stamp) == (0, store.stamp(cells[1].identity))
     run_cells([first, second, third], store, LIMITS)
@@ -49,13 +53,13 @@ def test_only_what_is_missing_is_computed(reference: Scenario, store: Store, any
     assert len(store.identities()) == 3
 
 
-@pytest.mark.parametrize("state", [State.MISSING, State.STALE])
+@pytest.mark.parametrize("state", [CellState.MISSING, CellState.STALE])
 def test_what_another_run_has_stored_since_the_plan_is_not_computed_again(
-    reference: Scenario, store: Store, state: State
+    reference: Scenario, store: Store, state: CellState
 ) -> None:
     """However long a run takes from its plan to its first fit: bounds come in between."""
     cell = a_cell(reference, "draw")
-    if state is State.STALE:
+    if state is CellState.STALE:
         run_cells(plan([cell], store), store, LIMITS)
     planned = [Planned(cell, state, "", True, store.stamp(cell.identity))]
     store.path(cell.identity).unlink(missing_ok=True)
@@ -107,7 +111,7 @@ def test_one_bad_replicate_does_not_cost_the_others_and_can_be_tried_again(
     assert after.n_ok == 20
     good = [row for row in before.rows if row.status is Status.OK]
     assert [row for row in after.rows if row.replicate in {r.replicate for r in good}] == good
-    assert plan([cell], store, FAILURES)[0].state is State.DONE
+    assert plan([cell], store, FAILURES)[0].state is CellState.DONE
 
 
 def test_the_statuses_that_can_be_tried_again() -> None:
@@ -133,7 +137,7 @@ def test_a_cell_that_cannot_be_read_for_a_moment_is_not_computed_again(
         with pytest.raises(InputError, match="cannot be read now"):
             plan([cell], store)
     (again,) = plan([cell], store)
-    assert (again.state, again.run) == (State.DONE, False)
+    assert (again.state, again.run) == (CellState.DONE, False)
 
 
 def flip(path: Path) -> None:
@@ -176,7 +180,7 @@ def test_damaged_cells_are_named_and_computed_again_when_failures_are(
     assert "retry=failed computes it again" in line
     assert sum(str(store.path(name)) in line for name in names) == 1
     states = [(planned.state, planned.run) for planned in plan(cells, store, FAILURES)]
-    assert states == [(State.DAMAGED, True)] * (len(DAMAGE) - 1) + [(State.DONE, False)]
+    assert states == [(CellState.DAMAGED, True)] * (len(DAMAGE) - 1) + [(CellState.DONE, False)]
     assert main([*command, "retry=failed"]) == 0
     assert {name: scores(name) for name in names} == before
     assert store.path(names[-1]).stat().st_ino == whole

@@ -21,8 +21,8 @@ from bench.measured.free_run import free_run_error, part_problem
 from bench.measured.reading import Recording, Signal
 from bench.measured.sets import MeasuredSet, measured_set, set_names
 from bench.measured.siblings import Stated, agreement, pieces, total
-from bench.measured.track import Fit, tasks
-from bench.reporting.tables.track_table import Panel, Track, certified_ratio, digits, lines, markdown
+from bench.measured.track import TrackFit, tasks
+from bench.reporting.tables.track_table import Track, TrackPanel, certified_ratio, digits, lines, markdown
 from bench.reporting.track.page import page
 from bench.store.results import write_result
 
@@ -34,10 +34,10 @@ def stated(value: float, error: float, white: float) -> Stated:
     return Stated(value, value - HALF * error, value + HALF * error, value - HALF * white, value + HALF * white)
 
 
-def fit(sibling: str, one: Stated, trust: str = "trust") -> Fit:
+def fit(sibling: str, one: Stated, trust: str = "trust") -> TrackFit:
     where = "withdrawn" if trust == "do not trust" else "estimates"
     found = {where: {"k_over_m": one}}
-    return Fit(sibling, "s", "sdof", sibling, "ls", "ok", "", trust, (), 1.0, 60.0, 10, **found, held_out=90.0)
+    return TrackFit(sibling, "s", "sdof", sibling, "ls", "ok", "", trust, (), 1.0, 60.0, 10, **found, held_out=90.0)
 
 
 def test_siblings_that_scatter_as_stated() -> None:
@@ -73,7 +73,7 @@ def test_totals_add_counts_and_take_the_median_of_the_ratios() -> None:
 def test_withdrawn_answers_count_in_no_coverage_but_are_counted() -> None:
     of = MeasuredSet(**TINY)
     fits = [fit(str(v), stated(v, 1.0, 1.0), "do not trust" if v > 50 else "trust") for v in (9.0, 10.0, 99.0)]
-    panel = Panel("s", of, "sdof", fits)
+    panel = TrackPanel("s", of, "sdof", fits)
     assert panel.agreement("ls", "k_over_m").counted == 2
     text = markdown(Track([panel]), "again")
     assert "2 / 0 / 1" in text
@@ -107,7 +107,7 @@ def test_a_recording_is_cut_scaled_and_thinned() -> None:
 
 def test_a_fit_comes_back_as_it_was() -> None:
     one = fit("1", Stated(1.0, math.nan, 2.0, 0.5, 1.5))
-    again = Fit.of_json(one.as_json())
+    again = TrackFit.of_json(one.as_json())
     assert again.estimates["k_over_m"].value == 1.0
     assert math.isnan(again.estimates["k_over_m"].low)
     assert again.as_json() == one.as_json()
@@ -171,7 +171,10 @@ def test_the_command_fits_once_and_goes_on(tmp_path: Path, monkeypatch: pytest.M
 def test_the_page_holds_every_set_and_needs_nothing_else() -> None:
     of = MeasuredSet(**{**TINY, "title": "a < b", "known": {"k_over_m": {"value": 9.5, "source": "scales & ruler"}}})
     found = [fit(str(i), stated(v, 1.0, 0.25)) for i, v in enumerate((9.0, 10.0, 11.0))]
-    text = page(Track([Panel("s", of, "sdof", found), Panel("gone", of, "sdof", absent="not found: x.csv")]), "make it")
+    text = page(
+        Track([TrackPanel("s", of, "sdof", found), TrackPanel("gone", of, "sdof", absent="not found: x.csv")]),
+        "make it",
+    )
     for part in ("a &lt; b", "scales &amp; ruler", 'id="s-sdof"', 'href="#gone-sdof"', "not found: x.csv", "make it"):
         assert part in text
     assert text.count("<svg") == 2  # coverage, and the siblings of the set that is there
@@ -181,10 +184,10 @@ def test_the_page_holds_every_set_and_needs_nothing_else() -> None:
 def test_the_page_draws_no_more_than_there_is() -> None:
     """No answer at all, one sibling, an interval without ends."""
     of = MeasuredSet(**TINY)
-    silent = Fit("1", "s", "sdof", "1", "ls", "diverged", "", "do not trust", (), 1.0, 60.0, 10)
-    assert page(Track([Panel("s", of, "sdof", [silent])]), "").count("<svg") == 0
+    silent = TrackFit("1", "s", "sdof", "1", "ls", "diverged", "", "do not trust", (), 1.0, 60.0, 10)
+    assert page(Track([TrackPanel("s", of, "sdof", [silent])]), "").count("<svg") == 0
     alone = fit("1", Stated(10.0, 9.0, math.inf, 9.5, 10.5))
-    assert page(Track([Panel("s", of, "sdof", [alone])]), "").count("<svg") == 1
+    assert page(Track([TrackPanel("s", of, "sdof", [alone])]), "").count("<svg") == 1
 
 
 def test_what_makes_a_fit_new(tmp_path: Path) -> None:
@@ -196,7 +199,7 @@ def test_what_makes_a_fit_new(tmp_path: Path) -> None:
     (weak,) = tasks("mgh17", of, ["ls_weak"], None, 60.0)
     assert one.key == titled.key
     assert len({one.key, thinned.key, weak.key}) == 3
-    late = Fit(one.key, "s", "sdof", "1", "ls", "timeout", "", "do not trust", (), 60.0, 60.0, 0)
+    late = TrackFit(one.key, "s", "sdof", "1", "ls", "timeout", "", "do not trust", (), 60.0, 60.0, 0)
     write_result(tmp_path, one.key, late.as_json().encode())
     assert one.stored(tmp_path)
     assert not replace(one, timeout_s=120.0).stored(tmp_path)

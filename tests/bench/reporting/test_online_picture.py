@@ -13,10 +13,10 @@ from bench.online.follow import Followed
 pytest.importorskip("matplotlib")
 
 from bench.reporting.figures import online
-from bench.reporting.figures.online import SHOWN, Shown, caption, draw_online, tracker_colours
+from bench.reporting.figures.online import SHOWN, ShownTrack, caption, draw_online, tracker_colours
 
 
-def shown(scenario: str, excesses: dict[str, float], off: float = 0.0) -> Shown:
+def shown(scenario: str, excesses: dict[str, float], off: float = 0.0) -> ShownTrack:
     """A record with trackers that are off by so many in the logarithm."""
     stream = online_scenario(scenario).stream(0, 0)
     quantities = stream.layout.quantities
@@ -24,7 +24,9 @@ def shown(scenario: str, excesses: dict[str, float], off: float = 0.0) -> Shown:
     none = np.zeros(len(true))
     path = Followed(true + off, np.full(true.shape, 0.01), none, none, none, 0)
     variances = {q.name: np.full(len(true), 1e-4) for q in quantities}
-    return Shown(scenario, stream, variances, "k_over_m", {name: (path, excess) for name, excess in excesses.items()})
+    return ShownTrack(
+        scenario, stream, variances, "k_over_m", {name: (path, excess) for name, excess in excesses.items()}
+    )
 
 
 def test_a_tracker_has_the_same_colour_in_every_panel_and_the_nearest_is_named_first(

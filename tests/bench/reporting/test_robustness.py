@@ -17,7 +17,7 @@ from bench.commands.main import main
 from bench.config.experiment import Experiment
 from bench.information.fisher import Bound
 from bench.reporting.frame import Result, table_experiments
-from bench.reporting.tables.robustness import COLUMNS, PANELS, Pair, markdown, ratio, tidy
+from bench.reporting.tables.robustness import COLUMNS, PANELS, DisturbedPair, markdown, ratio, tidy
 from bench.reporting.tables.robustness import pairs as pairs_of
 from bench.scenario.disturbance import Disturbance
 from bench.scenario.scenario import Scenario
@@ -50,7 +50,7 @@ def store(tmp_path: Path) -> Store:
     return found
 
 
-def pairs(cells: list[Cell], store: Store) -> list[Pair]:
+def pairs(cells: list[Cell], store: Store) -> list[DisturbedPair]:
     """The pairs of some cells, as the store has them."""
     return pairs_of([Result.of_cell(one, store.load(one.identity)) for one in cells], store)
 

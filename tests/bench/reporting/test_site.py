@@ -29,8 +29,8 @@ from bench.reporting.page import board, documents, origin, pictures, scenario_da
 from bench.reporting.page.addresses import scenario_slugs, slug, slugs
 from bench.reporting.page.elsewhere import atlas_records, unsteady
 from bench.reporting.page.first_replicate import first_replicate, stated_interval
-from bench.reporting.page.reading import Panel, Table
-from bench.reporting.page.situations import Record, Situation, advice, core_excess, ordered
+from bench.reporting.page.reading import ScenarioPanel, TableOfExperiment
+from bench.reporting.page.situations import Situation, SituationRecord, advice, core_excess, ordered
 from bench.reporting.page.standing import rank
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
@@ -96,9 +96,9 @@ def results(*found: StoredCell) -> list[Result]:
     return list(map(Result.of_stored, found))
 
 
-def panel_of(*found: StoredCell) -> Panel:
+def panel_of(*found: StoredCell) -> ScenarioPanel:
     """A panel that no experiment describes."""
-    return Panel(tuple(results(*found)), ())
+    return ScenarioPanel(tuple(results(*found)), ())
 
 
 @pytest.fixture(autouse=True)
@@ -247,8 +247,10 @@ def test_different_names_have_different_addresses() -> None:
 ANY = Situation("any", "Any", lambda panel: True)
 
 
-def record(label: str, excess: float, seconds: float, gross: int = 0, p: float = 1.0, extra: float = 0.0) -> Record:
-    return Record(label, label, excess, excess, gross, 1000, seconds, p, extra)
+def record(
+    label: str, excess: float, seconds: float, gross: int = 0, p: float = 1.0, extra: float = 0.0
+) -> SituationRecord:
+    return SituationRecord(label, label, excess, excess, gross, 1000, seconds, p, extra)
 
 
 def test_the_fastest_of_those_within_five_percent_is_advised_first() -> None:
@@ -290,7 +292,7 @@ def test_gross_errors_are_counted_apart_from_the_error_over_the_bound() -> None:
     assert core_excess(result, "k_over_m_error_pct") == pytest.approx(
         math.sqrt(np.mean(np.square(good))) / 0.5, rel=1e-6
     )
-    found = advice(ANY, [Panel(tuple(results(stored("ls"), cell)), ())])
+    found = advice(ANY, [ScenarioPanel(tuple(results(stored("ls"), cell)), ())])
     assert [one.label for one in found.advised] == ["ls"]
     (wild,) = found.fragile
     assert (wild.label, wild.gross, wild.fits) == ("mcmc", 10, 40)
@@ -298,7 +300,7 @@ def test_gross_errors_are_counted_apart_from_the_error_over_the_bound() -> None:
 
 
 def test_a_method_that_did_not_run_on_all_scenarios_is_not_advised() -> None:
-    panels = [Panel(tuple(results(stored("ls"), stored("mcmc"))), ()), panel_of(stored("ls", snr=10.0))]
+    panels = [ScenarioPanel(tuple(results(stored("ls"), stored("mcmc"))), ()), panel_of(stored("ls", snr=10.0))]
     found = advice(ANY, panels)
     assert [one.label for one in found.advised] == ["ls"]
     assert [one.label for one in found.partial] == ["mcmc"]
@@ -562,7 +564,7 @@ def shown(browser: Any, cells: Cells, monkeypatch: pytest.MonkeyPatch) -> tuple[
     store = cells(*found)
     keys = frozenset(one.question for one in results(*found))
     monkeypatch.setattr(reading, "table_experiments", lambda: ["table3"])
-    monkeypatch.setattr(reading, "_table", lambda name: Table(name, 3, keys))
+    monkeypatch.setattr(reading, "_table", lambda name: TableOfExperiment(name, 3, keys))
     site = made(store)
     still = {"name": "prefers-reduced-motion", "value": "reduce"}
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [still]})

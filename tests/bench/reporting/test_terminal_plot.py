@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.measured.response import Fit, Response
+from bench.measured.response import ChannelResponse, Response
 from bench.measured.trust import Trust
 from bench.reporting.terminal_plot import holds_braille, plotted, round_numbers, wanted
 
@@ -30,7 +30,7 @@ def output(monkeypatch: pytest.MonkeyPatch, encoding: str = "utf-8", terminal: b
 def response(
     times: np.ndarray, values: np.ndarray, curve: np.ndarray | None = None, frequency: float = 0.1
 ) -> Response:
-    fit = None if curve is None else Fit(times, curve, values - curve, 0.123)
+    fit = None if curve is None else ChannelResponse(times, curve, values - curve, 0.123)
     return Response("shooting", Trust.TRUST, "displacement", "m", times, values, frequency, fit)
 
 

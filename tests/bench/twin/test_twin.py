@@ -176,9 +176,9 @@ def test_decimation_leaves_out_what_it_counts_and_says_so(capsys) -> None:
 
 @pytest.fixture
 def page():
-    from bench.twin.page import Page
+    from bench.twin.page import PageServer
 
-    made = Page(LAYOUT, 0)
+    made = PageServer(LAYOUT, 0)
     yield made
     made.close()
 

@@ -21,7 +21,7 @@ torch = pytest.importorskip("torch")
 
 from methods.pinn.task import Task  # noqa: E402
 from methods.pinn_family import nuts, uncertainty  # noqa: E402
-from methods.pinn_family.loss import Clock, Path  # noqa: E402
+from methods.pinn_family.loss import Clock, TrainingPath  # noqa: E402
 from methods.pinn_family.nuts import Coordinates  # noqa: E402
 from methods.pinn_family.training import TrainedFit, fit  # noqa: E402
 from methods.pinn_family.uncertainty import WAYS, TrainedPosterior, hidden_units  # noqa: E402
@@ -44,7 +44,7 @@ def trained(own: Problem, **settings: Any) -> tuple[TrainedFit, TrainedPosterior
     """A fit of the problem in natural units, and the posterior at its end."""
     method = PINNFamily(**settings)
     task = Task(own.expressed_in(own.natural_units()), np.random.default_rng(0))
-    found, _ = fit(task.scaled, task.guesses[0], method, task.rng, Path(Clock()), lambda results: None)
+    found, _ = fit(task.scaled, task.guesses[0], method, task.rng, TrainingPath(Clock()), lambda results: None)
     assert found.attempt is not None
     return found, TrainedPosterior(found.attempt)
 

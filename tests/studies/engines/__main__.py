@@ -10,7 +10,7 @@ from typing import Annotated
 
 import pandas as pd
 
-from bench.commands.declaration import Choice
+from bench.commands.declaration import OneOf
 from bench.errors import InputError
 from bench.isolation.machine import single_threaded
 from tests.studies.common import RESULTS, Count, Out, publish, study, tracked
@@ -25,7 +25,7 @@ ROWS = known_rows()
 
 
 def engines(
-    rows: Annotated[tuple[str, ...], Choice((*ROWS, "none")), "rows of the table; left out: all"] = (),
+    rows: Annotated[tuple[str, ...], OneOf((*ROWS, "none")), "rows of the table; left out: all"] = (),
     before: Annotated[Path | None, "folder of an earlier checkout, whose code takes turns with this one's"] = None,
     scaling: Annotated[bool | None, "measure the curves of growth; left out: with all rows only"] = None,
     rivals: Annotated[bool | None, "measure the other engines; left out: with all rows only"] = None,

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-from bench.commands.declaration import Choice
+from bench.commands.declaration import OneOf
 from bench.isolation.machine import compiled_single_threaded, single_threaded
 from bench.reporting.whole_file import write
 from tests.studies.common import RESULTS, Count, Out, publish, study
@@ -27,7 +27,7 @@ REGENERATE = "Regenerate: `python -m tests.studies.online part=constant,faults,l
 
 
 def online(
-    part: Annotated[tuple[str, ...], Choice(PARTS), "parts to make anew"] = ("constant", "faults", "long"),
+    part: Annotated[tuple[str, ...], OneOf(PARTS), "parts to make anew"] = ("constant", "faults", "long"),
     records: Annotated[Count, "records of the part constant"] = 1000,
     replicates: Annotated[Count, "records of the part faults"] = 16,
     seconds: Annotated[Count, "duration of the part live"] = 60,

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-from bench.commands.declaration import Choice
+from bench.commands.declaration import OneOf
 from bench.config.experiment import expand
 from bench.errors import InputError
 from bench.isolation.machine import single_threaded
@@ -32,7 +32,7 @@ MACHINE = (
 
 
 def pinn(
-    part: Annotated[tuple[str, ...], Choice(PARTS), "parts to run; left out: all"] = (),
+    part: Annotated[tuple[str, ...], OneOf(PARTS), "parts to run; left out: all"] = (),
     replicates: Annotated[Count, "data sets of a scenario"] = 100,
     out: Out = RESULTS,
     fit: Annotated[bool, "false: page and pictures of what is stored"] = True,

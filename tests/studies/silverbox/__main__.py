@@ -22,7 +22,7 @@ from bench import (
     fitted_start,
     simulate,
 )
-from bench.commands.declaration import Choice, Within
+from bench.commands.declaration import OneOf, Within
 from bench.config.experiment import expand
 from bench.contract.problem import Hold
 from bench.engine.pool import Limits
@@ -197,7 +197,7 @@ def silverbox(
     samples: Annotated[int, Within(ge=100, le=TRAINING.stop - TRAINING.start), "training samples of shooting"] = 4096,
     window: Annotated[int, Within(ge=50, le=SHORT), "training samples of every other method"] = 300,
     timeout: Annotated[int, Within(ge=1, le=3600), "s, limit of a fit to the window"] = 40,
-    method: Annotated[tuple[str, ...], Choice(METHODS), "methods on the window; left out: all"] = (),
+    method: Annotated[tuple[str, ...], OneOf(METHODS), "methods on the window; left out: all"] = (),
     out: Out = RESULTS,
 ) -> int:
     """Measure the methods on the Silverbox, a measured Duffing oscillator: silverbox.md.
