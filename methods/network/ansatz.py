@@ -213,8 +213,8 @@ class Local(Ansatz):
     def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
         return [seeds]
 
-    def _slopes(self, seeds: Tensor, points: Tensor | None) -> Tensor:
-        """Of rows by the coefficients that they depend on, (B, n_rows, n_paths, n_local)."""
+    def slopes(self, seeds: Tensor, points: Tensor | None) -> Tensor:
+        """Return the slopes of rows by the coefficients that they depend on, (B, n_rows, n_paths, n_local)."""
         return torch.einsum("bsro,bsrk->brok", seeds, self.values if points is None else self.values[:, :, points])
 
     def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
@@ -223,14 +223,14 @@ class Local(Ansatz):
 
     def pull_back(self, tape: Tape, adjoints: Adjoints, points: Tensor | None, dual: Tensor | None = None) -> Tensor:
         seeds = adjoints[0] if dual is None else adjoints[0] * dual[:, None, :, None]
-        slopes, places = self._slopes(seeds, points), self._places(points).flatten(1)
+        slopes, places = self.slopes(seeds, points), self._places(points).flatten(1)
         total = seeds.new_zeros(seeds.shape[0], self.n_paths, self.n_functions)
         for path in range(self.n_paths):
             total[:, path].scatter_add_(1, places, slopes[:, :, path].flatten(1))
         return total.flatten(1)
 
     def jacobian(self, tape: Tape, adjoints: Adjoints, points: Tensor, rows: slice = slice(None)) -> Tensor:
-        slopes, places = self._slopes(adjoints[0][:, :, rows], points[rows]), self._places(points[rows])
+        slopes, places = self.slopes(adjoints[0][:, :, rows], points[rows]), self._places(points[rows])
         j = slopes.new_zeros(*slopes.shape[:3], self.n_functions)
         return j.scatter_(3, places[:, :, None].expand_as(slopes), slopes).flatten(2)
 

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from methods.network.ansatz import Local
+from methods.pinn.banded import BandedEquations, LocalRows, inverse_band
 from methods.pinn.block import Block
 from methods.pinn.residuals import Residuals, State
 
@@ -35,7 +38,10 @@ class Laplace:
 
 def laplace(residuals: Residuals, state: State, deviations: Tensor) -> Laplace:
     """The Gauss-Newton approximation of the posterior at a state."""
-    covariance, variances = (_dual if residuals.n_rows <= residuals.n_z else _primal)(residuals, state, deviations)
+    if all(ansatz.local for ansatz in residuals.ansatzes):
+        covariance, variances = _banded(residuals, state, deviations)
+    else:
+        covariance, variances = (_dual if residuals.n_rows <= residuals.n_z else _primal)(residuals, state, deviations)
     bands = [
         own.clamp(min=0.0).sqrt().unflatten(1, (block.n_dof, -1))
         for own, block in zip(variances, residuals.blocks, strict=True)
@@ -111,3 +117,26 @@ def _primal(residuals: Residuals, state: State, deviations: Tensor) -> tuple[Ten
         variances.append(((g @ own) * g).sum(2))
         at += ansatz.count
     return whole[:, n_w:, n_w:], variances
+
+
+def _banded(residuals: Residuals, state: State, deviations: Tensor) -> tuple[Tensor, list[Tensor]]:
+    """In the space of the unknowns, by the bands of splines; as :func:`_primal`."""
+    normal = BandedEquations(residuals, state, deviations)
+    n = residuals.n_unknowns
+    parts, _ = residuals.split_flat(state.z)
+    eliminated = [normal.eliminate(i, PRECISION * float(size)) for i, size in enumerate(normal.size)]
+    corners = np.array([own.corner[:n, :n] for own in eliminated])
+    covariance = _inverse(torch.as_tensor(corners, device=residuals.device))
+    variances = []
+    for k, (block, ansatz, tape) in enumerate(zip(residuals.blocks, residuals.ansatzes, state.tapes, strict=True)):
+        assert isinstance(ansatz, Local)
+        seeds, points = _displacements(residuals, block)
+        adjoints = ansatz.adjoint(parts[k], tape, seeds, points)
+        own = []
+        for i, one in enumerate(eliminated):
+            rows = LocalRows.of(ansatz, adjoints, points, i)
+            by_unknowns = rows.times(one.solved[k][:, :n])
+            added = np.sum((by_unknowns @ covariance[i].cpu().numpy()) * by_unknowns, 1)
+            own.append(rows.quadratic(inverse_band(one.factors[k])) + added)
+        variances.append(torch.as_tensor(np.array(own), device=residuals.device))
+    return covariance, variances

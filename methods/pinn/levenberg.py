@@ -2,8 +2,8 @@
 
 A step solves the damped normal equations in whichever space is smaller. A network has 4,400 weights and some 230
 residuals, so it solves them in residual space, where ``-(JᵀJ + μI)⁻¹ Jᵀ r = -Jᵀ (JJᵀ + μI)⁻¹ r`` (push-through
-identity). Where residuals outnumber unknowns (splines, the output layer alone, thousands of samples) it solves them
-in the space of the unknowns, with JᵀJ summed up from parts of J.
+identity). Where residuals outnumber unknowns (the output layer alone, thousands of samples) it solves them in the
+space of the unknowns, with JᵀJ summed up from parts of J; those of splines are bands (:mod:`methods.pinn.banded`).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from methods.pinn.banded import BandedEquations
 from methods.pinn.residuals import Linear, Residuals, State
 
 LEAST_DAMPING = 1e-11
@@ -65,6 +66,7 @@ class DualEquations:
         self.linear: Linear = residuals.linearise(state, deviations)
         self.gram = residuals.gram(state, self.linear)
         self.size = self.gram.diagonal(dim1=1, dim2=2).amax(1)
+        self.trace = self.gram.diagonal(dim1=1, dim2=2).sum(1)
 
     def solve(self, damping: Tensor) -> tuple[Tensor, Tensor]:
         """Steps to subtract (B, n_z), and the decrease of the loss that the linear model promises (B,).
@@ -88,6 +90,7 @@ class PrimalEquations:
     def __init__(self, residuals: Residuals, state: State, deviations: Tensor) -> None:
         linear = residuals.linearise(state, deviations)
         self.matrix, self.gradient, self.size = residuals.normal_equations(state, linear)
+        self.trace = self.matrix.diagonal(dim1=1, dim2=2).sum(1)
 
     def solve(self, damping: Tensor) -> tuple[Tensor, Tensor]:
         """As :meth:`DualEquations.solve`: the promise is ``hᵀ (μ h + Jᵀ r) / 2`` for the step h."""
@@ -99,8 +102,13 @@ class PrimalEquations:
         return step, torch.where(info == 0, promised, torch.nan)
 
 
-def equations(residuals: Residuals, state: State, deviations: Tensor) -> DualEquations | PrimalEquations:
-    """The normal equations in the smaller space."""
+Equations = DualEquations | PrimalEquations | BandedEquations
+
+
+def equations(residuals: Residuals, state: State, deviations: Tensor) -> Equations:
+    """Return the normal equations in the smaller space, those of splines as bands."""
+    if all(ansatz.local for ansatz in residuals.ansatzes):
+        return BandedEquations(residuals, state, deviations)
     dual = residuals.n_rows <= residuals.n_z
     return (DualEquations if dual else PrimalEquations)(residuals, state, deviations)
 
@@ -127,7 +135,7 @@ def minimise(
     own, own_deviations = residuals.take(active), deviations[active]
     state = own.evaluate(walk.z[active], own_deviations)
     walk.evaluations[active] += 1
-    normal: DualEquations | PrimalEquations | None = None
+    normal: Equations | None = None
     for _ in range(iterations):
         if normal is None:
             normal = equations(own, state, own_deviations)

@@ -16,7 +16,7 @@ from methods.network.ansatz import Sum
 from methods.network.tanh import Network
 from methods.pinn.block import Spread
 from methods.pinn.engine import Attempt, Fit, Watch, torch_threads
-from methods.pinn.levenberg import DualEquations, Walk, equations, minimise
+from methods.pinn.levenberg import Walk, equations, minimise
 from methods.pinn.residuals import Residuals
 from methods.pinn_family.architectures import FeatureAnsatz
 from methods.pinn_family.choices import component
@@ -167,8 +167,7 @@ def certificate(residuals: Residuals, z: Tensor, deviations: Tensor) -> float:
     normal = equations(residuals, state, deviations)
     linear = residuals.linearise(state, deviations)
     gradient = residuals.pull_back(state, linear, state.rows)
-    matrix = normal.gram if isinstance(normal, DualEquations) else normal.matrix
-    size = math.sqrt(float(matrix.diagonal(dim1=1, dim2=2).sum()))
+    size = math.sqrt(float(normal.trace))
     return float(gradient.norm()) / max(size * float(state.rows.norm()), 1e-300)
 
 

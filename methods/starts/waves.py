@@ -19,6 +19,8 @@ PER_HALF_CYCLE = 4
 """Frequencies tried in each step of half a cycle a record."""
 MOST_FORCED = 1_000_000
 """Oscillators times samples, of the channel and of the forces, beyond which the scan takes a response for the force."""
+MOST_FREQUENCIES = 8192
+"""Of the grid, beyond which only the strongest of the periodogram are compared as damped waves, an eighth as many."""
 MOST_SAMPLES = 1000
 """Of a channel, that waves are sought in; more are thinned."""
 BLOCK = 2**21
@@ -60,6 +62,8 @@ def scan(problem: Problem, waves: int = 1, forced: bool = False, beyond: bool = 
     cycles = duration * most_cycles(told, max(MAX_CYCLES, 0.5 * (n - 1) / duration))
     halves = np.arange(0.5, max(2.0 * cycles, 2) + 1e-9, 1.0 / PER_HALF_CYCLE)
     omegas, decays = np.pi * halves / duration, np.array(DECAYS) / duration
+    if omegas.size > MOST_FREQUENCIES:
+        omegas = omegas[_strongest(problem, omegas)]
     series = [
         _Series(c, record.forces if forced else (), omegas.size * decays.size)
         for record in problem.records
@@ -77,6 +81,21 @@ def scan(problem: Problem, waves: int = 1, forced: bool = False, beyond: bool = 
         for own in series:
             own.fix(found[0])
     return guesses, left
+
+
+def _strongest(problem: Problem, omegas: np.ndarray) -> np.ndarray:
+    """Return which frequencies of a long grid, in order, have the largest power in the channels' periodograms.
+
+    All samples count, interpolated to even times, so that the noise averages out; the cost is that of an FFT.
+    """
+    power = np.zeros(omegas.size)
+    for channel in (c for record in problem.records for c in record.channels if c.n > 4 and np.any(c.values)):
+        times = np.linspace(channel.times[0], channel.times[-1], channel.n)
+        values = np.interp(times, channel.times, channel.values)
+        spectrum = np.abs(np.fft.rfft(values - values.mean(), 2 * channel.n)) ** 2
+        frequencies = np.pi * np.arange(spectrum.size) / (times[-1] - times[0])
+        power += np.interp(omegas, frequencies, spectrum / spectrum.sum())
+    return np.sort(np.argsort(power, kind="stable")[-MOST_FREQUENCIES // 8 :])
 
 
 class _Series:

@@ -23,7 +23,7 @@ torch = pytest.importorskip("torch")
 from methods.network import tanh  # noqa: E402
 from methods.network.ansatz import Ansatz, Basis, Local, Sum  # noqa: E402
 from methods.network.tanh import Network  # noqa: E402
-from methods.pinn import levenberg  # noqa: E402
+from methods.pinn import laplace, levenberg  # noqa: E402
 from methods.pinn.block import Block, Spread  # noqa: E402
 from methods.pinn.residuals import Residuals  # noqa: E402
 from methods.starts.waves import scan  # noqa: E402
@@ -244,6 +244,57 @@ def test_dual_and_primal_steps_are_the_textbook_step() -> None:
             assert float(promised[i]) == pytest.approx(0.5 * float(r @ r - left @ left), rel=1e-9)
 
 
+def splines(system: System) -> tuple[Residuals, torch.Tensor, torch.Tensor]:
+    """Residuals of two fits by quintic splines, at a random point."""
+    problems = [plain_problem(system, True, False, seed, 1.0 + 0.2 * seed) for seed in range(2)]
+    names, method = problems[0].system.names, Collocation(collocation=36)
+    residuals = Residuals(
+        problems, lambda _, block: method.ansatz(block, 1), 36, names, np.zeros((2, len(names))), np.full(2, 2.0)
+    )
+    z = torch.as_tensor(0.3 * np.random.default_rng(2).standard_normal((2, residuals.n_z)))
+    return residuals, z, residuals.deviations(spread(2))
+
+
+@pytest.mark.parametrize("system", [SDOF(), Chain(2), BoucWen()])
+def test_bands_of_splines_are_the_dense_equations(system: System) -> None:
+    residuals, z, deviations = splines(system)
+    state = residuals.evaluate(z, deviations)
+    banded, dense = (
+        kind(residuals, state, deviations) for kind in (levenberg.BandedEquations, levenberg.PrimalEquations)
+    )
+    torch.testing.assert_close(banded.size, dense.size)
+    torch.testing.assert_close(banded.trace, dense.trace)
+    (step, promised), (expected, promise) = (own.solve(1e-3 * dense.size) for own in (banded, dense))
+    torch.testing.assert_close(step, expected, rtol=1e-7, atol=1e-9)
+    torch.testing.assert_close(promised, promise, rtol=1e-9, atol=0.0)
+    for own, other in zip(
+        laplace._banded(residuals, state, deviations), laplace._primal(residuals, state, deviations), strict=True
+    ):
+        for part, wanted in zip(own, other, strict=True):
+            torch.testing.assert_close(part, wanted, rtol=1e-5, atol=1e-7 * float(wanted.abs().max()))
+
+
+def test_bands_that_are_not_definite_promise_nothing() -> None:
+    residuals, z, deviations = splines(SDOF())
+    normal = levenberg.BandedEquations(residuals, residuals.evaluate(z, deviations), deviations)
+    _, promised = normal.solve(-normal.size)
+    assert bool(promised.isnan().all())
+
+
+def test_a_long_record_keeps_its_memory_and_its_frequency() -> None:
+    """20,000 samples over 500 cycles; the dense equations of its splines would take 100 MB, their inverse more."""
+    times = np.linspace(0.0, 500.0, 20_000)
+    clean = np.exp(-0.004 * times) * np.cos(2 * np.pi * 1.003 * times + 0.3)
+    values = clean + 0.1 * np.random.default_rng(0).standard_normal(times.size)
+    estimate = Collocation().identify(Problem(SDOF(), (Record((Channel(times, values),)),)), np.random.default_rng(0))
+    marginal = estimate.marginal(SDOF().quantity("k_over_m"))
+    assert marginal is not None
+    true = (2 * np.pi * 1.003) ** 2 + 0.004**2
+    low, high = marginal.interval(0.999)
+    assert low < true < high
+    assert high - low < 1e-3 * true
+
+
 def test_heads_of_a_sum_hold_its_fixed_functions() -> None:
     residuals, z, deviations = small(Chain(2), ansatz="assisted")
     heads, short = residuals.heads(z)
@@ -353,13 +404,13 @@ def test_bootstrap_spreads_as_the_linearisation_and_the_ensemble_hardly_at_all()
         low, high = marginal.interval(0.68)
         return (high - low) / 2.0, float(np.mean(estimate.bands[0](np.linspace(1.0, 8.0, 50))))
 
-    laplace = deviation(Collocation())
+    linearised = deviation(Collocation())
     bootstrap = deviation(Collocation(uncertainty="bootstrap", members=40, batch=40))
     ensemble = deviation(PINN(uncertainty="ensemble", members=4))
-    assert bootstrap[0] == pytest.approx(laplace[0], rel=0.35)
-    assert bootstrap[1] == pytest.approx(laplace[1], rel=0.35)
-    assert ensemble[0] < 0.1 * laplace[0]
-    assert ensemble[1] < 0.1 * laplace[1]
+    assert bootstrap[0] == pytest.approx(linearised[0], rel=0.35)
+    assert bootstrap[1] == pytest.approx(linearised[1], rel=0.35)
+    assert ensemble[0] < 0.1 * linearised[0]
+    assert ensemble[1] < 0.1 * linearised[1]
 
 
 @pytest.mark.parametrize("known", [True, False])
