@@ -19,10 +19,16 @@ def mass_matrix(
 ) -> tuple[list[list[Array]], list[Array]]:
     """Mass matrix rows M and the residual at rest of acceleration r0, so that ``r = M a + r0``.
 
-    By unit accelerations, since a residual is affine in them (architecture rule: the physics is written once).
+    By unit accelerations, since a residual is affine in them (architecture rule: the physics is written once). Those of
+    a linear system at rest, where no stiff spring takes digits of the difference.
     """
     n = system.n_dof
     rest = system.residual(p, x, v, [0.0] * n, f, z, ops)
+    if system.linear:
+        still = [0.0] * n
+        units = [[1.0 if i == j else 0.0 for i in range(n)] for j in range(n)]
+        at_rest = [system.residual(p, still, still, unit, still, z, ops) for unit in units]
+        return [[at_rest[j][i] for j in range(n)] for i in range(n)], rest
     columns = []
     for j in range(n):
         unit = [1.0 if i == j else 0.0 for i in range(n)]
