@@ -17,12 +17,9 @@ from typing import ClassVar
 import numpy as np
 
 from bench import EVERY_PROBLEM, Card, Estimate, Problem, Serves
-from methods.kalman.filtering import Affine, Map
+from methods.kalman.core import tangent
 from methods.kalman.iteration import Settings, estimate
 from methods.starts.ambiguity import SearchingIdentifier
-
-SMALL = 1e-5
-"""Step of the differences, in natural units and in log-parameters."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +43,8 @@ class EKF(SearchingIdentifier):
         uncertainty="covariance of the last smoothing pass, Student t with N - p degrees of freedom",
         settings_source="starts and screening of multiple shooting; no process noise, since parameters are "
         "constants; passes until they settle",
-        tuning="width of the belief without a prior: 3; relaxation of the passes; when aliases are followed: 2; on "
-        "development systems at 200 to 0 dB, damping ratio 0.6-135 %, 1-13 cycles, 5-45 samples",
+        tuning="width of the belief without a prior: 3; relaxation of the passes; on development systems "
+        "at 200 to 0 dB, damping ratio 0.6-135 %, 1-13 cycles, 5-45 samples",
         title="Extended Kalman filter",
         order=170,
         colour="#117733",
@@ -65,13 +62,3 @@ class EKF(SearchingIdentifier):
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate all parameters, or the groups where nothing tells the scale. Uses no randomness."""
         return estimate(problem, tangent, self._settings())
-
-
-def tangent(function: Map, means: np.ndarray, covariances: np.ndarray) -> Affine:
-    """The map's value and slopes at the means; no error is attributed to it."""
-    d = means.shape[1]
-    offsets = SMALL * np.concatenate([np.zeros((1, d)), np.eye(d), -np.eye(d)])
-    values = function(means[:, None] + offsets)
-    slopes = (values[:, 1 : d + 1] - values[:, d + 1 :]).swapaxes(1, 2) / (2 * SMALL)
-    constants = values[:, 0] - (slopes @ means[..., None])[..., 0]
-    return slopes, constants, np.zeros((*constants.shape, constants.shape[1]))

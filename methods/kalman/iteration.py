@@ -15,10 +15,11 @@ counted twice, as it would be if a pass began at the end of the one before.
 **Starts.** The misfit has a minimum for each half-cycle that the phase may slip over the record, and a filter from a
 wrong one stays there. So the first maps are taken about the trajectories that the starts of
 :mod:`methods.kalman.starts` give, a few separate ones side by side. They are where the maps are taken and no more:
-the belief that each pass begins with is the prior. Of their ends the one is kept under which the innovations are most
-likely, as in a bank of filters (D. T. Magill, IEEE Trans. Automatic Control 10:434, 1965). The ends that are nearly as
-likely widen its covariance, as components of a Gaussian sum do (D. L. Alspach, H. W. Sorenson, IEEE Trans. Automatic
-Control 17:439, 1972), and the answer says so.
+the belief that each pass begins with is the prior. Of their ends the most probable one is kept, as every search here
+does. (The likelihood of the innovations, by which D. T. Magill weighs a bank of filters, IEEE Trans. Automatic Control
+10:434, 1965, adds the volume of what the data leave open: at 0 dB it prefers a motion that dies at once, and explains
+nothing, to the true one.) The ends that are nearly as probable widen its covariance, as components of a Gaussian sum do
+(D. L. Alspach, H. W. Sorenson, IEEE Trans. Automatic Control 17:439, 1972), and the answer says so.
 
 **Noise.** Not told. At first what the trajectory of a start leaves; from then on each channel's variance is its
 residual sum of squares over N less the part of them that was fitted, ``sum H P H' / R``: the fixed point of the EM step
@@ -38,8 +39,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from bench import SIGMA_FLOOR, Cost, Estimate, InputError, NoEstimate, OutputError, Problem, estimate_at
-from methods.kalman.filtering import Rule, filtered, noise
-from methods.kalman.joint import Chain, Joint, fastest_rate, first_belief
+from methods.kalman.core import Rule
+from methods.kalman.filtering import filtered, noise
+from methods.kalman.joint import Joint, Nodes, fastest_rate, first_belief
 from methods.kalman.starts import MARGIN, screened_starts
 from methods.starts.candidates import NOISE_SHARE
 from methods.starts.rough import RADIANS_A_STEP, radians_a_step
@@ -59,7 +61,7 @@ FINEST = 0.02
 PART = (0.2, 3.0)
 """The least and the most of a pass's move that is followed."""
 SPARE = 1.15
-"""A chain's steps are made for a motion so much faster than the one at hand, and serve while it stays so."""
+"""Steps are made for a motion so much faster than the one at hand, and serve while it stays so."""
 
 
 @dataclass(frozen=True)
@@ -90,17 +92,17 @@ def estimate(problem: Problem, rule: Rule, settings: Settings) -> Estimate:
     model = OutputError(problem)
     thetas = screened_starts(model)
     joint = first_belief(model, thetas[0], settings.drift, settings.open_sd)
-    chain = Chain.of(joint, longest_step(model, thetas, np.ones((1, 1))))
-    bank = started(joint, chain, thetas)
+    nodes = Nodes.of(joint, longest_step(model, thetas, np.ones((1, 1))))
+    bank = started(joint, nodes, thetas)
     passes = 0
     while passes < settings.passes and np.any(bank.moved > settings.tolerance):
-        thetas = np.stack([joint.theta(own, chain) for own in bank.about])
+        thetas = np.stack([joint.theta(own, nodes) for own in bank.about])
         longest = longest_step(model, thetas, bank.sigma / model.rms)
-        if not longest / SPARE**2 <= chain.longest <= longest:
-            chain = Chain.of(joint, longest / SPARE)
-        bank = passed(joint, chain, rule, bank)
+        if not longest / SPARE**2 <= nodes.longest <= longest:
+            nodes = Nodes.of(joint, longest / SPARE)
+        bank = passed(joint, nodes, rule, bank)
         passes += 1
-    return answer(joint, chain, bank, passes, settings)
+    return answer(joint, nodes, bank, passes, settings)
 
 
 # --------------------------------------------------------------------------------------------- filters side by side
@@ -110,10 +112,9 @@ def estimate(problem: Problem, rule: Rule, settings: Settings) -> Estimate:
 class Bank:
     """Filters from B starts, side by side, after a pass: means (B, K, d), covariances (B, K, d, d), noise (B, C).
 
-    ``about``, ``width``: the means and covariances that the maps of the next pass are taken about. ``likelihood`` (B,):
-    that of the innovations; ``used`` (B,): degrees of freedom that the data spent; ``shift`` (B, constants): how far
-    the pass took the constants from where its maps were taken, in their standard deviations; ``part`` (B,) of it was
-    followed.
+    ``about``, ``width``: the means and covariances that the maps of the next pass are taken about. ``used`` (B,):
+    degrees of freedom that the data spent; ``shift`` (B, constants): how far the pass took the constants from where its
+    maps were taken, in their standard deviations; ``part`` (B,) of it was followed.
     """
 
     means: np.ndarray
@@ -121,7 +122,6 @@ class Bank:
     about: np.ndarray
     width: np.ndarray
     sigma: np.ndarray
-    likelihood: np.ndarray
     used: np.ndarray
     shift: np.ndarray
     part: np.ndarray
@@ -132,33 +132,33 @@ class Bank:
         return np.asarray(np.max(np.abs(self.shift), axis=1, initial=0.0))
 
 
-def started(joint: Joint, chain: Chain, thetas: np.ndarray) -> Bank:
+def started(joint: Joint, nodes: Nodes, thetas: np.ndarray) -> Bank:
     """The trajectories of starts (B, size), known exactly so far as the maps are concerned, and what they leave."""
     model, count = joint.model, len(thetas)
-    means = chain.trajectories(thetas)
-    seen = chain.observe(means.swapaxes(0, 1), np.arange(chain.nodes)).swapaxes(0, 1)
-    here = np.isfinite(chain.values)
-    rss = np.sum(np.where(here, chain.values - seen, 0.0) ** 2, axis=1)
+    means = nodes.trajectories(thetas)
+    seen = nodes.observe(means.swapaxes(0, 1), np.arange(nodes.number)).swapaxes(0, 1)
+    here = np.isfinite(nodes.values)
+    rss = np.sum(np.where(here, nodes.values - seen, 0.0) ** 2, axis=1)
     share = max(1.0 - model.size / model.data.size, 1.0 / model.data.size)
     sigma = np.maximum(np.sqrt(rss / (np.maximum(model.counts, 1) * share)), SIGMA_FLOOR * model.rms)
     covariances = np.zeros((*means.shape, joint.size))
-    finite = np.all(np.isfinite(means), axis=(1, 2)) & np.all(np.isfinite(sigma), axis=1)
-    likelihood, far = np.where(finite, 0.0, -np.inf), np.full((count, joint.constants.size), np.inf)
-    none, whole = np.zeros(count), np.ones(count)
-    return _alive(Bank(means, covariances, means, covariances, sigma, likelihood, none, far, whole))
+    far, none, whole = np.full((count, joint.constants.size), np.inf), np.zeros(count), np.ones(count)
+    finite = np.all(np.isfinite(means), axis=(1, 2))
+    return _alive(Bank(means, covariances, means, covariances, sigma, none, far, whole), finite)
 
 
-def passed(joint: Joint, chain: Chain, rule: Rule, bank: Bank) -> Bank:
+def passed(joint: Joint, nodes: Nodes, rule: Rule, bank: Bank) -> Bank:
     """The bank after one more pass; filters that do not stay finite are left out."""
-    found = filtered(joint, chain, rule, bank.sigma, bank.about, bank.width)
-    sigma, used = noise(joint, chain, found)
-    variances = np.diagonal(found.covariances[:, -1], axis1=1, axis2=2)[:, joint.constants]
-    shift = (found.means - bank.about)[:, -1, joint.constants] / np.sqrt(np.maximum(variances, 1e-24))
+    smoothed = filtered(joint, nodes, rule, bank.sigma, bank.about, bank.width)
+    means, covariances = smoothed.means, smoothed.covariances
+    sigma, used = noise(joint, nodes, bank.sigma, smoothed)
+    variances = np.diagonal(covariances[:, -1], axis1=1, axis2=2)[:, joint.constants]
+    shift = (means - bank.about)[:, -1, joint.constants] / np.sqrt(np.maximum(variances, 1e-24))
     part = _part_to_follow(bank, shift)
-    about = bank.about + part[:, None, None] * (found.means - bank.about)
-    width = bank.width + part[:, None, None, None] * (found.covariances - bank.width)
+    about = bank.about + part[:, None, None] * (means - bank.about)
+    width = bank.width + part[:, None, None, None] * (covariances - bank.width)
     sigma = bank.sigma * (sigma / bank.sigma) ** part[:, None]
-    return _alive(Bank(found.means, found.covariances, about, width, sigma, found.likelihood, used, shift, part))
+    return _alive(Bank(means, covariances, about, width, sigma, used, shift, part), smoothed.finite)
 
 
 def _part_to_follow(bank: Bank, shift: np.ndarray) -> np.ndarray:
@@ -175,9 +175,9 @@ def _part_to_follow(bank: Bank, shift: np.ndarray) -> np.ndarray:
     return np.where(known & (part > 0), np.clip(part, *PART), 1.0)
 
 
-def _alive(bank: Bank) -> Bank:
-    """Those that are finite. Raises NoEstimate where none is."""
-    alive = np.isfinite(bank.likelihood) & np.all(np.isfinite(bank.sigma), axis=1)
+def _alive(bank: Bank, finite: np.ndarray) -> Bank:
+    """Those that are finite, and their noise too. Raises NoEstimate where none is."""
+    alive = finite & np.all(np.isfinite(bank.sigma), axis=1)
     if not np.any(alive):
         raise NoEstimate("the filter lost the motion: its state did not stay finite; give a prior nearer to the system")
     return Bank(*(getattr(bank, part.name)[alive] for part in fields(bank)))
@@ -196,18 +196,21 @@ def longest_step(model: OutputError, thetas: np.ndarray, noise_share: np.ndarray
 # ------------------------------------------------------------------------------------------------------- the answer
 
 
-def answer(joint: Joint, chain: Chain, bank: Bank, passes: int, settings: Settings) -> Estimate:
-    """The end under which the innovations are most likely, with what the others say against it."""
+def answer(joint: Joint, nodes: Nodes, bank: Bank, passes: int, settings: Settings) -> Estimate:
+    """The most probable end, with what the others say against it."""
     model, settled = joint.model, bank.moved <= settings.tolerance
     cost = Cost(passes * len(settled) * (2 * joint.size + 1), passes)
-    best = int(np.argmax(bank.likelihood - np.where(settled, 0.0, 0.5 * MARGIN)))
-    theta = joint.theta(bank.means[best], chain)
-    left = float(np.mean(((model.data - model.predict(theta)) / model.rms[model.channel_of]) ** 2))
+    thetas = np.stack([joint.theta(means, nodes) for means in bank.means])
+    with np.errstate(all="ignore"):
+        residuals = model.data - model.predict(thetas)
+    logs = -0.5 * np.asarray(model.profile_of(thetas, residuals))
+    best = int(np.argmax(logs - np.where(settled, 0.0, 0.5 * MARGIN)))
+    left = float(np.mean((residuals[best] / model.rms[model.channel_of]) ** 2))
     unsettled = settings.passes > 1 and not settled[best]
     if unsettled and bank.moved[best] > ADRIFT and not left < POOR:
         lost = f"the filter lost the motion: its passes do not settle, and its response leaves {left:.0%} of the data"
         raise NoEstimate(lost, cost=cost)
-    covariance, said = _combined(joint, bank, best)
+    covariance, said = _combined(joint, bank, logs, best)
     if not left < POOR:
         said.append(f"the response leaves {left:.0%} of the data's mean square: motion lost, or noise")
     if unsettled:
@@ -215,19 +218,22 @@ def answer(joint: Joint, chain: Chain, bank: Bank, passes: int, settings: Settin
         said.append(f"the passes had not settled, the last moved the answer by {moved}: raise passes")
     if np.any(bank.sigma[best] <= SIGMA_FLOOR * model.rms * (1.0 + ROUNDING)):
         said.append(f"the noise is taken to be {SIGMA_FLOOR:g} of the data, the least that the filter resolves")
-    return estimate_at(model, theta, covariance, float(bank.used[best]), cost, "; ".join(said))
+    return estimate_at(model, thetas[best], covariance, float(bank.used[best]), cost, "; ".join(said))
 
 
-def _combined(joint: Joint, bank: Bank, best: int) -> tuple[np.ndarray, list[str]]:
-    """Covariance of the log-parameters about the best end, widened by rivals nearly as likely; and what to say."""
+def _combined(joint: Joint, bank: Bank, logs: np.ndarray, best: int) -> tuple[np.ndarray, list[str]]:
+    """Covariance of the log-parameters about the best end, widened by rivals nearly as probable; and what to say.
+
+    ``logs`` (B,): logarithms of the posterior at the ends.
+    """
     constants = joint.constants[: len(joint.model.free)]
     means, covariances = bank.means[:, -1, constants], bank.covariances[:, -1][:, constants][:, :, constants]
-    away, own = means - means[best], covariances[best]
-    apart = np.max(np.abs(away) / np.sqrt(np.maximum(np.diag(own), 1e-24)), axis=1) > APART
-    odds = np.exp(np.minimum(bank.likelihood - bank.likelihood[best], 0.0))
+    away, covariance = means - means[best], covariances[best]
+    apart = np.max(np.abs(away) / np.sqrt(np.maximum(np.diag(covariance), 1e-24)), axis=1) > APART
+    odds = np.exp(np.minimum(logs - logs[best], 0.0))
     rivals = apart & (odds > RIVAL)
     if not np.any(rivals):
-        return own, []
+        return covariance, []
     weights = np.where(rivals, odds, 0.0)
     weights[best] = 1.0
     weights /= weights.sum()

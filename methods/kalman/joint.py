@@ -1,14 +1,13 @@
 """State and parameters as one: the joint model of the Kalman filters, and the nodes through which it moves.
 
 The joint state is displacements, velocities and hidden states, then the log-parameters, then the offsets of sensors.
-Its motion is the system's residual and nothing else (:func:`bench.rk4_step`). A :class:`Chain` holds the nodes, each
-time 0 and each time of a sample, record after record, and the integration steps between them as one rectangular table,
-so that many nodes are passed at once. Everything is in natural units (:meth:`bench.Problem.natural_units`).
+Its motion is the system's residual and nothing else (:func:`bench.rk4_step`). The :class:`Nodes` are each time 0 and
+each time of a sample, record after record, with the integration steps between them. Everything is in natural units
+(:meth:`bench.Problem.natural_units`).
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,15 +16,16 @@ import numpy as np
 
 from bench import (
     LOG_LIMIT,
-    InitialState,
     NoEstimate,
     OutputError,
     Record,
+    Steps,
     System,
     acceleration,
     fastest_rates,
     nan_ops,
     rk4_step,
+    simulate,
     step_counts,
 )
 from methods.kalman.starts import first_candidate
@@ -35,7 +35,9 @@ START = 3.0
 DIFFERENCE = 1e-5
 """Step of the differences from which the fastest rate follows, over the size of the data."""
 MAX_STEPS = 3000
-"""Steps between two samples beyond which a motion counts as too fast to follow."""
+"""Steps between two samples beyond which a motion counts as too fast to follow,"""
+MOST_STEPS = 5_000_000
+"""and steps over a record."""
 
 
 OfRig = Callable[[System, np.ndarray, np.ndarray], np.ndarray]
@@ -92,13 +94,13 @@ class Joint:
         all_variances = np.concatenate([variance, self.log_sds**2, (START * offsets) ** 2])
         return np.concatenate([mean, self.logs, np.zeros(offsets.size)]), np.diag(all_variances)
 
-    def theta(self, means: np.ndarray, chain: Chain) -> np.ndarray:
+    def theta(self, means: np.ndarray, nodes: Nodes) -> np.ndarray:
         """The model's vector at smoothed means (K, d): constants at the end, and the starts that were not told.
 
         The last mean is the filter's own; those before it, where constants are the same, are known less exactly.
         """
         k, n = len(self.model.free), self.model.system.n_dof
-        starts = [means[chain.first_of[i], : 2 * n] for i in self.model.unknown_starts]
+        starts = [means[nodes.first_of[i], : 2 * n] for i in self.model.unknown_starts]
         constants = means[-1, self.constants]
         return np.concatenate([np.clip(constants[:k], -LOG_LIMIT, LOG_LIMIT), *starts, constants[k:]])
 
@@ -153,60 +155,72 @@ def amplitude(model: OutputError, rate: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class Nodes:
     """The nodes, record after record: each time 0 and each time of a sample, and the steps that lead to them.
 
     ``values`` (K, C): what each channel gave at a node, NaN where nothing; ``forces`` (K, n_dof) there.
-    ``steps`` (K, J): integration steps from the node before, none above ``longest``, padded with steps of no length;
-    ``pushes`` (K, J, 3, n_dof): forces at the start, middle and end of each. ``first_of``: the first node of each
+    ``lengths`` (J,): all integration steps, none above ``longest``; ``pushes`` (J, 3, n_dof): forces at the start,
+    middle and end of each; ``reached`` (K,): how many of them lead to a node. ``first_of``: the first node of each
     record.
     """
 
     joint: Joint
     values: np.ndarray
     forces: np.ndarray
-    steps: np.ndarray
+    lengths: np.ndarray
     pushes: np.ndarray
+    reached: np.ndarray
     first_of: tuple[int, ...]
     longest: float
 
     @staticmethod
-    def of(joint: Joint, longest: float) -> Chain:
+    def of(joint: Joint, longest: float) -> Nodes:
         """With steps of at most ``longest``; raises NoEstimate where that takes too many."""
         model = joint.model
-        n, values, forces, first_of = model.system.n_dof, [], [], []
-        pieces: list[tuple[np.ndarray, np.ndarray]] = []
-        for i, record in enumerate(model.problem.records):
-            times = np.unique(np.concatenate([[0.0], *[c.times for c in record.channels]]))
-            first_of.append(len(pieces))
+        n, values, forces, first_of = model.system.n_dof, list[np.ndarray](), list[np.ndarray](), list[int]()
+        paths, reached = list[Steps](), list[np.ndarray]()
+        for i, (record, times) in enumerate(zip(model.problem.records, _node_times(model), strict=True)):
+            first_of.append(sum(map(len, values)))
             rows = np.full((times.size, len(model.channels)), np.nan)
             for j, (of, channel) in enumerate(model.channels):
                 if of == i:
                     rows[np.searchsorted(times, channel.times), j] = channel.values
             values.append(rows)
             forces.append(np.stack(record.force(times, n), axis=1))
-            pieces.append((np.zeros(0), np.zeros((0, 3, n))))
-            pieces += [_steps(record, n, a, b, longest) for a, b in itertools.pairwise(times)]
-        most = max(len(h) for h, _ in pieces)
-        steps, pushes = np.zeros((len(pieces), most)), np.zeros((len(pieces), most, 3, n))
-        for row, (h, push) in enumerate(pieces):
-            steps[row, : h.size], pushes[row, : h.size] = h, push
-        return Chain(joint, np.concatenate(values), np.concatenate(forces), steps, pushes, tuple(first_of), longest)
+            grid = np.unique(np.concatenate([times, *[f.times[f.times <= times[-1]] for f in record.forces]]))
+            counts = step_counts(grid, longest)
+            upto = np.concatenate([[0], np.cumsum(counts)])[np.searchsorted(grid, times)]
+            if np.max(np.diff(upto), initial=0) > MAX_STEPS + grid.size or upto[-1] > MOST_STEPS:
+                raise NoEstimate(
+                    "the motion came out far faster than the samples can show; give a prior nearer to the system"
+                )
+            reached.append(upto + sum(path.lengths.size for path in paths))
+            paths.append(Steps.over(grid, counts, record.forces, n))
+        lengths = np.concatenate([path.lengths for path in paths])
+        pushes = np.concatenate([path.forces for path in paths])
+        tables = np.concatenate(values), np.concatenate(forces), lengths, pushes, np.concatenate(reached)
+        return Nodes(joint, *tables, tuple(first_of), longest)
 
     @property
-    def nodes(self) -> int:
+    def number(self) -> int:
         return len(self.values)
 
-    def measured(self, node: int) -> np.ndarray:
-        """The numbers of the channels that gave a value at a node."""
-        return np.flatnonzero(np.isfinite(self.values[node]))
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """How many steps lead to each node from the one before, (K,)."""
+        return np.diff(self.reached, prepend=0)
+
+    @cached_property
+    def durations(self) -> np.ndarray:
+        """The time from the node before to each, (K,); 0 where a record starts."""
+        return np.diff(np.concatenate([[0.0], np.cumsum(self.lengths)])[self.reached], prepend=0.0)
 
     @cached_property
     def _rigs(self) -> tuple[tuple[System, ...], np.ndarray]:
         """The rigs that moved, and which of them each node belongs to, (K,)."""
         moved = [record.rig(self.joint.model.system) for record in self.joint.model.problem.records]
         rigs = tuple(dict.fromkeys(moved))
-        lengths = np.diff([*self.first_of, self.nodes])
+        lengths = np.diff([*self.first_of, self.number])
         return rigs, np.repeat([rigs.index(rig) for rig in moved], lengths)
 
     def _by_rig(self, of: OfRig, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -216,46 +230,43 @@ class Chain:
         if np.all(mine == mine[0]):
             return of(rigs[mine[0]], points, nodes)
         parts = [(mine == i, rig) for i, rig in enumerate(rigs) if np.any(mine == i)]
-        found = [(which, of(rig, points[which], nodes[which])) for which, rig in parts]
-        whole = np.empty((len(nodes), *found[0][1].shape[1:]))
-        for which, own in found:
-            whole[which] = own
+        by_rig = [(which, of(rig, points[which], nodes[which])) for which, rig in parts]
+        whole = np.empty((len(nodes), *by_rig[0][1].shape[1:]))
+        for which, values in by_rig:
+            whole[which] = values
         return whole
 
     def advance(self, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        """Joint states (L, S, d) carried to the nodes (L,) or (1,) from the ones before them."""
+        """Joint states (L, S, d) carried to the nodes (L,) from the ones before them."""
         return self._by_rig(self._advanced, points, nodes)
 
     def _advanced(self, system: System, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         joint = self.joint
         p = joint.parameters(points)
         state = [points[..., i] for i in range(joint.states)]
-        steps, pushes = self.steps[nodes], self.pushes[nodes]
-        for j in range(int(np.max(np.count_nonzero(steps, axis=1)))):
-            f = [[pushes[:, j, part, i, None] for i in range(system.n_dof)] for part in range(3)]
-            state = rk4_step(system, p, state, steps[:, j, None], (f[0], f[1], f[2]), nan_ops)
+        counts = self.counts[nodes]
+        for j in range(int(np.max(counts, initial=0))):
+            step = np.minimum(self.reached[nodes] - counts + j, self.lengths.size - 1)
+            length = np.where(j < counts, self.lengths[step], 0.0)[:, None]  # no length: nothing moves any more
+            f = [[self.pushes[step, part, i, None] for i in range(system.n_dof)] for part in range(3)]
+            state = rk4_step(system, p, state, length, (f[0], f[1], f[2]), nan_ops)
         return np.concatenate([np.stack(state, axis=-1), points[..., joint.states :]], axis=-1)
 
     def trajectories(self, thetas: np.ndarray) -> np.ndarray:
         """The joint states (B, K, d) that the model's vectors (B, size) give at all nodes."""
-        joint, model = self.joint, self.joint.model
+        model = self.joint.model
         k, offsets = len(model.free), len(model.offset_channels)
         constants = np.concatenate([thetas[:, :k], thetas[:, thetas.shape[1] - offsets :]], axis=1)
-        path = np.empty((len(thetas), self.nodes, joint.size))
-        first = dict(zip(self.first_of, model.starts(thetas), strict=True))
-        for node in range(self.nodes):
-            if node not in first:
-                path[:, node] = self.advance(path[None, :, node - 1], np.array([node]))[0]
-                continue
-            start = first[node]
-            x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
-            at_rest = np.zeros((len(thetas), model.system.n_hidden))
-            moving = np.broadcast_to(np.concatenate([x, v]).T, (len(thetas), 2 * model.system.n_dof))
-            path[:, node] = np.concatenate([moving, at_rest, constants], axis=1)
-        return path
+        p, parts = model.parameters(thetas), list[np.ndarray]()
+        for record, start, times in zip(model.problem.records, model.starts(thetas), _node_times(model), strict=True):
+            motion = simulate(record.rig(model.system), p, start, times, record.forces)
+            parts.append(np.concatenate([motion.displacement, motion.velocity, motion.hidden]))
+        path = np.moveaxis(np.concatenate(parts, axis=-1), 0, -1)
+        rest = np.broadcast_to(constants[:, None], (*path.shape[:2], constants.shape[1]))
+        return np.concatenate([path, rest], axis=-1)
 
     def observe(self, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        """What every channel would give, (L, S, C), at joint states (L, S, d) of the nodes (L,) or (1,)."""
+        """What every channel would give, (L, S, C), at joint states (L, S, d) of the nodes (L,)."""
         return self._by_rig(self._observed, points, nodes)
 
     def _observed(self, system: System, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -274,25 +285,6 @@ class Chain:
         return np.stack(rows, axis=-1)
 
 
-def _steps(record: Record, n: int, start: float, end: float, longest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Steps (J,) from a time to another, none across a sample of a force, and forces (J, 3, n_dof) along each."""
-    knots = [f.times[(f.times > start) & (f.times < end)] for f in record.forces]
-    grid = np.unique(np.concatenate([[start, end], *knots]))
-    counts = step_counts(grid, longest)
-    if counts.sum() > MAX_STEPS + grid.size:
-        raise NoEstimate("the motion came out far faster than the samples can show; give a prior nearer to the system")
-    h = np.repeat(np.diff(grid) / counts, counts)
-    at = start + np.concatenate([[0.0], np.cumsum(h)[:-1]])
-    if any(force.degree > 1 for force in record.forces):
-        return h, _curved(record, n, at, h)
-    # inside a step a force is linear, so its ends follow from two inner points, whatever happens at the ends
-    near, far = (np.stack(record.force(at + part * h, n), axis=1) for part in (0.25, 0.75))
-    return h, np.stack([1.5 * near - 0.5 * far, 0.5 * (near + far), 1.5 * far - 0.5 * near], axis=1)
-
-
-def _curved(record: Record, n: int, at: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """Forces (J, 3, n_dof) at the start, middle and end of steps in which they are cubic, from four inner points."""
-    inner = np.array([0.125, 0.375, 0.625, 0.875])
-    seen = np.stack([np.stack(record.force(at + part * h, n), axis=1) for part in inner], axis=1)
-    weights = np.vander([0.0, 0.5, 1.0], 4) @ np.linalg.inv(np.vander(inner, 4))
-    return np.asarray(np.einsum("pi,jin->jpn", weights, seen))
+def _node_times(model: OutputError) -> list[np.ndarray]:
+    """The times of each record's nodes: 0 and those of its samples."""
+    return [np.unique(np.concatenate([[0.0], *[c.times for c in record.channels]])) for record in model.problem.records]

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from bench import System, acceleration, array_ops, rk4_scan, state_rate
-from methods.kalman.joint import Chain, Joint, fastest_rate
+from methods.kalman.joint import Joint, Nodes, fastest_rate
 from methods.sampling.posterior import NOISE_SD, Posterior
 
 STEP = 0.3
@@ -72,16 +72,16 @@ def prepare(posterior: Posterior) -> tuple[Layout, Data]:
     speed = RATE_RATIO ** np.ceil(np.log(fastest_rate(model, logs)) / np.log(RATE_RATIO))
     joint = Joint(model, logs, np.zeros(k), np.zeros(k), speed)
     # a linear system needs steps at the samples of a force only
-    chain = Chain.of(joint, np.inf if system.linear else STEP / max(speed, 1e-9))
-    bounds = [*chain.first_of, chain.nodes]
-    tables = [_table(chain, first, last) for first, last in itertools.pairwise(bounds)]
+    nodes = Nodes.of(joint, np.inf if system.linear else STEP / max(speed, 1e-9))
+    bounds = [*nodes.first_of, nodes.number]
+    tables = [_table(nodes, first, last) for first, last in itertools.pairwise(bounds)]
     longest = max(float(np.max(table["gaps"])) for table in tables)
     squarings = max(0, int(np.ceil(np.log2(2.0 * REACH * speed * longest)))) if system.linear else 0
     order = {channel: i for i, channel in enumerate(model.offset_channels)}
     channels = tuple((r, c.measures, c.dof, order.get(i, -1)) for i, (r, c) in enumerate(model.channels))
     told = tuple(record.initial_state is not None for record in records)
     rigs = tuple(record.rig(system) for record in records)
-    layout = Layout(system, model.free, rigs, told, channels, bool(np.any(chain.pushes)), squarings)
+    layout = Layout(system, model.free, rigs, told, channels, bool(np.any(nodes.pushes)), squarings)
     times = [np.unique(np.concatenate([[0.0], *[c.times for c in record.channels]])) for record in records]
     data: Data = {
         "tables": tables,
@@ -99,14 +99,14 @@ def prepare(posterior: Posterior) -> tuple[Layout, Data]:
     return layout, data
 
 
-def _table(chain: Chain, first: int, last: int) -> dict[str, np.ndarray]:
+def _table(nodes: Nodes, first: int, last: int) -> dict[str, np.ndarray]:
     """Steps of one record: lengths (J,), forces (J, 3, n_dof), the step after which a node is reached (K,)."""
-    steps, pushes = chain.steps[first:last], chain.pushes[first:last]
-    real = steps > 0
-    h, push = steps[real], pushes[real]
+    reached = nodes.reached[first:last]
+    steps = slice(reached[0], reached[-1])
+    h = nodes.lengths[steps]
     gaps, which = np.unique(np.round(h, 11), return_inverse=True)
-    reached = np.concatenate([[0], np.cumsum(np.count_nonzero(real, axis=1))[1:]])
-    return {"h": h, "push": push, "reached": reached, "gaps": gaps, "which": which, "forces": chain.forces[first:last]}
+    rows = {"h": h, "push": nodes.pushes[steps], "reached": reached - reached[0], "gaps": gaps, "which": which}
+    return rows | {"forces": nodes.forces[first:last]}
 
 
 def log_density(layout: Layout, data: Data, phi: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -28,12 +28,13 @@ from bench.scenario.scenario import PriorSpec, Scenario
 from bench.scenario.truth import closed_form
 from bench.scoring.combination import combine_with_prior
 from bench.systems import SDOF, Chain, Dimension, Duffing, Parameter
-from methods.kalman.ekf import EKF, tangent
-from methods.kalman.filtering import _inverses, filtered
+from methods.kalman import filtering
+from methods.kalman.core import Affine, predict_root, regression, tangent, update, update_root
+from methods.kalman.ekf import EKF
+from methods.kalman.filtering import filtered
 from methods.kalman.iteration import Bank, _combined
-from methods.kalman.joint import Chain as Nodes
-from methods.kalman.joint import first_belief
-from methods.kalman.ukf import UKF, regression
+from methods.kalman.joint import Nodes, first_belief
+from methods.kalman.ukf import UKF
 from methods.trajectory.output_error import SingleShooting
 
 
@@ -280,7 +281,8 @@ def test_a_prior_cycles_away_does_not_lose_the_motion(method: Identifier, told: 
         assert problem.prior is not None
         stated = Prior({"m": 1.3, "c": 0.6, "k": 204.0}, {"m": 0.02, "c": 1.0, "k": 1.0})
         estimate = fit(method, Problem(problem.system, problem.records, stated))
-        marginal = estimate.marginal(problem.system.quantity("k_over_m"))
+        alone = replace(estimate, alternatives=(), weight=1.0)  # its aliases are tested elsewhere
+        marginal = alone.marginal(problem.system.quantity("k_over_m"))
         assert marginal is not None, estimate.message
         low, high = marginal.interval(0.999)
         assert low < 51.0 / 1.3 < high
@@ -314,10 +316,10 @@ def test_a_rival_widens_the_interval_as_a_mixture_of_two() -> None:
 
     def combined(away: float, odds: float) -> tuple[np.ndarray, list[str]]:
         means[1, 0, 4] = away
-        none, likelihood = np.zeros(2), np.log([1.0, odds])
+        none = np.zeros(2)
         flat = none[:, None]
-        bank = Bank(means, covariances, means, covariances, flat, likelihood, none, flat, none)
-        return _combined(joint, bank, 0)
+        bank = Bank(means, covariances, means, covariances, flat, none, flat, none)
+        return _combined(joint, bank, np.log([1.0, odds]), 0)
 
     covariance, said = combined(6.0, 1.0)
     np.testing.assert_allclose(np.diag(covariance), [2.0, 2.0, 2.0 + 0.5 * 36.0])
@@ -367,8 +369,73 @@ def test_settings_out_of_range_are_refused(setting: dict[str, float]) -> None:
         UKF(kappa=-1.0)
 
 
-def test_a_trajectory_without_an_inverse_is_lost_alone() -> None:
-    """The innovations' covariance on a runaway trajectory may be singular; the others must go on."""
-    inverses = _inverses(np.array([[[1.0, 1.0], [1.0, 1.0]], [[2.0, 0.0], [0.0, 4.0]], [[np.inf, 0.0], [0.0, 1.0]]]))
-    assert np.all(np.isnan(inverses[[0, 2]]))
-    np.testing.assert_allclose(inverses[1], [[0.5, 0.0], [0.0, 0.25]])
+def test_values_one_by_one_are_the_update_by_all_of_them() -> None:
+    """Against ``P H' (H P H' + R)^-1`` written out, for both forms; a channel without a value changes nothing."""
+    slopes = np.array([[1.0, 0.3, 0.0], [0.2, -1.0, 0.5], [9.0, 9.0, 9.0]])
+    constants, variances, values = np.array([0.1, -0.2, 0.0]), np.array([0.02, 0.3, 1.0]), np.array([0.5, 1.0, 7.0])
+    used = np.array([True, True, False])
+    h, r = slopes[:2], np.diag(variances[:2])
+    gain = COVARIANCE @ h.T @ np.linalg.inv(h @ COVARIANCE @ h.T + r)
+    left = values[:2] - constants[:2] - h @ MEAN
+    total = h @ COVARIANCE @ h.T + r
+    likelihood = -0.5 * (left @ np.linalg.solve(total, left) + np.linalg.slogdet(total)[1])
+    updated = update(MEAN, COVARIANCE, slopes, constants, variances, values, used)
+    np.testing.assert_allclose(updated.mean, MEAN + gain @ left, rtol=1e-12)
+    np.testing.assert_allclose(updated.covariance, COVARIANCE - gain @ h @ COVARIANCE, atol=1e-14)
+    assert updated.likelihood == pytest.approx(likelihood, rel=1e-12)
+    root = np.linalg.cholesky(COVARIANCE)
+    mean, root, by_root = update_root(MEAN, root, slopes, constants, variances, values, used)
+    np.testing.assert_allclose(mean, updated.mean, rtol=1e-12)
+    np.testing.assert_allclose(root @ root.T, updated.covariance, atol=1e-14)
+    assert by_root == pytest.approx(likelihood, rel=1e-12)
+    a = np.array([[1.0, 0.1, 0.0], [-0.2, 0.9, 0.3], [0.0, 0.0, 1.0]])
+    walk = np.array([0.0, 0.1, 0.2])
+    moved = predict_root(Affine(a, np.ones(3), np.zeros((3, 3))), mean, root, walk)
+    np.testing.assert_allclose(moved[0], a @ mean + 1.0, rtol=1e-12)
+    np.testing.assert_allclose(moved[1] @ moved[1].T, a @ root @ root.T @ a.T + np.diag(walk), atol=1e-14)
+
+
+def test_a_value_without_noise_leaves_no_negative_variance() -> None:
+    """Joseph's form, where ``P - K H P`` is all rounding: a value with a part in 1e10 of the belief's spread."""
+    slopes, nothing = np.array([[0.0, 2.0, 0.0]]), np.zeros(1)
+    found = update(MEAN, COVARIANCE, slopes, nothing, np.array([1e-20]), nothing, np.array([True])).covariance
+    assert (slopes @ found @ slopes.T)[0, 0] == pytest.approx(1e-20, rel=1e-6)
+    assert np.all(np.linalg.eigvalsh(found) > -1e-17)
+
+
+@BOTH
+def test_a_compiled_pass_is_the_same_pass(method: Identifier, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Long records are passed by jax, short ones by numpy."""
+    pytest.importorskip("jax")
+    problem, _ = scenario(20.0, initial_state="unknown").replicates(1, 1)[0]
+    short = fit(method, problem)
+    monkeypatch.setattr(filtering, "LONG", 1)
+    long = fit(method, problem)
+    assert isinstance(short.parameters, Normal)
+    assert isinstance(long.parameters, Normal)
+    np.testing.assert_allclose(long.parameters.mean, short.parameters.mean, atol=1e-9)
+    np.testing.assert_allclose(long.parameters.covariance, short.parameters.covariance, rtol=1e-6)
+
+
+@BOTH
+def test_a_motion_that_dies_at_once_is_not_preferred_to_the_one_that_the_data_show(method: Identifier) -> None:
+    """At 0 dB, of two ends that explain the data the more probable one is kept; both methods had the other."""
+    made = Scenario("sdof", {"m": 1.0, "c": 0.6, "k": 50.0}, ((0.5,), (0.0,)), 0.0, duration=8.0, samples=29,
+                    initial_state="unknown", prior=NOMINAL)  # fmt: skip
+    true, bound = 50.0, compute_bound(made).relative_sd["k_over_m"]
+    errors = [value(fit(method, problem), "k_over_m") / true - 1 for problem, _ in made.replicates(7, 20)]
+    assert np.sqrt(np.mean(np.square(errors))) < 1.6 * bound
+
+
+@pytest.mark.slow
+@BOTH
+def test_a_long_record_takes_memory_in_proportion(method: Identifier) -> None:
+    """60 000 samples of 600 cycles: an answer within its interval, from a little memory."""
+    made = scenario(20.0, parameters={"m": 1.3, "c": 0.02, "k": 9.0}, samples=60_000, duration=600 * 2.388,
+                    initial_state="unknown")  # fmt: skip
+    problem, _ = made.replicates(1, 1)[0]
+    marginal = fit(method, problem).marginal(problem.system.quantity("k_over_m"))
+    assert marginal is not None
+    low, high = marginal.interval(0.9999)
+    assert low < 9.0 / 1.3 < high
+    assert high / low < 1.0001
