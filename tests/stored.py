@@ -14,6 +14,8 @@ import numpy as np
 
 from bench.config.experiment import Experiment
 from bench.contract.estimate import Status
+from bench.entrants.reference import REFERENCES
+from bench.entrants.registry import method_names
 from bench.information.fisher import Bound
 from bench.reporting.frame import table_experiments
 from bench.scoring.row import Row
@@ -23,6 +25,7 @@ from bench.store.cell_file import FORMAT
 from bench.store.seal import sealed
 from bench.store.store import Store
 from bench.store.stored import StoredCell
+from bench.store.version import cell_version
 
 VERSION = {"method": 1, "system": 1, "scoring": 1}
 TRUTH = {"m": 1.0, "c": 0.4, "k": 8.0}
@@ -121,6 +124,12 @@ def resealed(content: Mapping[str, Any]) -> bytes:
     return sealed_head + b"\n" + body.encode()
 
 
+def version_today(method: str) -> dict[str, int]:
+    """Return the version of a method's cells; :data:`VERSION` of one that is not registered."""
+    known = method in {*method_names(), *REFERENCES}
+    return cell_version(method, "sdof").as_json() if known else dict(VERSION)
+
+
 def save(
     store: Store,
     cell: Mapping[str, Any],
@@ -133,7 +142,8 @@ def save(
     identity = hashlib.sha256(json.dumps(dict(cell), sort_keys=True).encode()).hexdigest()[:20]
     summary = summarise(rows, bound)
     kept = dict(arrays or {})
-    stored = StoredCell(identity, dict(cell), tuple(rows), summary, {}, {}, 1.0, {}, dict(VERSION), kept, tracebacks)
+    version = version_today(cell["method"])
+    stored = StoredCell(identity, dict(cell), tuple(rows), summary, {}, {}, 1.0, {}, version, kept, tracebacks)
     store.save(stored)
     return stored
 
