@@ -39,7 +39,15 @@ from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurement
 from bench.entry_points import entry_points_of, load_entry_point
 from bench.errors import InputError, check_name
 from bench.likelihood.batching import batches, layout
-from bench.likelihood.least_squares import FIRST_DAMPING, Linearisation, Minimum, StepLimits, degrees_used, minimise
+from bench.likelihood.least_squares import (
+    FIRST_DAMPING,
+    Linearisation,
+    Minimum,
+    StepLimits,
+    covariances,
+    degrees_used,
+    minimise,
+)
 from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, SimulatedData, Start, estimate_at
 from bench.likelihood.whitened import whitened
 from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
@@ -105,6 +113,7 @@ __all__ = [
     "batches",
     "check_name",
     "compiled_path",
+    "covariances",
     "degrees_used",
     "dimension_scale",
     "entry_points_of",

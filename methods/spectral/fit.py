@@ -2,8 +2,7 @@
 
 What the transient and an offset add is linear in their coefficients, so these are fitted at every trial (variable
 projection: G. Golub, V. Pereyra, SIAM J. Numer. Anal. 10:413, 1973; the derivatives with the simplification of L.
-Kaufman, BIT 15:49, 1975, which leaves the gradient exact). The search is Levenberg-Marquardt with the scaling of J. J.
-Moré (Lecture Notes in Mathematics 630:105, 1978).
+Kaufman, BIT 15:49, 1975, which leaves the gradient exact).
 
 Unknowns: k/m and c/m where the vibration is free, which may come out negative; the logarithms of m, c and k where a
 force tells the scale.
@@ -11,16 +10,20 @@ force tells the scale.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from bench import Linearisation, StepLimits, minimise
 from methods.spectral.response import Layout, forced_lines, transient
 
 LARGEST = 1.0
 """Longest step of a logarithm."""
 LIMIT = 40.0
 """Largest size of a logarithm."""
+ROUNDS, SMALLER = 3, 0.5
+"""Searches in turn, at most, and how much smaller the residuals must have become for another."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +39,11 @@ class Trial:
         """Sum of squares; infinite where a residual is not finite."""
         total = float(self.residuals @ self.residuals)
         return total if np.isfinite(total) and np.all(np.isfinite(self.slopes)) else np.inf
+
+    @property
+    def unit(self) -> float:
+        """Root mean square of the residuals; 1 where they are zero or not finite."""
+        return float(np.sqrt(self.cost / self.residuals.size)) if 0.0 < self.cost < np.inf else 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,27 +94,31 @@ class Objective:
         )
 
 
-def search(objective: Objective, start: np.ndarray, iterations: int, tolerance: float = 1e-6) -> tuple[Trial, int]:
-    """The minimum that Levenberg-Marquardt finds from a start, and the number of evaluations."""
-    best, damping = objective.at(start), 1e-3
-    scale = np.linalg.norm(best.slopes, axis=0) + 1e-300
-    for i in range(iterations):
-        if not np.isfinite(best.cost) or best.cost == 0.0:
-            return best, i + 1
-        scale = np.maximum(scale, np.linalg.norm(best.slopes, axis=0))
-        rows = np.concatenate([best.slopes, np.sqrt(damping) * np.diag(scale)])
-        right = np.concatenate([-best.residuals, np.zeros(start.size)])
-        move = np.linalg.lstsq(rows, right, rcond=None)[0]
-        if objective.layout.forced:
-            move = np.clip(move, -LARGEST, LARGEST)
-        if np.linalg.norm(scale * move) <= tolerance * np.sqrt(best.cost):
-            return best, i + 1
-        unknowns = best.unknowns + move
-        trial = objective.at(np.clip(unknowns, -LIMIT, LIMIT) if objective.layout.forced else unknowns)
-        if trial.cost < best.cost:
-            best, damping = trial, 0.2 * damping
-        else:
-            damping = 8.0 * damping
-            if damping > 1e12:
-                return best, i + 2
-    return best, iterations + 1
+def search(objective: Objective, starts: Sequence[np.ndarray], iterations: int) -> tuple[list[Trial], int]:
+    """Search a minimum from each of the starts, all together; return where they end, and the number of evaluations.
+
+    Residuals are taken in units of those that the search began with; where it has made them much smaller, it goes on
+    from there.
+    """
+    forced, size = objective.layout.forced, starts[0].size
+    limits = StepLimits(np.full(size, LARGEST), np.full(size, LIMIT)) if forced else None
+    trials, spent = [objective.at(start) for start in starts], len(starts)
+    for _ in range(ROUNDS):
+        units = np.array([trial.unit for trial in trials])
+
+        def evaluate(cases: np.ndarray, unknowns: np.ndarray, units: np.ndarray = units) -> Linearisation:
+            return _in_units([objective.at(own) for own in unknowns], units[cases])
+
+        end = minimise(evaluate, _in_units(trials, units), iterations, limits)
+        reached = zip(end.at.unknowns, end.at.residuals, end.at.slopes, units, strict=True)
+        trials = [Trial(unknowns, residuals * unit, slopes * unit) for unknowns, residuals, slopes, unit in reached]
+        spent += int(end.iterations.sum())
+        if all(trial.unit > SMALLER * unit for trial, unit in zip(trials, units, strict=True)):
+            break
+    return trials, spent
+
+
+def _in_units(trials: Sequence[Trial], units: np.ndarray) -> Linearisation:
+    residuals, slopes = np.stack([trial.residuals for trial in trials]), np.stack([trial.slopes for trial in trials])
+    unknowns = np.stack([trial.unknowns for trial in trials])
+    return Linearisation.of(unknowns, residuals / units[:, None], slopes / units[:, None, None])

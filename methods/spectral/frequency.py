@@ -37,6 +37,7 @@ from bench import (
     Problem,
     Serves,
     SimulatedResponse,
+    covariances,
     estimate_at,
     fitted_start,
 )
@@ -103,10 +104,11 @@ class Frequency(SearchingIdentifier):
         own = untold(problem if problem.forced else replace(problem, prior=None))
         objective = _objective(own)
         starts = [_unknowns(own, p) for p in candidates(OutputError(own), self.starts)[: self.starts]]
-        found = [search(objective, start, min(SCREENING, self.iterations)) for start in starts]
-        best, _ = min(found, key=lambda pair: pair[0].cost)
-        best, evaluations = search(objective, best.unknowns, self.iterations)
-        spent = evaluations + sum(earlier for _, earlier in found)
+        screened, spent = search(objective, starts, min(SCREENING, self.iterations))
+        (best,), evaluations = search(
+            objective, [min(screened, key=lambda trial: trial.cost).unknowns], self.iterations
+        )
+        spent += evaluations
         if not np.isfinite(best.cost):
             raise NoEstimate(NO_RESPONSE, cost=Cost(spent, spent))
         if own.forced:
@@ -123,12 +125,12 @@ class Frequency(SearchingIdentifier):
             sds = [problem.prior.log_sd[name] for name in _parameters(problem)]
             nominal = np.log([problem.prior.nominal[name] for name in _parameters(problem)])
             objective = replace(objective, nominal=nominal, width=np.array(sds) / sigma)
-            best, evaluations = search(objective, best.unknowns, self.iterations)
+            (best,), evaluations = search(objective, [best.unknowns], self.iterations)
             spent, before, sigma = spent + evaluations, sigma, _noise(best.residuals, samples, used)
             if abs(np.log(sigma / before)) < 1e-3:
                 break
         model = OutputError(problem)
-        covariance = _covariance(best.slopes, sigma)
+        covariance = covariances(best.slopes[None] / sigma)[0]
         order = [_parameters(problem).index(name) for name in problem.system.names]
         if covariance is not None:
             covariance = covariance[np.ix_(order, order)]
@@ -144,7 +146,7 @@ def _free(problem: Problem, objective: Objective, best: Trial, spent: int) -> Es
         raise NoEstimate(NO_VIBRATION, cost=Cost(spent, spent))
     best = objective.at(np.array([r, g]))
     used = 4 + int(objective.offset)
-    covariance = _covariance(best.slopes, _noise(best.residuals, objective.y.size, used))
+    covariance = covariances(best.slopes[None] / _noise(best.residuals, objective.y.size, used))[0]
     order = [0 if _stiffness(problem) in group.exponents else 1 for group in problem.system.groups]
     if covariance is not None:
         covariance = covariance[np.ix_(order, order)]
@@ -210,18 +212,6 @@ def _noise(residuals: np.ndarray, samples: int, used: int) -> float:
     """Standard deviation of the noise; never zero."""
     rss = float(residuals[:samples] @ residuals[:samples])
     return max(float(np.sqrt(rss / max(samples - used, 1))), 1e-12)
-
-
-def _covariance(slopes: np.ndarray, sigma: float) -> np.ndarray | None:
-    """Inverse of the Fisher information; None where it leaves a direction open."""
-    sizes = np.linalg.norm(slopes, axis=0)
-    if np.any(sizes == 0):
-        return None
-    _, values, axes = np.linalg.svd(slopes / sizes, full_matrices=False)
-    if values[-1] < 1e-9 * values[0]:
-        return None
-    root = axes.T / values / sizes[:, None] * sigma
-    return np.asarray(root @ root.T)
 
 
 def _message(residuals: np.ndarray, y: np.ndarray, open_direction: bool) -> str:
