@@ -55,7 +55,7 @@ class HeldOut:
     points: int
 
 
-class Model:
+class AtlasModel:
     """The model of one method and quantity."""
 
     def __init__(self, frame: pd.DataFrame, quantity: str) -> None:
@@ -123,7 +123,7 @@ def held_out(frame: pd.DataFrame, quantity: str) -> HeldOut:
     found: list[Expected] = [Expected((math.nan,) * 3, math.nan)] * len(frame)
     for fold in range(FOLDS):
         out = np.arange(len(frame)) % FOLDS == fold  # the sequence is spread evenly, and so is each part
-        model = Model(frame[~out], quantity)
+        model = AtlasModel(frame[~out], quantity)
         for i, expected in zip(np.flatnonzero(out), model.expected(frame[out]), strict=True):
             found[i] = expected
     counted = frame[f"{quantity}_gross"].to_numpy(float)

@@ -20,7 +20,7 @@ from bench.reporting.terminal import table, wrapped
 from bench.reporting.terminal_tables import cell_table
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
-from bench.store.stored import Head
+from bench.store.stored import CellHead
 from bench.store.version import settings_version
 from bench.systems import registered_systems
 
@@ -29,12 +29,12 @@ FOREIGN = "foreign"
 """The state of a cell whose method or system is not installed."""
 
 
-def standings(store: Store) -> list[tuple[Head, str, str]]:
+def standings(store: Store) -> list[tuple[CellHead, str, str]]:
     """Say of every stored cell whether it is current, stale, failed, foreign or damaged, and why."""
     return [(head, *_standing(head)) for head in store.heads()]
 
 
-def _standing(head: Head) -> tuple[str, str]:
+def _standing(head: CellHead) -> tuple[str, str]:
     if head.problem:
         return CellState.DAMAGED.value, head.problem
     method, system = str(head.cell.get("method")), str(head.cell.get("data", {}).get("system"))

@@ -37,7 +37,7 @@ FASTEST = 1e7
 
 
 @dataclass(frozen=True, eq=False)
-class Matrices:
+class StateMatrices:
     """``A`` (sets, 2n, 2n) and ``B`` (sets, 2n, m), and their derivatives by the log-parameters, (sets, q, 2n, ...)."""
 
     a: np.ndarray
@@ -46,7 +46,7 @@ class Matrices:
     db: np.ndarray
 
 
-def linear_matrices_and_slopes(system: System, p: Mapping[str, np.ndarray], driven: Sequence[int]) -> Matrices:
+def linear_matrices_and_slopes(system: System, p: Mapping[str, np.ndarray], driven: Sequence[int]) -> StateMatrices:
     """The matrices of a linear system for parameters of shape (sets,), with a column of ``B`` for each driven DOF.
 
     Columns of the mass, damping and stiffness matrices are the residual at one unit of acceleration, velocity or
@@ -69,7 +69,7 @@ def linear_matrices_and_slopes(system: System, p: Mapping[str, np.ndarray], driv
     rates = np.zeros((*shape[:2], 2 * n, 2 * n + m), complex)
     rates[..., :n, n : 2 * n], rates[..., n:, :] = np.eye(n), low
     value, slope = rates[:, 0].real, rates.imag / IMAGINARY
-    return Matrices(value[..., : 2 * n], value[..., 2 * n :], slope[..., : 2 * n], slope[..., 2 * n :])
+    return StateMatrices(value[..., : 2 * n], value[..., 2 * n :], slope[..., : 2 * n], slope[..., 2 * n :])
 
 
 def _solved(mass: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -147,7 +147,7 @@ def _reading(
 # ------------------------------------------------------------------------------------------------ one DOF, no force
 
 
-def _free_oscillator(matrices: Matrices, start: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _free_oscillator(matrices: StateMatrices, start: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """``exp(A t) s0`` for ``A = [[0, 1], [-r, -g]]`` and its derivatives, at any damping.
 
     By Cayley and Hamilton ``exp(A t) = e^(-g t/2) (C I + S (A + g/2 I))`` with ``d = g²/4 - r``, ``C = cosh(√d t)`` and
@@ -197,7 +197,7 @@ def _cosh_and_sinh(d: np.ndarray, g: np.ndarray, times: np.ndarray) -> tuple[np.
 
 
 def _stepped(
-    matrices: Matrices, start: np.ndarray, times: np.ndarray, forces: Sequence[Force], driven: Sequence[int]
+    matrices: StateMatrices, start: np.ndarray, times: np.ndarray, forces: Sequence[Force], driven: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """State and derivatives from one point of the grid of samples and forces to the next."""
     sets, n2 = start.shape
@@ -245,7 +245,7 @@ class _Exponentials:
     size: the force comes in by a nilpotent part, a polynomial of ``h``. ``lost`` says which sets are too fast.
     """
 
-    def __init__(self, matrices: Matrices, inputs: int) -> None:
+    def __init__(self, matrices: StateMatrices, inputs: int) -> None:
         """Collect the matrices; ``inputs`` is how many forces and derivatives of forces there are."""
         sets, q, n, m = matrices.db.shape
         self.n, self.inputs = n, inputs

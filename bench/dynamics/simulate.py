@@ -35,7 +35,7 @@ FIRST_STEP = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class SimulatedMotion:
     """Displacement and velocity of every DOF and the hidden states, each of shape (their number, *sets, n_times)."""
 
     displacement: np.ndarray
@@ -60,7 +60,7 @@ def simulate(
     start: InitialState | tuple[np.ndarray, np.ndarray],
     times: np.ndarray,
     forces: Sequence[Force] = (),
-) -> Motion:
+) -> SimulatedMotion:
     """The response from a state at time 0, at increasing times >= 0 (s), shape (n_times,).
 
     Parameters are floats or arrays of one shape ``sets``; ``start`` is an InitialState, or displacement and velocity
@@ -78,7 +78,7 @@ def simulate(
             state += [np.zeros(sets) for _ in range(system.n_hidden)]
             path = (_many if sets else _alone)(system, p, state, times, forces)
     n = system.n_dof
-    return Motion(path[:n], path[n : 2 * n], path[2 * n :])
+    return SimulatedMotion(path[:n], path[n : 2 * n], path[2 * n :])
 
 
 def displacements(
@@ -237,7 +237,7 @@ def measurements(
 
     Sensors that are read at the same times share one simulation.
     """
-    rig, motions, parts = record.rig(system), dict[bytes, Motion](), []
+    rig, motions, parts = record.rig(system), dict[bytes, SimulatedMotion](), []
     for channel in record.channels:
         key = channel.times.tobytes()
         if key not in motions:

@@ -12,7 +12,7 @@ from bench.entrants.registry import missing_package
 from bench.errors import InputError
 from bench.store.cell import Cell
 from bench.store.store import Store
-from bench.store.stored import Head
+from bench.store.stored import CellHead
 from bench.store.version import Version
 
 FAILURES = frozenset(Status) - {Status.OK, Status.UNSUPPORTED, Status.MISSING_DEPENDENCY}
@@ -94,7 +94,7 @@ def _planned(cell: Cell, store: Store, retry: Collection[Status]) -> Planned:
     return Planned(cell, state, why, state is CellState.STALE, stored.stamp)
 
 
-def standing(stored: Head, method: str, today: Version) -> tuple[CellState, str]:
+def standing(stored: CellHead, method: str, today: Version) -> tuple[CellState, str]:
     """Say whether a stored cell is current, and why not.
 
     Args:

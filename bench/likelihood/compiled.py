@@ -10,7 +10,7 @@ from bench.contract.problem import InitialState, Problem, Record
 from bench.dynamics.compiled_path import compiled_path
 from bench.dynamics.fixed_step import Steps, step_counts
 from bench.dynamics.intervals import merged_grid
-from bench.dynamics.simulate import MAX_STEPS, Motion, longest_step
+from bench.dynamics.simulate import MAX_STEPS, SimulatedMotion, longest_step
 from bench.likelihood.output_error import OutputError, Start
 
 START_STEPS = 5
@@ -48,7 +48,7 @@ class CompiledOutputError(OutputError):
             parts = []
             for channel in record.channels:
                 own = path[..., np.searchsorted(times, channel.times)]
-                motion = Motion(own[:n], own[n : 2 * n], own[2 * n :])
+                motion = SimulatedMotion(own[:n], own[n : 2 * n], own[2 * n :])
                 parts.append(motion.measured(rig, p, channel, record))
         return np.concatenate(parts, axis=-1)
 

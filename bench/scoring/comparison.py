@@ -202,7 +202,7 @@ def steadiness(values: Mapping[str, np.ndarray], excess: Mapping[str, float], bo
 
 
 @dataclass(frozen=True)
-class Standing:
+class ScenarioRanking:
     """The best method in one scenario by one metric, and how the others compare with it.
 
     ``level``: the best, and all that cannot be told from it and do not run away, which ranks do not see.
@@ -214,7 +214,7 @@ class Standing:
     steadiness: Steadiness
 
 
-def standing(values: Mapping[str, np.ndarray], excess: Mapping[str, float], bound: float) -> Standing | None:
+def standing(values: Mapping[str, np.ndarray], excess: Mapping[str, float], bound: float) -> ScenarioRanking | None:
     """Rank methods by their errors ``values[method]`` (n,), their excess and the bound; None for fewer than two.
 
     It is the one rule of all tables and of the page; they differ in which methods they put in. NaN errors are failures.
@@ -226,7 +226,7 @@ def standing(values: Mapping[str, np.ndarray], excess: Mapping[str, float], boun
     found = steadiness(known, excess, bound)
     best, others = against_best(known, found.steady)
     level = {best, *(c.a for c in others if c.tie and c.a in found.steady)}
-    return Standing(best, tuple(others), frozenset(level), found)
+    return ScenarioRanking(best, tuple(others), frozenset(level), found)
 
 
 def profile(errors: Errors, factors: Sequence[float]) -> dict[str, np.ndarray]:

@@ -26,7 +26,7 @@ from bench.files import read_regular
 from bench.scoring.row import NUMBERS, PLAIN, STATISTICS, Rows
 from bench.store import version
 from bench.store.digits import decimal
-from bench.store.stored import Arrays, Head, StoredCell
+from bench.store.stored import Arrays, CellHead, StoredCell
 
 if TYPE_CHECKING:  # pyarrow is loaded when a file is read
     import pyarrow as pa
@@ -177,12 +177,12 @@ class Archive:
         """Return the file that holds the rows of a cell."""
         return self.folder / rows_file(self._cells[identity]["experiment"])
 
-    def head(self, identity: str) -> Head | None:
+    def head(self, identity: str) -> CellHead | None:
         """Return what is known of a cell without its rows, or None."""
         if identity not in self:
             return None
         line = self._cells[identity]
-        return Head(identity, _json(line, "description"), _json(line, "statuses"), _version(line), line["wall_s"])
+        return CellHead(identity, _json(line, "description"), _json(line, "statuses"), _version(line), line["wall_s"])
 
     def load(self, identity: str) -> StoredCell | None:
         """Return a cell, or None where the archive has none of that name; its rows are read when they are used."""

@@ -25,7 +25,7 @@ from bench.scoring.row import NUMBERS, PLAIN, Rows
 from bench.store.digits import DIGITS, decimal
 from bench.store.seal import Unsealed, parsed, sealed, unsealed
 from bench.store.shape import HEAD, fits
-from bench.store.stored import Arrays, Head, StoredCell
+from bench.store.stored import Arrays, CellHead, StoredCell
 
 FORMAT = 5
 EXACT_DIGITS = 17
@@ -84,10 +84,10 @@ def _dumped(content: Any) -> bytes:
     return text.encode("utf-8", "replace")  # a label may have been read from bytes that are no text
 
 
-def head_from_line(line: bytes, stamp: int = 0) -> Head:
+def head_from_line(line: bytes, stamp: int = 0) -> CellHead:
     """Return the head of a file's first line; raises Unsealed where that is not whole."""
     head = _head(line)
-    return Head(head["identity"], head["cell"], head["statuses"], head["version"], float(head["wall_s"]), stamp)
+    return CellHead(head["identity"], head["cell"], head["statuses"], head["version"], float(head["wall_s"]), stamp)
 
 
 def _head(line: bytes) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from bench.files import TEMPORARY, open_regular, read_regular, write_whole
 from bench.store.archive import Archive
 from bench.store.cell_file import cell_file, cell_from_file, head_from_line
 from bench.store.seal import Unsealed, sealed
-from bench.store.stored import Head, StoredCell
+from bench.store.stored import CellHead, StoredCell
 
 DEFAULT_STORE = "outputs/rows"
 """The folder of a user's own cells, under the current folder."""
@@ -30,7 +30,7 @@ LONGEST_LINE = 2**24
 """Bytes of a file's first line; a description takes some thousand."""
 ABANDONED_S = 3600.0
 """Age at which a temporary file has no writer any more."""
-Read = TypeVar("Read", StoredCell, Head)
+Read = TypeVar("Read", StoredCell, CellHead)
 
 
 class Store:
@@ -102,13 +102,13 @@ class Store:
             return self._read(identity, lambda path: cell_from_file(read_regular(path)))
         return self.archive.load(identity) if self.archive is not None else None
 
-    def head(self, identity: str) -> Head | None:
+    def head(self, identity: str) -> CellHead | None:
         """Return what is known of a stored cell without its rows, or None; raises InputError as :meth:`load`."""
         stamp = self.stamp(identity)  # before the look: what is written after it is newer
         if not stamp:
             return self.archive.head(identity) if self.archive is not None else None
 
-        def first_line(path: Path) -> Head:
+        def first_line(path: Path) -> CellHead:
             with open_regular(path) as file:
                 return head_from_line(file.readline(LONGEST_LINE), stamp)
 
@@ -127,13 +127,13 @@ class Store:
             raise InputError("store", path, f"it holds the cell {cell.identity}; move it away")
         return cell
 
-    def heads(self) -> Iterator[Head]:
+    def heads(self) -> Iterator[CellHead]:
         """Yield the heads of all stored cells in order; of a damaged file one that states its problem."""
         for identity in self.identities():
             try:
                 head = self.head(identity)
             except InputError as error:
-                head = Head(identity, stamp=self.stamp(identity), problem=str(error))
+                head = CellHead(identity, stamp=self.stamp(identity), problem=str(error))
             if head is not None:
                 yield head
 

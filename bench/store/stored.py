@@ -102,7 +102,7 @@ def unmarked(label: str) -> str:
 
 
 @dataclass(frozen=True)
-class Head:
+class CellHead:
     """What is known of a stored cell without reading its rows.
 
     ``statuses`` counts the replicates by status; ``stamp`` is the time at which the file was written (ns; 0 in the

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from methods.amortised.mixture import Mixture
-from methods.amortised.simulations import Layout, Shown, shown, simulated
+from methods.amortised.simulations import SampleLayout, Shown, shown, simulated
 
 CENTRE, WIDTH = 0.5, 1.5
 """Of the logarithm of the decay rate times the record: what the network counts it from and in."""
@@ -80,7 +80,7 @@ def mixture_of(network: Density, own: Shown) -> Mixture:
     return Mixture(weights, centre + scale * means, roots @ roots.swapaxes(1, 2))
 
 
-def trained(layout: Layout, settings: dict[str, int], rate: float) -> Density:
+def trained(layout: SampleLayout, settings: dict[str, int], rate: float) -> Density:
     """Train a network for a layout: Adam with a rate that falls as a cosine, on records that are never seen twice.
 
     Args:
@@ -113,7 +113,7 @@ def trained(layout: Layout, settings: dict[str, int], rate: float) -> Density:
     return network.eval()
 
 
-def _pool(layout: Layout, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+def _pool(layout: SampleLayout, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
     logs, values, starts = simulated(layout, POOL, rng)
     own = shown(layout, values, starts if layout.told else None)
     return torch.as_tensor(own.features), torch.as_tensor(targets(logs, own))

@@ -49,7 +49,7 @@ from bench import (
 from methods.amortised.cache import Arrays, cache_folder, cached
 from methods.amortised.likelihood import log_likelihood
 from methods.amortised.mixture import Mixture
-from methods.amortised.simulations import DECIBELS, RATIOS, Layout, shown
+from methods.amortised.simulations import DECIBELS, RATIOS, SampleLayout, shown
 from methods.starts.ambiguity import BandIdentifier
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ class NPE(BandIdentifier):
 
 
 @lru_cache(maxsize=8)
-def _loaded(layout: Layout, settings: tuple[tuple[str, int], ...], folder: str) -> tuple[Density, float]:
+def _loaded(layout: SampleLayout, settings: tuple[tuple[str, int], ...], folder: str) -> tuple[Density, float]:
     """The network of a layout, and the processor time (s) that its training took, whenever that was."""
     from methods.amortised.training import as_arrays, definition, network_from
 
@@ -182,10 +182,10 @@ def _loaded(layout: Layout, settings: tuple[tuple[str, int], ...], folder: str) 
     return network_from(cached(cache_folder(folder), identity, make), dict(settings))
 
 
-def _layout(problem: Problem) -> Layout:
+def _layout(problem: Problem) -> SampleLayout:
     record = problem.records[0]
     times = record.channels[0].times
-    return Layout(times.size, round(float(times[0] / times[-1]), 6), record.initial_state is not None)
+    return SampleLayout(times.size, round(float(times[0] / times[-1]), 6), record.initial_state is not None)
 
 
 def _parameters(problem: Problem) -> list[str]:
@@ -203,7 +203,7 @@ def _group_prior(problem: Problem, prior: Prior) -> tuple[np.ndarray, np.ndarray
     return mean, np.diag([square[stiffness], square[damping]]) + square[mass]
 
 
-def _inside(layout: Layout, posterior: Mixture, n: int, rng: np.random.Generator) -> np.ndarray:
+def _inside(layout: SampleLayout, posterior: Mixture, n: int, rng: np.random.Generator) -> np.ndarray:
     """Draws of the logarithms of k/m and c/m within the box that was trained on, at most ``n``."""
     logs = posterior.draw(TRIES * n, rng)
     frequency, ratio = 0.5 * logs[:, 0], logs[:, 1] - np.log(2.0) - 0.5 * logs[:, 0]

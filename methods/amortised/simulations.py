@@ -39,7 +39,7 @@ CRITICAL = 1e-6
 
 
 @dataclass(frozen=True)
-class Layout:
+class SampleLayout:
     """Even times: ``samples`` from ``first`` to 1; and whether the start is told."""
 
     samples: int
@@ -115,7 +115,7 @@ class Shown:
     step: np.ndarray
 
 
-def shown(layout: Layout, values: np.ndarray, starts: np.ndarray | None) -> Shown:
+def shown(layout: SampleLayout, values: np.ndarray, starts: np.ndarray | None) -> Shown:
     """Show records: ``values`` (sets, samples), and told ``starts`` (sets, 2), displacement and velocity, or None."""
     size = np.sqrt(np.mean(values**2, axis=1, keepdims=True))
     y = values / size
@@ -146,7 +146,7 @@ def shown(layout: Layout, values: np.ndarray, starts: np.ndarray | None) -> Show
     return Shown(np.concatenate(features, axis=1).astype(np.float32), anchor, step)
 
 
-def simulated(layout: Layout, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def simulated(layout: SampleLayout, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Draw ``n`` records: log angular frequency and log damping ratio (n, 2), values (n, samples), starts (n, 2)."""
     low, high = layout.box
     logs = low + (high - low) * rng.random((n, 2))

@@ -11,7 +11,7 @@ import torch
 
 from methods.amortised.cache import Arrays
 from methods.amortised.density import Density, trained
-from methods.amortised.simulations import Layout
+from methods.amortised.simulations import SampleLayout
 
 SECONDS = "training_seconds"
 
@@ -23,7 +23,7 @@ def definition() -> str:
     return hashlib.sha256(b"".join(texts)).hexdigest()
 
 
-def as_arrays(layout: Layout, settings: dict[str, int], rate: float) -> Arrays:
+def as_arrays(layout: SampleLayout, settings: dict[str, int], rate: float) -> Arrays:
     """Train a network; its weights by name, and the processor time (s) that it took."""
     before = time.process_time()
     network = trained(layout, settings, rate)

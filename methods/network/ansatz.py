@@ -64,7 +64,7 @@ class Ansatz(ABC):
         """J itself at the given rows, (B, n_rows, count)."""
 
     def mixed(self, theta: Tensor) -> Tensor:
-        """Return the coefficients of a :class:`Mixture` of this function; of any other its own."""
+        """Return the coefficients of a :class:`MixedAnsatz` of this function; of any other its own."""
         return theta
 
     def unmixed(self, theta: Tensor) -> Tensor:
@@ -132,7 +132,7 @@ class Basis(Ansatz):
 
 
 @dataclass
-class Mixture(Ansatz):
+class MixedAnsatz(Ansatz):
     """A linear ``inner`` whose coefficients are ``mixing @ theta``; ``weights @`` them is theta again."""
 
     inner: Ansatz
@@ -143,14 +143,14 @@ class Mixture(Ansatz):
         self.count = self.mixing.shape[2]
 
     @staticmethod
-    def of(inner: Ansatz, jacobian: Tensor) -> Mixture:
+    def of(inner: Ansatz, jacobian: Tensor) -> MixedAnsatz:
         """Mix the coefficients such that a Jacobian (B, n_rows, count) by them becomes orthonormal.
 
         Combinations with a singular value below :data:`RANK` of the largest are rounding, and are left out.
         """
         _, sizes, axes = torch.linalg.svd(torch.linalg.qr(jacobian, mode="r")[1], full_matrices=False)
         inverse = torch.where(sizes < RANK * sizes[:, :1], 0.0, 1.0 / sizes)
-        return Mixture(inner, axes.mT * inverse[:, None], sizes[..., None] * axes)
+        return MixedAnsatz(inner, axes.mT * inverse[:, None], sizes[..., None] * axes)
 
     def mixed(self, theta: Tensor) -> Tensor:
         return (self.weights @ theta[..., None])[..., 0]
@@ -174,10 +174,10 @@ class Mixture(Ansatz):
     def jacobian(self, tape: Tape, adjoints: Adjoints, points: Tensor, rows: slice = slice(None)) -> Tensor:
         return self.inner.jacobian(tape, adjoints, points, rows) @ self.mixing
 
-    def take(self, who: Tensor) -> Mixture:
-        return Mixture(self.inner.take(who), self.mixing[who], self.weights[who])
+    def take(self, who: Tensor) -> MixedAnsatz:
+        return MixedAnsatz(self.inner.take(who), self.mixing[who], self.weights[who])
 
-    def head(self, theta: Tensor) -> tuple[Mixture, Tensor]:
+    def head(self, theta: Tensor) -> tuple[MixedAnsatz, Tensor]:
         return self, theta
 
     def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
@@ -251,7 +251,7 @@ class Local(Ansatz):
 
 
 @dataclass
-class Sum(Ansatz):
+class SumAnsatz(Ansatz):
     """A trainable function plus a linear combination of fixed ones; coefficients in that order."""
 
     inner: Ansatz
@@ -287,8 +287,8 @@ class Sum(Ansatz):
         own = self.inner.jacobian(self._inner(tape), adjoints[:-1], points, rows)
         return torch.cat([own, self.fixed.jacobian(tape, adjoints[-1:], points, rows)], 2)
 
-    def take(self, who: Tensor) -> Sum:
-        return Sum(self.inner.take(who), self.fixed.take(who))
+    def take(self, who: Tensor) -> SumAnsatz:
+        return SumAnsatz(self.inner.take(who), self.fixed.take(who))
 
     def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
         own, rest = self._split(theta)

@@ -11,14 +11,14 @@ import torch
 from torch import Tensor
 
 from bench import Problem
-from methods.network.ansatz import Ansatz, Basis, Sum
+from methods.network.ansatz import Ansatz, Basis, SumAnsatz
 from methods.network.response import Assisted, Band, Displacements, ExactStart, Function
 from methods.pinn import descent, levenberg
 from methods.pinn.block import Block, Spread
 from methods.pinn.laplace import laplace
 from methods.pinn.levenberg import Walk
 from methods.pinn.residuals import TERMS, Residuals
-from methods.pinn.settings import Settings
+from methods.pinn.settings import PhysicsSettings
 from methods.starts.forced_motion import ForcedMotion, forced_dofs
 from methods.starts.waves import ORDER, Guess
 
@@ -137,7 +137,7 @@ class Attempt:
         self,
         problems: Sequence[Problem],
         guesses: Sequence[Guess],
-        settings: Settings,
+        settings: PhysicsSettings,
         rngs: Sequence[np.random.Generator],
         watch: Watch,
     ) -> None:
@@ -181,7 +181,7 @@ class Attempt:
         if not self.forced[k]:
             return inner
         streams = np.stack([own.streams(times) for own, times in zip(self.forced[k], block.times, strict=True)])
-        return Sum(inner, Basis(torch.as_tensor(streams, device=block.values.device), block.n_paths))
+        return SumAnsatz(inner, Basis(torch.as_tensor(streams, device=block.values.device), block.n_paths))
 
     def _first_coefficients(self, k: int, rngs: Sequence[np.random.Generator]) -> np.ndarray:
         own = self.settings.first_coefficients(self.n_paths, self.resolution, self.cycles, rngs)
@@ -412,7 +412,7 @@ def torch_threads(n: int) -> Iterator[None]:
 def fit(
     problems: Sequence[Problem],
     guesses: Sequence[Guess],
-    settings: Settings,
+    settings: PhysicsSettings,
     rngs: Sequence[np.random.Generator],
     watch: Watch = lambda results: None,
 ) -> list[Fit]:

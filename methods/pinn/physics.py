@@ -44,7 +44,7 @@ from bench import (
     report_progress,
 )
 from methods.network.response import Band, Function
-from methods.pinn.settings import Settings
+from methods.pinn.settings import PhysicsSettings
 from methods.pinn.task import Task, simulated
 from methods.starts.ambiguity import SearchingIdentifier
 
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class PhysicsInformed(Settings, SearchingIdentifier):
+class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
     """From a Problem to fits and back to an Estimate; see the module."""
 
     serves: ClassVar[Serves] = EVERY_PROBLEM

@@ -28,7 +28,7 @@ import torch
 from torch import Tensor
 
 from bench import Problem, array_ops
-from methods.network.ansatz import Adjoints, Ansatz, Mixture, Tape
+from methods.network.ansatz import Adjoints, Ansatz, MixedAnsatz, Tape
 from methods.pinn.block import Block, Spread
 
 TERMS = ("data", "physics", "initial", "prior")
@@ -162,7 +162,7 @@ class Residuals:
         linear = self.linearise(state, deviations)
         ansatzes = zip(self.blocks, self.ansatzes, state.tapes, linear.adjoints, strict=True)
         other.ansatzes = [
-            a if a.local else Mixture.of(a, a.jacobian(tape, adjoints, block.points))
+            a if a.local else MixedAnsatz.of(a, a.jacobian(tape, adjoints, block.points))
             for block, a, tape, adjoints in ansatzes
         ]
         return other, torch.cat([*[a.mixed(part) for a, part in zip(other.ansatzes, parts, strict=True)], rest], 1)

@@ -31,7 +31,7 @@ class Trainable(Protocol):
 
 
 @dataclass(frozen=True)
-class Settings(ABC):
+class PhysicsSettings(ABC):
     """The settings; see :mod:`methods.pinn.physics`.
 
     ``collocation``: points where the equation of motion is asked for (more where a cycle would have fewer than 20).

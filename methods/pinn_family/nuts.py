@@ -31,7 +31,7 @@ import torch
 from torch import Tensor
 
 from bench import NoEstimate, Status
-from methods.network.ansatz import Ansatz, Sum
+from methods.network.ansatz import Ansatz, SumAnsatz
 from methods.network.tanh import Network
 from methods.pinn_family.architectures import Jet
 from methods.pinn_family.training import TrainedFit
@@ -186,7 +186,7 @@ def functions(ansatz: Ansatz, theta: Tensor) -> Tensor:
 
     As ``Ansatz.head`` has them, but the tanh network's own are made in place, which autograd cannot follow.
     """
-    if isinstance(ansatz, Sum):
+    if isinstance(ansatz, SumAnsatz):
         return torch.cat([functions(ansatz.inner, theta[:, : ansatz.inner.count]), ansatz.fixed.functions[0]], 2)
     if not isinstance(ansatz, Network):
         return ansatz.head(theta)[0].dense().functions[0]

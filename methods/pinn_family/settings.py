@@ -13,7 +13,7 @@ from methods.network.response import Function
 from methods.pinn.collocation import Collocation
 from methods.pinn.method import PINN
 from methods.pinn.physics import PhysicsInformed
-from methods.pinn.settings import Settings
+from methods.pinn.settings import PhysicsSettings
 from methods.pinn_family.choices import ARCHITECTURES, OPTIMIZERS, WEIGHTINGS, component
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ Uncertainty = Literal["laplace", "ensemble", "bootstrap", "nuts", "variational",
 
 @dataclass(frozen=True)
 class FamilySettings(PhysicsInformed):
-    """The settings are those of :class:`methods.pinn.settings.Settings`, and what a row of the table changes.
+    """The settings are those of :class:`methods.pinn.settings.PhysicsSettings`, and what a row of the table changes.
 
     ``budget``: work of a fit, all its starts together, in gradients. ``rate``: first learning rate of an optimiser that
     has one (None: that of its class). ``width``, ``depth``: of the network.
@@ -56,7 +56,7 @@ class FamilySettings(PhysicsInformed):
             remedy = "noise or paper: variable_projection holds weights fixed"
             raise InputError("method.weighting", self.weighting, remedy)
 
-    def _engine_settings(self) -> Settings | None:
+    def _engine_settings(self) -> PhysicsSettings | None:
         """Return the settings of the tanh network or the spline, which are the engine's own."""
         if self.architecture == "tanh":
             return PINN(width=self.width, depth=self.depth, collocation=self.collocation)

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from bench import Problem
-from methods.network.ansatz import Sum
+from methods.network.ansatz import SumAnsatz
 from methods.network.tanh import Network
 from methods.pinn.block import Spread
 from methods.pinn.engine import Attempt, Fit, Watch, torch_threads
@@ -151,7 +151,7 @@ class FamilyAttempt(Attempt):
 
 
 def _ansatz_shapes(ansatz: object) -> list[tuple[int, ...]]:
-    if isinstance(ansatz, Sum):
+    if isinstance(ansatz, SumAnsatz):
         return [*_ansatz_shapes(ansatz.inner), (ansatz.fixed.count,)]
     if isinstance(ansatz, Network):
         pairs = zip(ansatz.widths, ansatz.widths[1:], strict=False)

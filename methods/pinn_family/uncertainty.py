@@ -17,7 +17,7 @@ import torch
 from scipy.optimize import least_squares
 from torch import Tensor
 
-from methods.network.ansatz import Ansatz, Sum
+from methods.network.ansatz import Ansatz, SumAnsatz
 from methods.network.response import Band, Function
 from methods.network.tanh import Network
 from methods.pinn.engine import torch_threads
@@ -240,7 +240,7 @@ def with_best_parameters(posterior: TrainedPosterior, z: Tensor) -> Tensor:
 
 def hidden_units(ansatz: Ansatz) -> int:
     """Count the functions that the output layer combines and that are no constant and no forced motion."""
-    if isinstance(ansatz, Sum):
+    if isinstance(ansatz, SumAnsatz):
         return hidden_units(ansatz.inner)
     if isinstance(ansatz, Network):
         return ansatz.widths[-2]

@@ -8,8 +8,8 @@ It is :class:`methods.sampling.posterior.Posterior`, term by term, in jax and di
   of degree 8 and squaring, carries the state from node to node: exact to rounding, at any step.
 - **Others**: Runge-Kutta steps of order four, of at most ``STEP`` radians of the fastest rate at the mode.
 
-What decides the compiled code is a :class:`Layout`; all numbers are arguments, so the replicates of a cell share it.
-jax is imported in functions: this module costs nothing where it is not used.
+What decides the compiled code is a :class:`DensityLayout`; all numbers are arguments, so the replicates of a cell share
+it. jax is imported in functions: this module costs nothing where it is not used.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Data = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Layout:
+class DensityLayout:
     """What decides the compiled code: the system, what is estimated, which records and sensors; hashable.
 
     ``rigs`` by record: the system that moved, with what was added to it. ``told`` by record: whether its start is.
@@ -64,7 +64,7 @@ class Layout:
         return len(self.free) + 2 * self.system.n_dof * self.told.count(False) + self.offsets
 
 
-def prepare(posterior: Posterior) -> tuple[Layout, Data]:
+def prepare(posterior: Posterior) -> tuple[DensityLayout, Data]:
     """Layout and numbers of a problem, its steps sized by the fastest rate at the posterior's mode."""
     model, k = posterior.model, len(posterior.model.free)
     system, records = model.system, model.problem.records
@@ -81,7 +81,7 @@ def prepare(posterior: Posterior) -> tuple[Layout, Data]:
     channels = tuple((r, c.measures, c.dof, order.get(i, -1)) for i, (r, c) in enumerate(model.channels))
     told = tuple(record.initial_state is not None for record in records)
     rigs = tuple(record.rig(system) for record in records)
-    layout = Layout(system, model.free, rigs, told, channels, bool(np.any(nodes.pushes)), squarings)
+    layout = DensityLayout(system, model.free, rigs, told, channels, bool(np.any(nodes.pushes)), squarings)
     times = [np.unique(np.concatenate([[0.0], *[c.times for c in record.channels]])) for record in records]
     data: Data = {
         "tables": tables,
@@ -109,7 +109,7 @@ def _table(nodes: Nodes, first: int, last: int) -> dict[str, np.ndarray]:
     return rows | {"forces": nodes.forces[first:last]}
 
 
-def log_density(layout: Layout, data: Data, phi: Any) -> Any:
+def log_density(layout: DensityLayout, data: Data, phi: Any) -> Any:
     """The log-posterior of ``phi = [theta, log sigma by channel]``, up to a constant; -inf where it is not finite."""
     import jax.numpy as jnp
 
@@ -143,7 +143,7 @@ def _measured(system: System, p: Mapping[str, Any], path: Any, forces: Any, meas
     return acceleration(system, p, x, v, list(forces.T), z, array_ops(jnp))[dof]
 
 
-def _path(layout: Layout, system: System, p: Mapping[str, Any], start: Any, table: Mapping[str, Any]) -> Any:
+def _path(layout: DensityLayout, system: System, p: Mapping[str, Any], start: Any, table: Mapping[str, Any]) -> Any:
     """States ``[x, v, z]`` at the nodes of a record, (K, d)."""
     import jax
     import jax.numpy as jnp
@@ -163,7 +163,7 @@ def _path(layout: Layout, system: System, p: Mapping[str, Any], start: Any, tabl
     return jnp.concatenate([first[None], path])[table["reached"]]
 
 
-def _carriers(layout: Layout, system: System, p: Mapping[str, Any], gaps: Any) -> Any:
+def _carriers(layout: DensityLayout, system: System, p: Mapping[str, Any], gaps: Any) -> Any:
     """The upper rows of the matrix exponentials that carry ``[x, v]`` (and force and its slope) over each gap."""
     import jax
     import jax.numpy as jnp

@@ -136,10 +136,10 @@ class MCMC(SearchingIdentifier):
         models = [compiled(OutputError(p)) if p.system.n_hidden else OutputError(p) for p in problems]
         together = self.likelihood != "autoregressive"  # each problem has a colour of its own
         answers: dict[int, Estimate] = {}
-        groups: dict[object, list[_Fit]] = {}
+        groups: dict[object, list[_ChainFit]] = {}
         for i, (model, modes, rng) in enumerate(zip(models, modes_of(models), rngs, strict=True)):
             try:
-                fit = _Fit.of(i, model, found_or_failure(modes), rng, self.likelihood)
+                fit = _ChainFit.of(i, model, found_or_failure(modes), rng, self.likelihood)
             except NoEstimate as reason:
                 answers[i] = Estimate.failed(model.system, reason.status, str(reason), reason.cost)
                 continue
@@ -157,7 +157,7 @@ class MCMC(SearchingIdentifier):
         walkers = 2 * max(many * self.walkers // 2, posterior.size + 1)
         return walkers, -(-self.burn // few), -(-self.block // few)
 
-    def _sampled(self, fits: Sequence[_Fit], walkers: int, burn: int, block: int) -> dict[int, Estimate]:
+    def _sampled(self, fits: Sequence[_ChainFit], walkers: int, burn: int, block: int) -> dict[int, Estimate]:
         """The answers by the number of the problem, of problems that can be simulated together."""
         ensembles = [
             Ensemble(i, fit.proposal, np.random.RandomState(int(fit.rng.integers(2**31))))
@@ -182,7 +182,7 @@ class MCMC(SearchingIdentifier):
             chains.keep([i * self.ensembles + j for i in left for j in range(self.ensembles)])
         return answers
 
-    def _judged(self, fit: _Fit, steps: int, last: bool) -> Estimate | None:
+    def _judged(self, fit: _ChainFit, steps: int, last: bool) -> Estimate | None:
         """The answer where the chains have converged, or where this was the ``last`` block; else None."""
         health, kept = Health.of(fit.path), fit.path.shape[1]
         converged = health.converged(self, kept)
@@ -208,7 +208,7 @@ class MCMC(SearchingIdentifier):
 
 
 @dataclass(eq=False)
-class _Fit:
+class _ChainFit:
     """One problem, by its place among those given; ``path`` (ensembles, steps, walkers, size) since burning in."""
 
     place: int
@@ -219,7 +219,7 @@ class _Fit:
     path: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @staticmethod
-    def of(place: int, model: OutputError, modes: Modes, rng: np.random.Generator, likelihood: str) -> _Fit:
+    def of(place: int, model: OutputError, modes: Modes, rng: np.random.Generator, likelihood: str) -> _ChainFit:
         """Prepare a problem with its modes. Raises NoEstimate where the data leave a parameter open."""
         fine = compiled(as_fine_as_noise(model, modes[0][1]))
         errors = STUDENT if likelihood == "student" else NORMAL
@@ -228,4 +228,4 @@ class _Fit:
             fine, modes = coloured(fine, modes)
         modes = sharpened(fine, modes, errors, NOISE_LEAST)
         posterior = Posterior(fine, modes[0][1], errors)
-        return _Fit(place, model.problem, posterior, Proposal.around(posterior, modes), rng)
+        return _ChainFit(place, model.problem, posterior, Proposal.around(posterior, modes), rng)

@@ -30,7 +30,7 @@ import numpy as np
 
 from bench import EVERY_PROBLEM, Card, Cost, Estimate, InputError, NoEstimate, OutputError, Problem, Serves
 from methods.sampling.answer import estimate_from_draws
-from methods.sampling.differentiable import Layout, log_density, prepare
+from methods.sampling.differentiable import DensityLayout, log_density, prepare
 from methods.sampling.modes import modes_or_failure
 from methods.sampling.posterior import Posterior
 from methods.sampling.proposal import Proposal
@@ -172,7 +172,7 @@ class Diagnostics:
 
 
 @cache
-def compiled(layout: Layout, warmup: int, draws: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
+def compiled(layout: DensityLayout, warmup: int, draws: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Warming up and sampling as compiled functions of keys (chains,), positions or states, and data."""
     import blackjax
     import jax

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench import Linearisation, StepLimits, minimise
-from methods.spectral.response import Layout, forced_lines, transient
+from methods.spectral.response import HarmonicLayout, forced_lines, transient
 
 LARGEST = 1.0
 """Longest step of a logarithm."""
@@ -53,7 +53,7 @@ class Objective:
     ``nominal`` and ``width`` (3,) are a normal prior on the logarithms, the width in units of the noise; or None.
     """
 
-    layout: Layout
+    layout: HarmonicLayout
     y: np.ndarray
     offset: bool
     nominal: np.ndarray | None = None

@@ -45,7 +45,7 @@ from methods.modal.even_steps import unevenness
 from methods.modal.free_decay import GROWS, has_offset, untold
 from methods.spectral.fit import Objective, Trial, search
 from methods.spectral.lines import dft_lines, force_harmonics, real_lines
-from methods.spectral.response import Layout
+from methods.spectral.response import HarmonicLayout
 from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import candidates
 
@@ -189,7 +189,9 @@ def _objective(problem: Problem) -> Objective:
         first, last = float(channel.times[0]), float(channel.times[-1])
         harmonics = force_harmonics(record.forces, first, last, channel.n * step, count)
     return Objective(
-        Layout(channel.n, step, harmonics), real_lines(dft_lines(channel.values), channel.n), has_offset(problem)
+        HarmonicLayout(channel.n, step, harmonics),
+        real_lines(dft_lines(channel.values), channel.n),
+        has_offset(problem),
     )
 
 

@@ -19,7 +19,7 @@ from methods.spectral.lines import folded, real_lines
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class HarmonicLayout:
     """Even samples: their number and step; the harmonics (K,) of the known force, of no length where there is none."""
 
     samples: int
@@ -32,7 +32,7 @@ class Layout:
         return self.harmonics.size > 0
 
 
-def transient(layout: Layout, r: float, g: float) -> tuple[np.ndarray, np.ndarray]:
+def transient(layout: HarmonicLayout, r: float, g: float) -> tuple[np.ndarray, np.ndarray]:
     """The two columns (N, 2) of a free vibration of k/m = ``r`` and c/m = ``g``; their derivatives by both (2, N, 2).
 
     The columns are those of T = 1 and of T = 1/z.
@@ -53,7 +53,7 @@ def transient(layout: Layout, r: float, g: float) -> tuple[np.ndarray, np.ndarra
     return real_lines(columns, layout.samples).T, real_lines(slopes, layout.samples).swapaxes(1, 2)
 
 
-def forced_lines(layout: Layout, m: float, c: float, k: float) -> tuple[np.ndarray, np.ndarray]:
+def forced_lines(layout: HarmonicLayout, m: float, c: float, k: float) -> tuple[np.ndarray, np.ndarray]:
     """The periodic response to the force (N,), and its derivatives by m, c and k (3, N)."""
     force, samples = layout.harmonics, layout.samples
     s = 2j * np.pi * np.arange(force.size) / (samples * layout.step)

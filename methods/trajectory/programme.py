@@ -276,7 +276,7 @@ def _simulated(system: System, p: dict[str, float], start: Start, record: Record
 
 
 @dataclass(frozen=True)
-class Layout:
+class ProgrammeLayout:
     """Where things are in the programme's unknowns: numbers of the independent ones, in the order of theta."""
 
     independent: np.ndarray
@@ -284,7 +284,7 @@ class Layout:
     fixed: np.ndarray
 
     @staticmethod
-    def of(model: OutputError, plans: tuple[Plan, ...]) -> Layout:
+    def of(model: OutputError, plans: tuple[Plan, ...]) -> ProgrammeLayout:
         names, n, moving = model.system.names, state_size(model.system), 2 * model.system.n_dof
         logs = [names.index(name) for name in model.free]
         at = len(names) + len(model.offset_channels)
@@ -297,11 +297,13 @@ class Layout:
             fixed.extend(range(at + moving, at + n))  # hidden states start at zero
             dependent += range(at + n, at + n * plan.grid.size)
             at += n * plan.grid.size
-        return Layout(np.array([*logs, *starts, *offsets], int), np.array(dependent, int), np.array(fixed, int))
+        return ProgrammeLayout(
+            np.array([*logs, *starts, *offsets], int), np.array(dependent, int), np.array(fixed, int)
+        )
 
 
 def reduced(
-    programme: Programme, layout: Layout, w: np.ndarray, given: np.ndarray
+    programme: Programme, layout: ProgrammeLayout, w: np.ndarray, given: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Misfit and its slopes by the independent unknowns where the states follow; how all follow; the widest gap.
 

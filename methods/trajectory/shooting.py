@@ -56,8 +56,8 @@ from methods.trajectory.continuation import solve_by_continuation
 from methods.trajectory.fineness import Fineness
 from methods.trajectory.fit import HELD, Maximum, Rules, best_maxima, held, leaves_open
 from methods.trajectory.programme import (
-    Layout,
     Plan,
+    ProgrammeLayout,
     Shape,
     build_programme,
     first_guess,
@@ -327,7 +327,7 @@ def _shoot(
     last: _Fit | None,
 ) -> _Fit | None:
     """Solve the programme at given noise, and linearise it at the solution."""
-    programme, layout = build_programme(shape, max_iterations), Layout.of(model, plans)
+    programme, layout = build_programme(shape, max_iterations), ProgrammeLayout.of(model, plans)
     w = first_guess(model, plans, theta) if last is None else last.unknowns
     low, high = np.full(w.size, -np.inf), np.full(w.size, np.inf)
     low[layout.fixed] = high[layout.fixed] = w[layout.fixed]

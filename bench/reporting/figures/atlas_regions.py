@@ -11,7 +11,7 @@ import pandas as pd
 
 from bench.atlas.axes import Axis
 from bench.atlas.design import Slice
-from bench.atlas.model import FEWEST, Model, told
+from bench.atlas.model import FEWEST, AtlasModel, told
 from bench.entrants.registry import load_method
 from bench.reporting.atlas import NEAR, RARE, point_frame
 from bench.reporting.figures.atlas import (
@@ -42,11 +42,11 @@ def draw_regions(slices: Sequence[Slice], atlas: pd.DataFrame, out: Path) -> lis
     models = {}
     for name in fastest:
         if len(told(unknown[unknown.method == name], QUANTITY)) >= FEWEST:
-            models[str(name)] = Model(atlas[atlas.method == name], QUANTITY)
+            models[str(name)] = AtlasModel(atlas[atlas.method == name], QUANTITY)
     return [place for own in slices for place in _drawn(own, models, folder)] if models else []
 
 
-def _drawn(own: Slice, models: dict[str, Model], folder: Path) -> list[Path]:
+def _drawn(own: Slice, models: dict[str, AtlasModel], folder: Path) -> list[Path]:
     across, up = own.axes()
     frame = pd.concat([point_frame(point) for point in own.points()], ignore_index=True)
     regions = {name: near for name, model in models.items() if (near := near_bound(frame, model)).any()}
@@ -95,7 +95,7 @@ def _caption(regions: dict[str, np.ndarray], across: str, up: str, risky: bool) 
     )
 
 
-def near_bound(frame: pd.DataFrame, model: Model) -> np.ndarray:
+def near_bound(frame: pd.DataFrame, model: AtlasModel) -> np.ndarray:
     """Where a method is expected near the bound."""
     found = np.zeros(len(frame), bool)
     rows = np.flatnonzero(frame.index.isin(told(frame, QUANTITY).index))

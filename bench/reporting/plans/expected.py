@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from bench.atlas.model import Model, unknown
+from bench.atlas.model import AtlasModel, unknown
 from bench.atlas.point import FreeDecay
 from bench.entrants.registry import load_method
 from bench.errors import InputError
@@ -44,7 +44,7 @@ def expected_page(point: FreeDecay, atlas: pd.DataFrame, quantity: str) -> str:
     rows = []
     for name, fits in atlas.groupby("method", sort=False):
         try:
-            answer = Model(fits, quantity).expected(frame)[0]
+            answer = AtlasModel(fits, quantity).expected(frame)[0]
         except ValueError:  # too few points of this method
             continue
         low, middle, high = answer.excess

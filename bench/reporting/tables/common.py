@@ -12,7 +12,7 @@ from typing import Any
 from bench.contract.estimate import Status
 from bench.reporting.frame import Result
 from bench.reporting.terminal import width as width_of
-from bench.scoring.comparison import Standing, standing
+from bench.scoring.comparison import ScenarioRanking, standing
 
 PRIMARY = ("k_over_m_error_pct", "c_over_m_error_pct", "rmse")
 """The metrics that methods are ranked on in Tables 2 to 5: what the data tell."""
@@ -22,7 +22,7 @@ Rows = tuple[list[list[str]], list[str]]
 """The rows of a table, and its headers."""
 
 
-def ranked(results: Iterable[Result], metric: str) -> Standing | None:
+def ranked(results: Iterable[Result], metric: str) -> ScenarioRanking | None:
     """Where the methods of one scenario stand by a metric; reference rows and cells that were not run left out."""
     own = {result.label: result for result in results if result.stored and not result.is_reference}
     return standing(

@@ -25,7 +25,7 @@ from bench.reporting.tables.common import (
     markdown_table,
     ranked,
 )
-from bench.scoring.comparison import Standing
+from bench.scoring.comparison import ScenarioRanking
 from bench.scoring.verdict import Verdict, judge
 
 COLUMNS = (
@@ -72,7 +72,7 @@ class PaperTable:
         return row_name(self.number, result.system, result.snr_db)
 
     @cached_property
-    def standings(self) -> dict[tuple[str, str, str], Standing]:
+    def standings(self) -> dict[tuple[str, str, str], ScenarioRanking]:
         """By reading, row and metric, where the methods stand; reference rows apart."""
         found = {
             (*place, metric): ranked(own, metric) for place, own in self.rows.items() for metric in PRIMARY

@@ -31,7 +31,7 @@ from bench.reporting.tables.pooling import (
 )
 from bench.reporting.terms import terms_found
 from bench.scenario.scenario import Scenario
-from bench.scoring.comparison import Standing, standing
+from bench.scoring.comparison import ScenarioRanking, standing
 
 COLUMNS = (
     "table", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high", "bound",
@@ -101,12 +101,12 @@ class SystemPanel:
         return found
 
     @cached_property
-    def standings(self) -> dict[tuple[float, int], Standing | None]:
+    def standings(self) -> dict[tuple[float, int], ScenarioRanking | None]:
         """By noise level, where methods stand by the pooled errors (0) and the displacement's (1).
 
         Reference rows, and methods without any successful replicate, are left out.
         """
-        found: dict[tuple[float, int], Standing | None] = {}
+        found: dict[tuple[float, int], ScenarioRanking | None] = {}
         for level, own in group(self.results, lambda result: result.snr_db).items():
             good = [result for result in own if result.n_ok]
             ranked = [result for result in good if not result.is_reference]

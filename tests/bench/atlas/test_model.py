@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from bench.atlas.design import Slice, sobol
-from bench.atlas.model import FEWEST, Model, features, held_out, told, unknown
+from bench.atlas.model import FEWEST, AtlasModel, features, held_out, told, unknown
 from bench.atlas.point import FreeDecay
 from bench.commands.main import main
 from bench.reporting.atlas import point_frame
@@ -33,8 +33,8 @@ def atlas(number: int = 512) -> pd.DataFrame:
 
 
 @pytest.fixture(scope="module")
-def model() -> Model:
-    return Model(atlas(), "k_over_m")
+def model() -> AtlasModel:
+    return AtlasModel(atlas(), "k_over_m")
 
 
 def rule(frame: pd.DataFrame) -> np.ndarray:
@@ -49,7 +49,7 @@ def test_points_that_were_left_out_are_predicted_to_what_is_random_in_them() -> 
     assert found.points == len(told(atlas(), "k_over_m"))
 
 
-def test_the_model_knows_the_rule(model: Model) -> None:
+def test_the_model_knows_the_rule(model: AtlasModel) -> None:
     frame = atlas()
     few, many = (model.expected(frame[frame.samples.between(*size)]) for size in ((8, 16), (250, 500)))
     assert np.median([one.excess[1] for one in few]) == pytest.approx(np.exp(0.5 * 0.05), abs=0.1)
@@ -61,9 +61,9 @@ def test_the_model_knows_the_rule(model: Model) -> None:
 
 def test_a_model_of_few_points_or_of_what_is_not_told_is_refused() -> None:
     with pytest.raises(ValueError, match="too few"):
-        Model(atlas().head(FEWEST // 2), "k_over_m")
+        AtlasModel(atlas().head(FEWEST // 2), "k_over_m")
     with pytest.raises(ValueError, match="too few"):
-        Model(atlas(), "c_over_m")
+        AtlasModel(atlas(), "c_over_m")
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_the_command_names_methods_and_refuses_what_it_cannot_read(tmp_path, cap
     assert "bench: atlas=" in capsys.readouterr().err
 
 
-def test_a_region_is_where_the_model_expects_a_method_near_the_bound(model: Model, tmp_path) -> None:
+def test_a_region_is_where_the_model_expects_a_method_near_the_bound(model: AtlasModel, tmp_path) -> None:
     frame = atlas()
     own = Slice("samples_snr", FreeDecay(50, 2.0, 0.05, 20.0, 0.5, False), "samples", "snr_db", (6, 5))
     points = pd.concat([point_frame(point) for point in own.points()], ignore_index=True)

@@ -18,9 +18,9 @@ torch = pytest.importorskip("torch")
 from methods.amortised import density, npe  # noqa: E402
 from methods.amortised.mixture import Mixture  # noqa: E402
 from methods.amortised.npe import NPE  # noqa: E402
-from methods.amortised.simulations import Layout, shown, simulated  # noqa: E402
+from methods.amortised.simulations import SampleLayout, shown, simulated  # noqa: E402
 
-LAYOUT = Layout(20, 0.0, True)
+LAYOUT = SampleLayout(20, 0.0, True)
 PRIOR = Prior({"m": 1.41, "c": 0.4, "k": 14.0}, {"m": 0.02, "c": 1.0, "k": 0.5})
 P = {"m": 1.4, "c": 0.7, "k": 11.0}  # a plant that is in no table
 TIMES = np.linspace(0.0, 8.0, 20)

@@ -11,7 +11,7 @@ from bench.scenario.truth import closed_form
 from bench.systems import SDOF
 from methods.amortised.likelihood import log_likelihood
 from methods.amortised.mixture import Mixture
-from methods.amortised.simulations import DECIBELS, Layout, shown, simulated, unit_responses
+from methods.amortised.simulations import DECIBELS, SampleLayout, shown, simulated, unit_responses
 
 TIMES = np.linspace(0.0, 1.0, 12)
 
@@ -27,7 +27,7 @@ def test_unit_responses_are_the_closed_form(ratio: float) -> None:
 
 def test_simulated_records_have_the_stated_noise() -> None:
     """The clean motion comes from the closed form; the noise is drawn evenly in decibels."""
-    layout = Layout(40, 0.0, True)
+    layout = SampleLayout(40, 0.0, True)
     logs, values, starts = simulated(layout, 400, np.random.default_rng(3))
     found = []
     for (frequency, ratio), y, (x0, v0) in zip(np.exp(logs), values, starts, strict=True):
@@ -39,7 +39,7 @@ def test_simulated_records_have_the_stated_noise() -> None:
 
 @pytest.mark.parametrize("told", [True, False])
 def test_the_anchor_is_the_frequency_and_size_does_not_matter(told: bool) -> None:
-    layout = Layout(40, 0.0, told)
+    layout = SampleLayout(40, 0.0, told)
     omega = np.array([2 * np.pi * 5.2])
     even, odd = unit_responses(omega, np.array([0.02]), layout.times)
     start = np.array([[1.0, 9.0]]) if told else None

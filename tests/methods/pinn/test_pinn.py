@@ -21,7 +21,7 @@ from methods.pinn.physics import PhysicsInformed
 torch = pytest.importorskip("torch")
 
 from methods.network import tanh  # noqa: E402
-from methods.network.ansatz import Ansatz, Basis, Local, Sum  # noqa: E402
+from methods.network.ansatz import Ansatz, Basis, Local, SumAnsatz  # noqa: E402
 from methods.network.tanh import Network  # noqa: E402
 from methods.pinn import laplace, levenberg  # noqa: E402
 from methods.pinn.block import Block, Spread  # noqa: E402
@@ -58,7 +58,7 @@ def networks(widths: tuple[int, ...]) -> Callable[[int, Block], Ansatz]:
 def assisted(widths: tuple[int, ...]) -> Callable[[int, Block], Ansatz]:
     """A network plus fixed functions in the first record, a network alone in the other."""
     return lambda k, block: (
-        Sum(networks(widths)(k, block), polynomials(k, block)) if k == 0 else networks(widths)(k, block)
+        SumAnsatz(networks(widths)(k, block), polynomials(k, block)) if k == 0 else networks(widths)(k, block)
     )
 
 
@@ -178,7 +178,7 @@ def test_jacobian_gradient_and_gram_agree_with_autograd(system: System, options:
 
 def _displacement(block: Block, ansatz: Ansatz, part: torch.Tensor, times: torch.Tensor) -> torch.Tensor:
     """The trainable function, (n_points, n_paths), written once more."""
-    if isinstance(ansatz, Sum):
+    if isinstance(ansatz, SumAnsatz):
         own, rest = part[:, : ansatz.inner.count], part[:, ansatz.inner.count :]
         return _displacement(block, ansatz.inner, own, times) + _displacement(block, ansatz.fixed, rest, times)
     if isinstance(ansatz, Network):

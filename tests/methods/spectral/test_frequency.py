@@ -14,7 +14,7 @@ from bench.systems import SDOF
 from methods.spectral.fit import Objective
 from methods.spectral.frequency import Frequency
 from methods.spectral.lines import dft_lines, force_harmonics, real_lines
-from methods.spectral.response import Layout, forced_lines, transient
+from methods.spectral.response import HarmonicLayout, forced_lines, transient
 
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
 TIMES = np.linspace(0.0, 9.0, 28)
@@ -66,7 +66,7 @@ def test_a_free_vibration_is_a_transient_of_two_terms(c: float, samples: int) ->
     times = np.linspace(0.0, 6.0, samples)
     start = InitialState(np.array([0.8]), np.array([0.5]))
     y = matrix_exponential_response(SDOF(), PLANT | {"c": c}, start, times)[0]
-    columns, _ = transient(Layout(samples, times[1], np.zeros(0)), 9.0 / 1.3, c / 1.3)
+    columns, _ = transient(HarmonicLayout(samples, times[1], np.zeros(0)), 9.0 / 1.3, c / 1.3)
     lines = real_lines(dft_lines(y), samples)
     amplitudes = np.linalg.lstsq(columns, lines, rcond=None)[0]
     np.testing.assert_allclose(columns @ amplitudes, lines, atol=1e-8 * np.max(np.abs(lines)))
@@ -92,7 +92,7 @@ def test_the_response_to_a_force_is_that_of_the_matrix_exponential(hold: Hold) -
     problem = forced(hold)
     force, step = problem.records[0].forces, TIMES[1]
     harmonics = force_harmonics(force, 0.0, 9.0, 28 * step, 28 * 40)
-    layout = Layout(28, step, harmonics)
+    layout = HarmonicLayout(28, step, harmonics)
     left = real_lines(dft_lines(problem.records[0].channels[0].values), 28) - forced_lines(layout, 1.3, 0.6, 9.0)[0]
     columns, _ = transient(layout, 9.0 / 1.3, 0.6 / 1.3)
     amplitudes = np.linalg.lstsq(columns, left, rcond=None)[0]
@@ -104,7 +104,7 @@ def test_the_gradient_is_that_of_the_sum_of_squares() -> None:
     problem = forced("linear", noise=0.1)
     harmonics = force_harmonics(problem.records[0].forces, 0.0, 9.0, 28 * TIMES[1], 28 * 40)
     lines = real_lines(dft_lines(problem.records[0].channels[0].values), 28)
-    objective = Objective(Layout(28, TIMES[1], harmonics), lines, True, np.zeros(3), np.array([0.5, 1.0, 2.0]))
+    objective = Objective(HarmonicLayout(28, TIMES[1], harmonics), lines, True, np.zeros(3), np.array([0.5, 1.0, 2.0]))
     at = np.log([1.1, 0.9, 7.0])
     trial = objective.at(at)
     expected = approx_fprime(at, lambda u: objective.at(u).cost, 1e-7)
