@@ -196,11 +196,6 @@ def test_no_file_names_a_place_on_somebodys_machine() -> None:
             assert place not in text, path
 
 
-SHARED_CLASS_NAMES = {
-    "Bank",
-}  # fmt: skip
-
-
 def test_a_class_name_stands_once() -> None:
     """A reader who meets a class by its name alone must find one; names inside functions and classes apart."""
     places: dict[str, list[str]] = {}
@@ -208,5 +203,5 @@ def test_a_class_name_stands_once() -> None:
         for item in parsed(path).body:
             if isinstance(item, ast.ClassDef):
                 places.setdefault(item.name, []).append(str(path.relative_to(REPOSITORY)))
-    repeated = {name: paths for name, paths in places.items() if len(paths) > 1 and name not in SHARED_CLASS_NAMES}
+    repeated = {name: paths for name, paths in places.items() if len(paths) > 1}
     assert repeated == {}

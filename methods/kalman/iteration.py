@@ -109,7 +109,7 @@ def estimate(problem: Problem, rule: Rule, settings: Settings) -> Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Bank:
+class FilterBatch:
     """Filters from B starts, side by side, after a pass: means (B, K, d), covariances (B, K, d, d), noise (B, C).
 
     ``about``, ``width``: the means and covariances that the maps of the next pass are taken about. ``used`` (B,):
@@ -132,7 +132,7 @@ class Bank:
         return np.asarray(np.max(np.abs(self.shift), axis=1, initial=0.0))
 
 
-def started(joint: Joint, nodes: Nodes, thetas: np.ndarray) -> Bank:
+def started(joint: Joint, nodes: Nodes, thetas: np.ndarray) -> FilterBatch:
     """The trajectories of starts (B, size), known exactly so far as the maps are concerned, and what they leave."""
     model, count = joint.model, len(thetas)
     means = nodes.trajectories(thetas)
@@ -144,10 +144,10 @@ def started(joint: Joint, nodes: Nodes, thetas: np.ndarray) -> Bank:
     covariances = np.zeros((*means.shape, joint.size))
     far, none, whole = np.full((count, joint.constants.size), np.inf), np.zeros(count), np.ones(count)
     finite = np.all(np.isfinite(means), axis=(1, 2))
-    return _alive(Bank(means, covariances, means, covariances, sigma, none, far, whole), finite)
+    return _alive(FilterBatch(means, covariances, means, covariances, sigma, none, far, whole), finite)
 
 
-def passed(joint: Joint, nodes: Nodes, rule: Rule, bank: Bank) -> Bank:
+def passed(joint: Joint, nodes: Nodes, rule: Rule, bank: FilterBatch) -> FilterBatch:
     """The bank after one more pass; filters that do not stay finite are left out."""
     smoothed = filtered(joint, nodes, rule, bank.sigma, bank.about, bank.width)
     means, covariances = smoothed.means, smoothed.covariances
@@ -158,10 +158,10 @@ def passed(joint: Joint, nodes: Nodes, rule: Rule, bank: Bank) -> Bank:
     about = bank.about + part[:, None, None] * (means - bank.about)
     width = bank.width + part[:, None, None, None] * (covariances - bank.width)
     sigma = bank.sigma * (sigma / bank.sigma) ** part[:, None]
-    return _alive(Bank(means, covariances, about, width, sigma, used, shift, part), smoothed.finite)
+    return _alive(FilterBatch(means, covariances, about, width, sigma, used, shift, part), smoothed.finite)
 
 
-def _part_to_follow(bank: Bank, shift: np.ndarray) -> np.ndarray:
+def _part_to_follow(bank: FilterBatch, shift: np.ndarray) -> np.ndarray:
     """How much of a pass's move to take, (B,): less where the passes go to and fro, more where they creep.
 
     Aitken's relaxation in several dimensions (B. M. Irons, R. C. Tuck, Int. J. Numerical Methods in Engineering 1:275,
@@ -175,12 +175,12 @@ def _part_to_follow(bank: Bank, shift: np.ndarray) -> np.ndarray:
     return np.where(known & (part > 0), np.clip(part, *PART), 1.0)
 
 
-def _alive(bank: Bank, finite: np.ndarray) -> Bank:
+def _alive(bank: FilterBatch, finite: np.ndarray) -> FilterBatch:
     """Those that are finite, and their noise too. Raises NoEstimate where none is."""
     alive = finite & np.all(np.isfinite(bank.sigma), axis=1)
     if not np.any(alive):
         raise NoEstimate("the filter lost the motion: its state did not stay finite; give a prior nearer to the system")
-    return Bank(*(getattr(bank, part.name)[alive] for part in fields(bank)))
+    return FilterBatch(*(getattr(bank, part.name)[alive] for part in fields(bank)))
 
 
 def longest_step(model: OutputError, thetas: np.ndarray, noise_share: np.ndarray) -> float:
@@ -196,7 +196,7 @@ def longest_step(model: OutputError, thetas: np.ndarray, noise_share: np.ndarray
 # ------------------------------------------------------------------------------------------------------- the answer
 
 
-def answer(joint: Joint, nodes: Nodes, bank: Bank, passes: int, settings: Settings) -> Estimate:
+def answer(joint: Joint, nodes: Nodes, bank: FilterBatch, passes: int, settings: Settings) -> Estimate:
     """The most probable end, with what the others say against it."""
     model, settled = joint.model, bank.moved <= settings.tolerance
     cost = Cost(passes * len(settled) * (2 * joint.size + 1), passes)
@@ -221,7 +221,7 @@ def answer(joint: Joint, nodes: Nodes, bank: Bank, passes: int, settings: Settin
     return estimate_at(model, thetas[best], covariance, float(bank.used[best]), cost, "; ".join(said))
 
 
-def _combined(joint: Joint, bank: Bank, logs: np.ndarray, best: int) -> tuple[np.ndarray, list[str]]:
+def _combined(joint: Joint, bank: FilterBatch, logs: np.ndarray, best: int) -> tuple[np.ndarray, list[str]]:
     """Covariance of the log-parameters about the best end, widened by rivals nearly as probable; and what to say.
 
     ``logs`` (B,): logarithms of the posterior at the ends.

@@ -32,7 +32,7 @@ from methods.kalman import filtering
 from methods.kalman.core import Affine, predict_root, regression, tangent, update, update_root
 from methods.kalman.ekf import EKF
 from methods.kalman.filtering import filtered
-from methods.kalman.iteration import Bank, _combined
+from methods.kalman.iteration import FilterBatch, _combined
 from methods.kalman.joint import Nodes, first_belief
 from methods.kalman.ukf import UKF
 from methods.trajectory.output_error import SingleShooting
@@ -318,7 +318,7 @@ def test_a_rival_widens_the_interval_as_a_mixture_of_two() -> None:
         means[1, 0, 4] = away
         none = np.zeros(2)
         flat = none[:, None]
-        bank = Bank(means, covariances, means, covariances, flat, none, flat, none)
+        bank = FilterBatch(means, covariances, means, covariances, flat, none, flat, none)
         return _combined(joint, bank, np.log([1.0, odds]), 0)
 
     covariance, said = combined(6.0, 1.0)
