@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from bench import Estimate, NoEstimate, Problem, Serves
+from methods.modal.overdamped import real_decays
 from methods.regression.bootstrap import bootstrap_covariances
 from methods.regression.company import Finish, answers_together
 from methods.regression.equation import Regression, Values, answer, layout_objection, responses
@@ -45,6 +46,16 @@ class Reading:
     unreadable: str
     bootstrap: int
     spread: Spread | None = None
+    by_poles: bool = True
+    """Whether ``read`` finds poles: where these are not a damped mass's, two real decays may be."""
+
+    def groups(self, times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
+        """k/m and c/m (sets, 2) of displacements (sets, n)."""
+        found = self.read(times, sets, offset)
+        lost = ~np.all(np.isfinite(found), axis=1)
+        if self.by_poles and np.any(lost):
+            found[lost] = real_decays(times, sets[lost], offset)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +104,7 @@ def _decays(
     first = regressions[0]
     times, order, offset = first.times[0], _order(first), first.records[0].channels[0].offset
     y = np.concatenate([regression.values[0] for regression in regressions], axis=1)
-    groups = reading.read(times, y[0], offset)
+    groups = reading.groups(times, y[0], offset)
     decays = _world(first, Decays(times, groups, y[0], np.zeros(len(groups)), offset), order)
     covariances = _covariances(reading, decays, rngs)
     return [
@@ -137,7 +148,7 @@ def _covariances(reading: Reading, decays: Decays, rngs: Sequence[np.random.Gene
     left = [i for i, cov in enumerate(found) if cov is None and worlds[i]]
 
     def fitter(values: Values) -> np.ndarray:
-        return reading.read(decays.times, values[0][0], decays.offset)
+        return reading.groups(decays.times, values[0][0], decays.offset)
 
     drawn = bootstrap_covariances(
         [_Decay((decays.centres[i : i + 1],), (decays.noise[i : i + 1],)) for i in left],

@@ -83,7 +83,7 @@ class LogDecrement(BandIdentifier):
             "largest sample: take a longer record, more samples a cycle or less noise; a mass that returns to rest "
             "without swinging, damped near or above critically, has no decrement: take matrix_pencil or output_error"
         )
-        return decay_estimates(problems, rngs, Reading(self._read, sentence, self.bootstrap))
+        return decay_estimates(problems, rngs, Reading(self._read, sentence, self.bootstrap, by_poles=False))
 
     def _read(self, times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
         level = resting_level(times, sets, self.smallest)[:, None] if offset else 0.0

@@ -7,7 +7,8 @@ unshifted half alike; V without its last and without its first row are the two e
 the eigenvalues of ``pinv(V₁) V₂`` (Y. Hua, T. K. Sarkar, IEEE Trans. Acoustics, Speech and Signal Processing 38:814,
 1990; this form: T. K. Sarkar, O. Pereira, IEEE Antennas and Propagation Magazine 37(1):48, 1995). With ``s = log(z)/h``
 they are the roots of ``s² + (c/m) s + k/m``, so ``k/m = s₁ s₂`` and ``c/m = -(s₁ + s₂)``, be they a complex pair or,
-above critical damping, two real ones. A real z below zero belongs to no damped mass.
+above critical damping, two real ones. A real z below zero belongs to no damped mass: then two real decays may do
+(:mod:`methods.modal.overdamped`).
 
 L is ``pencil`` of the samples. Hua and Sarkar find the smallest variance at N/3 and 2N/3 for one undamped sinusoid, and
 little change between; Sarkar and Pereira advise N/3 to N/2. Here N/3, and no trial was made of others.
