@@ -152,7 +152,7 @@ def fit(batch: OutputError, cases: np.ndarray, thetas: np.ndarray, rules: Rules)
         moved = np.max(np.abs(np.log(sigma[going] / before)), axis=1) >= rules.sigma_tolerance
         # where the answer moves faster than its guess did, or fits better, the steps were too long
         coarse = batch.coarse(chosen, reached.theta, model.noise(residuals[going], used[going], 0.0))
-        going = going[finite & (moved | coarse)]
+        going = going[finite & end.done & (moved | coarse)]
         if not going.size:
             break
     if batch.system.linear:
