@@ -176,7 +176,7 @@ class Loss:
             return
         assert isinstance(self.residuals, TrainingResiduals)  # the output layer's alone are never moved
         if weigh:
-            self.weighting.update(self.residuals, state)
+            self.weighting.move(self.residuals, state)
             self.residuals.shift = self.weighting.shift
         if sample:
             self.residuals = self.sampling.moved(self.residuals, z)

@@ -21,7 +21,7 @@ from methods.pinn_family.choices import TrainingComponent
 
 PRIOR = 1e-3
 """Weight of the mean square of the prior's term where no noise is estimated."""
-DATA, PHYSICS, START, BELIEF = range(len(TERMS))
+PHYSICS, BELIEF = TERMS.index("physics"), len(TERMS) - 1
 
 
 @dataclass
@@ -38,9 +38,10 @@ class Sizes:
 class Weighting(TrainingComponent, ABC):
     """Gives every row a standard deviation; ``every`` so many gradients it may change them (0: never).
 
-    ``weights`` (4,) are those of the terms, ``balanced`` (4,) those that are present and balanced, all but the prior;
-    ``members`` (4, n_rows) and ``counts`` (4,) say which rows a term has, and how many. ``shift`` (1, n_rows), if any,
-    is added to the rows.
+    ``weights`` (4,) are those of the terms (data, physics, initial state, prior), ``row_weights`` (n_rows,) those of
+    the rows besides; ``balanced`` (4,) says which terms are present and balanced, all but the prior; ``members``
+    (4, n_rows) and ``counts`` (4,) say which rows a term has, and how many. ``shift`` (1, n_rows), if any, is added to
+    the rows.
     """
 
     every = 0
@@ -50,39 +51,42 @@ class Weighting(TrainingComponent, ABC):
         self.sizes = sizes
         self.members = residuals.term_rows.T.bool()  # (4, n_rows)
         self.counts = residuals.term_rows.sum(0).clamp(min=1.0)
-        self.present = residuals.term_rows.sum(0) > 0
-        self.balanced = self.present & (torch.arange(len(TERMS)) != BELIEF)
+        self.balanced = (residuals.term_rows.sum(0) > 0) & (torch.arange(len(TERMS)) != BELIEF)
         self.weights = torch.ones(len(TERMS), dtype=torch.float64)
         self.weights[BELIEF] = PRIOR
+        self.row_weights = torch.ones(residuals.n_rows, dtype=torch.float64)
         self.deviations = self.scaled()
 
-    def scaled(self, rows: Tensor | None = None) -> Tensor:
-        """Return deviations for the weights of the terms, and of the rows (n_rows,) besides."""
-        by_row = (self.weights / self.counts) @ self.members.to(torch.float64)
-        if rows is not None:
-            by_row = by_row * rows
+    def scaled(self) -> Tensor:
+        """Return the deviations (1, n_rows) for the weights."""
+        by_row = ((self.weights / self.counts) @ self.members.to(torch.float64)) * self.row_weights
         return self.sizes.plain * by_row.clamp(min=1e-30).rsqrt()
 
     def begin(self, softness: float) -> None:
         """Begin a stage: the noise is known better, and the physics may be asked for softly at first."""
         return  # most know no noise
 
-    def squares(self, rows: Tensor) -> Tensor:
-        """Return the mean square (4,) of each term without dimension, from plain rows (n_rows,)."""
-        return self.means((rows / self.sizes.plain[0]) ** 2)
-
-    def means(self, by_row: Tensor) -> Tensor:
-        """Return the means (4,) over the rows of each term."""
-        return (self.members.to(torch.float64) @ by_row) / self.counts
+    def move(self, residuals: Residuals, state: State) -> None:
+        """Update the weights, and the deviations with them."""
+        self.update(residuals, state)
+        self.deviations = self.scaled()
 
     @abstractmethod
     def update(self, residuals: Residuals, state: State) -> None:
-        """Change ``weights`` and ``deviations``, from a state whose rows are divided by ``deviations``."""
+        """Change ``weights`` or ``row_weights``, from a state whose rows are divided by ``deviations``."""
 
     def plain_rows(self, state: State) -> Tensor:
         """Return the residual vector (n_rows,) as it is, without shift or weights."""
         rows = (state.rows * self.deviations)[0]
         return rows if self.shift is None else rows - self.shift[0]
+
+    def squares(self, state: State) -> Tensor:
+        """Return the squared rows (n_rows,) without dimension."""
+        return (self.plain_rows(state) / self.sizes.plain[0]) ** 2
+
+    def means(self, by_row: Tensor) -> Tensor:
+        """Return the means over the rows of each balanced term."""
+        return ((self.members.to(torch.float64) @ by_row) / self.counts)[self.balanced]
 
 
 class Noise(Weighting):
@@ -92,14 +96,14 @@ class Noise(Weighting):
         self.deviations = self.sizes.by_noise(softness)
 
     def update(self, residuals: Residuals, state: State) -> None:
-        """Nothing: the noise is estimated between stages."""
+        raise NotImplementedError  # ``every`` is 0: the noise is estimated between stages
 
 
 class Paper(Weighting):
     """Fixed weights, all one: "selected empirically" is all that the paper says of its own."""
 
     def update(self, residuals: Residuals, state: State) -> None:
-        """Nothing."""
+        raise NotImplementedError  # ``every`` is 0
 
 
 class GradientNorms(Weighting):
@@ -115,15 +119,10 @@ class GradientNorms(Weighting):
         linear, plain = residuals.linearise(state, self.deviations), self.plain_rows(state)
         # d/dz of (r/size)²: rows of J are divided by the deviations, so these are multiplied in again
         dual = 2.0 * plain * self.deviations[0] / self.sizes.plain[0] ** 2
-        norms = torch.stack(
-            [
-                residuals.pull_back(state, linear, (own * dual / count)[None]).norm()
-                for own, count in zip(self.members[self.balanced], self.counts[self.balanced], strict=True)
-            ]
-        )
+        terms = (self.members.to(torch.float64) / self.counts[:, None])[self.balanced]
+        norms = torch.stack([residuals.pull_back(state, linear, (term * dual)[None]).norm() for term in terms])
         balance = norms.sum() / norms.clamp(min=1e-12)
         self.weights[self.balanced] = 0.9 * self.weights[self.balanced] + 0.1 * balance
-        self.deviations = self.scaled()
 
 
 class TangentKernel(Weighting):
@@ -134,9 +133,8 @@ class TangentKernel(Weighting):
     def update(self, residuals: Residuals, state: State) -> None:
         linear = residuals.linearise(state, self.deviations)
         squares = residuals.gram(state, linear).diagonal(dim1=1, dim2=2)[0]
-        traces = self.means(squares * (self.deviations / self.sizes.plain)[0] ** 2)[self.balanced]
+        traces = self.means(squares * (self.deviations / self.sizes.plain)[0] ** 2)
         self.weights[self.balanced] = traces.sum() / traces.clamp(min=1e-12)
-        self.deviations = self.scaled()
 
 
 class ReLoBRaLo(Weighting):
@@ -156,7 +154,7 @@ class ReLoBRaLo(Weighting):
         self.generator = torch.Generator().manual_seed(0)
 
     def update(self, residuals: Residuals, state: State) -> None:
-        losses = self.squares(self.plain_rows(state))[self.balanced].clamp(min=1e-30)
+        losses = self.means(self.squares(state)).clamp(min=1e-30)
         if self.first is None:
             self.first = self.last = losses
         back = float(torch.rand((), generator=self.generator)) < self.lookback
@@ -164,7 +162,6 @@ class ReLoBRaLo(Weighting):
         history = self.weights[self.balanced] if back else since_first
         self.weights[self.balanced] = self.decay * history + (1.0 - self.decay) * since_last
         self.last = losses
-        self.deviations = self.scaled()
 
     def _balance(self, losses: Tensor, before: Tensor) -> Tensor:
         return losses.numel() * torch.softmax(losses / (self.temperature * before), 0)
@@ -185,11 +182,11 @@ class SelfAdaptive(Weighting):
         self.optimizer = torch.optim.Adam([self.masks], lr=self.rate, maximize=True)
 
     def update(self, residuals: Residuals, state: State) -> None:
-        squares = (self.plain_rows(state) / self.sizes.plain[0]) ** 2 / (self.counts @ self.members.to(torch.float64))
+        squares = self.squares(state) / (self.counts @ self.members.to(torch.float64))
         squares[self.members[BELIEF]] = 0.0
         self.masks.grad = 2.0 * self.masks.detach() * squares
         self.optimizer.step()
-        self.deviations = self.scaled(self.masks.detach() ** 2)
+        self.row_weights = self.masks.detach() ** 2
 
 
 class ResidualAttention(Weighting):
@@ -201,18 +198,12 @@ class ResidualAttention(Weighting):
     every = 1
     memory, rate = 0.999, 0.01
 
-    def __init__(self, sizes: Sizes, residuals: Residuals) -> None:
-        super().__init__(sizes, residuals)
-        self.attention = torch.ones(residuals.n_rows, dtype=torch.float64)
-
     def update(self, residuals: Residuals, state: State) -> None:
-        size = (self.plain_rows(state) / self.sizes.plain[0]).abs()
-        for term in (DATA, PHYSICS, START):
-            if self.present[term]:
-                rows = self.members[term]
-                largest = size[rows].max().clamp(min=1e-30)
-                self.attention[rows] = self.memory * self.attention[rows] + self.rate * size[rows] / largest
-        self.deviations = self.scaled(self.attention**2)
+        size, attention = self.squares(state).sqrt(), self.row_weights.sqrt()
+        for rows in self.members[self.balanced]:
+            largest = size[rows].max().clamp(min=1e-30)
+            attention[rows] = self.memory * attention[rows] + self.rate * size[rows] / largest
+        self.row_weights = attention**2
 
 
 class AugmentedLagrangian(Weighting):
@@ -239,7 +230,6 @@ class AugmentedLagrangian(Weighting):
         if violation > self.wanted * self.before and self.weights[PHYSICS] < self.largest:
             self.weights[PHYSICS] *= self.growth
             self.shift /= self.growth  # the multiplier itself, penalty times shift, stays
-            self.deviations = self.scaled()
         self.before = violation
 
 
@@ -254,17 +244,17 @@ class Causal(Weighting):
     strictness, largest = 1e-2, 1e2
 
     def update(self, residuals: Residuals, state: State) -> None:
-        size = (self.plain_rows(state) / self.sizes.plain[0]) ** 2
-        weights, first = torch.ones_like(size), 0
+        squares, first = self.squares(state), 0
+        weights = torch.ones_like(squares)
         for block in residuals.blocks:
             physics = slice(first + block.slices["physics"].start, first + block.slices["physics"].stop)
-            paths = size[physics].reshape(block.n_paths, block.collocation).sum(0)
+            paths = squares[physics].reshape(block.n_paths, block.collocation).sum(0)
             earlier = torch.cumsum(paths, 0) - paths
             weights[physics] = torch.exp(-self.strictness * earlier).repeat(block.n_paths)
             first += block.n_rows
         if weights.min() > 0.99 and self.strictness < self.largest:
             self.strictness *= 10.0
-        self.deviations = self.scaled(weights.clamp(min=1e-12))
+        self.row_weights = weights.clamp(min=1e-12)
 
 
 COMPONENTS: Mapping[str, type[Weighting]] = {

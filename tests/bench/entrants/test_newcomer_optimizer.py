@@ -14,6 +14,7 @@ from conftest import REPOSITORY, Python, StoreFactory, install
 from bench import Status
 from bench.commands.main import main
 from bench.scenario.scenario import Scenario
+from bench.store.version import settings_version
 from methods.pinn_family import PINNFamily, choices
 from methods.pinn_family.choices import GROUPS
 
@@ -21,6 +22,9 @@ pytest.importorskip("torch")
 PAGE = REPOSITORY / "docs" / "tutorials" / "add_optimizer.md"
 CODE = re.findall(r"```python title=\"lion_pinn.py\"\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)[0]
 MORE = '''
+import numpy as np
+
+from methods.pinn_family import Features, Weighting
 
 class ShortLion(Lion):
     """Ends after a few steps."""
@@ -44,11 +48,31 @@ class Idle(Optimizer):
 
 class Versionless(Lion):
     version = "new"
+
+
+class HalfPhysics(Weighting):
+    title = source = "half the weight of the physics"
+    every = 1
+
+    def update(self, residuals, state):
+        self.weights[1] = 0.5
+
+
+class Sines(Features):
+    title = source = "one layer of sines"
+
+    def start(self, cycles, rng):
+        rates = 4.0 * np.pi * max(cycles, 1.0) * rng.uniform(-1.0, 1.0, (self.width, 1))
+        return [rates, rng.uniform(-3.0, 3.0, self.width)]
+
+    def jet(self, parts, time):
+        return time.linear(*parts).sin()
 '''
 CLASSES = {
     "lion": "Lion", "short_lion": "ShortLion", "nameless": "Nameless", "idle": "Idle", "versionless": "Versionless",
     "nowhere": "Nowhere", "torch": "torch",
 }  # fmt: skip
+CLASS = {"half": "HalfPhysics", "sines": "Sines"}
 FAMILY = ("method=pinn_family", "replicates=1", "workers=1")
 
 
@@ -109,8 +133,12 @@ def test_its_row_stands_beside_the_others_and_is_computed_by_its_version(
 def installed(site: tuple[Path, dict[str, str]], monkeypatch: pytest.MonkeyPatch) -> None:
     """The same in this process."""
     monkeypatch.syspath_prepend(str(site[0]))
-    points = {name: EntryPoint(name, f"lion_pinn:{cls}", GROUPS["optimizer"]) for name, cls in CLASSES.items()}
-    monkeypatch.setattr(choices, "entry_points_of", lambda group: points if group == GROUPS["optimizer"] else {})
+    classes = {"optimizer": CLASSES, "weighting": {"half": "HalfPhysics"}, "architecture": {"sines": "Sines"}}
+    points = {
+        GROUPS[setting]: {name: EntryPoint(name, f"lion_pinn:{cls}", GROUPS[setting]) for name, cls in own.items()}
+        for setting, own in classes.items()
+    }
+    monkeypatch.setattr(choices, "entry_points_of", points.__getitem__)
 
 
 def test_the_pages_class_trains(installed: None, reference: Scenario) -> None:
@@ -119,6 +147,19 @@ def test_the_pages_class_trains(installed: None, reference: Scenario) -> None:
     estimate = PINNFamily(optimizer="lion", budget=300.0).identify(problem, np.random.default_rng(0))
     assert estimate.status is Status.OK
     assert estimate.traces["path_loss"][-1] < 0.5 * estimate.traces["path_loss"][0]
+
+
+@pytest.mark.parametrize(("setting", "name"), [("weighting", "half"), ("architecture", "sines")])
+def test_a_weighting_and_a_function_of_time_from_outside_find_the_stiffness(
+    setting: str, name: str, installed: None, reference: Scenario
+) -> None:
+    """As the family's own do: within a few of the answer's own standard deviations of the truth."""
+    problem, truth = next(iter(reference.replicates(0, 1)))
+    estimate = PINNFamily(**{setting: name}).identify(problem, np.random.default_rng(0))  # type: ignore[arg-type]
+    k_over_m = estimate.marginal(problem.system.quantity("k_over_m"))
+    assert k_over_m is not None
+    assert k_over_m.value == pytest.approx(truth.parameters["k"] / truth.parameters["m"], rel=0.05)
+    assert settings_version("pinn_family", "sdof", {setting: name}).as_json()[f"{setting} lion_pinn:{CLASS[name]}"] == 1
 
 
 @pytest.mark.parametrize(

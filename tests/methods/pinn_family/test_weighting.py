@@ -42,7 +42,7 @@ def state_of(own: FamilyAttempt) -> Any:
 
 def updated(own: FamilyAttempt) -> None:
     with torch.no_grad():
-        own.loss.weighting.update(own.residuals, state_of(own))
+        own.loss.weighting.move(own.residuals, state_of(own))
 
 
 def jacobian_rows(own: FamilyAttempt) -> np.ndarray:
