@@ -33,9 +33,6 @@ DAMPING = (1e-3, 1e-6, 1e-7)
 minimum; with more damping than this a stage ends early, for the little that a damped step promises."""
 OVERTONES = 3.0
 """Highest frequency that matters over the dominant one, where there are several modes, harmonics or a force."""
-CONVERGED = 1e-9
-"""Promised decrease of minus the log posterior below which the output layer and the parameters have converged: a step
-of a few hundred-thousandths of a standard error, which costs two or three cheap iterations more."""
 ROUNDS = 6
 """How often the noise may be estimated anew and the fit polished with it."""
 SETTLED = 0.03
@@ -285,12 +282,12 @@ class Attempt:
             self.run(heads, s.softness, s.output_iterations, far, s.tolerance, free)
         if firm.size:
             self.respond(heads, s.output_iterations, near, firm)
-        self.rounds(heads, s.iterations, near, CONVERGED)
+        self.rounds(heads, s.iterations, near, s.convergence(self.resolution))
         self.walk.z = self.residuals.with_heads(whole, heads.unmixed(self.walk.z))
         if heads.n_z < self.residuals.n_z:
             self.rounds(self.residuals, s.iterations, close, s.tolerance)
             heads, whole = self._heads()
-            self.rounds(heads, s.iterations, near, CONVERGED)
+            self.rounds(heads, s.iterations, near, s.convergence(self.resolution))
             self.walk.z = self.residuals.with_heads(whole, heads.unmixed(self.walk.z))
 
     def _heads(self) -> tuple[Residuals, Tensor]:

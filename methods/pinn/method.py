@@ -4,7 +4,8 @@ The paper's method (Karkadakattil 2026; Raissi, Perdikaris and Karniadakis, J. C
 network x(t), 1-64-64-1, its loss the squared misfit to the data, to the equation of motion at 200 collocation
 points, to the told start, and to the prior. Weights of the terms, order of the stages, restarts and uncertainty:
 :mod:`methods.pinn.physics`. The optimiser is Levenberg-Marquardt in residual space, where a step solves a system of
-some 230 equations instead of 4,400 (``optimizer="lm"``); the paper's Adam and L-BFGS on the very same residuals is
+some 230 equations instead of 4,400 (``optimizer="lm"``); records of many cycles are cut into windows, whose
+hidden layers stay as drawn (:mod:`methods.pinn.windows`); the paper's Adam and L-BFGS on the very same residuals is
 ``optimizer="adam_lbfgs"``, registered as the variant ``pinn_adam``.
 """
 
@@ -20,6 +21,7 @@ from bench import Card, InputError
 from methods.network.response import Function, NetworkResponse
 from methods.pinn.physics import PhysicsInformed
 from methods.pinn.settings import Trainable
+from methods.pinn.windows import Windows, WindowsResponse
 
 if TYPE_CHECKING:
     from methods.network.ansatz import Ansatz
@@ -28,6 +30,10 @@ if TYPE_CHECKING:
 
 UNITS_A_CYCLE = 12
 """Units of a hidden layer for each oscillation in the record, where ``width`` would give fewer."""
+
+
+MOST_CYCLES = 20
+"""Oscillations in a record up to which one network represents them; beyond, windows do."""
 
 
 @dataclass(frozen=True)
@@ -97,11 +103,25 @@ class PINN(PhysicsInformed):
     def _widths(self, n_paths: int, resolution: int) -> tuple[int, ...]:
         return (1, *[max(self.width, UNITS_A_CYCLE * resolution)] * self.depth, n_paths)
 
+    def _windows(self, resolution: int) -> Windows | None:
+        """Return the windows of a record that is long for one network; an ensemble is of whole networks."""
+        if self.optimizer != "lm" or self.uncertainty == "ensemble" or resolution <= MOST_CYCLES:
+            return None
+        return Windows((self.width,) * self.depth, resolution)
+
     def ansatz(self, block: Block, resolution: int) -> Ansatz:
         import torch
 
+        from methods.network.ansatz import Local
         from methods.network.tanh import Network
 
+        if windows := self._windows(resolution):
+            pairs = [
+                windows.local_functions(times, duration)
+                for times, duration in zip(block.times, block.duration, strict=True)
+            ]
+            values, first = (torch.as_tensor(np.stack(p), device=block.values.device) for p in zip(*pairs, strict=True))
+            return Local(values, first, windows.count, block.n_paths)
         tau = 2.0 * block.times / block.duration[:, None] - 1.0
         device = block.values.device
         rate = torch.as_tensor(2.0 / block.duration, device=device)
@@ -112,6 +132,8 @@ class PINN(PhysicsInformed):
     ) -> np.ndarray:
         from methods.network import tanh
 
+        if windows := self._windows(resolution):
+            return np.zeros((cycles.size, n_paths * windows.count))
         widths = self._widths(n_paths, resolution)
         return np.stack(
             [tanh.flat(tanh.initial_layers(widths, own, rng)) for own, rng in zip(cycles, rngs, strict=True)]
@@ -120,7 +142,13 @@ class PINN(PhysicsInformed):
     def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> Function:
         from methods.network import tanh
 
+        if windows := self._windows(resolution):
+            return WindowsResponse(windows, coefficients.reshape(n_paths, windows.count), duration)
         return NetworkResponse(tanh.unflat(coefficients, self._widths(n_paths, resolution)), duration)
+
+    def convergence(self, resolution: int) -> float:
+        """Return the tolerance for windows, whose overlap makes the last digits slow."""
+        return self.tolerance if self._windows(resolution) else super().convergence(resolution)
 
     def train(self, attempt: Trainable) -> None:
         if self.optimizer == "lm":

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 POINTS_A_CYCLE = 20
 """Collocation points a cycle of the fastest motion that matters, where ``collocation`` would give fewer."""
+CONVERGED = 1e-9
+"""Promised decrease of minus the log posterior below which the output layer and the parameters have converged: a step
+of a few hundred-thousandths of a standard error, which costs two or three cheap iterations more."""
 
 
 class Trainable(Protocol):
@@ -91,6 +94,10 @@ class PhysicsSettings(ABC):
     def train(self, attempt: Trainable) -> None:
         """Minimise."""
         attempt.levenberg()
+
+    def convergence(self, resolution: int) -> float:
+        """Return the promised decrease at which the output layer's training ends."""
+        return CONVERGED
 
     def points(self, resolution: int) -> int:
         """How many collocation points so many oscillations get."""

@@ -59,7 +59,8 @@ class FamilySettings(PhysicsInformed):
     def _engine_settings(self) -> PhysicsSettings | None:
         """Return the settings of the tanh network or the spline, which are the engine's own."""
         if self.architecture == "tanh":
-            return PINN(width=self.width, depth=self.depth, collocation=self.collocation)
+            # with the paper's training, since that always has one network
+            return PINN(width=self.width, depth=self.depth, collocation=self.collocation, optimizer="adam_lbfgs")
         return Collocation(collocation=self.collocation) if self.architecture == "spline" else None
 
     def _features(self, resolution: int) -> tuple[Features, tuple[tuple[int, ...], ...]]:

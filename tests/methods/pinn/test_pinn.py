@@ -17,6 +17,7 @@ from bench.systems import SDOF, BoucWen, Chain, Duffing
 from methods.pinn import PINN
 from methods.pinn.collocation import Collocation, local_functions
 from methods.pinn.physics import PhysicsInformed
+from methods.pinn.windows import Windows, WindowsResponse
 
 torch = pytest.importorskip("torch")
 
@@ -293,6 +294,46 @@ def test_a_long_record_keeps_its_memory_and_its_frequency() -> None:
     low, high = marginal.interval(0.999)
     assert low < true < high
     assert high - low < 1e-3 * true
+
+
+def test_windows_have_the_derivatives_of_their_response_and_a_constant() -> None:
+    windows, duration = Windows((8, 8), 30), 30.0
+    times = np.sort(np.random.default_rng(0).uniform(0.1, 29.9, 50))
+    values, first = windows.local_functions(times, duration)
+    coefficients = np.random.default_rng(1).standard_normal((1, windows.count))
+    response = WindowsResponse(windows, coefficients, duration)
+    places = first[:, None] + np.arange(values.shape[2])
+    streams = np.einsum("stk,tk->st", values, coefficients[0, places])
+    np.testing.assert_allclose(response(times)[0], streams[0], rtol=1e-12)
+    h = 1e-4
+    ahead, here, behind = (response(times + side)[0] for side in (h, 0.0, -h))
+    np.testing.assert_allclose(streams[1], (ahead - behind) / (2 * h), atol=1e-5 * np.abs(streams[1]).max())
+    np.testing.assert_allclose(streams[2], (ahead - 2 * here + behind) / h**2, atol=1e-4 * np.abs(streams[2]).max())
+    design = np.zeros((times.size, windows.count))
+    np.put_along_axis(design, places, values[0], 1)
+    constant = np.linalg.lstsq(design, np.ones(times.size))[0]
+    np.testing.assert_allclose(design @ constant, 1.0, atol=1e-8)
+
+
+def test_a_long_record_in_windows_agrees_with_the_simulated_response() -> None:
+    """Against scipy's least squares on the closed-form decay, at its own standard error."""
+    times = np.linspace(0.0, 30.0, 220)
+    rate, frequency, sigma = 0.04, 2 * np.pi * 1.02, 0.03
+
+    def decay(z: np.ndarray) -> np.ndarray:
+        return np.asarray(np.exp(-z[0] * times) * (z[2] * np.cos(z[1] * times) + z[3] * np.sin(z[1] * times)))
+
+    values = decay(np.array([rate, frequency, 1.0, 0.2])) + sigma * np.random.default_rng(0).standard_normal(220)
+    expected = least_squares(lambda z: (decay(z) - values) / sigma, [rate, frequency, 1.0, 0.2])
+    sd = np.sqrt(np.diag(np.linalg.inv(expected.jac.T @ expected.jac)))
+    estimate = PINN().identify(Problem(SDOF(), (Record((Channel(times, values),)),)), np.random.default_rng(0))
+    stiffness, damping = (estimate.marginal(SDOF().quantity(name)) for name in ("k_over_m", "c_over_m"))
+    assert stiffness is not None
+    assert damping is not None
+    assert damping.value / 2.0 == pytest.approx(expected.x[0], abs=0.3 * sd[0])
+    found = np.sqrt(stiffness.value - (damping.value / 2.0) ** 2)
+    assert found == pytest.approx(expected.x[1], abs=0.3 * sd[1])
+    pickle.loads(pickle.dumps(estimate))
 
 
 def test_heads_of_a_sum_hold_its_fixed_functions() -> None:
