@@ -71,10 +71,10 @@ def test_the_maximum_is_at_least_as_high_as_shooting_s(arguments: Sequence[str],
 
 def test_a_search_that_does_not_end_is_left_to_shooting(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shooting, "MOST_ITERATIONS", 0)
-    given = problems(["snr=20"], 2)
+    given = problems(["snr=20", "prior=none", "initial_state=unknown"], 2)
     models = [OutputError(problem.expressed_in(problem.natural_units())) for problem in given]
-    assert Shooting().maxima(models) == [None, None]
-    answers = Shooting().identify_many(given, [np.random.default_rng(0) for _ in given])
+    assert Shooting(screen_iterations=1).maxima(models) == [None, None]
+    answers = Shooting(screen_iterations=1).identify_many(given, [np.random.default_rng(0) for _ in given])
     assert [answer.status for answer in answers] == [Status.OK, Status.OK]
 
 

@@ -119,20 +119,28 @@ FEW = {"parameters": {"m": 1.7, "c": 0.9, "k": 23.0}, "duration": 2.0, "samples"
 
 @pytest.mark.parametrize(("snr", "changes"), [(17.0, LIGHT), (20.0, FEW)], ids=["light damping", "five samples"])
 def test_it_ends_where_multiple_shooting_does(snr: float, changes: dict[str, object]) -> None:
-    """The same maximum of the same posterior by another search; a hundredth of a standard error for the noise level."""
+    """The same maximum of the same posterior by another search; a hundredth of a standard error for the noise level.
+
+    Where several basins fit, each may state another one.
+    """
     pytest.importorskip("casadi")
     from methods.trajectory.shooting import Shooting
 
     given = many(snr, 8, initial_state="unknown", **changes)
     rngs = [np.random.default_rng(0) for _ in given]
     both = zip(SingleShooting().identify_many(given, rngs), Shooting().identify_many(given, rngs), strict=True)
+    compared = 0
     for problem, (mine, theirs) in zip(given, both, strict=True):
+        if theirs.alternatives and theirs.weight < 0.5:
+            continue
+        compared += 1
         for name in ("k_over_m", "c_over_m"):
             one, other = (e.marginal(problem.system.quantity(name)) for e in (mine, theirs))
             assert one is not None
             assert other is not None
             low, high = other.interval(0.6827)
             assert abs(one.value - other.value) < 0.02 * (high - low), name
+    assert compared >= 5
 
 
 def test_without_prior_and_force_only_groups_are_claimed() -> None:
