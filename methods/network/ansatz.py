@@ -177,7 +177,7 @@ class MixedAnsatz(Ansatz):
     def take(self, who: Tensor) -> MixedAnsatz:
         return MixedAnsatz(self.inner.take(who), self.mixing[who], self.weights[who])
 
-    def head(self, theta: Tensor) -> tuple[MixedAnsatz, Tensor]:
+    def head(self, theta: Tensor) -> tuple[MixedAnsatz, Tensor]:  # type: ignore[override] # it is linear itself
         return self, theta
 
     def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
