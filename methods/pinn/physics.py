@@ -15,7 +15,7 @@ The loss is minus the log posterior, whatever represents x(t):
 - **Hidden states** are paths of the ansatz beside the displacements, held to their own rates.
 - **A bad basin** shows in the residuals: the fit leaves more than twice what plain damped waves leave. It is then
   started again elsewhere, at most ``restarts`` times, and the best kept. Waves that are nearly as good are fitted in
-  any case; where noise is as large as the motion, from hard physics on (:mod:`methods.pinn.starts`).
+  any case; where noise is as large as the motion, from hard physics on (:mod:`methods.pinn.task`).
 
 Uncertainty (``uncertainty=``): ``laplace``, covariance from the linearisation at the solution with the coefficients
 profiled out; ``ensemble``, spread over ``members`` random initialisations, as in the paper; ``bootstrap``, spread over

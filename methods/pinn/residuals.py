@@ -34,8 +34,6 @@ from methods.pinn.block import Block, Spread
 TERMS = ("data", "physics", "initial", "prior")
 CHUNK = 2**24
 """Entries of J formed at a time where the normal equations are built from its columns."""
-LOCAL_ROWS = 512
-"""Rows formed at a time of a local ansatz: few enough to leave most of the columns empty."""
 
 
 torch_ops = array_ops(torch, lambda *entries: torch.broadcast_tensors(*map(torch.as_tensor, entries)))
@@ -360,9 +358,8 @@ class Residuals:
         step = max(1, CHUNK // (self.n_fits * self.n_z))
         at, column = 0, 0
         for block, ansatz, tape, own in zip(self.blocks, self.ansatzes, state.tapes, linear.adjoints, strict=True):
-            own_step = min(step, LOCAL_ROWS) if ansatz.local else step
-            for first in range(0, block.n_rows, own_step):
-                rows = slice(first, min(first + own_step, block.n_rows))
+            for first in range(0, block.n_rows, step):
+                rows = slice(first, min(first + step, block.n_rows))
                 place = slice(at + rows.start, at + rows.stop)
                 part = self._empty_rows(rows.stop - rows.start)
                 part[..., column : column + ansatz.count] = ansatz.jacobian(tape, own, block.points, rows)
@@ -379,10 +376,8 @@ class Residuals:
         matrix = self.log_fixed.new_zeros(self.n_fits, self.n_z, self.n_z)
         gradient, size = torch.zeros_like(state.z), self.log_fixed.new_zeros(self.n_fits)
         for rows, j in self.jacobian_parts(state, linear):
-            used = (j != 0).any(0).any(0).nonzero()[:, 0]  # of a local ansatz few columns: JᵀJ is a band with a border
-            dense = j[..., used]
-            matrix[:, used[:, None], used] += dense.mT @ dense
-            gradient[:, used] += (state.rows[:, None, rows] @ dense)[:, 0]
+            matrix += j.mT @ j
+            gradient += (state.rows[:, None, rows] @ j)[:, 0]
             if j.shape[1]:
                 size = torch.maximum(size, (j * j).sum(2).amax(1))
         return matrix, gradient, size

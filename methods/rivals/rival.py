@@ -26,7 +26,7 @@ import numpy as np
 
 from bench import Card, Cost, Estimate, Identifier, InputError, NoEstimate, Normal, Problem, Serves, report_progress
 from methods.network.response import NetworkResponse
-from methods.pinn.starts import starts
+from methods.pinn.task import starts
 from methods.starts.rounding import rounded
 from methods.starts.waves import scan
 
