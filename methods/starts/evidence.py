@@ -18,6 +18,8 @@ from methods.starts.separate import APART
 
 ROUNDS, ITERATIONS = 2, 12
 """Of fit and noise in turn, and steps of each fit, from every start."""
+SAME_SDS = 3.0
+"""Standard deviations: two ends nearer than this are one, which a search has not quite reached."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +51,7 @@ def basins(models: Sequence[OutputError], starts: Sequence[np.ndarray]) -> list[
         cases = np.repeat(np.arange(len(places)), [len(starts[i]) for i in places])
         if not cases.size:
             continue
-        batch = type(quick[0]).batch(quick)[cases]
+        batch = type(quick[0]).batch(quick)[cases] if quick[0].system.linear else quick[0]
         point = batch.point(batch.settle(np.concatenate([starts[i] for i in places]), ROUNDS, ITERATIONS))
         residuals = batch.data - point.predicted
         profiles = batch.profile_of(point.theta, residuals)
@@ -57,18 +59,25 @@ def basins(models: Sequence[OutputError], starts: Sequence[np.ndarray]) -> list[
         evidence = np.array([_log_evidence(*pair) for pair in zip(profiles, covariances, strict=True)])
         for number, i in enumerate(places):
             own = np.flatnonzero((cases == number) & np.isfinite(evidence))
-            kept = _apart(point.theta[:, : len(batch.free)], own[np.argsort(profiles[own])])
+            kept = _apart(point.theta[:, : len(batch.free)], covariances, own[np.argsort(profiles[own])])
             found[i] = Basins(point.theta[kept], point.slopes[kept], residuals[kept], evidence[kept])
     return found
 
 
-def _apart(logs: np.ndarray, places: np.ndarray) -> list[int]:
-    """Those of the places, best first, whose log-parameters are apart."""
+def _apart(logs: np.ndarray, covariances: Sequence[np.ndarray | None], places: np.ndarray) -> list[int]:
+    """Those of the places, best first, whose log-parameters are no part of a better one's basin."""
     kept = list[int]()
     for i in map(int, places):
-        if not any(np.max(np.abs(logs[i] - logs[j])) < APART for j in kept):
+        if not any(_same(logs[i] - logs[j], covariances[j]) for j in kept):
             kept.append(i)
     return kept
+
+
+def _same(distance: np.ndarray, covariance: np.ndarray | None) -> bool:
+    """Decide whether log-parameters at this distance from a maximum are in its basin, to where a search may end."""
+    if np.max(np.abs(distance)) < APART or covariance is None:
+        return True
+    return bool(distance @ np.linalg.solve(covariance[: distance.size, : distance.size], distance) < SAME_SDS**2)
 
 
 def log_evidence(model: OutputError, theta: np.ndarray) -> float:

@@ -16,6 +16,8 @@ from methods.starts.reach import UP, expected_rate
 
 MOST_SPEEDS = 120
 """Speeds that are tried, at most."""
+START_STEPS = 5
+"""Gauss-Newton steps of the initial state that fits best at a speed."""
 RADIANS_APART = 1.5
 """Phase at the end of the record by which two speeds differ: half of the half-cycle between two minima."""
 
@@ -35,7 +37,9 @@ def best_speeds(model: OutputError, n: int) -> list[dict[str, float]]:
     count = int(np.clip(2 * UP * sd * phase / RADIANS_APART, 8, MOST_SPEEDS))
     factors = np.exp(np.linspace(-UP * sd, UP * sd, count))
     starts = [sped_up(problem.system, problem.prior.nominal, factor) for factor in factors]
-    profiles = np.array([model.profile(model.vector(p)) for p in starts])
+    thetas = np.zeros((count, model.size))
+    thetas[:, : len(model.free)] = np.log([[p[name] for name in model.free] for p in starts])
+    profiles = model.profile(model.with_initial_states(thetas, START_STEPS))
     padded = np.concatenate([[np.inf], np.where(np.isfinite(profiles), profiles, np.inf), [np.inf]])
     minima = np.flatnonzero((padded[1:-1] <= padded[:-2]) & (padded[1:-1] < padded[2:]))
     return [starts[i] for i in minima[np.argsort(padded[1:-1][minima])][:n]]
