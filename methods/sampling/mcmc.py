@@ -29,7 +29,7 @@ the way out, a sampler with gradients.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -62,6 +62,13 @@ from methods.trajectory.student import NORMAL, STUDENT
 STEPPED = 4
 MOST_AT_ONCE = 1_000_000
 """Numbers in the chains of a block that are sampled together."""
+
+NEAR_LEAST = 2.0
+"""Times the least noise: chains that stay below want less of it."""
+FLOOR = (
+    f"the noise is below {NOISE_LEAST:g} of the motion, where rounding and integration take over: "
+    "the intervals are those of that noise"
+)
 
 
 @dataclass(frozen=True)
@@ -199,12 +206,27 @@ class MCMC(SearchingIdentifier):
             "effective_sample_size": np.array([health.effective]),
             "autocorrelation_time": np.array([health.time]),
         }
-        return estimate_from_draws(fit.posterior, self._kept(fit.path), traces, cost, self.curves)
+        drawn, message = _at_floor(fit.posterior, self._kept(fit.path))
+        return replace(estimate_from_draws(fit.posterior, drawn, traces, cost, self.curves), message=message)
 
     def _kept(self, paths: np.ndarray) -> np.ndarray:
         """So many draws of all chains, evenly spread over them."""
         flat = paths.reshape(-1, paths.shape[-1])
         return np.asarray(flat[np.linspace(0, len(flat) - 1, min(self.draws, len(flat))).astype(int)])
+
+
+def _at_floor(posterior: Posterior, drawn: np.ndarray) -> tuple[np.ndarray, str]:
+    """Where the noise is at its least, move draws (n, size) so that their medians are the mode, and say so.
+
+    Draws of that width would err by more than the mode does, which is as exact as the integration.
+    """
+    size = posterior.model.size
+    least = np.log(NOISE_LEAST * posterior.model.rms)
+    if np.any(np.median(drawn[:, size:], axis=0) > least + np.log(NEAR_LEAST)):
+        return drawn, ""
+    centred = drawn.copy()
+    centred[:, :size] += posterior.mode - np.median(drawn[:, :size], axis=0)
+    return centred, FLOOR
 
 
 @dataclass(eq=False)

@@ -358,3 +358,15 @@ def test_student_draws_agree_with_quadrature() -> None:
     draws = estimate.parameters.samples[:, 2]
     assert np.mean(draws) == pytest.approx(mean, abs=0.1 * sd)
     assert np.std(draws) == pytest.approx(sd, rel=0.1)
+
+
+def test_noise_below_the_rounding_of_a_simulation_is_said_and_its_error_is_that_rounding() -> None:
+    times, system = np.linspace(0, 8, 40), SDOF()
+    clean = simulate(system, TRUE, (np.array([1.0]), np.array([0.0])), times).displacement[0]
+    for noise, said in ((1e-4, False), (1e-10, True)):
+        values = clean + noise * np.random.default_rng(1).standard_normal(40)
+        estimate = sample(Problem(system, (Record((Channel(times, values),)),)))
+        assert ("noise is below" in estimate.message) is said
+    marginal = estimate.marginal(system.quantity("k_over_m"))
+    assert marginal is not None
+    assert marginal.value == pytest.approx(TRUE["k"] / TRUE["m"], rel=1e-10)
