@@ -148,7 +148,7 @@ class Estimate:
 
         Offsets stay as they are, since what their channels measure is not known here: see :meth:`returned`.
         """
-        scale = {q.name: units.of(self.system.dimension(q)) for q in self.system.quantities}
+        scale = {name: units.of(dimension) for name, dimension in self.system.dimensions.items()}
         starts = self.initial_states
         return replace(
             self,

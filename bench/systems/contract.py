@@ -13,6 +13,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Literal, Self
 
 Kind = Literal["mass", "damping", "stiffness", "other"]
@@ -155,7 +156,7 @@ class System(ABC):
         """Natural frequency, damping ratio, where they are products of powers."""
         return ()
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         return tuple(p.name for p in self.parameters)
 
@@ -174,6 +175,11 @@ class System(ABC):
     def rescaled(self, scale: Callable[[Dimension], float]) -> Self:
         """The same system in other units, of which ``scale`` says the size; itself unless an option has a dimension."""
         return self
+
+    @cached_property
+    def dimensions(self) -> Mapping[str, Dimension]:
+        """The dimension of each scored quantity."""
+        return {quantity.name: self.dimension(quantity) for quantity in self.quantities}
 
     def quantity(self, name: str) -> Quantity:
         """The scored quantity of that name."""
