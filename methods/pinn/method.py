@@ -32,7 +32,7 @@ UNITS_A_CYCLE = 12
 """Units of a hidden layer for each oscillation in the record, where ``width`` would give fewer."""
 
 
-MOST_CYCLES = 20
+MOST_CYCLES = 15
 """Oscillations in a record up to which one network represents them; beyond, windows do."""
 
 
