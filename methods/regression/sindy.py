@@ -7,7 +7,7 @@ library holds more than the equation of motion: sparsity has to find it.
 * Derivatives decide everything on few samples. They are those of a smoothing spline, smoothed as in LS with
   ``derivative="spline"`` (:func:`methods.regression.bootstrap.spline_fits`).
 * ``form="weak"`` regresses integrals over test functions in place of accelerations
-  (:mod:`methods.regression.weak_library`).
+  (:func:`methods.regression.weak.weak_rows`).
 * Terms are taken one by one by forward orthogonal least squares (FROLS of pysindy; Billings, Nonlinear System
   Identification, 2013, chapter 3): each time the one that explains most of what is left of the acceleration.
 * How many is decided as Mangan, Kutz, Brunton and Proctor do (Proceedings of the Royal Society A 473 (2017) 20170009):
@@ -40,7 +40,7 @@ from methods.regression.bootstrap import SplineFit, bootstrap_covariances, smoot
 from methods.regression.derivatives import Motion
 from methods.regression.equation import Regression, Values, answer, layout_objection, solve
 from methods.regression.hausman import doubt, most_likely
-from methods.regression.weak_library import weak_rows
+from methods.regression.weak import weak_rows
 from methods.starts.ambiguity import BandIdentifier
 
 RADIANS_A_STEP = 0.35

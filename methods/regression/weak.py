@@ -12,6 +12,11 @@ least squares with S(p), p taken anew a few times (WENDy: D. M. Bortz, D. A. Mes
 Mathematical Biology 85:110, 2023), from the estimate on splines.
 
 Linear systems only. Nothing is learnt of the ends of a record, where every φ is small.
+
+:func:`weak_rows` is the same for a library of terms, ``x'' = Σ ξ_j θ_j(x, v)``: ``∫φ'' x = Σ ξ_j ∫φ θ_j`` (WSINDy, the
+same source). Of the terms, x and v are integrated over the samples themselves, ``∫φ v = -∫φ' x``, the others along the
+smoothed motion. A test function as long as many oscillations averages them away, and a short one leaves the noise in:
+there it is about one period long.
 """
 
 from __future__ import annotations
@@ -36,6 +41,11 @@ REWEIGHTED = 4
 """Rounds of generalised least squares."""
 RIDGE = 1e-9
 """Of the mean variance, added to the covariance: overlapping test functions may be dependent to rounding."""
+
+PERIODS = 1.0
+"""Support of a test function for a library of terms, in periods of the motion."""
+LEAST_SAMPLES = 6
+"""In a support: fewer do not integrate it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,3 +160,24 @@ def _root(covariance: np.ndarray) -> np.ndarray:
         scaled = covariance / size
     scaled = np.where(np.all(np.isfinite(scaled), axis=(1, 2), keepdims=True), scaled, eye)
     return np.asarray(np.linalg.cholesky(scaled + RIDGE * eye))
+
+
+def weak_rows(
+    motion: Motion, samples: np.ndarray, features: np.ndarray, linear: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Features (sets, functions, terms) and target (n_dof, sets, functions) of a record.
+
+    Args:
+        motion: the smoothed motion at the times of ``samples`` (n_dof, sets, n).
+        samples: measured displacements there.
+        features: terms along the motion, (sets, n, terms).
+        linear: columns of the terms that are a displacement, then a velocity, of each degree of freedom, (2 n_dof,).
+    """
+    times = motion.times
+    # as many radians a second as the root mean squares of velocity and acceleration say
+    period = 2.0 * np.pi * np.sqrt(np.mean(motion.v**2) / np.mean(motion.a**2))
+    width = float(np.clip(PERIODS * period / (times[-1] - times[0]), LEAST_SAMPLES / times.size, WIDTH))
+    kernels = Kernels.of(times, width, share=1.0).where_sampled(LEAST_SAMPLES // 2)
+    weak = np.einsum("fn,snk->sfk", kernels.value, features)
+    weak[..., linear] = np.moveaxis(np.concatenate([samples @ kernels.value.T, -(samples @ kernels.slope.T)]), 0, -1)
+    return weak, samples @ kernels.curvature.T

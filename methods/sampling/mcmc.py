@@ -48,11 +48,10 @@ from bench import (
     report_progress,
 )
 from methods.sampling.answer import estimate_from_draws
-from methods.sampling.coloured import coloured
 from methods.sampling.compiled import compiled
 from methods.sampling.diagnostics import Health
 from methods.sampling.ensembles import Ensemble, Lockstep
-from methods.sampling.modes import Modes, found_or_failure, modes_of, sharpened, student_modes
+from methods.sampling.modes import Modes, coloured, found_or_failure, modes_of, sharpened, student_modes
 from methods.sampling.posterior import NOISE_LEAST, Posterior, Target
 from methods.sampling.proposal import Proposal
 from methods.starts.ambiguity import SearchingIdentifier

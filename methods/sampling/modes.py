@@ -6,13 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench import SIGMA_FLOOR, NoEstimate, OutputError, batches
+from bench import SIGMA_FLOOR, NoEstimate, OutputError, batches, whitened
 from methods.starts.candidates import candidates, screened
 from methods.starts.separate import separate
 from methods.trajectory.student import NormalErrors, StudentErrors, searched, student_fit
 
 MODES, ROUNDS, ITERATIONS = 3, 3, 12
 """Modes that are kept, rounds of fit and noise in turn, and steps of a fit."""
+
+RECOLOURED = 2
+"""How often the colour is told from the residuals of the best mode: of white errors, then of coloured ones."""
 
 Modes = list[tuple[float, np.ndarray]]
 """Minus twice the log-posterior and theta of each mode, best first."""
@@ -77,3 +80,13 @@ def _linear_modes(models: Sequence[OutputError]) -> list[Modes]:
         best = own[separate(model, values[own], thetas[own])[:MODES]]
         found.append([(float(values[i]), thetas[i]) for i in best])
     return found
+
+
+def coloured(model: OutputError, modes: Modes) -> tuple[OutputError, Modes]:
+    """The model whitened, and its modes near those with white errors; NoEstimate where none is left."""
+    for _ in range(RECOLOURED):
+        white = whitened(model, modes[0][1])
+        thetas = white.settle(np.stack([theta for _, theta in modes]), ROUNDS, ITERATIONS)
+        values = np.array([white.profile(theta) for theta in thetas])
+        modes = found_or_failure([(float(values[i]), thetas[i]) for i in separate(white, values, thetas)])
+    return white, modes

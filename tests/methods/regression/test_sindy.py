@@ -15,8 +15,7 @@ from bench.scenario.scenario import ForceSpec, Scenario
 from bench.systems import SDOF
 from methods.regression.derivatives import Motion
 from methods.regression.sindy import SINDy, _solved, greedy
-from methods.regression.weak import Kernels
-from methods.regression.weak_library import weak_rows
+from methods.regression.weak import Kernels, weak_rows
 
 pysindy = pytest.importorskip("pysindy")
 
