@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -114,7 +115,7 @@ def scan(step: Callable[[Any, Any], tuple[Any, Any]], state: Any, inputs: Any, r
         return _rebuilt(state, np.asarray), _rebuilt(outputs, np.asarray)
     rows: list[Any] = [None] * number
     for i in reversed(range(number)) if reverse else range(number):
-        state, rows[i] = step(state, _rebuilt(inputs, lambda part, i=i: part[i]))  # type: ignore[misc]
+        state, rows[i] = step(state, _rebuilt(inputs, itemgetter(i)))
     leaves = iter([np.stack(parts) for parts in zip(*map(_leaves, rows), strict=True)])
     return state, _rebuilt(rows[0], lambda _: next(leaves))
 

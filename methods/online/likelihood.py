@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from bench import HeldModel, Layout, dimension_scale
+from methods.kalman.core import Affine, Update, predict, update
 
 RATIOS = (0.01, 0.05, 0.25)
 """Damping ratios of the scan."""
@@ -226,30 +227,19 @@ class Likelihood:
             return model.observe(jnp.concatenate([state, rest]), force)
 
         zero, still = jnp.zeros(k), jnp.zeros(len(layout.forced))
-        fixed = jax.jacfwd(advance)(zero, still), jax.jacfwd(observe)(zero, still), jax.jacfwd(advance, 1)(zero, still)
-        noise = jnp.diag(levels.sigma**2)
+        first_cov = jnp.diag(jnp.concatenate([first**2, levels.push**2]))
         fresh = jnp.concatenate([jnp.zeros(model.n_motion), levels.push**2 * (1.0 - levels.memory**2)])
-        start = jnp.diag(jnp.concatenate([first**2, levels.push**2]))
+        fixed = (jax.jacfwd(observe)(zero, still), jax.jacfwd(advance)(zero, still)) if layout.system.linear else None
 
         def step(carry: tuple[Any, Any, Any], inputs: tuple[Any, Any]) -> tuple[Any, Any]:
             mean, cov, total = carry
             y, force = inputs
-            h = fixed[1] if layout.system.linear else jax.jacfwd(observe)(mean, force)
-            there = jnp.isfinite(y)
-            left = jnp.where(there, jnp.where(there, y, 0.0) - observe(mean, force), 0.0)
-            h = h * there[:, None]
-            s = h @ cov @ h.T + jnp.where(there[:, None] & there[None], noise, jnp.eye(there.size))
-            gain = jnp.linalg.solve(s, h @ cov).T
-            keep = jnp.eye(k) - gain @ h  # Joseph's form, which stays positive
-            mean, cov = mean + gain @ left, keep @ cov @ keep.T + gain @ (noise * there) @ gain.T
-            total = total + 0.5 * (left @ jnp.linalg.solve(s, left) + jnp.linalg.slogdet(s)[1])
-            if layout.system.linear:
-                f, new = fixed[0], fixed[0] @ mean + fixed[2] @ force
-            else:
-                f, new = jax.jacfwd(advance)(mean, force), advance(mean, force)
-            return (new, f @ cov @ f.T + jnp.diag(fresh), total), mean
+            updated = _updated(lambda s: observe(s, force), mean, cov, mean, levels, y, fixed and fixed[0])
+            mean = updated.mean
+            affine = _tangent(lambda s: advance(s, force), mean, fixed and fixed[1], fresh)
+            return (*predict(affine, mean, updated.covariance), total - updated.likelihood), mean
 
-        carry, means = jax.lax.scan(step, (zero, start, 0.0), (values, forces))
+        carry, means = jax.lax.scan(step, (zero, first_cov, 0.0), (values, forces))
         return carry[2], means
 
     def _belief(self, eta: Any, values: Any, forces: Any, first: Any) -> tuple[Any, Any]:
@@ -265,30 +255,36 @@ class Likelihood:
         path = self._path(eta, values, forces, first)[1]
         rest = jnp.broadcast_to(jnp.concatenate([jnp.zeros(model.n_sensors), logs]), (len(path), layout_size(model)))
         about = jnp.concatenate([path, rest], axis=1)
-        noise = jnp.diag(levels.sigma**2)
         fresh = jnp.zeros(model.size).at[model.ambient].set(levels.push**2 * (1.0 - levels.memory**2))
         cov = jnp.zeros(model.size).at[: model.n_motion].set(first**2)
         cov = cov.at[model.ambient].set(levels.push**2).at[model.logs].set(OPEN_LOG**2)
         mean = jnp.zeros(model.size).at[model.logs].set(logs)
 
         def step(carry: tuple[Any, Any], inputs: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-            mean, cov = carry
             y, force, point = inputs
-            h = jax.jacfwd(model.observe)(point, force)
-            there = jnp.isfinite(y)
-            seen = model.observe(point, force) + h @ (mean - point)
-            left = jnp.where(there, jnp.where(there, y, 0.0) - seen, 0.0)
-            h = h * there[:, None]
-            s = h @ cov @ h.T + jnp.where(there[:, None] & there[None], noise, jnp.eye(there.size))
-            gain = jnp.linalg.solve(s, h @ cov).T
-            keep = jnp.eye(model.size) - gain @ h
-            mean, cov = mean + gain @ left, keep @ cov @ keep.T + gain @ (noise * there) @ gain.T
-            f = jax.jacfwd(model.advance)(point, force, layout.interval, levels.memory)
-            new = model.advance(point, force, layout.interval, levels.memory) + f @ (mean - point)
-            return (new, f @ cov @ f.T + jnp.diag(fresh)), (mean, cov)
+            mean, cov, *_ = _updated(lambda s: model.observe(s, force), *carry, point, levels, y)
+            affine = _tangent(lambda s: model.advance(s, force, layout.interval, levels.memory), point, None, fresh)
+            return predict(affine, mean, cov), (mean, cov)
 
-        found = jax.lax.scan(step, (mean, jnp.diag(cov)), (values, forces, about))[1]
-        return found[0][-1], found[1][-1]
+        means, covs = jax.lax.scan(step, (mean, jnp.diag(cov)), (values, forces, about))[1]
+        return means[-1], covs[-1]
+
+
+def _tangent(function: Any, point: Any, slopes: Any, fresh: Any) -> Affine:
+    """A map about a joint state, with the variances of its process noise; its slopes where they are not known."""
+    import jax
+    import jax.numpy as jnp
+
+    slopes = jax.jacfwd(function)(point) if slopes is None else slopes
+    return Affine(slopes, function(point) - slopes @ point, jnp.diag(fresh))
+
+
+def _updated(observe: Any, mean: Any, cov: Any, point: Any, levels: Levels, y: Any, slopes: Any = None) -> Update:
+    """A belief after a sample, NaN where a sensor gave nothing; the measurement about a joint state."""
+    import jax.numpy as jnp
+
+    there, affine = jnp.isfinite(y), _tangent(observe, point, slopes, 0.0 * levels.sigma)
+    return update(mean, cov, affine.slopes, affine.constants, levels.sigma**2, jnp.where(there, y, 0.0), there)
 
 
 def layout_size(model: HeldModel) -> int:

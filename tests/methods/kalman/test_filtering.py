@@ -413,6 +413,8 @@ def test_a_compiled_pass_is_the_same_pass(method: Identifier, monkeypatch: pytes
     long = fit(method, problem)
     assert isinstance(short.parameters, Normal)
     assert isinstance(long.parameters, Normal)
+    assert short.parameters.covariance is not None
+    assert long.parameters.covariance is not None
     np.testing.assert_allclose(long.parameters.mean, short.parameters.mean, atol=1e-9)
     np.testing.assert_allclose(long.parameters.covariance, short.parameters.covariance, rtol=1e-6)
 
