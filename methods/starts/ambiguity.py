@@ -44,6 +44,10 @@ FEW_SAMPLES = 4.0
 """A cycle, below which an answer without a prior names its first alias."""
 MOST_BASINS = 16
 """Minima of the scan that are compared."""
+LEAST_LOG_ODDS = float(np.log(LEAST_WEIGHT)) - 5.0
+"""Of an alias against the answer by the prior alone: the volumes of basins differ by less."""
+EVEN = 1e-3
+"""Part of the mean step by which even steps differ."""
 SAME_RATE, SAME_SDS = 0.02, 5.0
 """Logarithms of stiffness over mass as near as this to a basin's, or within so many standard deviations, are in it."""
 
@@ -64,7 +68,7 @@ class SearchingIdentifier(Identifier):
                 continue
             if problem.prior is None:
                 answers[i] = with_band(problem, estimate)
-            elif is_unresolved(problem):
+            elif is_unresolved(problem) and not (_are_even(problem) and not _aliases(problem, _own_rate(estimate))):
                 ambiguous.append(i)
         completed = with_alternatives([problems[i] for i in ambiguous], [answers[i] for i in ambiguous])
         for i, answer in zip(ambiguous, completed, strict=True):
@@ -138,7 +142,8 @@ def _with_basins(
 def _starts(model: OutputError, values: Mapping[str, float]) -> list[dict[str, float]]:
     """The answer, its aliases, and the minima of the scan."""
     scanned = scan(model.problem, MOST_BASINS) if model.system.linear else best_speeds(screening(model), MOST_BASINS)
-    return [dict(values), *_aliases(model, values), *scanned]
+    aliases = [sped_up(model.system, values, factor) for factor in _aliases(model.problem, _log_rate(model, values))]
+    return [dict(values), *aliases, *scanned]
 
 
 def _answer(model: OutputError, found: Basins, i: int) -> Estimate:
@@ -166,21 +171,29 @@ def _spent(model: OutputError, slopes: np.ndarray, sigma: np.ndarray) -> float:
     return float(degrees_used(np.concatenate([by_data, by_prior])[None], model.data.size)[0])
 
 
-def _aliases(model: OutputError, values: Mapping[str, float]) -> list[dict[str, float]]:
-    """The parameters with which the motion passes through the same points, sampled at the median step.
+def _aliases(problem: Problem, log_rate: float) -> list[float]:
+    """Factors of the frequency by which the motion passes through the same points, sampled at the median step.
 
-    They are of frequencies within the prior's reach.
+    They are within the prior's reach, and those that the prior makes too improbable are left out.
     """
-    expected = expected_rate(model.problem)
+    expected = expected_rate(problem)
     assert expected is not None
     centre, sd = expected
-    low, high = np.exp(centre - UP * sd) / (2 * np.pi), np.exp(centre + UP * sd) / (2 * np.pi)
-    frequency = np.exp(0.5 * _log_rate(model, values)) / (2 * np.pi)
-    rate = 2.0 * max(resolved_cycles(record) for record in model.problem.records)
-    numbers = np.arange(0, int(min(high / rate, MOST_BASINS)) + 2)
-    aliases = np.unique(np.abs(np.concatenate([numbers * rate - frequency, numbers * rate + frequency])))
-    factors = [f / frequency for f in aliases if low <= f <= high and abs(np.log(f / frequency)) > APART]
-    return [sped_up(model.system, values, factor) for factor in factors]
+    frequency = np.exp(0.5 * log_rate) / (2 * np.pi)
+    rate = 2.0 * max(resolved_cycles(record) for record in problem.records)
+    highest = np.exp(centre + UP * sd) / (2 * np.pi)
+    multiples = rate * np.arange(0, int(min(highest / rate, MOST_BASINS)) + 2)
+    factors = np.unique(np.abs(np.concatenate([multiples - frequency, multiples + frequency]))) / frequency
+    factors = factors[(factors > 0) & (np.abs(np.log(np.maximum(factors, 1e-300))) > APART)]
+    surprises = (0.5 * log_rate + np.log(factors) - centre) / sd
+    odds = 0.5 * ((0.5 * log_rate - centre) / sd) ** 2 - 0.5 * surprises**2
+    return list(factors[(np.abs(surprises) <= UP) & (odds > LEAST_LOG_ODDS)])
+
+
+def _are_even(problem: Problem) -> bool:
+    """Decide whether every channel is sampled at even steps."""
+    steps = [np.diff(channel.times) for record in problem.records for channel in record.channels if channel.n > 1]
+    return all(np.ptp(step) < EVEN * np.mean(step) for step in steps)
 
 
 def _stiffness(system: System) -> str:
@@ -190,6 +203,12 @@ def _stiffness(system: System) -> str:
 def _log_rate(model: OutputError, values: Mapping[str, float]) -> float:
     """The logarithm of the first stiffness over the gauge mass."""
     return float(np.log(values[_stiffness(model.system)] / values[model.system.gauge]))
+
+
+def _own_rate(estimate: Estimate) -> float:
+    """The same of an answer."""
+    values = _values(estimate)
+    return float(np.log(values[_stiffness(estimate.system)] / values[estimate.system.gauge]))
 
 
 def _log_rates(system: System, draws: Draws) -> np.ndarray:
