@@ -241,8 +241,9 @@ class OutputError:
         step = 1e-5 * np.where(np.arange(d) < k, 1.0, np.maximum(1.0, np.abs(theta)))
         moves = step[..., None] * np.eye(d)
         sets = np.concatenate([theta[..., None, :], theta[..., None, :] + moves, theta[..., None, :] - moves], axis=-2)
+        cases = self if self.data.ndim == 1 else self[np.repeat(np.arange(len(theta)), 2 * d + 1)]
         with np.errstate(all="ignore"):
-            predicted = self.predict(sets.reshape(-1, d)).reshape(*sets.shape[:-1], -1)
+            predicted = cases.predict(sets.reshape(-1, d)).reshape(*sets.shape[:-1], -1)
             slopes = (predicted[..., 1 : d + 1, :] - predicted[..., d + 1 :, :]) / (2 * step[..., None])
         return predicted[..., 0, :], np.swapaxes(slopes, -1, -2)
 
