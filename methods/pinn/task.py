@@ -142,12 +142,15 @@ class Task:
         return min(finite, key=self._judged if self.rivals > 1 else lambda fit: fit.loss, default=None)
 
     def _judged(self, fit: Fit) -> float:
-        """Minus the logarithm of the evidence of a rival's parameters by their simulated response.
+        """Return minus the logarithm of the evidence of a rival's parameters by their simulated response.
 
-        The loss would not do: how closely a function follows the equation of motion hangs on how fast it turns.
+        The loss would not do: how closely a function follows the equation of motion hangs on how fast it turns. Without
+        a prior there is no evidence, since a parameter that the data leave open has all the volume: the likelihood.
         """
         model = OutputError(self.scaled)
         theta = model.vector(dict(zip(self.scaled.system.names, map(float, np.exp(fit.logs)), strict=True)))
+        if self.scaled.prior is None:
+            return 0.5 * model.profile(theta)
         return -log_evidence(model, theta)
 
 
