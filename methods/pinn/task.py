@@ -21,6 +21,7 @@ from methods.starts.open_parameters import left_open, very_wide
 from methods.starts.reach import expected_rate, resolved_cycles
 from methods.starts.rounding import DIGITS, rounded
 from methods.starts.scan import records_by_load
+from methods.starts.separate import ALIAS_MARGIN
 from methods.starts.waves import Guess, scan
 
 if TYPE_CHECKING:
@@ -151,7 +152,8 @@ class Task:
         theta = model.vector(dict(zip(self.scaled.system.names, map(float, np.exp(fit.logs)), strict=True)))
         if self.scaled.prior is None:
             return 0.5 * model.profile(theta)
-        return -log_evidence(model, theta)
+        beyond = alias(self.scaled, self.guesses[self.fits.index(fit)])
+        return (0.5 * ALIAS_MARGIN if beyond else 0.0) - log_evidence(model, theta)
 
 
 def simulated(problem: Problem, fit: Fit, rng: np.random.Generator) -> Problem:

@@ -1,10 +1,10 @@
 """Answers that know when they are ambiguous: other frequencies that fit the samples as well, and the band of an answer.
 
 Even samples of a free vibration do not tell a frequency from its aliases, and few or uneven samples may leave several
-basins of the likelihood alike. A method that searches with a prior starts in the most probable one; the others are
-taken to their own maxima by the output-error likelihood, which gives all of them their probabilities
-(:mod:`methods.starts.evidence`). The method's own answer stands first, whatever its probability; others above
-:data:`LEAST_WEIGHT` are alternatives.
+basins of the likelihood alike. A method that searches with a prior starts in the one that stands first: the most
+probable that the sampling resolves, unless one beyond is twenty times as probable. The others are taken to their own
+maxima by the output-error likelihood, which gives all of them their probabilities (:mod:`methods.starts.evidence`). The
+method's own answer stands first, whatever its probability; others above :data:`LEAST_WEIGHT` are alternatives.
 
 Without a prior, or by its nature, a method answers for frequencies below half the sampling rate. Where its answer has
 few samples a cycle it says so, and names the next frequency that would give the same samples.

@@ -14,7 +14,7 @@ import numpy as np
 
 from bench import OutputError, batches
 from methods.starts.candidates import screening
-from methods.starts.separate import APART
+from methods.starts.separate import ALIAS_MARGIN, APART, aliased
 
 ROUNDS, ITERATIONS = 2, 12
 """Of fit and noise in turn, and steps of each fit, from every start."""
@@ -33,6 +33,18 @@ class Basins:
     slopes: np.ndarray
     residuals: np.ndarray
     evidence: np.ndarray
+
+    def first(self, model: OutputError) -> int:
+        """The basin that stands first: the most probable that the sampling resolves, unless one beyond is clearly more.
+
+        ``clearly``: by the odds of :data:`methods.starts.separate.ALIAS_MARGIN`.
+        """
+        best = int(np.argmax(self.evidence))
+        resolved = np.flatnonzero(~aliased(model, self.thetas))
+        if not resolved.size:
+            return best
+        place = int(resolved[np.argmax(self.evidence[resolved])])
+        return place if self.evidence[place] + 0.5 * ALIAS_MARGIN >= self.evidence[best] else best
 
     @property
     def weights(self) -> np.ndarray:
@@ -95,6 +107,6 @@ def _log_evidence(profile: float, covariance: np.ndarray | None) -> float:
 
 
 def most_probable(model: OutputError, starts: list[np.ndarray]) -> list[np.ndarray]:
-    """The end of most evidence alone, of searches from these starts; the starts where none has any."""
+    """Of the ends of searches from these starts the one that stands first, alone; the starts where there is none."""
     ends = basins([model], [np.stack(starts)])[0] if starts else None
-    return starts if ends is None or not ends.evidence.size else [ends.thetas[int(np.argmax(ends.evidence))]]
+    return starts if ends is None or not ends.evidence.size else [ends.thetas[ends.first(model)]]

@@ -1,4 +1,4 @@
-"""Of many ends of a search those that are worth keeping: apart from each other, best first, no alias."""
+"""Of many ends of a search those that are worth keeping: apart from each other, best first, aliases behind."""
 
 from __future__ import annotations
 
@@ -15,24 +15,23 @@ APART = 1e-2
 def separate(model: OutputError, values: np.ndarray, thetas: np.ndarray) -> list[int]:
     """Places, best first, of the ends that are finite and apart, by their ``values`` (n,), minus twice a log-posterior.
 
-    A prior decides between aliases. Without one the sampling is taken to resolve the motion: where the slowest
-    oscillation of a linear system came to lie above half the sampling rate, it is dropped as the alias of a slower one,
-    unless the data clearly prefer it.
+    The sampling is taken to resolve the motion: where the slowest oscillation of a linear system came to lie above
+    half the sampling rate, it comes behind a slower one of which it is the alias, unless data and prior clearly prefer
+    it. Without a prior, which could weigh both, it is dropped.
     """
     k, kept = len(model.free), list[int]()
     for i in map(int, np.flatnonzero(np.isfinite(values))):
         if not any(np.max(np.abs(thetas[i] - thetas[other])[:k]) < APART for other in kept):
             kept.append(i)
     kept.sort(key=lambda i: float(values[i]))
-    if model.prior is not None:
-        return kept
-    aliases = _aliased(model, thetas[kept]) if kept else np.zeros(0, bool)
+    aliases = aliased(model, thetas[kept]) if kept else np.zeros(0, bool)
     resolved = [i for i, alias in zip(kept, aliases, strict=True) if not alias]
-    clear = not resolved or values[kept[0]] + ALIAS_MARGIN < values[resolved[0]]
-    return kept if clear else resolved
+    if not resolved or values[kept[0]] + ALIAS_MARGIN < values[resolved[0]]:
+        return kept
+    return resolved if model.prior is None else [resolved[0], *(i for i in kept if i != resolved[0])]
 
 
-def _aliased(model: OutputError, thetas: np.ndarray) -> np.ndarray:
+def aliased(model: OutputError, thetas: np.ndarray) -> np.ndarray:
     """Whether the slowest oscillation at each vector (n, size) is above half the sampling rate."""
     gaps = [float(np.median(np.diff(c.times))) for _, c in model.channels if c.n > 1]
     if not model.system.linear or not gaps:

@@ -73,7 +73,7 @@ def screen(models: Sequence[OutputError], batch: OutputError, rules: Screening) 
     for i, end in zip(ambiguous, ends, strict=True):
         if end.evidence.size:
             kept[i] = kept[i][:1]
-            settled.theta[kept[i][0]] = end.thetas[np.argmax(end.evidence)]
+            settled.theta[kept[i][0]] = end.thetas[end.first(models[i])]
     worth = [i for own in kept for i in own if values[i] <= values[own[0]] + rules.margin]
     return Guesses(cases[worth], settled.theta[worth], first)
 
