@@ -55,7 +55,7 @@ UNSUPPORTED_SHARE = 0.1
 """Of the drawn rows, how many may be those of a method that does not take the problem."""
 OTHER_BASINS = "method version 1, today 2"
 """The change by which searching methods name other basins: a row that does is left out, all others are as before."""
-STALE_SHARE = 0.2
+STALE_SHARE = 0.3
 """Of the cells, how many may wait for the next release to be computed anew, so that nothing compares them."""
 STOPPED = frozenset({Status.TIMEOUT, Status.KILLED, Status.OOM, Status.MISSING_DEPENDENCY})
 """Statuses that hang on the machine."""

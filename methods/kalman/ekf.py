@@ -35,6 +35,8 @@ class EKF(SearchingIdentifier):
     drift: float = 0.0
     open_sd: float = 1.0
 
+    version: ClassVar[int] = 3
+    """3: of several ends the most probable is kept, as at 0 dB, where innovations prefer a motion that dies at once."""
     card: ClassVar[Card] = Card(
         summary="extended Kalman filter and smoother for state and log-parameters, iterated from starts of a scan",
         start="used when known",

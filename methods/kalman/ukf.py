@@ -40,6 +40,8 @@ class UKF(SearchingIdentifier):
     open_sd: float = 1.0
     kappa: float = 0.0
 
+    version: ClassVar[int] = 3
+    """3: of several ends the most probable is kept, as at 0 dB, where innovations prefer a motion that dies at once."""
     card: ClassVar[Card] = Card(
         summary="unscented Kalman filter and smoother for state and log-parameters, iterated from starts of a scan",
         start="used when known",
