@@ -26,7 +26,7 @@ from bench.scoring.combination import combine_with_prior
 from bench.scoring.summary import wilson_interval
 from tests.studies.common import RESULTS, Count, Out, publish, study, tracked
 
-METHODS = ("shooting", "output_error", "pinn", "collocation", "ekf", "ukf", "frequency", "mcmc", "ddnn")
+METHODS = ("shooting", "output_error", "pinn", "collocation", "ekf", "ukf", "frequency", "mcmc")
 PRIOR = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
 BOUNDS, HALF_WIDTHS = 5.0, 3.0
 NYQUIST = "below the Nyquist frequency", "beyond it"
