@@ -15,7 +15,9 @@ import numpy as np
 SETTLED = 1e-8
 """A search has converged where a Gauss-Newton step would lower the sum of squares by less: residuals are in standard
 deviations, so that is next to nothing."""
-FIRST_DAMPING, MOST_DAMPING = 1e-3, 1e12
+FIRST_DAMPING = 1e-3
+MOST_DAMPING = 1e12
+"""Damping of a search at first, and beyond which it ends."""
 EASED, STIFFENED = 0.3, 8.0
 """Factors of the damping after a step that lowers the cost, and after one that does not."""
 LEAST_CONDITION = 1e-9
