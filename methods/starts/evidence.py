@@ -18,6 +18,8 @@ from methods.starts.separate import ALIAS_MARGIN, APART, aliased
 
 ROUNDS, ITERATIONS = 2, 12
 """Of fit and noise in turn, and steps of each fit, from every start."""
+SPARE = 3
+"""Samples beyond the unknowns that tell the level of the noise."""
 SAME_SDS = 3.0
 """Standard deviations: two ends nearer than this are one, which a search has not quite reached."""
 
@@ -68,7 +70,8 @@ def basins(models: Sequence[OutputError], starts: Sequence[np.ndarray]) -> list[
         residuals = batch.data - point.predicted
         profiles = batch.profile_of(point.theta, residuals)
         covariances = batch.covariances(point, batch.noise(residuals, 0.0))
-        evidence = np.array([_log_evidence(*pair) for pair in zip(profiles, covariances, strict=True)])
+        enough = batch.channel_of.size > batch.size + SPARE
+        evidence = np.array([_log_evidence(*pair, enough) for pair in zip(profiles, covariances, strict=True)])
         for number, i in enumerate(places):
             own = np.flatnonzero((cases == number) & np.isfinite(evidence))
             kept = _apart(point.theta[:, : len(batch.free)], covariances, own[np.argsort(profiles[own])])
@@ -97,16 +100,18 @@ def log_evidence(model: OutputError, theta: np.ndarray) -> float:
     predicted, slopes = model.jacobian(theta)
     residuals = model.data - predicted
     covariance = model.covariance(slopes, model.noise(residuals, 0.0))
-    return _log_evidence(model.profile_of(theta, residuals), covariance)
+    return _log_evidence(model.profile_of(theta, residuals), covariance, model.data.size > model.size + SPARE)
 
 
-def _log_evidence(profile: float, covariance: np.ndarray | None) -> float:
+def _log_evidence(profile: float, covariance: np.ndarray | None, enough: bool) -> float:
+    """Volumes count where ``enough`` samples tell the noise: a perfect fit of few would shrink its own to nothing."""
     if covariance is None or not np.isfinite(profile):
         return -np.inf
-    return float(-0.5 * profile + 0.5 * np.linalg.slogdet(covariance)[1])
+    return float(-0.5 * profile + (0.5 * np.linalg.slogdet(covariance)[1] if enough else 0.0))
 
 
 def most_probable(model: OutputError, starts: list[np.ndarray]) -> list[np.ndarray]:
-    """Of the ends of searches from these starts the one that stands first, alone; the starts where there is none."""
+    """The end that stands first alone, of searches from these starts; the starts where that is the best fit anyway."""
     ends = basins([model], [np.stack(starts)])[0] if starts else None
-    return starts if ends is None or not ends.evidence.size else [ends.thetas[ends.first(model)]]
+    first = 0 if ends is None or not ends.evidence.size else ends.first(model)
+    return starts if ends is None or not first else [ends.thetas[first]]

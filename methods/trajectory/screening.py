@@ -71,9 +71,9 @@ def screen(models: Sequence[OutputError], batch: OutputError, rules: Screening) 
     ambiguous = [i for i, own in enumerate(kept) if len(own) > 1 and is_unresolved(models[i].problem)]
     ends = basins([models[i] for i in ambiguous], [settled.theta[kept[i]] for i in ambiguous])
     for i, end in zip(ambiguous, ends, strict=True):
-        if end.evidence.size:
+        if end.evidence.size and (place := end.first(models[i])):  # else the best fit stands first anyway
             kept[i] = kept[i][:1]
-            settled.theta[kept[i][0]] = end.thetas[end.first(models[i])]
+            settled.theta[kept[i][0]] = end.thetas[place]
     worth = [i for own in kept for i in own if values[i] <= values[own[0]] + rules.margin]
     return Guesses(cases[worth], settled.theta[worth], first)
 

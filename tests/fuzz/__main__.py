@@ -16,7 +16,7 @@ from forked import Forked
 from hypothesis import HealthCheck, given, settings
 from hypothesis import seed as seeded
 
-from bench.commands.declaration import Choice, Within
+from bench.commands.declaration import OneOf, Within
 from fuzz.lines import LINES, check_line
 from fuzz.records import OPTIONS, RECORDS, check_record
 from tests.studies.common import study
@@ -49,7 +49,7 @@ ROUNDS: dict[str, Callable[[int], None]] = {"records": records, "lines": lines}
 
 def fuzz(
     minutes: Annotated[float, Within(gt=0, le=10_000), "duration"] = 5.0,
-    what: Annotated[tuple[str, ...], Choice(tuple(ROUNDS)), "what is fuzzed"] = tuple(ROUNDS),
+    what: Annotated[tuple[str, ...], OneOf(tuple(ROUNDS)), "what is fuzzed"] = tuple(ROUNDS),
     seed: Annotated[int, Within(ge=0), "seed of the first round"] = 0,
 ) -> int:
     """Fuzz the reader of records and the command line.

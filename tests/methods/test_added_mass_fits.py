@@ -187,7 +187,7 @@ def test_parameters_that_run_off_together_are_held() -> None:
     """At 0 dB a record leaves m, c and k open as one: their ratios are told, so each alone seems to have a width."""
     pytest.importorskip("torch")
     scenario = expand(["method=prior", "system=sdof_added_mass", "snr=0"], multirun=False)[0].cell().scenario
-    given, truth = scenario.replicates(0, 6)[2]
+    given, truth = scenario.replicates(0, 12)[11]
     estimate = make_method("collocation", {}).identify(given, np.random.default_rng(0))
     assert "very wide prior" in estimate.message
     found = estimate.marginal(SDOF().quantity("m"))

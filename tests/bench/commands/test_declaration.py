@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import pytest
 
 from bench.commands.declaration import (
-    Choice,
+    OneOf,
     Others,
     Parsed,
     Within,
@@ -39,7 +39,7 @@ def measure(
     count: Annotated[int, Within(ge=0, le=100), "number of repeats"] = 20,
     level: Annotated[float, Within(gt=0, le=10), "a level"] = 0.5,
     mode: Annotated[Literal["fast", "slow"], "how"] = "fast",
-    method: Annotated[tuple[str, ...], Choice(("ls", "rls", "shooting")), "methods"] = ("ls",),
+    method: Annotated[tuple[str, ...], OneOf(("ls", "rls", "shooting")), "methods"] = ("ls",),
     dry: Annotated[bool, "no work"] = False,
     from_: Annotated[float | None, "start (s)"] = None,
     out: Annotated[Path, "folder to write"] = Path("here"),
