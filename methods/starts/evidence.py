@@ -111,7 +111,6 @@ def _log_evidence(profile: float, covariance: np.ndarray | None, enough: bool) -
 
 
 def most_probable(model: OutputError, starts: list[np.ndarray]) -> list[np.ndarray]:
-    """The end that stands first alone, of searches from these starts; the starts where that is the best fit anyway."""
+    """Of the ends of searches from these starts the one that stands first, alone; the starts where there is none."""
     ends = basins([model], [np.stack(starts)])[0] if starts else None
-    first = 0 if ends is None or not ends.evidence.size else ends.first(model)
-    return starts if ends is None or not first else [ends.thetas[first]]
+    return starts if ends is None or not ends.evidence.size else [ends.thetas[ends.first(model)]]
