@@ -96,6 +96,9 @@ class MCMC(SearchingIdentifier):
     curves: int = 100
     likelihood: Literal["normal", "student", "autoregressive"] = "normal"
 
+    version: ClassVar[int] = 3
+    """3: modes end elsewhere by 1e-4 of a standard deviation, and chains part from there."""
+
     card: ClassVar[Card] = Card(
         summary="Posterior sampling by emcee with the noise level unknown",
         start="used when known",
