@@ -96,11 +96,11 @@ def _with_fewer_samples(finding: Finding, job: Job) -> Finding:
 
 
 def _leaves_open(found: Finding) -> bool:
-    """Whether the method ended without an answer, or with a quantity that has no finite interval."""
+    """Whether the method ended without an answer, or with a quantity that has no finite interval above zero."""
     if found.outcome.status is Status.DIVERGED:
         return True
-    ends = [end for own in {**found.withdrawn, **found.intervals}.values() for end in (own.low, own.high)]
-    return found.outcome.status is Status.OK and not all(map(math.isfinite, ends))
+    stated = {**found.withdrawn, **found.intervals}.values()
+    return found.outcome.status is Status.OK and not all(own.low >= 0.0 and math.isfinite(own.high) for own in stated)
 
 
 @lru_cache(maxsize=4)

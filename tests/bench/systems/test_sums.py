@@ -265,13 +265,7 @@ def test_shooting_finds_a_sum(name: str) -> None:
     check_fit(name, "shooting")
 
 
-LOST = pytest.mark.xfail(
-    strict=True, reason="its screening leaves the good starts; it ends at mu = 0, status ok, no sd"
-)
-"""Shooting gets this one from the same candidates."""
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param(n, marks=LOST) if n == "pendulum in radians" else n for n in FITS])
+@pytest.mark.parametrize("name", FITS)
 def test_output_error_finds_a_sum(name: str) -> None:
     check_fit(name, "output_error")
