@@ -25,6 +25,8 @@ class SampledDecay(BandIdentifier):
 
     bootstrap: int = 100
 
+    version: ClassVar[int] = 2
+    """2: where noise turns the fast pole of an overdamped decay, two real poles are fitted."""
     serves: ClassVar[Serves] = SERVES
     works_in = "natural units"
 

@@ -59,6 +59,9 @@ class MatrixPencil(BandIdentifier):
     pencil: float = 1.0 / 3.0
     bootstrap: int = 200
 
+    version: ClassVar[int] = 2
+    """2: where noise turns the fast pole of an overdamped decay, two real poles are fitted."""
+
     card: ClassVar[Card] = Card(
         summary="two exponentials, a damped vibration or two decays, by the matrix pencil with total least squares",
         start="not used",
