@@ -7,12 +7,11 @@ best that are apart are kept.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from bench import Channel, NoEstimate, OutputError
-from methods.starts.candidates import candidates, screening
+from bench import NoEstimate, OutputError
+from methods.starts.candidates import candidates, head, screening
 from methods.starts.evidence import most_probable
 from methods.starts.reach import is_unresolved
 from methods.starts.separate import separate
@@ -23,15 +22,13 @@ SCREENING = 5
 """Output-error steps that each candidate is given before the best are taken."""
 MARGIN = 15.0
 """A start is kept if minus twice its log-posterior is within this of the best."""
-SCREENED = 300
-"""Samples of a channel that candidates are compared on, where the system is not linear."""
 ROUNDS = 4
 """Gauss-Newton steps for the initial states of a candidate."""
 
 
 def first_candidate(model: OutputError) -> dict[str, float]:
     """The first of the parameter sets that the data suggest, moved by no search."""
-    return candidates(_head(model), STARTS + 1)[0]
+    return candidates(head(model), STARTS + 1)[0]
 
 
 def screened_starts(model: OutputError) -> np.ndarray:
@@ -39,17 +36,17 @@ def screened_starts(model: OutputError) -> np.ndarray:
 
     Raises NoEstimate where no candidate gives a finite response.
     """
-    head = _head(model)
-    quick = screening(head)
-    thetas = quick.settle(_vectors(quick, candidates(head, STARTS + 1)), 1, SCREENING)
+    short = head(model)
+    quick = screening(short)
+    thetas = quick.settle(_vectors(quick, candidates(short, STARTS + 1)), 1, SCREENING)
     with np.errstate(all="ignore"):
         residuals = quick.data - quick.predict(thetas)
     values = np.array([quick.profile_of(theta, left) for theta, left in zip(thetas, residuals, strict=True)])
-    best = separate(head, values, thetas)[:STARTS]
+    best = separate(short, values, thetas)[:STARTS]
     if not best:
         raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
     kept = [thetas[i] for i in best if values[i] <= values[best[0]] + MARGIN]
-    return np.stack(most_probable(head, kept) if len(kept) > 1 and is_unresolved(head.problem) else kept)
+    return np.stack(most_probable(short, kept) if len(kept) > 1 and is_unresolved(short.problem) else kept)
 
 
 def _vectors(quick: OutputError, found: Sequence[dict[str, float]]) -> np.ndarray:
@@ -65,15 +62,3 @@ def _vectors(quick: OutputError, found: Sequence[dict[str, float]]) -> np.ndarra
             if np.all(np.isfinite(values)) and np.all(np.isfinite(columns)):
                 theta[k:] += np.linalg.lstsq(columns, quick.data - values, rcond=1e-12)[0]
     return thetas
-
-
-def _head(model: OutputError) -> OutputError:
-    """The first samples of long records of a system that is not linear: ``theta`` means the same for them."""
-    if model.system.linear or all(c.n <= SCREENED for _, c in model.channels):
-        return model
-
-    def short(c: Channel) -> Channel:
-        return replace(c, times=c.times[:SCREENED], values=c.values[:SCREENED])
-
-    records = tuple(replace(r, channels=tuple(short(c) for c in r.channels)) for r in model.problem.records)
-    return OutputError(replace(model.problem, records=records))

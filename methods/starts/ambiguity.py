@@ -33,7 +33,7 @@ from bench import (
 )
 from methods.starts.candidates import screening
 from methods.starts.evidence import Basins, basins
-from methods.starts.reach import UP, expected_rate, is_unresolved, resolved_cycles
+from methods.starts.reach import UP, expected_rate, first_stiffness, is_unresolved, resolved_cycles
 from methods.starts.scan import scan
 from methods.starts.separate import APART
 from methods.starts.time_scales import best_speeds, sped_up
@@ -68,7 +68,9 @@ class SearchingIdentifier(Identifier):
                 continue
             if problem.prior is None:
                 answers[i] = with_band(problem, estimate)
-            elif is_unresolved(problem) and not (_are_even(problem) and not _aliases(problem, _own_rate(estimate))):
+            elif is_unresolved(problem) and not (
+                _are_even(problem) and not _aliases(problem, _log_rate(estimate.system, _values(estimate)))
+            ):
                 ambiguous.append(i)
         completed = with_alternatives([problems[i] for i in ambiguous], [answers[i] for i in ambiguous])
         for i, answer in zip(ambiguous, completed, strict=True):
@@ -88,6 +90,13 @@ class BandIdentifier(Identifier):
 def _is_one_oscillator(problem: Problem, estimate: Estimate) -> bool:
     """Decide whether an answer is of one degree of freedom without hidden states, which has one frequency."""
     return estimate.status is Status.OK and problem.system.n_dof == 1 and not problem.system.n_hidden
+
+
+def _may_be_ambiguous(problem: Problem, estimate: Estimate) -> bool:
+    """Decide whether another basin is plausible: an alias of even samples, any of uneven ones in the prior's reach."""
+    if not is_unresolved(problem):
+        return False
+    return not _are_even(problem) or bool(_aliases(problem, _log_rate(estimate.system, _values(estimate))))
 
 
 def with_band(problem: Problem, estimate: Estimate) -> Estimate:
@@ -121,12 +130,15 @@ def with_alternatives(problems: Sequence[Problem], estimates: Sequence[Estimate]
 def _with_basins(
     problem: Problem, estimate: Estimate, model: OutputError, values: Mapping[str, float], found: Basins
 ) -> Estimate:
+    """One of them, from its ``model`` in natural units, its ``values`` there and the basins that were found."""
     units = problem.natural_units()
     scales = units.scales(problem.system)
-    rates = np.array([_log_rate(model, {n: float(v) for n, v in model.parameters(t).items()}) for t in found.thetas])
+    rates = np.array(
+        [_log_rate(model.system, {n: float(v) for n, v in model.parameters(t).items()}) for t in found.thetas]
+    )
     answers, weights = [_answer(model, found, i) for i in range(rates.size)], found.weights
-    unit = np.log(scales[_stiffness(problem.system)] / scales[problem.system.gauge])
-    own, answer = _basin_of(answers, rates, _log_rate(model, values)), estimate
+    unit = np.log(scales[first_stiffness(problem.system)] / scales[problem.system.gauge])
+    own, answer = _basin_of(answers, rates, _log_rate(model.system, values)), estimate
     if isinstance(estimate.parameters, Draws):
         own, answer = _largest_part(estimate, rates + unit)
     others = [i for i in np.argsort(-weights) if i != own and weights[i] > LEAST_WEIGHT]
@@ -142,7 +154,9 @@ def _with_basins(
 def _starts(model: OutputError, values: Mapping[str, float]) -> list[dict[str, float]]:
     """The answer, its aliases, and the minima of the scan."""
     scanned = scan(model.problem, MOST_BASINS) if model.system.linear else best_speeds(screening(model), MOST_BASINS)
-    aliases = [sped_up(model.system, values, factor) for factor in _aliases(model.problem, _log_rate(model, values))]
+    aliases = [
+        sped_up(model.system, values, factor) for factor in _aliases(model.problem, _log_rate(model.system, values))
+    ]
     return [dict(values), *aliases, *scanned]
 
 
@@ -158,7 +172,7 @@ def _basin_of(answers: Sequence[Estimate], rates: np.ndarray, rate: float) -> in
     nearest = int(np.argmin(np.abs(rates - rate)))
     system, belief = answers[nearest].system, answers[nearest].parameters
     assert isinstance(belief, Normal)
-    direction = np.array([(name == _stiffness(system)) - float(name == system.gauge) for name in belief.names])
+    direction = np.array([(name == first_stiffness(system)) - float(name == system.gauge) for name in belief.names])
     sd = 0.0 if belief.covariance is None else np.sqrt(max(direction @ belief.covariance @ direction, 0.0))
     return nearest if abs(rates[nearest] - rate) <= max(SAME_RATE, SAME_SDS * sd) else None
 
@@ -196,24 +210,14 @@ def _are_even(problem: Problem) -> bool:
     return all(np.ptp(step) < EVEN * np.mean(step) for step in steps)
 
 
-def _stiffness(system: System) -> str:
-    return next((p.name for p in system.parameters if p.kind == "stiffness"), system.gauge)
-
-
-def _log_rate(model: OutputError, values: Mapping[str, float]) -> float:
+def _log_rate(system: System, values: Mapping[str, float]) -> float:
     """The logarithm of the first stiffness over the gauge mass."""
-    return float(np.log(values[_stiffness(model.system)] / values[model.system.gauge]))
-
-
-def _own_rate(estimate: Estimate) -> float:
-    """The same of an answer."""
-    values = _values(estimate)
-    return float(np.log(values[_stiffness(estimate.system)] / values[estimate.system.gauge]))
+    return float(np.log(values[first_stiffness(system)] / values[system.gauge]))
 
 
 def _log_rates(system: System, draws: Draws) -> np.ndarray:
     """The same of every draw, (n_draws,)."""
-    stiffness, mass = (draws.samples[:, draws.names.index(name)] for name in (_stiffness(system), system.gauge))
+    stiffness, mass = (draws.samples[:, draws.names.index(name)] for name in (first_stiffness(system), system.gauge))
     return np.asarray(np.log(stiffness / mass))
 
 
@@ -234,7 +238,7 @@ def _values(estimate: Estimate) -> dict[str, float]:
 
 def _frequency(problem: Problem, values: Mapping[str, float]) -> float | None:
     """The natural frequency (Hz) at parameters; None where it is none."""
-    square = values[_stiffness(problem.system)] / values[problem.system.gauge]
+    square = values[first_stiffness(problem.system)] / values[problem.system.gauge]
     return float(np.sqrt(square) / (2 * np.pi)) if np.isfinite(square) and square > 0 else None
 
 

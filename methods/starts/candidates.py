@@ -10,11 +10,11 @@ Everything here expects a problem in its natural units (:meth:`bench.Problem.nat
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench import OutputError, Problem, Record, Start, System
+from bench import Channel, OutputError, Problem, Record, Start, System
 from methods.starts.equation_error import regression_starts
 from methods.starts.long_records import is_long, starts_of_long
 from methods.starts.reach import is_unresolved
@@ -31,6 +31,10 @@ STIFFER = (1.0, 0.6, 1.6)
 """Stiffnesses of the starts of a system with hidden states, over what is stated of it."""
 MOST_SCANNED = 2
 """Degrees of freedom up to which a scan is made beside a regression, which sees each stiffness by itself."""
+
+LONGEST = 300
+"""Samples of each channel on which initial guesses of a nonlinear system are compared; a longer record is solved
+alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +71,21 @@ def as_fine_as_noise(model: OutputError, theta: np.ndarray) -> OutputError:
             break
         quick = finer
     return quick
+
+
+def head(model: OutputError) -> OutputError:
+    """Return the first samples of long records of a nonlinear system: ``theta`` means the same for them.
+
+    Its step-by-step simulations would outlast the fit; linear responses are quick at any length.
+    """
+    if model.system.linear or all(c.n <= LONGEST for _, c in model.channels):
+        return model
+
+    def short(c: Channel) -> Channel:
+        return replace(c, times=c.times[:LONGEST], values=c.values[:LONGEST])
+
+    records = tuple(replace(r, channels=tuple(short(c) for c in r.channels)) for r in model.problem.records)
+    return OutputError(replace(model.problem, records=records))
 
 
 def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 8) -> list[tuple[float, np.ndarray]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench import LOG_LIMIT, Problem, Record
+from bench import LOG_LIMIT, Problem, Record, System
 
 UP = 3.0
 """Standard deviations of the prior up to which a motion is expected."""
@@ -29,6 +29,11 @@ def _median(values: np.ndarray) -> float:
     return float(0.5 * (ordered[(values.size - 1) // 2] + ordered[values.size // 2]))
 
 
+def first_stiffness(system: System) -> str:
+    """Name the first stiffness; the gauge mass where there is none."""
+    return next((p.name for p in system.parameters if p.kind == "stiffness"), system.gauge)
+
+
 def expected_rate(problem: Problem) -> tuple[float, float] | None:
     """Logarithm of the rate (rad per unit of time) that the prior expects, and its standard deviation.
 
@@ -37,7 +42,7 @@ def expected_rate(problem: Problem) -> tuple[float, float] | None:
     if problem.prior is None:
         return None
     system, prior = problem.system, problem.prior
-    stiffness = next((p.name for p in system.parameters if p.kind == "stiffness"), system.gauge)
+    stiffness = first_stiffness(system)
     centre = 0.5 * np.log(prior.nominal[stiffness] / prior.nominal[system.gauge])
     return float(centre), float(0.5 * np.hypot(prior.log_sd[stiffness], prior.log_sd[system.gauge]))
 

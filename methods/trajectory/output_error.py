@@ -44,11 +44,11 @@ from bench import (
 )
 from methods.regression.equation import too_fast
 from methods.starts.ambiguity import SearchingIdentifier
-from methods.starts.candidates import candidates, screening
+from methods.starts.candidates import candidates, head, screening
 from methods.starts.equation_error import regression_starts
 from methods.starts.scan import records_by_load, unloaded
 from methods.trajectory.fit import HELD, Maximum, Rules, best_maxima, held
-from methods.trajectory.screening import Guesses, Screening, head, screen, screened_alone
+from methods.trajectory.screening import Guesses, Screening, screen, screened_alone
 
 COLD_DAMPING = 1.0
 """First damping of the search from one start: far from the data a Gauss-Newton step goes anywhere."""

@@ -7,19 +7,16 @@ could still win.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from bench import Channel, OutputError
-from methods.starts.candidates import candidates, screened
+from bench import OutputError
+from methods.starts.candidates import candidates, head, screened
 from methods.starts.evidence import basins, most_probable
 from methods.starts.reach import is_unresolved
 from methods.starts.separate import separate
 
-LONGEST = 300
-"""Samples of each channel on which initial guesses of a nonlinear system are compared; a longer record is solved
-alone."""
 NONLINEAR_STEPS = 5
 """Gauss-Newton steps of the initial states and offsets that fit the data of a nonlinear system best."""
 
@@ -83,18 +80,3 @@ def screened_alone(model: OutputError, rules: Screening) -> list[np.ndarray]:
     guesses = screened(head(model), rules.starts, rounds=1, iterations=rules.iterations)
     starts = [theta for value, theta in guesses if value <= guesses[0][0] + rules.margin]
     return most_probable(head(model), starts) if len(starts) > 1 and is_unresolved(model.problem) else starts
-
-
-def head(model: OutputError) -> OutputError:
-    """Return the first samples of long records of a nonlinear system: ``theta`` means the same for them.
-
-    Its step-by-step simulations would outlast the fit; linear responses are quick at any length.
-    """
-    if model.system.linear or all(c.n <= LONGEST for _, c in model.channels):
-        return model
-
-    def short(c: Channel) -> Channel:
-        return replace(c, times=c.times[:LONGEST], values=c.values[:LONGEST])
-
-    records = tuple(replace(r, channels=tuple(short(c) for c in r.channels)) for r in model.problem.records)
-    return OutputError(replace(model.problem, records=records))

@@ -50,7 +50,7 @@ from bench import (
     batches,
 )
 from methods.starts.ambiguity import SearchingIdentifier
-from methods.starts.candidates import candidates, screening
+from methods.starts.candidates import LONGEST, candidates, head, screening
 from methods.starts.open_parameters import very_wide
 from methods.trajectory.continuation import solve_by_continuation
 from methods.trajectory.fineness import Fineness
@@ -65,7 +65,7 @@ from methods.trajectory.programme import (
     misfit_scale,
     reduced,
 )
-from methods.trajectory.screening import LONGEST, Guesses, Screening, head, screen, screened_alone
+from methods.trajectory.screening import Guesses, Screening, screen, screened_alone
 from methods.trajectory.stepped import SteppedOutputError
 from methods.trajectory.student import Likelihood, with_student_errors
 
