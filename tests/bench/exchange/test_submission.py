@@ -97,7 +97,7 @@ def embellished(stored: StoredCell) -> StoredCell:
 
 
 def other_code(stored: StoredCell) -> StoredCell:
-    return replace(stored, version={**stored.version, "method": 2})
+    return replace(stored, version={**stored.version, "method": 99})
 
 
 def a_reference(stored: StoredCell) -> StoredCell:
@@ -244,7 +244,7 @@ def test_rows_made_better_are_found_and_nothing_is_added(
 @pytest.mark.parametrize(
     ("change", "facts", "words"),
     [
-        (other_code, {}, "method version 2, today 1; install"),
+        (other_code, {}, "method version 99, today 1; install"),
         (fewer_rows, {}, "lacks some of its 12 rows"),
         (a_reference, {}, "is of oracle, the submission of ls"),
         (another_question, {}, "means nothing here: cell="),
@@ -304,7 +304,7 @@ def test_of_two_answers_the_present_codes_is_kept_and_then_the_one_with_more_fit
     for store, stored in ((stale, other_code(first)), (short, replace(first, rows=failed))):
         store.prepare()
         store.save(stored)
-    for source, version, n_ok in ((stale, 2, N), (short, 1, 0), (computed, 1, N), (stale, 1, N)):
+    for source, version, n_ok in ((stale, 99, N), (short, 1, 0), (computed, 1, N), (stale, 1, N)):
         assert merge(source.folder)[0] == 0
         found = into.load(first.identity)
         assert found is not None
