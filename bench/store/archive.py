@@ -253,4 +253,5 @@ def _json(line: Mapping[str, Any], column: str) -> dict[str, Any]:
 
 
 def _version(line: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: line[f"{name}_version"] for name in version.NUMBERS}
+    numbers = {name: line[f"{name}_version"] for name in version.NUMBERS}
+    return {**numbers, **json.loads(line.get("supplied_versions") or "{}")}

@@ -42,7 +42,8 @@ def write_archive(
     cells = [cell for group in ordered.values() for cell in group]
     files = {rows_file(name): _rows_bytes(group) for name, group in ordered.items()}
     lines = [_line(name, cell) for name, group in ordered.items() for cell in group]
-    files[CELLS] = _parquet({column: [line[column] for line in lines] for column in (lines[0] if lines else ())})
+    names = dict.fromkeys(name for line in lines for name in line)
+    files[CELLS] = _parquet({name: [line.get(name) for line in lines] for name in names})
     files[SUMMARIES] = _summaries_bytes(cells)
     files[ARRAYS] = _arrays_bytes(cells)
     files[BOUNDS] = _parquet({"identity": sorted(bounds), "text": [bounds[name] for name in sorted(bounds)]})
@@ -77,6 +78,9 @@ def _line(experiment: str, cell: StoredCell) -> dict[str, Any]:
         "statuses": Counter(status.value for status in cell.columns.statuses),
         **{name: to_json(getattr(cell, name)) for name in ("prior_share", "identifiable", "provenance")},
     }
+    supplied = {name: number for name, number in cell.version.items() if name not in NUMBERS}
+    if supplied:
+        texts["supplied_versions"] = supplied
     return {
         "identity": cell.identity,
         "experiment": experiment,

@@ -77,12 +77,13 @@ def random_arrays(seed: int) -> dict[str, np.ndarray]:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
-    """Twelve cells, some with arrays and one with tracebacks, and a bound."""
+    """Twelve cells, some with arrays, one with tracebacks, one of a class of another package, and a bound."""
     store = Store(tmp_path / "rows")
     store.prepare()
     for seed in range(12):
         arrays, tracebacks = random_arrays(seed) if seed % 2 else {}, "Traceback\n  größer\n" if seed == 5 else ""
-        store.save(random_cell(seed, arrays=arrays, tracebacks=tracebacks))
+        version = {**VERSION, "optimizer lion_pinn:Lion": 3} if seed == 7 else VERSION
+        store.save(random_cell(seed, arrays=arrays, tracebacks=tracebacks, version=dict(version)))
     store.bounds.mkdir()
     (store.bounds / "0123.bound").write_bytes(sealed(BOUND_FORMAT, '{"rmse": 0.1234567890123456}'))
     (store.bounds / "0124.bound").write_text('{"rmse": 0.1234567890123456}')  # without a checksum
