@@ -9,7 +9,7 @@ import numpy as np
 from bench import SIGMA_FLOOR, NoEstimate, OutputError, batches, whitened
 from methods.starts.candidates import candidates, screened
 from methods.starts.separate import separate
-from methods.trajectory.student import NormalErrors, StudentErrors, searched, student_fit
+from methods.trajectory.student import NormalErrors, StudentErrors, searched, student_fits
 
 MODES, ROUNDS, ITERATIONS = 3, 3, 12
 """Modes that are kept, rounds of fit and noise in turn, and steps of a fit."""
@@ -35,8 +35,8 @@ def modes_of(models: Sequence[OutputError]) -> list[Modes]:
 
 def student_modes(model: OutputError, modes: Modes) -> Modes:
     """The modes with Student t errors near those with normal ones, best first; apart, as those are."""
-    fits = [student_fit(model, model.jacobian, theta) for _, theta in modes]
-    values, thetas = np.array([fit.value for fit in fits]), np.stack([fit.theta for fit in fits])
+    fits = student_fits(model, np.stack([theta for _, theta in modes]))
+    values, thetas = fits.profile, fits.point.theta
     return [(float(values[i]), thetas[i]) for i in separate(model, values, thetas)]
 
 
@@ -50,7 +50,7 @@ def sharpened(model: OutputError, modes: Modes, errors: NormalErrors | StudentEr
         residuals = model.data - model.predict(theta)
         sigma = np.maximum(errors.scales(model, residuals, float(theta.size)), least * model.rms)
         if np.any(sigma < SIGMA_FLOOR * model.rms):
-            theta = searched(model, model.jacobian, theta, sigma, errors)
+            theta = searched(model, theta, sigma, errors)
         found.append((value, theta))
     return found
 

@@ -18,9 +18,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bench import LOG_LIMIT, SIGMA_FLOOR, Linearisation, OutputError, Problem, SimulatedData, System
-from methods.trajectory.fineness import Fineness
-from methods.trajectory.fit import Fits, Maximum, Rules, fit
+from bench import LOG_LIMIT, SIGMA_FLOOR, Linearisation, SimulatedData, System
+from methods.trajectory.fit import Fits, Maximum, fit
+from methods.trajectory.screening import Rules
 from methods.trajectory.stepped import SteppedOutputError
 
 SMOOTHINGS = (30.0, 10.0, 3.0, 1.0, 1.0)
@@ -37,12 +37,7 @@ RUN_DOWN = "the likelihood is largest without {}, whose interval is that of the 
 class Without(SteppedOutputError):
     """A likelihood whose unknowns of numbers ``fixed`` are not searched."""
 
-    fixed: np.ndarray = field(kw_only=True)
-
-    @staticmethod
-    def alone(problem: Problem, gauge: float, fineness: Fineness, fixed: np.ndarray) -> Without:
-        """The batch of one problem."""
-        return Without.batch([Without(problem, gauge, fineness=fineness, fixed=fixed)])
+    fixed: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
 
     def point(self, theta: np.ndarray) -> SimulatedData:
         """The predictions, as if they did not depend on the fixed unknowns."""
@@ -51,8 +46,39 @@ class Without(SteppedOutputError):
         return point
 
 
+@dataclass(frozen=True, eq=False)
+class _Ends:
+    """Where searches with some unknowns fixed ended; their residuals and derivatives, over the noise."""
+
+    fits: Fits
+    at: Linearisation
+
+    @staticmethod
+    def of(model: SteppedOutputError, thetas: np.ndarray, rules: Rules, fixed: np.ndarray) -> _Ends:
+        """Search from vectors (cases, size)."""
+        steps = (model.integration_error, model.noise_share)
+        batch = Without.batch([Without(model.problem, model.gauge, *steps, fixed)])
+        cases = np.zeros(len(thetas), int)
+        fits = fit(batch, cases, thetas, rules)
+        chosen = batch[cases]
+        return _Ends(fits, chosen.standardised(fits.point, np.maximum(fits.sigma, SIGMA_FLOOR * chosen.rms)))
+
+    @property
+    def effects(self) -> np.ndarray:
+        """Lengths of the derivatives of all predictions, in standard errors of the noise, (cases, size)."""
+        return np.asarray(np.linalg.norm(self.at.slopes, axis=1))
+
+    def is_maximum(self) -> bool:
+        """Decide whether the search of the first vector settled, or a Gauss-Newton step would gain next to nothing."""
+        residuals, slopes = self.at.residuals[0], self.at.slopes[0]
+        if self.fits.converged[0] or not (np.all(np.isfinite(slopes)) and np.all(np.isfinite(residuals))):
+            return bool(self.fits.converged[0])
+        gain = slopes @ np.linalg.lstsq(slopes, residuals, rcond=1e-12)[0]
+        return float(np.sum(gain**2)) < MOST_LEFT
+
+
 def solve_by_continuation(
-    model: OutputError, starts: Sequence[np.ndarray], rules: Rules, fineness: Fineness, ends: Sequence[np.ndarray] = ()
+    model: SteppedOutputError, starts: Sequence[np.ndarray], rules: Rules, ends: Sequence[np.ndarray] = ()
 ) -> Maximum | None:
     """Search from all starting points, the friction smoothed less and less; None where the best is no maximum.
 
@@ -60,86 +86,58 @@ def solve_by_continuation(
         model: a problem of a nonlinear system in natural units.
         starts: vectors of its unknowns, at least one.
         rules: the settings of the searches.
-        fineness: how exactly the motion is integrated.
         ends: where another search with the system's own smoothing ended.
     """
     first, k, iterations = np.stack(starts), len(model.free), 0
-    thetas, systems = first, _smoothed(model.system)
+    thetas, systems, nothing = first, _smoothed(model.system), np.zeros(0, int)
     for system in systems:
         if system is systems[-1] and len(ends):
             first = np.concatenate([first, np.broadcast_to(first[0], np.shape(ends))])
             thetas = np.concatenate([thetas, np.where(np.abs(ends) < LOG_LIMIT, ends, first[0])])
-        batch = Without.alone(replace(model.problem, system=system), model.gauge, fineness, np.zeros(0, int))
-        fits = fit(batch, np.zeros(len(first), int), thetas, rules)
-        thetas, iterations = fits.point.theta.copy(), iterations + int(fits.iterations.sum())
-        gone = _effects(batch, fits)[:, :k] < NOTHING
-        thetas[:, :k] = np.where(gone, first[:, :k], thetas[:, :k])
-    end = _without_run_down(model, fineness, fits.point.theta[np.argmin(fits.profile)], rules)
-    if not _is_maximum(end.batch, end.fits):
+        smoothed = replace(model, problem=replace(model.problem, system=system))
+        reached = _Ends.of(smoothed, thetas, rules, nothing)
+        thetas, iterations = reached.fits.point.theta.copy(), iterations + int(reached.fits.iterations.sum())
+        thetas[:, :k] = np.where(reached.effects[:, :k] < NOTHING, first[:, :k], thetas[:, :k])
+    best = reached.fits.point.theta[np.argmin(reached.fits.profile)].copy()
+    last, fixed, slopes = _without_run_down(model, best, rules)
+    if not last.is_maximum():
         return None
-    fixed, objectives = end.batch.fixed, 0.5 * np.append(fits.profile, end.fits.profile)
+    fits, objectives = last.fits, 0.5 * np.append(reached.fits.profile, last.fits.profile)
     return Maximum(
         model=model,
-        theta=end.fits.point.theta[0],
-        residuals=model.data - end.fits.point.predicted[0],
-        slopes=end.slopes,
-        sigma=end.fits.sigma[0],
-        covariance=model.covariance(end.slopes, end.fits.sigma[0]),
-        used=float(end.fits.used[0]),
-        iterations=iterations + int(end.fits.iterations[0]),
+        theta=fits.point.theta[0],
+        residuals=model.data - fits.point.predicted[0],
+        slopes=slopes,
+        sigma=fits.sigma[0],
+        covariance=model.covariance(slopes, fits.sigma[0]),
+        used=float(fits.used[0]),
+        iterations=iterations + int(fits.iterations[0]),
         message=RUN_DOWN.format(", ".join(model.free[i] for i in fixed)) if fixed.size else "",
         objectives=tuple(map(float, objectives)),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _End:
-    """Where the search of one vector ended, and the derivatives (N, size) by the fixed unknowns too."""
+def _without_run_down(
+    model: SteppedOutputError, theta: np.ndarray, rules: Rules
+) -> tuple[_Ends, np.ndarray, np.ndarray]:
+    """Search from one vector; what runs down is fixed and the others searched again, until nothing more does.
 
-    batch: Without
-    fits: Fits
-    slopes: np.ndarray
-
-
-def _without_run_down(model: OutputError, fineness: Fineness, theta: np.ndarray, rules: Rules) -> _End:
-    """Search from one vector; what runs down is fixed and the others searched again, until nothing more does."""
-    theta, k = theta.copy(), len(model.free)
-    slopes, fixed = np.zeros((model.data.size, model.size)), np.zeros(0, int)
+    Returns the end, the fixed unknowns, and the derivatives (N, size) by these too.
+    """
+    k, slopes, fixed = len(model.free), np.zeros((model.data.size, model.size)), np.zeros(0, int)
     while True:
-        batch = Without.alone(model.problem, model.gauge, fineness, fixed)
-        fits = fit(batch, np.zeros(1, int), theta[None], rules)
+        end = _Ends.of(model, theta[None], rules, fixed)
         searched = np.setdiff1d(np.arange(model.size), fixed)
-        theta, slopes[:, searched] = fits.point.theta[0].copy(), fits.point.slopes[0][:, searched]
-        effects = _effects(batch, fits)[0]
+        theta, slopes[:, searched] = end.fits.point.theta[0].copy(), end.fits.point.slopes[0][:, searched]
+        effects = end.effects[0]
         gone = searched[(searched < k) & (effects[searched] < NOTHING)]
         if not gone.size:
-            return _End(batch, fits, slopes)
+            return end, fixed, slopes
         # to where it can just not be seen: smaller numbers say no more, and round badly
         growth = np.log(NOTHING / np.maximum(effects[gone], 1e-100))
         theta[gone] += growth
         slopes[:, gone] *= np.exp(growth)
         fixed = np.union1d(fixed, gone)
-
-
-def _effects(batch: OutputError, fits: Fits) -> np.ndarray:
-    """Lengths of the derivatives of all predictions, in standard errors of the noise, (cases, size)."""
-    return np.asarray(np.linalg.norm(_standardised(batch, fits).slopes, axis=1))
-
-
-def _is_maximum(batch: OutputError, fits: Fits) -> bool:
-    """Decide whether the search of a single vector settled, or a Gauss-Newton step would gain next to nothing."""
-    here = _standardised(batch, fits)
-    residuals, slopes = here.residuals[0], here.slopes[0]
-    if fits.converged[0] or not (np.all(np.isfinite(slopes)) and np.all(np.isfinite(residuals))):
-        return bool(fits.converged[0])
-    gain = slopes @ np.linalg.lstsq(slopes, residuals, rcond=1e-12)[0]
-    return float(np.sum(gain**2)) < MOST_LEFT
-
-
-def _standardised(batch: OutputError, fits: Fits) -> Linearisation:
-    """Standardised residuals and their derivatives, of cases of the only problem of a batch."""
-    chosen = batch[np.zeros(len(fits.sigma), int)]
-    return chosen.standardised(fits.point, np.maximum(fits.sigma, SIGMA_FLOOR * chosen.rms))
 
 
 def _smoothed(system: System) -> list[System]:

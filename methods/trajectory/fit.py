@@ -12,15 +12,14 @@ at positive ones, as where the noise hides the damping: then a very wide prior a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench import FIRST_DAMPING, SIGMA_FLOOR, Cost, Estimate, OutputError, SimulatedData, degrees_used, estimate_at
+from bench import SIGMA_FLOOR, Cost, Estimate, OutputError, SimulatedData, degrees_used, estimate_at
 from methods.starts.open_parameters import left_open, very_wide
-from methods.trajectory.ends import ends
-from methods.trajectory.screening import Guesses, Screening
+from methods.trajectory.screening import Guesses, Rules
 
 LEFT = 1e-6
 """What a search may still gain where it counts as ended at a maximum, in minus twice the log-posterior."""
@@ -30,28 +29,14 @@ HELD = "the likelihood has no maximum at positive parameters: held by a prior of
 OPEN = "the data leave a parameter open here, so there is no uncertainty"
 
 
-@dataclass(frozen=True)
-class Rules:
-    """How guesses are chosen and when fit and noise have settled: the settings of the methods by the same names.
-
-    A fit takes at most ``iterations`` trial steps, the first of them with ``damping``.
-    """
-
-    screening: Screening
-    sigma_rounds: int
-    sigma_tolerance: float
-    iterations: int
-    damping: float = FIRST_DAMPING
-
-
 @dataclass(frozen=True, eq=False)
 class Maximum:
-    """A vector of unknowns with the derivatives (N, size) of the predictions and the noise of each channel there.
+    """A vector of unknowns, and there the residuals (N,), the derivatives (N, size) of the predictions and the noise.
 
     ``covariance``: inverse of the Gauss-Newton Hessian, None where the data leave a direction open. ``used``: degrees
-    of freedom that the data spent. ``objectives``: minus the log posterior where the search from each
-    guess ended. ``converged``: whether the search ended at a maximum, of a linear system that from every guess.
-    ``done``: whether it ended before its last trial step.
+    of freedom that the data spent. ``objectives``: minus the log posterior where the search from each guess ended.
+    ``converged``: whether the search ended at a maximum, of a linear system that from every guess. ``done``: whether
+    it ended before its last trial step.
     """
 
     model: OutputError
@@ -70,12 +55,18 @@ class Maximum:
     def estimate(self) -> Estimate:
         """Return the answer; without uncertainty, and said so, where the data leave a parameter open."""
         cost = Cost(self.iterations, self.iterations)
-        message = "; ".join(part for part in (self.message, OPEN if self.covariance is None else "") if part)
+        message = "; ".join(filter(None, [self.message, OPEN if self.covariance is None else ""]))
         estimate = estimate_at(self.model, self.theta, self.covariance, self.used, cost, message)
-        sigma = np.maximum(self.sigma, SIGMA_FLOOR * self.model.rms)
-        return replace(
-            estimate, traces=ends(self.model, self.theta, self.residuals, self.slopes, sigma, self.objectives)
-        )
+        traces = {"start_objectives": np.sort(self.objectives), "certificate": np.array([self.certificate()])}
+        return replace(estimate, traces=traces)
+
+    def certificate(self) -> float:
+        """Compute ``‖Jᵀ r‖ / (‖J‖ ‖r‖)`` of the standardised residuals, zero at a minimum; J in the Frobenius norm."""
+        point = SimulatedData(self.theta[None], (self.model.data - self.residuals)[None], self.slopes[None])
+        end = self.model.standardised(point, np.maximum(self.sigma, SIGMA_FLOOR * self.model.rms)[None])
+        slopes, residuals = end.slopes[0], end.residuals[0]
+        lengths = float(np.linalg.norm(slopes) * np.linalg.norm(residuals))
+        return float(np.linalg.norm(slopes.T @ residuals)) / max(lengths, 1e-300)
 
 
 def best_maxima(
@@ -84,7 +75,7 @@ def best_maxima(
     """Fit a batch from its guesses; return the best end of each problem, None where no guess has a finite response."""
     if not guesses.cases.size:
         return [None] * len(models)
-    fits = fit(batch, guesses.cases, guesses.thetas, rules)
+    fits = fit(batch, guesses.cases, guesses.thetas, rules, guesses.sigma)
     places = [np.flatnonzero((guesses.cases == i) & np.isfinite(fits.profile)) for i in range(len(models))]
     solved = [i for i, own in enumerate(places) if own.size]
     best = np.array([places[i][np.argmin(fits.profile[places[i]])] for i in solved], int)
@@ -111,7 +102,10 @@ def best_maxima(
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """Where each case ended: noise as the residuals have it, without a floor, and minus twice the log-posterior."""
+    """Where each case ended: noise as the residuals have it, without a floor, and minus twice the log-posterior.
+
+    ``settled``: noise and fit no longer change each other.
+    """
 
     point: SimulatedData
     sigma: np.ndarray
@@ -120,19 +114,27 @@ class Fits:
     iterations: np.ndarray
     converged: np.ndarray
     done: np.ndarray
+    settled: np.ndarray
 
 
-def fit(batch: OutputError, cases: np.ndarray, thetas: np.ndarray, rules: Rules) -> Fits:
-    """Fit and noise in turn, from one vector a case, until the noise settles; each case goes on by itself."""
+def fit(
+    batch: OutputError, cases: np.ndarray, thetas: np.ndarray, rules: Rules, first_sigma: np.ndarray | None = None
+) -> Fits:
+    """Fit and noise in turn, from one vector a case, until the noise settles; each case goes on by itself.
+
+    ``first_sigma`` (cases, channels): the noise to begin with; None: that of the residuals.
+    """
     left = LEFT if batch.system.linear or batch.system.smooth else LEFT_AT_KINKS
     current, n, samples = batch.for_screening(cases, thetas), cases.size, batch.channel_of.size
     point = current[cases].point(thetas)
     used, iterations = np.full(n, float(batch.size)), np.zeros(n, int)
     residuals = batch.data[cases] - point.predicted
     converged = np.all(np.isfinite(residuals), axis=1)
-    done, going = converged.copy(), np.flatnonzero(converged)
+    done, settled, going = converged.copy(), np.zeros(n, bool), np.flatnonzero(converged)
     sigma, searched_at = np.ones((n, batch.counts.size)), np.ones((n, batch.counts.size))
-    sigma[going] = batch[cases[going]].noise(residuals[going], used[going])
+    sigma[going] = (
+        batch[cases[going]].noise(residuals[going], used[going]) if first_sigma is None else first_sigma[going]
+    )
     for _ in range(rules.sigma_rounds if going.size else 0):
         chosen = cases[going]
         batch = batch.refined(chosen, point.theta[going], batch[chosen].noise(residuals[going], used[going], 0.0))
@@ -152,38 +154,45 @@ def fit(batch: OutputError, cases: np.ndarray, thetas: np.ndarray, rules: Rules)
         moved = np.max(np.abs(np.log(sigma[going] / before)), axis=1) >= rules.sigma_tolerance
         # where the answer moves faster than its guess did, or fits better, the steps were too long
         coarse = batch.coarse(chosen, reached.theta, model.noise(residuals[going], used[going], 0.0))
+        settled[going] = finite & end.done & ~(moved | coarse)
         going = going[finite & end.done & (moved | coarse)]
         if not going.size:
             break
-    if batch.system.linear:
-        ended = np.flatnonzero(converged)
+    ended = np.flatnonzero(converged & batch.system.linear)
+    if ended.size:
         reached, _ = batch[cases[ended]].search(point[ended], searched_at[ended], 0, polished=True)
         point.put(ended, reached)
         residuals[ended] = batch.data[cases[ended]] - reached.predicted
     model = batch[cases]
     free, profile = model.noise(residuals, used, 0.0), model.profile_of(point.theta, residuals)
-    return Fits(point, free, used, profile, iterations, converged, done)
+    return Fits(point, free, used, profile, iterations, converged, done, settled)
 
 
-def held(maximum: Maximum, first: np.ndarray) -> tuple[OutputError, np.ndarray] | None:
-    """Return the problem with a very wide prior, and the vector to search it from; None where no parameter is open.
+def with_open_held(
+    maximum: Maximum, first: np.ndarray, join: Callable[[Sequence[OutputError]], OutputError], rules: Rules
+) -> Maximum | None:
+    """Fit again with a very wide prior where the maximum leaves a parameter open; return it as it is where none.
 
-    So it is where the data leave a parameter more open than that prior would. The prior is about the data's ``first``
-    guess in the open parameters, and about the maximum in the others: there it says next to nothing.
+    The prior is about the data's ``first`` guess in the open parameters, and about the maximum in the others: there it
+    says next to nothing. ``join`` makes a batch of a problem. None where the second search has no finite end.
     """
     model, k = maximum.model, len(maximum.model.free)
-    if model.prior is not None or not model.problem.scale_told:
-        return None
-    which = leaves_open(model, maximum.covariance)
+    which = leaves_open(maximum)
     if not np.any(which):
-        return None
+        return maximum
     theta = maximum.theta.copy()
     theta[:k] = np.where(which, first[:k], theta[:k])
     prior = very_wide({name: float(value) for name, value in model.parameters(theta).items()})
-    return OutputError(replace(model.problem, prior=prior)), theta
+    wide = OutputError(replace(model.problem, prior=prior))
+    again = best_maxima([wide], join([wide]), Guesses.of_one([theta]), rules)[0]
+    if again is None:
+        return None
+    return replace(again, iterations=maximum.iterations + again.iterations, message=HELD)
 
 
-def leaves_open(model: OutputError, covariance: np.ndarray | None) -> np.ndarray:
-    """Return which log-parameters the data leave more open than the very wide prior would; all without covariance."""
-    k = len(model.free)
-    return np.ones(k, bool) if covariance is None else left_open(np.diag(covariance)[:k])
+def leaves_open(maximum: Maximum) -> np.ndarray:
+    """Return which log-parameters the data leave more open than the very wide prior would, where none need be."""
+    model, k = maximum.model, len(maximum.model.free)
+    if model.prior is not None or not model.problem.scale_told:
+        return np.zeros(k, bool)
+    return np.ones(k, bool) if maximum.covariance is None else left_open(np.diag(maximum.covariance)[:k])

@@ -44,11 +44,11 @@ from bench import (
 )
 from methods.regression.equation import too_fast
 from methods.starts.ambiguity import SearchingIdentifier
-from methods.starts.candidates import candidates, head, screening
+from methods.starts.candidates import screening
 from methods.starts.equation_error import regression_starts
 from methods.starts.scan import records_by_load, unloaded
-from methods.trajectory.fit import HELD, Maximum, Rules, best_maxima, held
-from methods.trajectory.screening import Guesses, Screening, screen, screened_alone
+from methods.trajectory.fit import Maximum, best_maxima, with_open_held
+from methods.trajectory.screening import Guesses, Rules, screen, screen_alone
 
 COLD_DAMPING = 1.0
 """First damping of the search from one start: far from the data a Gauss-Newton step goes anywhere."""
@@ -107,9 +107,15 @@ class SingleShooting(SearchingIdentifier):
 
     @property
     def _rules(self) -> Rules:
-        screening = Screening(self.starts, self.screen_iterations, self.margin)
-        damping = COLD_DAMPING if self.cold else FIRST_DAMPING
-        return Rules(screening, self.sigma_rounds, self.sigma_tolerance, self.max_evaluations, damping)
+        return Rules(
+            self.starts,
+            self.screen_iterations,
+            self.margin,
+            self.sigma_rounds,
+            self.sigma_tolerance,
+            self.max_evaluations,
+            COLD_DAMPING if self.cold else FIRST_DAMPING,
+        )
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate all parameters, or the groups where nothing tells the scale. Uses no randomness."""
@@ -119,87 +125,78 @@ class SingleShooting(SearchingIdentifier):
         """Estimate linear systems of one layout together, all others one by one."""
         models = [OutputError(problem) for problem in problems]
         if self.cold:
-            return self._from_cold(models)
-        maxima: list[tuple[Maximum | None, np.ndarray]] = [(None, np.zeros(0))] * len(models)
+            starts = self._cold_starts(problems)
+            ends = self._from([(model, _vector(model, p)) for model, (p, _) in zip(models, starts, strict=True)])
+            spent = [iterations for _, iterations in starts]
+            maxima = [end and replace(end, iterations=end.iterations + n) for end, n in zip(ends, spent, strict=True)]
+            return [_answer(model, end, BAD_START) for model, end in zip(models, maxima, strict=True)]
+        answers = dict[int, Estimate]()
         for places in batches(models, [not model.system.linear for model in models]):
-            batch = [models[i] for i in places]
-            ends = self._screened(batch) if batch[0].system.linear else [self._screened_alone(batch[0])]
-            for i, end in zip(places, ends, strict=True):
-                maxima[i] = end
-        return [_answer(model, self._closed(*end), NO_START) for model, end in zip(models, maxima, strict=True)]
+            group = [models[i] for i in places]
+            for i, end in zip(places, self._screened(group), strict=True):
+                answers[i] = _answer(models[i], end, NO_START)
+        return [answers[i] for i in range(len(models))]
 
-    def _screened(self, models: Sequence[OutputError]) -> list[tuple[Maximum | None, np.ndarray]]:
-        """The best end of each problem's screened guesses, and its first guess, of linear systems of one layout."""
-        batch = OutputError.batch(models)
-        guesses = screen(models, batch, self._rules.screening)
-        return list(zip(best_maxima(models, batch, guesses, self._rules), guesses.first, strict=True))
+    def _screened(self, models: Sequence[OutputError]) -> list[Maximum | None]:
+        """The best end of each problem's screened guesses, of linear systems of one layout or of one problem.
 
-    def _screened_alone(self, model: OutputError) -> tuple[Maximum | None, np.ndarray]:
-        """The same of a nonlinear system, whose motion is roughly integrated in comparing guesses."""
-        thetas = screened_alone(model, self._rules.screening)
-        nominal = candidates(head(model), self.starts + 1)[0]
-        first = np.log([nominal[name] for name in model.free])
-        quick = screening(model)
-        rough = self._fitted([quick], [thetas])[0] if thetas else None
-        if rough is None or quick is model:
-            return rough, first
-        fine = self._fitted([model], [[rough.theta]])[0]
-        return None if fine is None else replace(fine, iterations=rough.iterations + fine.iterations), first
+        A nonlinear system is first fitted with its motion roughly integrated.
+        """
+        if models[0].system.linear:
+            batch = OutputError.batch(models)
+            guesses = screen(models, batch, self._rules)
+            ends = best_maxima(models, batch, guesses, self._rules)
+        else:
+            guesses, quick = screen_alone(models[0], self._rules), screening(models[0])
+            ends = best_maxima([quick], _joined([quick]), guesses, self._rules)
+            if ends[0] is not None and quick is not models[0]:
+                fine = self._from([(models[0], ends[0].theta)])[0]
+                ends = [fine and replace(fine, iterations=ends[0].iterations + fine.iterations)]
+        return [
+            end and (with_open_held(end, first, _joined, self._rules) or end)
+            for end, first in zip(ends, guesses.first, strict=True)
+        ]
 
-    def _closed(self, maximum: Maximum | None, first: np.ndarray) -> Maximum | None:
-        """The maximum, held by a very wide prior where it leaves a parameter open."""
-        if maximum is None or (wide := held(maximum, first)) is None:
-            return maximum
-        again = self._fitted([wide[0]], [[wide[1]]])[0]
-        if again is None:
-            return maximum
-        return replace(again, iterations=maximum.iterations + again.iterations, message=HELD)
-
-    def _fitted(self, models: Sequence[OutputError], thetas: Sequence[Sequence[np.ndarray]]) -> list[Maximum | None]:
-        """The best end of the searches of each problem from its vectors."""
-        maxima: list[Maximum | None] = [None] * len(models)
+    def _from(self, starts: Sequence[tuple[OutputError, np.ndarray]]) -> list[Maximum | None]:
+        """Where the search of each problem from its vector ends."""
+        maxima: list[Maximum | None] = [None] * len(starts)
+        models = [model for model, _ in starts]
         for places in batches(models, [not model.system.linear for model in models]):
-            batch = [models[i] for i in places]
-            if not batch[0].system.linear:
-                batch = [_Reachable(model.problem, model.gauge, model=model) for model in batch]
-            cases = np.repeat(np.arange(len(places)), [len(thetas[i]) for i in places])
-            vectors = np.stack([theta for i in places for theta in thetas[i]])
-            guesses = Guesses(cases, vectors, vectors)
-            ends = best_maxima([models[i] for i in places], type(batch[0]).batch(batch), guesses, self._rules)
-            for i, end in zip(places, ends, strict=True):
+            group, thetas = [models[i] for i in places], np.stack([starts[i][1] for i in places])
+            guesses = Guesses(np.arange(len(places)), thetas, thetas)
+            for i, end in zip(places, best_maxima(group, _joined(group), guesses, self._rules), strict=True):
                 maxima[i] = end
         return maxima
-
-    def _from_cold(self, models: Sequence[OutputError]) -> list[Estimate]:
-        """Where the search from each problem's one start ends."""
-        starts = self._cold_starts([model.problem for model in models])
-        ends = self._fitted(models, [[_vector(model, p)] for model, (p, _) in zip(models, starts, strict=True)])
-        return [
-            _answer(model, None if end is None else replace(end, iterations=end.iterations + before), BAD_START)
-            for model, end, (_, before) in zip(models, ends, starts, strict=True)
-        ]
 
     def _cold_starts(self, problems: Sequence[Problem]) -> list[tuple[dict[str, float], int]]:
         """The cold start of each problem, and the iterations that it took: none but where two loads give the mass."""
         starts = [(cold_start(problem), 0) for problem in problems]
-        loads = {i: records_by_load(p) for i, p in enumerate(problems) if p.prior is None}
-        pairs = [(i, load, own[load]) for i, own in loads.items() if len(own) > 1 for load in (min(own), max(own))]
-        models = [OutputError(part) for _, _, part in pairs]
-        ends = self._fitted(models, [[_vector(model, cold_start(model.problem))] for model in models])
-        for i in {i for i, _, _ in pairs}:
-            parts = [(pair[1], end) for pair, end in zip(pairs, ends, strict=True) if pair[0] == i]
+        for i, problem in enumerate(problems):
+            by_load = records_by_load(problem) if problem.prior is None else {}
+            if len(by_load) < 2:
+                continue
+            loads = (min(by_load), max(by_load))
+            models = [OutputError(by_load[load]) for load in loads]
+            ends = self._from([(model, _vector(model, cold_start(model.problem))) for model in models])
             alone = {
                 load: {name: float(value) for name, value in end.model.parameters(end.theta).items()}
-                for load, end in parts
+                for load, end in zip(loads, ends, strict=True)
                 if end is not None
             }
-            together = unloaded(problems[i], alone) if len(alone) == len(parts) else None
-            starts[i] = (together or starts[i][0], sum(end.iterations for _, end in parts if end is not None))
+            together = unloaded(problem, alone) if len(alone) == 2 else None
+            starts[i] = (together or starts[i][0], sum(end.iterations for end in ends if end is not None))
         return starts
 
 
+def _joined(models: Sequence[OutputError]) -> OutputError:
+    """The batch of problems of one layout; a nonlinear system's is one within reach."""
+    if models[0].system.linear:
+        return OutputError.batch(models)
+    return ReachableOutputError.batch([ReachableOutputError(m.problem, m.gauge, model=m) for m in models])
+
+
 @dataclass(frozen=True, eq=False)
-class _Reachable(OutputError):
+class ReachableOutputError(OutputError):
     """A ``model`` of a nonlinear system, not finite where the motion is too fast for the samples.
 
     Its integration there would outlast every fit; the search takes a shorter step.
@@ -233,8 +230,8 @@ def cold_start(problem: Problem) -> dict[str, float]:
     """The one start of a cold fit, in the units of the (scaled) problem; see the module's docstring."""
     if problem.prior is not None:
         return dict(problem.prior.nominal)
-    found = regression_starts(problem) if problem.forced else []
-    good = [p for p in found if all(np.isfinite(value) and value > 0 for value in p.values())]
+    regression = regression_starts(problem) if problem.forced else []
+    good = [p for p in regression if all(np.isfinite(value) and value > 0 for value in p.values())]
     if not good:
         return dict.fromkeys(problem.system.names, 1.0)
     quick = screening(OutputError(problem))
@@ -254,9 +251,6 @@ def _answer(model: OutputError, maximum: Maximum | None, failure: str) -> Estima
     if maximum is None:
         return Estimate.failed(model.system, Status.DIVERGED, failure)
     left = float(np.sum((maximum.residuals / model.rms[model.channel_of]) ** 2)) / model.data.size
-    said = [maximum.message]
-    if left > POOR:
-        said.append(f"the response leaves {left:.0%} of the data's mean square: a wrong minimum, or mostly noise")
-    if not maximum.done:
-        said.append(STOPPED)
-    return replace(maximum, message="; ".join(part for part in said if part)).estimate()
+    poor = f"the response leaves {left:.0%} of the data's mean square: a wrong minimum, or mostly noise"
+    sentences = [maximum.message, poor if left > POOR else "", "" if maximum.done else STOPPED]
+    return replace(maximum, message="; ".join(filter(None, sentences))).estimate()

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench import OutputError
-from methods.starts.candidates import candidates, head, screened
-from methods.starts.evidence import basins, most_probable
+from bench import FIRST_DAMPING, OutputError
+from methods.starts.candidates import candidates, head, screening
+from methods.starts.evidence import basins
 from methods.starts.reach import is_unresolved
 from methods.starts.separate import separate
 
@@ -22,61 +22,74 @@ NONLINEAR_STEPS = 5
 
 
 @dataclass(frozen=True)
-class Screening:
-    """At most so many ``starts`` after ``iterations`` steps, within ``margin`` of the best's profile."""
+class Rules:
+    """How guesses are chosen and when fit and noise have settled: the settings of the methods by the same names.
+
+    At most ``starts`` guesses are kept after ``screen_iterations`` steps, within ``margin`` of the best in minus twice
+    the log-posterior. Fit and noise alternate at most ``sigma_rounds`` times, until the noise changes by less than
+    ``sigma_tolerance``; a fit takes at most ``iterations`` trial steps, the first of them with ``damping``.
+    """
 
     starts: int
-    iterations: int
+    screen_iterations: int
     margin: float
+    sigma_rounds: int
+    sigma_tolerance: float
+    iterations: int
+    damping: float = FIRST_DAMPING
 
 
 @dataclass(frozen=True, eq=False)
 class Guesses:
-    """Initial guesses that are worth a fit: problem numbers and vectors, and each problem's first one before any step.
+    """Initial guesses that are worth a fit, best first: problem numbers (n,) and vectors (n, size).
 
-    ``cases`` (n,), ``thetas`` (n, size), ``first`` (problems, size).
+    ``first`` (problems, size): the first guess of each problem before any step. ``sigma`` (n, channels): the noise to
+    begin with, where it is not that of the residuals.
     """
 
     cases: np.ndarray
     thetas: np.ndarray
     first: np.ndarray
+    sigma: np.ndarray | None = None
+
+    @staticmethod
+    def of_one(thetas: Sequence[np.ndarray]) -> Guesses:
+        """Collect guesses for a single problem."""
+        return Guesses(np.zeros(len(thetas), int), np.stack(thetas), thetas[0][None])
 
 
-def screen(models: Sequence[OutputError], batch: OutputError, rules: Screening) -> Guesses:
+def screen(models: Sequence[OutputError], batch: OutputError, rules: Rules) -> Guesses:
     """Choose the guesses for each of the models of a batch."""
     sets = [candidates(model, rules.starts + 1) for model in models]
     cases = np.repeat(np.arange(len(sets)), [len(guesses) for guesses in sets])
-    heads = np.concatenate([[0], np.cumsum([len(guesses) for guesses in sets])[:-1]])
     thetas = np.zeros((cases.size, batch.size))
     thetas[:, : len(batch.free)] = np.log([[p[name] for name in batch.free] for guesses in sets for p in guesses])
     batch = batch.for_screening(cases, thetas)
     thetas = batch[cases].with_initial_states(thetas, 1 if batch.system.linear else NONLINEAR_STEPS)
-    first = thetas[heads]
+    first = thetas[np.searchsorted(cases, np.arange(len(sets)))]
     point = batch[cases].point(thetas)
     finite = np.flatnonzero(np.all(np.isfinite(point.predicted), axis=1))
     cases, point = cases[finite], point[finite]
     chosen = batch[cases]
     sigma = chosen.noise(chosen.data - point.predicted, 0.0)
-    settled, _ = chosen.search(point, sigma, rules.iterations)
+    settled, _ = chosen.search(point, sigma, rules.screen_iterations)
     values = chosen.profile_of(settled.theta, chosen.data - settled.predicted)
     kept = list[list[int]]()
     for number, model in enumerate(models):
         places = np.flatnonzero(cases == number)
-        best = places[separate(model, values[places], settled.theta[places])[: rules.starts]]
-        kept.append(list(best))
+        kept.append(list(places[separate(model, values[places], settled.theta[places])[: rules.starts]]))
     # beyond half the sampling rate the best fit may be a narrow basin, and the most probable one another
-    ambiguous = [i for i, own in enumerate(kept) if len(own) > 1 and is_unresolved(models[i].problem)]
+    ambiguous = [i for i, places in enumerate(kept) if len(places) > 1 and is_unresolved(models[i].problem)]
     ends = basins([models[i] for i in ambiguous], [settled.theta[kept[i]] for i in ambiguous])
     for i, end in zip(ambiguous, ends, strict=True):
         if end.evidence.size and (place := end.first(models[i])):  # else the best fit stands first anyway
             kept[i] = kept[i][:1]
             settled.theta[kept[i][0]] = end.thetas[place]
-    worth = [i for own in kept for i in own if values[i] <= values[own[0]] + rules.margin]
+    worth = [i for places in kept for i in places if values[i] <= values[places[0]] + rules.margin]
     return Guesses(cases[worth], settled.theta[worth], first)
 
 
-def screened_alone(model: OutputError, rules: Screening) -> list[np.ndarray]:
-    """Choose the guesses for one problem of any system, best first; none where no response is finite."""
-    guesses = screened(head(model), rules.starts, rounds=1, iterations=rules.iterations)
-    starts = [theta for value, theta in guesses if value <= guesses[0][0] + rules.margin]
-    return most_probable(head(model), starts) if len(starts) > 1 and is_unresolved(model.problem) else starts
+def screen_alone(model: OutputError, rules: Rules) -> Guesses:
+    """Choose the guesses for one problem of any system: on the first samples of a long record, roughly integrated."""
+    short = head(model)
+    return screen([short], OutputError.batch([screening(short)]), rules)

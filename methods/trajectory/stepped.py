@@ -1,39 +1,65 @@
 """The likelihood of problems of any system, by Runge-Kutta steps with their derivatives, evaluated by CasADi.
 
-The steps are those of multiple shooting: cuts at every sample and every knot of a force, and between them as many steps
-as frequency and noise call for. So the maximum is that of its programme.
+Records are cut at every sample and every knot of a force; between two cuts stand as many steps as frequency and noise
+call for: the error over a record is kept below what is allowed (:func:`methods.starts.rough.radians_a_step`).
 
 One step maps the state and its derivatives by the log-parameters (and by the initial state) to those at its end: the
 classical step of order four, differentiated symbolically. A set of parameters is carried along all steps in one call
 and by itself: the other sets of a batch change nothing. Where a system bends suddenly, as a modulus does, the
-derivative is that of the side on which the state is, as in the programme.
-
-CasADi's evaluation needs no compiler, and takes as long for a set of parameters alone as in a batch: 0.2 ms for a
-Duffing oscillator over 160 steps, in processor time on one core. For a hundred sets numpy takes 0.15 ms each by central
-differences, but 15 ms for one set; jax 0.07 ms each, but it compiles for a second for each number of sets and of steps,
-and both change from one iteration of a search to the next.
+derivative is that of the side on which the state is. CasADi needs no compiler, and takes as long for a set of
+parameters alone as in a batch.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 
-from bench import OutputError, Steps, System, acceleration, rk4_step
-from methods.trajectory.fineness import Fineness, roughly
-from methods.trajectory.programme import Plan, casadi_ops, state_size
+from bench import Ops, OutputError, Record, Steps, System, fastest_rates, ops_from
+from methods.starts.rough import radians_a_step
+
+SUBSTEPS = np.array([1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128])
+"""Numbers of steps between two cuts: few, so that few functions are built."""
+ROUGH_RADIANS = 0.4
+"""Steps where guesses are compared, in radians of the fastest rate: they err by a part in 5000 of the phase."""
+ROUGHLY = 64
+"""At most so many steps there: a motion that is faster than that is no guess anyway."""
+DIFFERENCE = 1e-6
+"""Step of the differences by which rates are found, in natural units."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cuts:
+    """Where a record is cut, the times ``grid``, and the cut of each sample, channel by channel."""
+
+    grid: np.ndarray
+    samples: tuple[np.ndarray, ...]
+
+    @staticmethod
+    def of(record: Record) -> Cuts:
+        """Cut at every sample and every knot of a force."""
+        knots = [f.times[f.times < record.duration] for f in record.forces]
+        grid = np.unique(np.concatenate([[0.0], *[c.times for c in record.channels], *knots]))
+        # cuts that differ by rounding alone are one
+        grid = grid[np.concatenate([[True], np.diff(grid) > 1e-11 * max(record.duration, 1e-300)])]
+        return Cuts(grid, tuple(np.abs(grid - c.times[:, None]).argmin(axis=1) for c in record.channels))
 
 
 @dataclass(frozen=True, eq=False)
 class SteppedOutputError(OutputError):
-    """The likelihood of a problem whose motion is integrated by ``substeps`` steps in each interval; 1 at first."""
+    """The likelihood of a problem whose motion is integrated by ``substeps`` steps between two cuts; 1 at first.
 
-    fineness: Fineness = field(kw_only=True)
+    The integration may err by ``integration_error`` of the motion, or by ``noise_share`` of the standard error that
+    the data allow, whichever is larger.
+    """
+
+    integration_error: float = 1e-8
+    noise_share: float = 0.05
 
     per_problem: ClassVar[tuple[str, ...]] = (*OutputError.per_problem, "substeps")
 
@@ -42,12 +68,13 @@ class SteppedOutputError(OutputError):
         return np.ones((), int)
 
     @cached_property
-    def _plans(self) -> tuple[Plan, ...]:
-        return tuple(Plan(self.system, record) for record in self.problem.records)
+    def cuts(self) -> tuple[Cuts, ...]:
+        return tuple(Cuts.of(record) for record in self.problem.records)
 
-    @property
-    def _longest(self) -> float:
-        return max(plan.longest for plan in self._plans)
+    def steps(self, number: int, count: int) -> Steps:
+        """Make ``count`` steps between the cuts of record ``number``."""
+        grid, record = self.cuts[number].grid, self.problem.records[number]
+        return Steps.over(grid, np.full(grid.size - 1, count), record.forces, self.system.n_dof)
 
     def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predictions (cases, N) and the derivatives (cases, N, size) of the steps, at ``theta`` (cases, size)."""
@@ -65,36 +92,50 @@ class SteppedOutputError(OutputError):
         return shown[..., 0], shown[..., 1:]
 
     def _shown(self, number: int, count: int, p: np.ndarray, start: np.ndarray) -> np.ndarray:
-        """Readings and derivatives of some cases by ``count`` steps an interval, shape (cases, N, 1 + q)."""
-        plan, record, n = self._plans[number], self.problem.records[number], self.system.n_dof
+        """Readings and derivatives of some cases by ``count`` steps between cuts, shape (cases, N, 1 + q)."""
+        record, n = self.problem.records[number], self.system.n_dof
         rig = record.rig(self.system)
-        steps = Steps.over(plan.grid, np.full(plan.steps.size, count), record.forces, n)
-        path = stepped_motion(rig, p, start, steps, record.initial_state is None)
+        path = stepped_motion(rig, p, start, self.steps(number, count), record.initial_state is None)
         parts = []
-        for channel, at, force in zip(record.channels, plan.at, plan.sensor_forces, strict=True):
-            states = path[:, at]
+        for channel, places in zip(record.channels, self.cuts[number].samples, strict=True):
+            states = path[:, places]
             if channel.measures == "acceleration":
-                parts.append(stepped_accelerations(rig, p, states, force.T, channel.dof))
+                parts.append(stepped_accelerations(rig, p, states, forces_at(record, channel.times, n), channel.dof))
             else:
                 parts.append(states[..., channel.dof + (n if channel.measures == "velocity" else 0)])
         return np.concatenate(parts, axis=1)
 
     def for_screening(self, cases: np.ndarray, theta: np.ndarray) -> Self:
         """The same with as many steps as it takes to compare initial guesses ``theta``."""
-        counts = roughly(self, self._longest, theta, self[cases].states(theta))
-        return self._with(cases, counts, np.ones_like(self.substeps))
+        counts = np.minimum(self._longest * self._fastest(cases, theta) / ROUGH_RADIANS, ROUGHLY)
+        return self._with(cases, _up(counts), np.ones_like(self.substeps))
 
     def refined(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> Self:
         """The same with as many steps as answers near ``theta`` need, for all cases of a problem alike."""
-        return self._with(cases, self._wanted(cases, theta, sigma), self.substeps)
+        return self._with(cases, self.needed(cases, theta, sigma), self.substeps)
 
     def coarse(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Whether an answer at ``theta`` needs more steps, shape (cases,)."""
-        return np.asarray(self._wanted(cases, theta, sigma) > self.substeps[cases])
+        return np.asarray(self.needed(cases, theta, sigma) > self.substeps[cases])
 
-    def _wanted(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-        chosen = self[cases]
-        return self.fineness.substeps(self, self._longest, theta, chosen.states(theta), sigma, chosen.rms)
+    def needed(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+        """Steps between two cuts for answers at ``theta`` (cases, size) and noise ``sigma`` (cases, channels)."""
+        relative = np.min(sigma / self[cases].rms, axis=1) / np.sqrt(self.channel_of.size)
+        allowed = np.maximum(self.integration_error, self.noise_share * relative)
+        rates, duration = self._fastest(cases, theta), max(record.duration for record in self.problem.records)
+        radians = [radians_a_step(a, w * duration) for a, w in zip(allowed, rates, strict=True)]
+        return _up(self._longest * np.maximum(rates, 1e-9) / np.array(radians))
+
+    @cached_property
+    def _longest(self) -> float:
+        """The longest interval between two cuts."""
+        return max(float(np.max(np.diff(cuts.grid), initial=0.0)) for cuts in self.cuts)
+
+    def _fastest(self, cases: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """The fastest rate of the system at rest and at the starts of all records, each case by itself; (cases,)."""
+        p = self.parameters(theta)
+        rates = [fastest_rates(self.system, p, state.T, DIFFERENCE) for state in self[cases].states(theta)]
+        return np.asarray(np.fmax.reduce(np.concatenate(rates), axis=0, initial=0.0))
 
     def _with(self, cases: np.ndarray, counts: np.ndarray, least: np.ndarray) -> Self:
         wanted = least.copy()
@@ -106,51 +147,82 @@ class SteppedOutputError(OutputError):
         return finer
 
 
-@lru_cache(maxsize=64)
-def _step(system: System, by_start: int) -> Any:
-    """One step: (state and derivatives, parameters, length, forces at start, middle and end) -> the same at its end."""
+def _up(wanted: np.ndarray) -> np.ndarray:
+    """The least of the numbers of steps that are at least those wanted."""
+    return np.asarray(SUBSTEPS[np.searchsorted(SUBSTEPS, np.minimum(wanted, SUBSTEPS[-1]))])
+
+
+def forces_at(record: Record, times: np.ndarray, n_dof: int) -> np.ndarray:
+    """The known force on each DOF, shape (n_times, n_dof)."""
+    return np.array(record.force(times, n_dof)).reshape(n_dof, -1).T
+
+
+def casadi_ops() -> Ops:
+    """The functions that a residual may call, for CasADi's symbols."""
     import casadi as ca
 
-    n, names, size = system.n_dof, system.names, state_size(system)
-    s, p, h, f = ca.SX.sym("s", size), ca.SX.sym("p", len(names)), ca.SX.sym("h"), ca.SX.sym("f", n, 3)
-    start, middle, end = ([f[i, j] for i in range(n)] for j in range(3))
-    given = dict(zip(names, ca.vertsplit(p), strict=True))
-    after = ca.vertcat(*rk4_step(system, given, ca.vertsplit(s), h, (start, middle, end), casadi_ops()))
-    return _with_slopes(system, by_start, (s, p, [h, f]), after)
+    def solve(matrix: Any, right: Any) -> list[Any]:
+        rows = ca.vertcat(*[ca.horzcat(*row) for row in matrix])
+        return cast("list[Any]", ca.vertsplit(ca.solve(rows, ca.vertcat(*right))))
+
+    return ops_from(ca, solve, abs=ca.fabs, where=ca.if_else)
 
 
 @lru_cache(maxsize=64)
-def _acceleration(system: System, dof: int, by_start: int) -> Any:
-    """What an accelerometer shows and its derivatives: (state and derivatives, parameters, forces) -> (1, 1 + q)."""
+def rates(system: System) -> Any:
+    """Rate of the state: (state, log-parameters, force on each DOF) -> velocities, accelerations, hidden rates.
+
+    The mass matrix is the derivative of the residual by the accelerations: as a symbolic expression it is then as
+    sparse as it is in truth, and the programme of ten masses eighteen times shorter than by unit accelerations.
+    """
     import casadi as ca
 
-    n, names, size = system.n_dof, system.names, state_size(system)
-    s, p, f = ca.SX.sym("s", size), ca.SX.sym("p", len(names)), ca.SX.sym("f", n)
-    x, v, z = (ca.vertsplit(s)[i:j] for i, j in ((0, n), (n, 2 * n), (2 * n, size)))
-    given = dict(zip(names, ca.vertsplit(p), strict=True))
-    a = acceleration(system, given, x, v, ca.vertsplit(f), z, casadi_ops())[dof]
-    return _with_slopes(system, by_start, (s, p, [f]), a)
+    n, ops = system.n_dof, casadi_ops()
+    state, logs, forces = ca.SX.sym("s", 2 * n + system.n_hidden), ca.SX.sym("p", len(system.names)), ca.SX.sym("f", n)
+    p = {name: ca.exp(logs[i]) for i, name in enumerate(system.names)}
+    entries, a = ca.vertsplit(state), ca.SX.sym("a", n)
+    x, v, z, f = entries[:n], entries[n : 2 * n], entries[2 * n :], ca.vertsplit(forces)
+    residual = ca.vertcat(*system.residual(p, x, v, ca.vertsplit(a), f, z, ops))
+    accelerations = ca.solve(ca.jacobian(residual, a), -ca.substitute(residual, a, ca.DM.zeros(n)))
+    hidden = system.hidden_rates(p, x, v, f, z, ops)
+    return ca.Function("rates", [state, logs, forces], [ca.vertcat(*v, accelerations, *hidden)])
 
 
-def _with_slopes(system: System, by_start: int, inputs: tuple[Any, Any, list[Any]], value: Any) -> Any:
-    """The function of state *and* derivatives that follows from a function of the state, by directional derivatives."""
+@lru_cache(maxsize=64)
+def step(system: System) -> Any:
+    """One step: (state, log-parameters, length, forces (n_dof, 3) at its start, middle and end) -> state."""
     import casadi as ca
 
-    (s, p, others), k = inputs, len(system.names)
-    slopes = ca.SX.sym("slopes", state_size(system), k + by_start)
-    directions = ca.vertcat(slopes, ca.horzcat(ca.diag(p), ca.SX(k, by_start)))
-    both = ca.horzcat(value, ca.jtimes(value, ca.vertcat(s, p), directions))
-    return ca.Function("carried", [ca.horzcat(s, slopes), p, *others], [ca.densify(both)], {"cse": True})
+    rate = rates(system)
+    state, logs, h = ca.SX.sym("s", rate.size1_in(0)), ca.SX.sym("p", len(system.names)), ca.SX.sym("h")
+    forces = ca.SX.sym("f", system.n_dof, 3)
+    k1 = rate(state, logs, forces[:, 0])
+    k2 = rate(state + 0.5 * h * k1, logs, forces[:, 1])
+    k3 = rate(state + 0.5 * h * k2, logs, forces[:, 1])
+    k4 = rate(state + h * k3, logs, forces[:, 2])
+    return ca.Function("step", [state, logs, h, forces], [state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)])
+
+
+def _with_slopes(function: Any, by_start: int) -> Any:
+    """The function of state *and* derivatives that follows from a function of state, log-parameters and others."""
+    import casadi as ca
+
+    s, logs, *others = (ca.SX.sym("in", function.sparsity_in(i)) for i in range(function.n_in()))
+    k, value = logs.numel(), function(s, logs, *others)
+    slopes = ca.SX.sym("slopes", s.numel(), k + by_start)
+    directions = ca.vertcat(slopes, ca.horzcat(ca.SX.eye(k), ca.SX(k, by_start)))
+    both = ca.horzcat(value, ca.jtimes(value, ca.vertcat(s, logs), directions))
+    return ca.Function("carried", [ca.horzcat(s, slopes), logs, *others], [ca.densify(both)], {"cse": True})
 
 
 @lru_cache(maxsize=64)
-def _steps(system: System, by_start: int, number: int) -> Any:
-    return _step(system, by_start).mapaccum(number)
+def _steps_with_slopes(system: System, by_start: int, number: int) -> Any:
+    return _with_slopes(step(system), by_start).mapaccum(number)
 
 
 @lru_cache(maxsize=64)
-def _accelerations(system: System, dof: int, by_start: int, number: int) -> Any:
-    return _acceleration(system, dof, by_start).map(number)
+def _rates_with_slopes(system: System, by_start: int, number: int) -> Any:
+    return _with_slopes(rates(system), by_start).map(number)
 
 
 def stepped_motion(system: System, p: np.ndarray, start: np.ndarray, steps: Steps, by_start: bool) -> np.ndarray:
@@ -168,16 +240,16 @@ def stepped_motion(system: System, p: np.ndarray, start: np.ndarray, steps: Step
         not finite where the motion diverges.
     """
     sets, moving = start.shape
-    k, own, number = p.shape[1], moving if by_start else 0, steps.lengths.size
-    first = np.zeros((sets, 1 + k + own, state_size(system)))
+    k, columns, number = p.shape[1], moving if by_start else 0, steps.lengths.size
+    first = np.zeros((sets, 1 + k + columns, moving + system.n_hidden))
     first[:, 0, :moving] = start
-    first[:, 1 + k :, :moving] = np.eye(own, moving)
+    first[:, 1 + k :, :moving] = np.eye(columns, moving)
     path = np.empty((sets, steps.reached.size, *first.shape[1:]))
     path[:, 0] = first
     if number:
-        values = np.repeat(p[:, None], number, axis=1)
-        given = [first, values, steps.lengths, steps.forces]
-        for place, after in zip(path, _evaluated(_steps(system, own, number), given, (2, 3)), strict=True):
+        given = [first, np.repeat(np.log(p)[:, None], number, axis=1), steps.lengths, steps.forces]
+        ends = _evaluated(_steps_with_slopes(system, columns, number), given, (2, 3))
+        for place, after in zip(path, ends, strict=True):
             place[1:] = after.reshape(number, *first.shape[1:])[steps.reached[1:] - 1]
     return path
 
@@ -189,17 +261,17 @@ def stepped_accelerations(
 
     ``forces`` (n, n_dof) act then; ``p`` as in :func:`stepped_motion`.
     """
-    sets, number, columns, _ = states.shape
-    shown = np.empty((sets, number, columns))
+    number, columns = states.shape[1:3]
+    shown = np.empty(states.shape[:3])
     if number:
-        function = _accelerations(system, dof, columns - 1 - p.shape[1], number)
-        given = [states, np.repeat(p[:, None], number, axis=1), forces]
-        for place, found in zip(shown, _evaluated(function, given, (2,)), strict=True):
-            place[:] = found.reshape(number, columns)
+        function = _rates_with_slopes(system, columns - 1 - p.shape[1], number)
+        given = [states, np.repeat(np.log(p)[:, None], number, axis=1), forces]
+        for place, values in zip(shown, _evaluated(function, given, (2,)), strict=True):
+            place[:] = values.reshape(states.shape[1:])[..., system.n_dof + dof]
     return shown
 
 
-def _evaluated(function: Any, inputs: list[np.ndarray], shared: tuple[int, ...]) -> Iterator[np.ndarray]:
+def _evaluated(function: Any, inputs: Sequence[np.ndarray], shared: tuple[int, ...]) -> Iterator[np.ndarray]:
     """What a function gives for one set after the other, in one array; ``shared`` inputs are the same for all."""
     buffer, evaluate = function.buffer()
     result = np.empty(function.nnz_out(0))

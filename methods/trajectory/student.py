@@ -11,28 +11,34 @@ Fit and scale alternate as fit and noise do for normal errors.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from bench import (
-    LOG_LIMIT,
+    FIRST_DAMPING,
     SIGMA_FLOOR,
     Cost,
     Linearisation,
+    Minimum,
     NoEstimate,
     OutputError,
-    StepLimits,
-    degrees_used,
-    minimise,
+    SimulatedData,
 )
-from methods.trajectory.fit import Maximum
+from methods.trajectory.fit import Fits, Maximum, fit
+from methods.trajectory.screening import Rules
 
 Likelihood = Literal["normal", "student"]
 SCALE_ROUNDS, SCALE_TOLERANCE = 200, 1e-8
-"""Of the fixed point that the scale is."""
+"""Iterations of the fixed point that the scale is, and the relative change at which they end."""
+RULES = Rules(starts=1, screen_iterations=0, margin=0.0, sigma_rounds=12, sigma_tolerance=1e-4, iterations=60)
+"""Fit and scale in turn, from a maximum with normal errors."""
+UNSETTLED = (
+    "the search with Student t errors did not settle: the noise is too far from any such law, or the samples few"
+)
+FEW = "fewer than twice as many samples as unknowns: fitted with normal errors, since no outlier can be told from noise"
 
 
 @dataclass(frozen=True)
@@ -46,12 +52,8 @@ class NormalErrors:
         """Of errors (n, N) over their scales, shape (n,), without the scales' own term, up to a constant."""
         return np.asarray(-0.5 * np.einsum("ni,ni->n", z, z))
 
-    def weights(self, z: np.ndarray) -> np.ndarray:
-        """All samples count the same."""
-        return np.ones_like(z)
-
-    def scales(self, model: OutputError, residuals: np.ndarray, used: float) -> np.ndarray:
-        """The scale of each channel that residuals (N,) tell, with ``used`` degrees of freedom spent."""
+    def scales(self, model: OutputError, residuals: np.ndarray, used: float | np.ndarray) -> np.ndarray:
+        """The scale of each channel that residuals (..., N) show, with ``used`` degrees of freedom spent."""
         return model.noise(residuals, used, floor=0.0)
 
 
@@ -77,144 +79,120 @@ class StudentErrors:
         """How much samples count that are off by z scales."""
         return np.asarray((self.dof + 1.0) / (self.dof + z**2))
 
-    def scales(self, model: OutputError, residuals: np.ndarray, used: float) -> np.ndarray:
+    def scales(self, model: OutputError, residuals: np.ndarray, used: float | np.ndarray) -> np.ndarray:
         """As for normal errors: ``s² = sum w r² / (N - used)``, with the weights at s itself."""
-        squares, channel_of = residuals**2, model.channel_of
-        sizes = model.noise(residuals, used, floor=0.0)
-        least = 1e-12 * model.rms
+        sizes, least = model.noise(residuals, used, floor=0.0), 1e-12 * model.rms
         for _ in range(SCALE_ROUNDS):
             sizes = np.maximum(sizes, least)
-            weights = self.weights(residuals / sizes[channel_of])
-            before, sizes = sizes, model.noise(np.sqrt(weights * squares), used, floor=0.0)
+            roots = np.sqrt(self.weights(residuals / sizes[..., model.channel_of]))
+            before, sizes = sizes, model.noise(roots * residuals, used, floor=0.0)
             if np.all(np.abs(sizes - before) <= SCALE_TOLERANCE * before):
                 break
         return sizes
 
 
 NORMAL, STUDENT = NormalErrors(), StudentErrors()
-ERRORS: dict[Likelihood, NormalErrors | StudentErrors] = {"normal": NORMAL, "student": STUDENT}
-
-ROUNDS, TOLERANCE = 12, 1e-4
-"""Of fit and scale in turn, and the relative change of the scale at which they have settled."""
-STEPS = 60
-LEFT = 1e-4
-"""What a step may still gain in minus twice the log-posterior where a fit counts as ended at a maximum."""
-LONGEST_STEP = 1.0
-"""Largest change of a log-parameter in one step."""
-
-UNSETTLED = (
-    "the search with Student t errors did not settle: the noise is too far from any such law, or the samples few"
-)
-FEW = "fewer than twice as many samples as unknowns: fitted with normal errors, since no outlier can be told from noise"
-
-Look = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Prediction (N,) and its derivatives (N, size) at a vector of unknowns (size,)."""
 
 
 @dataclass(frozen=True, eq=False)
-class StudentFit:
-    """Where the search ended: the scales of the channels, degrees of freedom used, and steps that it took."""
+class StudentOutputError(OutputError):
+    """The likelihood of a ``model`` of one problem with Student t errors; ``noise`` gives their scale.
 
-    theta: np.ndarray
-    slopes: np.ndarray
-    scales: np.ndarray
-    used: float
-    value: float
-    """Minus twice the log-posterior with the scales at their best values, up to a constant."""
-    iterations: int
-    settled: bool
+    A step of the search is that of least squares weighted at the present residuals; degrees of freedom are counted
+    with the expected information of the errors.
+    """
 
-    @property
-    def sigma(self) -> np.ndarray:
-        """The noise by channel at which normal errors would tell as much: the information of the t over the scale."""
-        return np.asarray(self.scales / np.sqrt(STUDENT.location))
+    model: OutputError = field(kw_only=True)
+
+    @staticmethod
+    def of(model: OutputError) -> StudentOutputError:
+        """The same problem with Student t errors."""
+        return StudentOutputError(model.problem, model.gauge, model=model)
+
+    @cached_property
+    def data(self) -> np.ndarray:
+        return self.model.data.ravel()
+
+    def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The model's predictions (cases, N) and their derivatives (cases, N, size)."""
+        return self.model.jacobian(theta)
+
+    def noise(self, residuals: np.ndarray, used: float | np.ndarray, floor: float = SIGMA_FLOOR) -> np.ndarray:
+        """The scale of each channel, (cases, channels), at least ``floor`` of the channel's size."""
+        return np.maximum(STUDENT.scales(self.model, residuals, used), floor * self.rms)
+
+    def standardised(self, point: SimulatedData, sigma: np.ndarray) -> Linearisation:
+        """Weighted residuals over the scales, then distances from the prior; the cost is the likelihood's."""
+        normal, n = super().standardised(point, sigma), self.channel_of.size
+        z, roots = normal.residuals[:, :n], np.ones_like(normal.residuals)
+        roots[:, :n] = np.sqrt(STUDENT.weights(z))
+        cost = np.sum(normal.residuals[:, n:] ** 2, axis=1) - 2.0 * STUDENT.log_likelihood(z)
+        return Linearisation(
+            normal.unknowns,
+            roots * normal.residuals,
+            roots[..., None] * normal.slopes,
+            np.where(np.isfinite(normal.cost), cost, np.inf),
+        )
+
+    def search(
+        self,
+        start: SimulatedData,
+        sigma: np.ndarray,
+        iterations: int,
+        damping: float = FIRST_DAMPING,
+        polished: bool = False,
+    ) -> tuple[SimulatedData, Minimum]:
+        """Search as with normal errors; the end is linearised with the expected information of the errors."""
+        _, end = super().search(start, sigma, iterations, damping, polished)
+        point = self.point(end.at.unknowns)
+        expected = super().standardised(point, sigma / np.sqrt(STUDENT.location))
+        return point, replace(end, at=replace(expected, cost=end.at.cost))
+
+    def profile_of(self, theta: np.ndarray, residuals: np.ndarray) -> np.ndarray:
+        """Minus twice the log-posterior at the scales that residuals (cases, N) show, up to a constant."""
+        scales = self.noise(residuals, float(self.size))
+        errors = STUDENT.log_likelihood(residuals / scales[:, self.channel_of])
+        value = 2.0 * np.log(scales) @ self.counts - 2.0 * errors + np.sum(self.penalty(theta) ** 2, axis=1)
+        return np.where(np.isfinite(value), value, np.inf)
+
+
+def student_fits(model: OutputError, thetas: np.ndarray) -> Fits:
+    """Search maxima with Student t errors near vectors (cases, size), which may be anywhere that ``model`` is finite.
+
+    ``sigma`` of the result is the scale of each channel.
+    """
+    return fit(StudentOutputError.batch([StudentOutputError.of(model)]), np.zeros(len(thetas), int), thetas, RULES)
+
+
+def searched(
+    model: OutputError, theta: np.ndarray, scales: np.ndarray, errors: NormalErrors | StudentErrors
+) -> np.ndarray:
+    """Return the vector of unknowns at the maximum near ``theta`` at given scales of the channels."""
+    likelihood = StudentOutputError.of(model) if isinstance(errors, StudentErrors) else model
+    point, _ = likelihood.search(likelihood.point(theta[None]), scales[None], RULES.iterations)
+    return np.asarray(point.theta[0])
 
 
 def with_student_errors(maximum: Maximum, batch: OutputError) -> Maximum:
     """Return the maximum with Student t errors near one with normal errors; ``batch`` simulates its problem alone."""
-    model, one = maximum.model, np.zeros(1, int)
+    model, first = maximum.model, np.zeros(1, int)
     if model.data.size < 2 * model.size:
-        return replace(maximum, message="; ".join(part for part in (maximum.message, FEW) if part))
-    simulated = batch.refined(one, maximum.theta[None], maximum.sigma[None])[one]
-
-    def look(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        point = simulated.point(theta[None])
-        return point.predicted[0], point.slopes[0]
-
-    fit = student_fit(model, look, maximum.theta)
-    iterations = maximum.iterations + fit.iterations
-    if not fit.settled:
+        return replace(maximum, message="; ".join(filter(None, [maximum.message, FEW])))
+    simulated = batch.refined(first, maximum.theta[None], maximum.sigma[None])[first]
+    fits = student_fits(simulated, maximum.theta[None])
+    iterations = maximum.iterations + int(fits.iterations[0])
+    if not (fits.converged[0] and fits.settled[0]):
         raise NoEstimate(UNSETTLED, cost=Cost(iterations, iterations))
-    residuals = model.data - look(fit.theta)[0]
-    covariance = model.covariance(fit.slopes, fit.sigma)
-    return Maximum(
-        model, fit.theta, residuals, fit.slopes, fit.sigma, covariance, fit.used, iterations, maximum.message
+    # the noise at which normal errors would be as informative
+    sigma, slopes = fits.sigma[0] / np.sqrt(STUDENT.location), fits.point.slopes[0]
+    return replace(
+        maximum,
+        theta=fits.point.theta[0],
+        residuals=model.data - fits.point.predicted[0],
+        slopes=slopes,
+        sigma=sigma,
+        covariance=model.covariance(slopes, sigma),
+        used=float(fits.used[0]),
+        iterations=iterations,
+        objectives=(0.5 * float(fits.profile[0]),),
     )
-
-
-def student_fit(model: OutputError, look: Look, theta: np.ndarray) -> StudentFit:
-    """Return the maximum near ``theta``, which may be anywhere that the response is finite."""
-    floor, used, iterations, settled = SIGMA_FLOOR * model.rms, float(model.size), 0, False
-    predicted, slopes = look(theta)
-    free = STUDENT.scales(model, model.data - predicted, used)
-    scales = np.maximum(free, floor)
-    for _ in range(ROUNDS):
-        theta, steps, ended = _search(model, look, theta, scales, STUDENT)
-        iterations += steps
-        predicted, slopes = look(theta)
-        weighed = np.sqrt(STUDENT.location) * slopes / scales[model.channel_of][:, None]
-        rows = np.concatenate([weighed, _prior_rows(model)])
-        used = float(degrees_used(rows[None], model.data.size)[0]) if np.all(np.isfinite(rows)) else used
-        free = STUDENT.scales(model, model.data - predicted, used)
-        before, scales = scales, np.maximum(free, floor)
-        settled = ended and bool(np.max(np.abs(np.log(scales / before))) < TOLERANCE)
-        if settled:
-            break
-    value = _misfit(model, theta, predicted, scales, STUDENT) + float(2.0 * model.counts @ np.log(scales))
-    return StudentFit(theta, slopes, free, used, value, iterations, settled)
-
-
-def searched(
-    model: OutputError, look: Look, theta: np.ndarray, scales: np.ndarray, errors: NormalErrors | StudentErrors
-) -> np.ndarray:
-    """Return the vector of unknowns at the maximum near ``theta`` at given scales of the channels."""
-    return _search(model, look, theta, scales, errors)[0]
-
-
-def _search(
-    model: OutputError, look: Look, theta: np.ndarray, scales: np.ndarray, errors: NormalErrors | StudentErrors
-) -> tuple[np.ndarray, int, bool]:
-    """Return the maximum at given scales, the steps that it took, and whether it was reached."""
-
-    def evaluate(_: np.ndarray, thetas: np.ndarray) -> Linearisation:
-        predicted, slopes = look(thetas[0])
-        z = (predicted - model.data) / scales[model.channel_of]
-        roots = np.sqrt(errors.weights(z))
-        rows = np.concatenate([(roots / scales[model.channel_of])[:, None] * slopes, _prior_rows(model)])
-        residuals = np.concatenate([roots * z, model.penalty(thetas[0])])
-        cost = _misfit(model, thetas[0], predicted, scales, errors) if np.all(np.isfinite(slopes)) else np.inf
-        return Linearisation(thetas, residuals[None], rows[None], np.array([cost]))
-
-    logs = np.arange(model.size) < len(model.free)
-    limits = StepLimits(np.where(logs, LONGEST_STEP, np.inf), np.where(logs, LOG_LIMIT, np.inf))
-    end = minimise(evaluate, evaluate(np.zeros(1, int), theta[None]), STEPS, limits)
-    return end.at.unknowns[0], int(end.iterations[0]), bool(end.left[0] < LEFT)
-
-
-def _misfit(
-    model: OutputError,
-    theta: np.ndarray,
-    predicted: np.ndarray,
-    scales: np.ndarray,
-    errors: NormalErrors | StudentErrors,
-) -> float:
-    """Minus twice the log-posterior at given scales, up to a constant; infinite without a response."""
-    if not np.all(np.isfinite(predicted)):
-        return float("inf")
-    z = (model.data - predicted) / scales[model.channel_of]
-    return float(-2.0 * errors.log_likelihood(z[None])[0] + np.sum(model.penalty(theta) ** 2))
-
-
-def _prior_rows(model: OutputError) -> np.ndarray:
-    """Derivatives of the standardised distances from the prior, shape (n_parameters, size)."""
-    return model.precision[:, None] * np.eye(model.precision.size, model.size)

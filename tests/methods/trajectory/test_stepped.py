@@ -7,14 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from bench import Channel, Force, InitialState, OutputError, Problem, Record, Steps, System, acceleration, numpy_ops
+from bench import Channel, Force, InitialState, Problem, Record, Steps, System, acceleration, numpy_ops
 from bench.dynamics.fixed_step import rk4_path
 from bench.dynamics.linear_motion import linear_motion
 from bench.systems import SDOF, BoucWen, Coulomb, Duffing, Pendulum
 
 pytest.importorskip("casadi")
-from methods.trajectory.fineness import SUBSTEPS, Fineness
-from methods.trajectory.stepped import SteppedOutputError, stepped_accelerations, stepped_motion
+from methods.trajectory.stepped import SUBSTEPS, SteppedOutputError, stepped_accelerations, stepped_motion
 
 KNOTS = np.linspace(0.0, 2.0, 21)
 GRID = np.linspace(0.0, 2.0, 41)
@@ -101,11 +100,10 @@ def test_a_motion_that_diverges_is_not_finite_and_disturbs_no_other() -> None:
 def test_the_steps_err_by_what_the_noise_allows(noise: float) -> None:
     """An undamped oscillator, whose motion is a cosine: the error stays within a twentieth of a standard error."""
     times, w = np.linspace(0.0, 1.0, 30), 31.0
-    record = Record((Channel(times, np.cos(w * times)),), initial_state=InitialState([1.0], [0.0]))
-    model, fineness = OutputError(Problem(SDOF(), (record,))), Fineness(1e-8, 0.05)
+    record = Record((Channel(times, np.sqrt(2.0) * np.cos(w * times)),), initial_state=InitialState([1.0], [0.0]))
+    model = SteppedOutputError.batch([SteppedOutputError(Problem(SDOF(), (record,)))])
     theta, start = np.log([[1e-12, w**2]]), np.array([[1.0, 0.0]])
-    sigma, longest = np.full((1, 1), noise), float(times[1])
-    count = fineness.substeps(model, longest, theta, [start], sigma, np.ones((1, 1)))
+    count = model.needed(np.zeros(1, int), theta, noise * model.rms[None, 0])
     allowed = 0.05 * noise / np.sqrt(30)
     coarser = SUBSTEPS[np.searchsorted(SUBSTEPS, count) - 1]
     errors = []
@@ -124,7 +122,7 @@ def test_unknown_starts_and_offsets_are_those_that_fit_best() -> None:
     steps = Steps.over(times, np.full(39, 8), [], 1)
     values = stepped_motion(system, p[None], start[None], steps, by_start=False)[0, :, 0, 0] + 0.2
     problem = Problem(system, (Record((Channel(times, values, offset=True),)),))
-    model = SteppedOutputError(problem, p[0], fineness=Fineness(1e-8, 0.05))
+    model = SteppedOutputError(problem, p[0])
     theta, one = np.concatenate([np.log(p[1:]), np.zeros(3)])[None], np.zeros(1, int)
     fine = SteppedOutputError.batch([model]).refined(one, theta, 1e-6 * model.rms[None])
     np.testing.assert_allclose(fine[one].with_initial_states(theta, 5)[0, 3:], [0.3, 0.4, 0.2], atol=1e-6)

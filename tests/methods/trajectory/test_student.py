@@ -11,7 +11,7 @@ from scipy import integrate, optimize, stats
 from bench import OutputError, Problem, Status
 from bench.scenario.scenario import PriorSpec, Scenario
 from methods.starts.candidates import candidates
-from methods.trajectory.student import FEW, STUDENT, student_fit
+from methods.trajectory.student import FEW, STUDENT, student_fits
 
 pytest.importorskip("casadi")
 from methods.trajectory.shooting import Shooting
@@ -74,17 +74,17 @@ def test_the_scale_solves_its_own_equation() -> None:
 def test_the_fit_is_the_maximum_that_scipy_finds() -> None:
     given = struck(problems(1)[0], 7, 0.9)
     model = OutputError(given.expressed_in(given.natural_units()))
-    fit = student_fit(model, model.jacobian, model.vector(candidates(model, 1)[0]))
-    scale = fit.scales[0]
+    fits = student_fits(model, model.vector(candidates(model, 1)[0])[None])
+    theta, scale = fits.point.theta[0], fits.sigma[0, 0]
 
-    def minus_log_posterior(theta: np.ndarray) -> float:
-        residuals = model.data - model.predict(theta)
-        return float(-np.sum(stats.t.logpdf(residuals / scale, STUDENT.dof)) + 0.5 * np.sum(model.penalty(theta) ** 2))
+    def minus_log_posterior(vector: np.ndarray) -> float:
+        residuals = model.data - model.predict(vector)
+        return float(-np.sum(stats.t.logpdf(residuals / scale, STUDENT.dof)) + 0.5 * np.sum(model.penalty(vector) ** 2))
 
-    found = optimize.minimize(minus_log_posterior, fit.theta + 0.01, method="Nelder-Mead",
+    found = optimize.minimize(minus_log_posterior, theta + 0.01, method="Nelder-Mead",
                               options={"xatol": 1e-8, "fatol": 1e-12, "maxiter": 4000})  # fmt: skip
-    np.testing.assert_allclose(fit.theta, found.x, atol=2e-5)
-    assert fit.settled
+    np.testing.assert_allclose(theta, found.x, atol=2e-5)
+    assert fits.settled[0]
 
 
 def test_a_sample_far_off_moves_normal_errors_only() -> None:
