@@ -14,7 +14,7 @@ from bench.measured.intervals import StatedInterval
 from bench.measured.linearised import Linearised
 from bench.measured.model_error import ModelError
 from bench.measured.strongest import strongest_frequency
-from bench.scoring.whiteness import whiteness
+from bench.scoring.statistics import whiteness
 
 
 class Trust(StrEnum):

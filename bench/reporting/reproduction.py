@@ -22,7 +22,7 @@ from bench.reporting.paper import Printed, printed, row_name
 from bench.reporting.ratios import Bracket, brackets, judged_bracket
 from bench.reporting.tables.paper_tables import judged
 from bench.scenario.scenario import PriorSpec, Scenario
-from bench.scoring.comparison import holm
+from bench.scoring.statistics import holm
 from bench.scoring.verdict import decided, mean_p_value
 from bench.store.cell import Cell
 

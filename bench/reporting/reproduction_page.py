@@ -16,7 +16,7 @@ from bench.reporting.tables.common import markdown_table
 from bench.reporting.tables.paper_tables import HEADINGS
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import closed_form
-from bench.scoring.comparison import LEVEL
+from bench.scoring.statistics import LEVEL
 from bench.store.cell import Cell
 
 WEIGHING = 1.96

@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.dynamics.linear_response import linear_response
 from bench.reporting.frame import Result, group
-from bench.scoring.whiteness import whiteness
+from bench.scoring.statistics import whiteness
 from bench.systems import SDOF
 
 LEVEL = 0.05

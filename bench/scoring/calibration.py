@@ -1,9 +1,9 @@
 """Calibration of stated uncertainties: tests of their levels at the true value over many replicates.
 
-If a belief is calibrated, its distribution function at the truth (the probability integral transform) is uniform over
-replicates (A. P. Dawid, J. R. Stat. Soc. A 147:278, 1984), and its normal score z is standard normal. Too sure shows in
-a mean square of z above 1, too wide in one below, a bias in its mean. The mean square is about 0, not about the mean of
-z: an estimate that is always off by much more than it states is too sure, however little it scatters.
+If a stated distribution is calibrated, its distribution function at the truth (the probability integral transform) is
+uniform over replicates (A. P. Dawid, J. R. Stat. Soc. A 147:278, 1984), and its normal score z is standard normal.
+Overconfidence shows in a mean square of z above 1, too wide intervals in one below, a bias in its mean. The mean square
+is about 0: an estimate that is always off by much more than it states is too sure, however little it scatters.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from bench.scoring.comparison import LEVEL
 from bench.scoring.score import LEVELS
-from bench.scoring.summary import wilson_interval
+from bench.scoring.statistics import LEVEL, wilson_interval
 
 EXTREME = 1e-9
 """Levels nearer to 0 or 1 than this count as being there: z of 6, and a mean square that is too low, never too high."""
@@ -66,33 +65,27 @@ class Calibration:
 def calibration(levels: np.ndarray) -> Calibration:
     """Judge the levels at the truth of ``n`` replicates, each in [0, 1], alone; raises ValueError for fewer than 5."""
     levels = np.asarray(levels, float)
-    if levels.size < 5 or not np.all((levels >= 0) & (levels <= 1)):
-        raise ValueError(f"at least 5 levels between 0 and 1 are needed; got {levels.size}")
     n = levels.size
+    if n < 5 or not np.all((levels >= 0) & (levels <= 1)):
+        raise ValueError(f"at least 5 levels between 0 and 1 are needed; got {n}")
+    coverages = []
+    for level in LEVELS:
+        inside = np.abs(levels - 0.5) <= level / 2
+        coverages.append(Coverage(level, float(inside.mean()), *wilson_interval(int(inside.sum()), n)))
     z = stats.norm.ppf(np.clip(levels, EXTREME, 1.0 - EXTREME))
     mean, square = float(z.mean()), float(np.mean(z**2))
     t = abs(mean) / max(float(z.std(ddof=1)) / math.sqrt(n), 1e-12)
     width = 2.0 * min(stats.chi2.cdf(n * square, n), stats.chi2.sf(n * square, n))
-    uniform = stats.kstest(levels, "uniform").pvalue
-    p_values = (float(2.0 * stats.t.sf(t, n - 1)), float(width), float(uniform))
-    found = Calibration(n, _coverages(levels), mean, math.sqrt(square), p_values, p_values)
-    return together([found])[0]
+    p_values = (float(2.0 * stats.t.sf(t, n - 1)), float(width), float(stats.kstest(levels, "uniform").pvalue))
+    return together([Calibration(n, tuple(coverages), mean, math.sqrt(square), p_values, p_values)])[0]
 
 
-def together(found: Sequence[Calibration]) -> list[Calibration]:
+def together(judged: Sequence[Calibration]) -> list[Calibration]:
     """Adjust p-values over all tests: of the findings, one in twenty is expected to be a false alarm.
 
-    Where every belief is calibrated, there is no finding at all with 95 % probability.
+    Where every stated distribution is calibrated, there is no finding at all with 95 % probability.
     """
-    if not found:
+    if not judged:
         return []
-    rows = stats.false_discovery_control([p for one in found for p in one.p_values]).reshape(-1, 3).tolist()
-    return [replace(one, adjusted=(a, b, c)) for one, (a, b, c) in zip(found, rows, strict=True)]
-
-
-def _coverages(levels: np.ndarray) -> tuple[Coverage, ...]:
-    found = []
-    for level in LEVELS:
-        inside = np.abs(levels - 0.5) <= level / 2
-        found.append(Coverage(level, float(inside.mean()), *wilson_interval(int(inside.sum()), inside.size)))
-    return tuple(found)
+    rows = stats.false_discovery_control([p for each in judged for p in each.p_values]).reshape(-1, 3).tolist()
+    return [replace(each, adjusted=(a, b, c)) for each, (a, b, c) in zip(judged, rows, strict=True)]

@@ -1,12 +1,11 @@
 """The combination of identified groups with the prior, which gives them a scale.
 
-Free vibration tells k/m and c/m, never m. A method that works on all parameters uses the prior natively; one that
+Free vibration determines k/m and c/m, never m. A method that works on all parameters uses the prior natively; one that
 returns groups (LS, RLS, DDNN, SINDy) gets the same prior here, and from nowhere else.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,8 +16,6 @@ from bench.contract.estimate import Estimate, Status
 from bench.contract.prior import Prior
 from bench.information.fisher import inverse_root
 from bench.systems import System
-
-Vector = Callable[[np.ndarray], np.ndarray]
 
 
 def combine_with_prior(estimate: Estimate, prior: Prior | None) -> Estimate:
@@ -32,11 +29,10 @@ def combine_with_prior(estimate: Estimate, prior: Prior | None) -> Estimate:
     if estimate.status is not Status.OK or estimate.parameters is not None or estimate.groups is None or prior is None:
         return estimate
     alternatives = tuple(combine_with_prior(other, prior) for other in estimate.alternatives)
-    groups = estimate.groups
+    groups, log_mean, log_sds = estimate.groups, prior.log_mean, prior.log_sds
     whiten = _whitening(groups)
     exponents = np.array([estimate.system.quantity(name).vector(prior.names) for name in groups.names])
     coefficients = np.array([estimate.system.quantity(name).coefficient for name in groups.names])
-    log_mean, log_sds = prior.log_mean, prior.log_sds  # once: the search asks for them at every step
     of_prior = np.diag(1.0 / log_sds)
 
     def residuals(logs: np.ndarray) -> np.ndarray:
@@ -47,28 +43,17 @@ def combine_with_prior(estimate: Estimate, prior: Prior | None) -> Estimate:
         values = coefficients * np.exp(exponents @ logs)
         return np.concatenate([whiten @ (values[:, None] * exponents), of_prior])
 
-    def cost(logs: np.ndarray) -> float:
-        return float(np.dot(residuals(logs), residuals(logs)))
-
-    starts = [log_mean, _start_from_groups(estimate.system, groups, prior)]
-    ends = [_minimum(residuals, jacobian, start) for start in starts]
-    best = min(ends, key=cost)
+    ends = []
+    for start in (log_mean, _start_from_groups(estimate.system, groups, prior)):
+        if not np.all(np.isfinite(residuals(start))):
+            raise ValueError("Residuals are not finite in the initial point.")
+        # MINPACK to rounding, since groups may be known to ten digits; least_squares takes twice the time
+        tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-15)
+        ends.append(leastsq(residuals, start, Dfun=jacobian, full_output=True, maxfev=500, **tight)[0])
+    best = min(ends, key=lambda logs: float(residuals(logs) @ residuals(logs)))
     root = inverse_root(jacobian(best))
-    covariance = root @ root.T
-    parameters = Normal(prior.names, best, covariance, log=True, dof=groups.dof)
+    parameters = Normal(prior.names, best, root @ root.T, log=True, dof=groups.dof)
     return replace(estimate, parameters=parameters, groups=None, alternatives=alternatives)
-
-
-def _minimum(residuals: Vector, jacobian: Vector, start: np.ndarray) -> np.ndarray:
-    """Minimise a sum of squares by MINPACK, to rounding: groups may be known to ten digits.
-
-    ``least_squares`` takes the same steps, and twice the time.
-    """
-    if not np.all(np.isfinite(residuals(start))):
-        raise ValueError("Residuals are not finite in the initial point.")
-    tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-15)
-    found = leastsq(residuals, start, Dfun=jacobian, full_output=True, maxfev=500, **tight)
-    return np.asarray(found[0])
 
 
 def _whitening(groups: Normal) -> np.ndarray:
@@ -81,7 +66,7 @@ def _whitening(groups: Normal) -> np.ndarray:
 
 
 def _start_from_groups(system: System, groups: Normal, prior: Prior) -> np.ndarray:
-    """Return log-parameters with the groups' own values where these are positive, the nominal ones elsewhere."""
+    """Return log-parameters with the groups' values where these are positive, the nominal ones elsewhere."""
     logs = prior.log_mean.copy()
     gauge = prior.names.index(system.gauge)
     for name, value in zip(groups.names, groups.mean, strict=True):

@@ -10,19 +10,17 @@ their Application, 1997, section 3.8).
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import bdtrc, ndtr, ndtri
+from scipy.special import ndtri
 
 from bench.errors import InputError
-from bench.scoring.resampling import counted, counts, medians
+from bench.scoring.statistics import LEVEL, counted, counts, holm, medians, middle_95, more_often
 
 RESAMPLES = 1000
-LEVEL = 0.05
 MARGIN = 0.02
 """Errors whose median ratio is closer to 1 than this are a tie for any purpose, however sure the difference is."""
 GROSS = 5.0
@@ -46,8 +44,7 @@ class Comparison:
     """``ratio``: median of a's error over b's on the same data, with its 95 % interval ``low`` to ``high``.
 
     ``p_value`` is that of Wilcoxon's signed-rank test of the differences, ``adjusted`` by Holm's method over all pairs
-    compared together.
-    ``resolved``: the smallest ratio that as many data sets would find with 80 % probability.
+    compared together. ``resolved``: the smallest ratio that as many data sets would find with 80 % probability.
     """
 
     a: str
@@ -68,52 +65,33 @@ class Comparison:
 def log_ratios(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return ``log(a / b)`` (n,) of errors; 0 where both failed or both are nil."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = np.log(a) - np.log(b)
-    return np.where(np.isnan(ratios), 0.0, ratios)
+        return np.nan_to_num(np.log(a) - np.log(b), nan=0.0, posinf=np.inf, neginf=-np.inf)
 
 
 def differences(a: np.ndarray, b: np.ndarray, scenario: np.ndarray) -> np.ndarray:
     """Return ``a - b`` (n,) over the median error of both in the same scenario; 0 where both failed.
 
-    Errors of one scenario are of one size, so a test of their differences tells more than one of their logarithms, in
+    Errors of one scenario are of one size, so a test of their differences finds more than one of their logarithms, in
     which the luckiest replicates weigh most.
     """
     with np.errstate(invalid="ignore"):
-        result = a - b
-    result[np.isnan(result)] = 0.0
+        result = np.nan_to_num(a - b, nan=0.0, posinf=np.inf, neginf=-np.inf)
     for label in np.unique(scenario):
-        own = scenario == label
-        both = np.concatenate([a[own], b[own]])
-        size = float(np.median(both[np.isfinite(both)])) if np.isfinite(both).any() else 1.0
-        result[own] /= size or 1.0
-    return np.asarray(result)
+        members = scenario == label
+        both = np.concatenate([a[members], b[members]])
+        both = both[np.isfinite(both)]
+        result[members] /= (float(np.median(both)) if both.size else 1.0) or 1.0
+    return result
 
 
 def signed_rank(values: np.ndarray) -> float:
-    """Return the two-sided p-value of Wilcoxon's signed-rank test, zeros split.
+    """Return the two-sided p-value of Wilcoxon's signed-rank test, zeros split, by the normal approximation.
 
-    For zeros see J. W. Pratt, J. Am. Stat. Assoc. 54:655, 1959. By the normal approximation, corrected for ties (M.
-    Hollander, D. A. Wolfe, Nonparametric Statistical Methods, 2nd edition, 1999, section 3.1). Infinite values
-    have the highest ranks.
+    For zeros see J. W. Pratt, J. Am. Stat. Assoc. 54:655, 1959. Infinite values have the highest ranks.
     """
-    if not np.any(values):
-        return 1.0
-    n = float(values.size)
-    _, places, ties = np.unique(np.abs(values), return_inverse=True, return_counts=True)
-    ranks = (np.cumsum(ties) - 0.5 * (ties - 1.0))[places]
-    above = np.sum(ranks[values > 0]) + 0.5 * np.sum(ranks[values == 0])
-    variance = (n * (n + 1.0) * (2.0 * n + 1.0) - np.sum(ties**3.0 - ties) / 2.0) / 24.0
-    return float(2.0 * ndtr(-abs((above - n * (n + 1.0) * 0.25) / np.sqrt(variance))))
+    from scipy.stats import wilcoxon  # half a second to import
 
-
-def holm(p_values: Sequence[float]) -> np.ndarray:
-    """Return adjusted p-values (S. Holm, Scand. J. Stat. 6:65, 1979), in the order given."""
-    p = np.asarray(p_values, float)
-    order = np.argsort(p)
-    scaled = np.maximum.accumulate(p[order] * np.arange(p.size, 0, -1))
-    adjusted = np.empty(p.size)
-    adjusted[order] = np.minimum(scaled, 1.0)
-    return adjusted
+    return float(wilcoxon(values, zero_method="zsplit", method="asymptotic").pvalue)
 
 
 def compare(errors: Errors, pairs: Sequence[tuple[str, str]] | None = None) -> list[Comparison]:
@@ -125,19 +103,19 @@ def compare(errors: Errors, pairs: Sequence[tuple[str, str]] | None = None) -> l
 
 def adjusted(comparisons: Sequence[Comparison]) -> list[Comparison]:
     """Return the comparisons with their p-values adjusted together by Holm's method."""
-    together = holm([c.p_value for c in comparisons])
-    return [replace(c, adjusted=float(p)) for c, p in zip(comparisons, together, strict=True)]
+    p_values = holm([c.p_value for c in comparisons]).tolist()
+    return [replace(c, adjusted=p) for c, p in zip(comparisons, p_values, strict=True)]
 
 
 def _pair(a: str, b: str, of_a: np.ndarray, of_b: np.ndarray, scenario: np.ndarray, often: np.ndarray) -> Comparison:
     """Compare the errors of two methods; ``often`` (n, RESAMPLES) counts each data set in each resample."""
     p, ratios = signed_rank(differences(of_a, of_b, scenario)), log_ratios(of_a, of_b)
     resampled = medians(ratios, often, lower=True)
-    low, high = np.sort(resampled)[[math.ceil(level * RESAMPLES) - 1 for level in (0.025, 0.975)]]
     sizes = resampled[np.isfinite(resampled)]
     error = float(np.std(sizes)) if sizes.size > 1 else np.inf
     with np.errstate(over="ignore"):
-        ratio, low, high, resolved = map(float, np.exp([_median(ratios), low, high, POWER * error]))
+        logs = [_median(ratios), *middle_95(resampled), POWER * error]
+        ratio, low, high, resolved = map(float, np.exp(logs))
     return Comparison(a, b, ratio, low, high, p, p, resolved)
 
 
@@ -152,16 +130,17 @@ def against_best(
     full = _most_replicates(values)
     eligible = [method for method in full if candidates is None or method in candidates] or full
     best = min(eligible, key=lambda method: _median(values[method]))
-    return best, adjusted([
-        _pair(method, best, own, values[best][: own.size], np.zeros(own.size, int), counts(own.size, RESAMPLES))
-        for method, own in values.items()
-        if method != best
-    ])  # fmt: skip
+    pairs = []
+    for method, errors in values.items():
+        if method != best:
+            n = errors.size
+            pairs.append(_pair(method, best, errors, values[best][:n], np.zeros(n, int), counts(n, RESAMPLES)))
+    return best, adjusted(pairs)
 
 
 def _most_replicates(values: Mapping[str, np.ndarray]) -> list[str]:
-    most = max(own.size for own in values.values())
-    return [method for method, own in values.items() if own.size == most]
+    most = max(errors.size for errors in values.values())
+    return [method for method, errors in values.items() if errors.size == most]
 
 
 def gross(errors: np.ndarray, bound: float) -> np.ndarray:
@@ -170,18 +149,9 @@ def gross(errors: np.ndarray, bound: float) -> np.ndarray:
     return np.asarray(~(errors <= limit) | np.isinf(errors))
 
 
-def more_often(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the one-sided p-value that ``a`` is true no more often than ``b`` on the same data sets.
-
-    The exact sign test of the pairs that differ (Q. McNemar, Psychometrika 12:153, 1947).
-    """
-    only_a, only_b = int(np.sum(a & ~b)), int(np.sum(b & ~a))
-    return float(bdtrc(only_a - 1, only_a + only_b, 0.5)) if only_a else 1.0
-
-
 @dataclass(frozen=True)
 class Steadiness:
-    """``steady``: the methods that do not run away. ``p_gross``: by method, the p-value of its gross errors.
+    """``steady``: the methods that are not outliers. ``p_gross``: by method, the p-value of its gross errors.
 
     It is that of "no more often than the method whose errors are gross least often", on common data sets.
     """
@@ -191,12 +161,12 @@ class Steadiness:
 
 
 def steadiness(values: Mapping[str, np.ndarray], excess: Mapping[str, float], bound: float) -> Steadiness:
-    """Find the methods that run away, by an excess beyond :data:`STEADY` times the least or by gross errors (5 %)."""
-    runs = {method: gross(own, bound) for method, own in values.items()}
+    """Find the methods without an excess beyond :data:`STEADY` times the least, and without more gross errors (5 %)."""
+    runs = {method: gross(errors, bound) for method, errors in values.items()}
     full = _most_replicates(values)
     rarest = min(full, key=lambda method: float(np.mean(runs[method])))
     least = min((excess.get(method, np.nan) for method in full if excess.get(method, np.nan) > 0), default=np.nan)
-    p = {method: more_often(own, runs[rarest][: own.size]) for method, own in runs.items()}
+    p = {method: more_often(outliers, runs[rarest][: outliers.size]) for method, outliers in runs.items()}
     sure = {method for method in runs if not excess.get(method, np.nan) > STEADY * least and p[method] > LEVEL}
     return Steadiness(frozenset(sure), p)
 
@@ -205,7 +175,7 @@ def steadiness(values: Mapping[str, np.ndarray], excess: Mapping[str, float], bo
 class ScenarioRanking:
     """The best method in one scenario by one metric, and how the others compare with it.
 
-    ``level``: the best, and all that cannot be told from it and do not run away, which ranks do not see.
+    ``level``: the best, and all that are tied with it and steady, which ranks do not see.
     """
 
     best: str
@@ -218,15 +188,15 @@ def standing(values: Mapping[str, np.ndarray], excess: Mapping[str, float], boun
     """Rank methods by their errors ``values[method]`` (n,), their excess and the bound; None for fewer than two.
 
     It is the one rule of all tables and of the page; they differ in which methods they put in. NaN errors are failures.
-    The best is, of the methods that do not run away, the one of least median error.
+    The best is, of the steady methods, the one of least median error.
     """
     if len(values) < 2:
         return None
-    known = {method: np.where(np.isnan(own), np.inf, own) for method, own in values.items()}
-    found = steadiness(known, excess, bound)
-    best, others = against_best(known, found.steady)
-    level = {best, *(c.a for c in others if c.tie and c.a in found.steady)}
-    return ScenarioRanking(best, tuple(others), frozenset(level), found)
+    known = {method: np.where(np.isnan(errors), np.inf, errors) for method, errors in values.items()}
+    outliers = steadiness(known, excess, bound)
+    best, others = against_best(known, outliers.steady)
+    level = {best, *(c.a for c in others if c.tie and c.a in outliers.steady)}
+    return ScenarioRanking(best, tuple(others), frozenset(level), outliers)
 
 
 def profile(errors: Errors, factors: Sequence[float]) -> dict[str, np.ndarray]:
@@ -236,8 +206,8 @@ def profile(errors: Errors, factors: Sequence[float]) -> dict[str, np.ndarray]:
     """
     least = np.min(np.stack(list(errors.values.values())), axis=0)
     return {
-        method: np.array([np.mean(np.isfinite(own) & (own <= factor * least)) for factor in factors])
-        for method, own in errors.values.items()
+        method: np.array([np.mean(np.isfinite(values) & (values <= factor * least)) for factor in factors])
+        for method, values in errors.values.items()
     }
 
 
@@ -247,9 +217,9 @@ def _median(values: np.ndarray) -> float:
 
 
 def _clustered(scenario: np.ndarray) -> np.ndarray:
-    """Resample data sets: scenarios with replacement, then replicates within each; how often each is in each resample.
+    """Resample scenarios with replacement, then replicates within each; counts (n, RESAMPLES) of each data set.
 
-    With one scenario it is the plain bootstrap. All scenarios must have as many data sets. The shape is (n, RESAMPLES).
+    All scenarios must have as many data sets.
     """
     labels, sizes = np.unique(scenario, return_counts=True)
     if np.unique(sizes).size > 1:

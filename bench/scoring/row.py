@@ -87,35 +87,39 @@ class Rows(Sequence[Row]):
         return np.array(self._column(name), float) if name in self._names else np.full(len(self), np.nan)
 
     def numbers(self, name: str) -> np.ndarray:
-        """Return a number of each fit, (n,): ``wall_s``, ``cpu_s``, ``peak_memory_mb``, ``evaluations``."""
+        """Return a number of each fit, (n,): one of :data:`NUMBERS`, or ``evaluations``."""
         return np.array(self._column(name), float)
 
     def plain(self, name: str) -> list[Any]:
         """Return a column of :data:`PLAIN`, such as the ``message`` of each replicate."""
-        return list(self._column(name))
+        return self.numbers(name).tolist() if name in NUMBERS else list(self._column(name))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        scores = {name: self.scores(name) for name in self.score_names}
+        return Rows.of_columns, (self.statuses, {name: self.plain(name) for name in PLAIN}, scores)
 
     def take(self, places: Iterable[int]) -> Rows:
         """Return the replicates at some places, in that order."""
         places = list(places)
-        plain = {name: list(map(self.plain(name).__getitem__, places)) for name in PLAIN}
-        scores = {name: self.scores(name)[places] for name in self.score_names}
-        return Rows.of_columns(map(self.statuses.__getitem__, places), plain, scores)
+        statuses, plain, scores = self.__reduce__()[1]
+        columns = {name: [column[i] for i in places] for name, column in plain.items()}
+        picked = {name: values[places] for name, values in scores.items()}
+        return Rows.of_columns([statuses[i] for i in places], columns, picked)
 
     def sorted(self) -> Rows:
         """Return the replicates in the order of their numbers."""
-        return self.take(np.argsort(self._column("replicate")))
+        return self.take(np.argsort(self.plain("replicate")))
 
     def __add__(self, other: Rows) -> Rows:
         plain = {name: self.plain(name) + other.plain(name) for name in PLAIN}
-        names = dict.fromkeys([*self._names, *other._names])
+        names = dict.fromkeys([*self.score_names, *other.score_names])
         scores = {name: np.concatenate([self.scores(name), other.scores(name)]) for name in names}
         return Rows.of_columns(self.statuses + other.statuses, plain, scores)
 
     @cached_property
     def _rows(self) -> tuple[Row, ...]:
         scores = {name: self.scores(name).tolist() for name in self.score_names}
-        plain = {name: np.asarray(self._column(name)).tolist() if name in NUMBERS else self._column(name)
-                 for name in PLAIN}  # fmt: skip
+        plain = {name: self.plain(name) for name in PLAIN}
         return tuple(
             Row(
                 status=status,
@@ -137,12 +141,8 @@ class Rows(Sequence[Row]):
     def __repr__(self) -> str:
         return repr(self._rows)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        plain = {name: self.plain(name) for name in PLAIN}
-        return Rows.of_columns, (self.statuses, plain, {name: self.scores(name) for name in self.score_names})
-
 
 def columns_of(scores: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
     """Return the scores of replicates by name, (n,), NaN where one has none; in the order in which they have them."""
-    names = dict.fromkeys(name for own in scores for name in own)
-    return {name: np.array([own.get(name, math.nan) for own in scores], float) for name in names}
+    names = dict.fromkeys(name for replicate in scores for name in replicate)
+    return {name: np.array([replicate.get(name, math.nan) for replicate in scores], float) for name in names}

@@ -23,21 +23,22 @@ LEVELS = (0.50, 0.80, 0.95)
 QUANTILES = (np.arange(200) + 0.5) / 200
 """Levels at which the CRPS integral is sampled."""
 
+Columns = dict[str, np.ndarray]
+"""Scores by name, (n,)."""
+
 
 def score(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, float]:
     """Score one replicate, see :func:`scores`."""
     return {name: float(values[0]) for name, values in scores([estimate], [problem], [truth]).items()}
 
 
-def scores(
-    estimates: Sequence[Estimate], problems: Sequence[Problem], truths: Sequence[Truth]
-) -> dict[str, np.ndarray]:
+def scores(estimates: Sequence[Estimate], problems: Sequence[Problem], truths: Sequence[Truth]) -> Columns:
     """Score replicates of one scenario; returns scores by name, (n,), NaN where an estimate has none, or has failed.
 
     ``<quantity>_error_pct`` (absolute relative error, %), ``<quantity>_ratio`` (the value over the true one),
-    ``<quantity>_coverage_50`` etc. (1 if the interval holds the truth, else 0), ``<quantity>_pit`` (the belief's level
-    at the truth, uniform over replicates if it is calibrated: probability integral transform),
-    ``<quantity>_interval_score_pct`` (95 %) and ``<quantity>_crps_pct`` relative to the truth, in %;
+    ``<quantity>_coverage_50`` etc. (1 if the interval covers the true value, else 0), ``<quantity>_pit`` (the level of
+    the estimated distribution at the true value, uniform over replicates if it is calibrated: probability integral
+    transform), ``<quantity>_interval_score_pct`` (95 %) and ``<quantity>_crps_pct`` relative to the truth, in %;
     ``rmse`` (of the reconstruction), ``rmse_simulated``, ``rmse_forecast`` (m), over the DOFs with a sensor;
     ``other_basins_pct``: the probability (%) of the alternatives, where the estimate has some;
     ``band_inside_50`` etc.: the share of the record where the displacement lies in the method's own band.
@@ -46,49 +47,42 @@ def scores(
     for i, estimate in enumerate(estimates):
         if estimate.status is Status.OK:
             kinds.setdefault(_kind(estimate, i), []).append(i)
-    columns: dict[str, np.ndarray] = {}
+    columns: Columns = {}
     for members in kinds.values():
-        own = _columns([estimates[i] for i in members], [problems[i] for i in members], [truths[i] for i in members])
-        for name, values in own.items():
+        chosen = [estimates[i] for i in members], [problems[i] for i in members], [truths[i] for i in members]
+        for name, values in _columns(*chosen).items():
             columns.setdefault(name, np.full(len(estimates), np.nan))[members] = values
     return columns
 
 
 def _kind(estimate: Estimate, replicate: int) -> object:
-    """Name what the estimates that are scored together have in common; draws, which are
-    long, and several basins are scored alone."""
+    """Return what estimates that are scored together have in common; draws and several basins are scored alone."""
     belief = estimate.belief
     if not isinstance(belief, Normal) or estimate.alternatives:
         return replicate
     form = (belief.names, np.shape(belief.mean), belief.log, belief.covariance is None, belief.dof is None)
     positive = belief.log or bool(np.all(belief.mean > 0))  # groups that are not have no modal quantities
-    own = (
-        estimate.parameters is None,
-        estimate.initial_states is None,
-        len(estimate.reconstructions),
-        len(estimate.bands),
-    )
-    return *form, positive, *own
+    curves = len(estimate.reconstructions), len(estimate.bands)
+    return form, positive, estimate.parameters is None, estimate.initial_states is None, curves
 
 
-def _stacked(beliefs: Sequence[Any]) -> Any:
-    """Return beliefs of one kind as one belief whose arrays have the replicate as their first axis."""
+def _joint(estimates: Sequence[Estimate]) -> Estimate:
+    """Return estimates of one kind as one estimate whose beliefs have the replicate as their first axis."""
+    first = estimates[0]
+    if first.alternatives:
+        return first
+    beliefs: list[Any] = [estimate.belief for estimate in estimates]
     names = ("mean", "covariance", "dof") if isinstance(beliefs[0], Normal) else ("samples",)
     arrays = {name: [getattr(belief, name) for belief in beliefs] for name in names}
-    return replace(beliefs[0], **{name: None if own[0] is None else np.stack(own) for name, own in arrays.items()})
+    belief = replace(beliefs[0], **{name: None if a[0] is None else np.stack(a) for name, a in arrays.items()})
+    return Estimate(first.system, **{"groups" if first.parameters is None else "parameters": belief})
 
 
-def _columns(
-    estimates: Sequence[Estimate], problems: Sequence[Problem], truths: Sequence[Truth]
-) -> dict[str, np.ndarray]:
-    """Score estimates of one kind: each score by its name, shape (n,)."""
-    system, belief = problems[0].system, _stacked([estimate.belief for estimate in estimates])
-    whole = estimates[0].parameters is not None
-    joint = Estimate(system, parameters=belief) if whole else Estimate(system, groups=belief)
-    if estimates[0].alternatives:
-        joint, belief = estimates[0], estimates[0].belief
+def _columns(estimates: Sequence[Estimate], problems: Sequence[Problem], truths: Sequence[Truth]) -> Columns:
+    """Score estimates of one kind."""
+    system, joint = problems[0].system, _joint(estimates)
     true = {name: np.array([truth.parameters[name] for truth in truths]) for name in system.names}
-    columns: dict[str, np.ndarray] = {}
+    columns: Columns = {}
     for quantity in system.quantities:
         marginal = joint.marginal(quantity)
         if marginal is not None:
@@ -97,11 +91,11 @@ def _columns(
         columns["other_basins_pct"] = np.array([100.0 * (1.0 - joint.weight)])
     columns |= _simulated_scores(estimates, problems, truths, point_parameters(joint))
     if estimates[0].reconstructions:
-        columns |= _reconstruction_scores(estimates, truths, belief.dof if isinstance(belief, Normal) else None)
+        columns |= _reconstruction_scores(estimates, truths, getattr(joint.belief, "dof", None))
     return columns
 
 
-def _quantity_scores(quantity: Quantity, marginal: Marginal, true: np.ndarray) -> dict[str, np.ndarray]:
+def _quantity_scores(quantity: Quantity, marginal: Marginal, true: np.ndarray) -> Columns:
     name, ratio = quantity.name, marginal.value / true
     columns = {f"{name}_error_pct": 100.0 * np.abs(ratio - 1.0), f"{name}_ratio": ratio}
     if marginal.ppf is None or marginal.cdf is None:
@@ -151,7 +145,7 @@ def point_parameters(estimate: Estimate) -> Mapping[str, Any] | None:
 
 def _simulated_scores(
     estimates: Sequence[Estimate], problems: Sequence[Problem], truths: Sequence[Truth], p: Mapping[str, Any] | None
-) -> dict[str, np.ndarray]:
+) -> Columns:
     """Score the response at the estimated parameters, over the record and after it."""
     if p is None:
         return {}
@@ -165,14 +159,12 @@ def _simulated_scores(
     ]
     rig, forces = records[0].rig(system), [record.forces for record in records]
     response, later = displacements(rig, p, starts, [truths[0].dense_times, truths[0].forecast_times], forces)
-    columns = {
-        "rmse_simulated": _rms(truths, response, [truth.dense_displacement for truth in truths]),
-        "rmse_forecast": _rms(truths, later, [truth.forecast_displacement for truth in truths]),
-    }
-    return columns | {"rmse": columns["rmse_simulated"]}
+    simulated = _rms(truths, response, [truth.dense_displacement for truth in truths])
+    forecast = _rms(truths, later, [truth.forecast_displacement for truth in truths])
+    return {"rmse_simulated": simulated, "rmse_forecast": forecast, "rmse": simulated}
 
 
-def _reconstruction_scores(estimates: Sequence[Estimate], truths: Sequence[Truth], dof: Any) -> dict[str, np.ndarray]:
+def _reconstruction_scores(estimates: Sequence[Estimate], truths: Sequence[Truth], dof: Any) -> Columns:
     """Score the method's own displacement over the record, and its band where it has one."""
     dense = [truth.dense_displacement for truth in truths]
     path = np.stack([e.reconstructions[0](truth.dense_times) for e, truth in zip(estimates, truths, strict=True)])
@@ -189,8 +181,8 @@ def _reconstruction_scores(estimates: Sequence[Estimate], truths: Sequence[Truth
 
 def _rms(truths: Sequence[Truth], paths: np.ndarray, true: Sequence[np.ndarray]) -> np.ndarray:
     """Compute root mean square errors of displacements (n, n_dof, n_times), (n,); infinite where one is not finite."""
-    same = all(path is true[0] for path in true)  # of replicates that have the truth in common
-    error = truths[0].scored(paths - (true[0] if same else np.stack(true)))
+    shared = all(path is true[0] for path in true)
+    error = truths[0].scored(paths - (true[0] if shared else np.stack(true)))
     with np.errstate(over="ignore", invalid="ignore"):
         values = np.sqrt(np.mean(np.square(error).reshape(len(error), -1), axis=1))
     return np.where(np.isfinite(values), values, np.inf)

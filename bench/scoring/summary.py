@@ -6,20 +6,18 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import gammaincinv, ndtri, stdtrit
+from scipy.special import gammaincinv, stdtrit
 
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
-from bench.scoring.resampling import RESAMPLES, counts, medians
 from bench.scoring.row import STATISTICS, Row, Rows
+from bench.scoring.statistics import counts, medians, middle_95, wilson_interval
 
-Z95 = float(ndtri(0.975))
 ALWAYS = ("rmse", "rmse_simulated", "rmse_forecast")
 CHANCE = 1e-6
 """Probability at which a root mean square error is too small to be chance: no published cell is, of 22,000."""
 LARGEST_BOUND_PCT = 50.0
 """A bound that is larger is no limit: it is of a linearisation, and errors of positive numbers are bounded below."""
-
 
 Line = dict[str, float]
 """The statistics of a metric by name."""
@@ -32,16 +30,12 @@ def metric_bounds(bound: Bound) -> dict[str, float]:
 
 
 def below_chance(excess: float, bound_pct: float, n: int) -> bool:
-    """Decide whether the errors of a quantity are smaller than the bound allows by chance.
+    """Decide whether errors are smaller than the bound allows by chance, so that the method must know the truth.
 
     Args:
         excess: Root mean square of the errors over the bound.
         bound_pct: The bound (%), which includes what the prior says.
         n: Number of errors. Squares of normal errors at the bound add up to a chi-square variable of n.
-
-    Returns:
-        Whether fewer than one of a million such sets of errors were as small: the method then knows more than the data
-        and the prior tell, as the truth.
     """
     least = math.sqrt(2.0 * gammaincinv(n / 2.0, CHANCE) / n) if n > 0 else 0.0
     return excess < least and bound_pct <= LARGEST_BOUND_PCT
@@ -56,52 +50,37 @@ def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Line]:
     result = {}
     for name in dict.fromkeys([*metrics, *(() if np.any(good) else bounds), *ALWAYS]):
         values = scores.get(name, np.full(np.sum(good), np.nan))
-        known = values[~np.isnan(values)]
-        if name.endswith("_pit") or name.startswith("band_inside"):
-            result[name] = _share(known)
-        elif "_coverage_" in name:
-            result[name] = _coverage(known)
+        if name.endswith("_pit") or name.startswith("band_inside") or "_coverage_" in name:
+            result[name] = _share(values[~np.isnan(values)], hits="_coverage_" in name)
         else:
             errors = np.full(len(rows), np.inf)
             errors[good] = np.where(np.isnan(values), np.inf, values)
-            result[name] = _error(errors, bounds.get(name, float("nan")))
+            result[name] = _error(errors, bounds.get(name, math.nan))
     return result
 
 
+def _line(*values: float, n_ok: int) -> Line:
+    return dict(zip(STATISTICS, [*map(float, values), n_ok], strict=True))
+
+
 def _error(values: np.ndarray, bound: float) -> Line:
+    """Summarise errors, those of failures infinite, with the bootstrap's interval of their median."""
     good = values[np.isfinite(values)]
-    resampled = np.sort(medians(values, counts(values.size)))
-    low, high = resampled[[math.ceil(level * RESAMPLES) - 1 for level in (0.025, 0.975)]]
-    excess = float(np.sqrt(np.mean(good**2)) / bound) if good.size and np.isfinite(bound) and bound > 0 else np.nan
-    mean = float(np.mean(values)) if good.size == values.size else float("inf")
-    return _line(mean, float(np.median(values)), float(low), float(high), bound, excess, int(good.size))
+    ends = middle_95(medians(values, counts(values.size)))
+    excess = np.sqrt(np.mean(good**2)) / bound if good.size and np.isfinite(bound) and bound > 0 else np.nan
+    mean = np.mean(values) if good.size == values.size else np.inf
+    return _line(mean, np.median(values), *ends, bound, excess, n_ok=good.size)
 
 
-def _line(*values: float) -> Line:
-    return dict(zip(STATISTICS, values, strict=True))
-
-
-def _share(values: np.ndarray) -> Line:
-    """Summarise numbers between 0 and 1 that are no errors, with the interval of their mean (Student's t)."""
-    nan = float("nan")
-    if values.size < 2:
-        only = float(values[0]) if values.size else nan
-        return _line(only, only, nan, nan, nan, nan, int(values.size))
-    half = float(stdtrit(values.size - 1, 0.975) * values.std(ddof=1) / np.sqrt(values.size))
-    mean = float(values.mean())
-    return _line(mean, float(np.median(values)), mean - half, mean + half, nan, nan, int(values.size))
-
-
-def _coverage(hits: np.ndarray) -> Line:
-    nan = float("nan")
-    if not hits.size:
-        return _line(nan, nan, nan, nan, nan, nan, 0)
-    low, high = wilson_interval(int(hits.sum()), hits.size)
-    return _line(float(hits.mean()), float(np.median(hits)), low, high, nan, nan, int(hits.size))
-
-
-def wilson_interval(k: int, n: int) -> tuple[float, float]:
-    """Return the 95 % interval of a fraction, ``k`` of ``n`` seen (E. B. Wilson, J. Am. Stat. Assoc. 22:209, 1927)."""
-    z2 = Z95**2
-    half = Z95 * math.sqrt(k * (n - k) / n + z2 / 4)
-    return max(0.0, float((k + z2 / 2 - half) / (n + z2))), min(1.0, float((k + z2 / 2 + half) / (n + z2)))
+def _share(values: np.ndarray, hits: bool) -> Line:
+    """Summarise numbers between 0 and 1: the interval of their mean is Wilson's of hits, else Student's t."""
+    n, ends = values.size, (np.nan, np.nan)
+    if not n:
+        return _line(*[np.nan] * 6, n_ok=0)
+    mean = values.mean()
+    if hits:
+        ends = wilson_interval(int(values.sum()), n)
+    elif n > 1:
+        half = stdtrit(n - 1, 0.975) * values.std(ddof=1) / np.sqrt(n)
+        ends = mean - half, mean + half
+    return _line(mean, np.median(values), *ends, np.nan, np.nan, n_ok=n)

@@ -28,45 +28,35 @@ difference is 0.14 standard errors of one parameter: the square root of twice it
 def trace_scores(estimate: Estimate, truth: Truth) -> dict[str, float]:
     """Return the named scores of a training and of a search; none where the estimate failed.
 
-    Args:
-        estimate: The estimate with its traces.
-        truth: What its parameters are compared with.
-
-    Returns:
-        ``training_s``: processor seconds to the end of a training; ``loss_over_minimum`` there; ``arrival_s``: when the
-        loss came within 1 % of the minimum for good (absent if never); ``<group>_off_pct_at_<t>s``: the error of an
-        identifiable group at a moment; ``<group>_off_pct_at_minimum``: that of the loss's own minimum. ``starts``:
-        starting points from which a search ended; ``starts_at_best``: those that ended where the best did;
-        ``certificate``.
+    ``training_s``: processor seconds to the end of a training; ``loss_over_minimum`` there; ``arrival_s``: when the
+    loss came within 1 % of the minimum for good (absent if never); ``<group>_off_pct_at_<t>s``: the error of an
+    identifiable group at a moment; ``<group>_off_pct_at_minimum``: that of the loss's own minimum. ``starts``:
+    starting points from which a search ended; ``starts_at_best``: those that ended where the best did;
+    ``certificate``.
     """
+    traces, scores = estimate.traces, dict[str, float]()
     if estimate.status is not Status.OK:
-        return {}
-    traces = estimate.traces
-    scores = _training(estimate, truth) if {"path_cpu_s", "path_parameters"} <= traces.keys() else {}
+        return scores
+    if {"path_cpu_s", "path_parameters"} <= traces.keys():
+        seconds = traces["path_cpu_s"]
+        scores["training_s"] = float(seconds[-1])
+        if "minimum_loss" in traces and "path_loss" in traces:
+            losses, least = traces["path_loss"], float(traces["minimum_loss"][0])
+            scores["loss_over_minimum"] = float(losses[-1] / max(least, 1e-300))
+            away = np.flatnonzero(~(losses <= ARRIVED * least))
+            first = int(away[-1]) + 1 if away.size else 0
+            scores |= {"arrival_s": float(seconds[first])} if first < seconds.size else {}
+        for moment in MOMENTS:
+            last = int(np.searchsorted(seconds, moment, "right")) - 1
+            if last >= 0:
+                scores |= _errors(estimate, truth, traces["path_parameters"][last], f"{moment:g}s")
+        if "minimum_parameters" in traces:
+            scores |= _errors(estimate, truth, traces["minimum_parameters"], "minimum")
     if "certificate" in traces and traces["certificate"].size:
         scores["certificate"] = float(traces["certificate"][0])
     if "start_objectives" in traces and traces["start_objectives"].size:
         ends = np.asarray(traces["start_objectives"], float)
         scores |= {"starts": float(ends.size), "starts_at_best": float(np.sum(ends <= np.nanmin(ends) + SAME))}
-    return scores
-
-
-def _training(estimate: Estimate, truth: Truth) -> dict[str, float]:
-    traces = estimate.traces
-    seconds = traces["path_cpu_s"]
-    scores = {"training_s": float(seconds[-1])}
-    if "minimum_loss" in traces and "path_loss" in traces:
-        losses, least = traces["path_loss"], float(traces["minimum_loss"][0])
-        scores["loss_over_minimum"] = float(losses[-1] / max(least, 1e-300))
-        away = np.flatnonzero(~(losses <= ARRIVED * least))
-        first = int(away[-1]) + 1 if away.size else 0
-        scores |= {"arrival_s": float(seconds[first])} if first < seconds.size else {}
-    for moment in MOMENTS:
-        last = int(np.searchsorted(seconds, moment, "right")) - 1
-        if last >= 0:
-            scores |= _errors(estimate, truth, traces["path_parameters"][last], f"{moment:g}s")
-    if "minimum_parameters" in traces:
-        scores |= _errors(estimate, truth, traces["minimum_parameters"], "minimum")
     return scores
 
 

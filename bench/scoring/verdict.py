@@ -42,21 +42,19 @@ def judge(paper: float, ours: np.ndarray, oracle: np.ndarray, prior_share: float
     oracle's runs, the least of fewer than 200, and of its means.
     """
     if prior_share > DECIDED_BY_PRIOR:
-        text = f"not decidable ({100 * prior_share:.0f} % prior)"
-        return Verdict("not decidable", "not decidable", text)
-    single, mean = _side(run_tails(paper, ours)), _side(mean_tails(paper, ours))
-    low_single = np.quantile(oracle, LUCK, method="inverted_cdf")
-    if paper < low_single and mean_tails(paper, oracle)[0] < LUCK:
-        return Verdict(single, mean, "incompatible")
-    return Verdict(single, mean, _text(single, mean))
+        return Verdict("not decidable", "not decidable", f"not decidable ({100 * prior_share:.0f} % prior)")
+    verdict = _of_readings(_side(run_tails(paper, ours)), _side(mean_tails(paper, ours)))
+    least = np.quantile(oracle, LUCK, method="inverted_cdf")
+    if paper < least and mean_tails(paper, oracle)[0] < LUCK:
+        return Verdict(verdict.single, verdict.mean, "incompatible")
+    return verdict
 
 
 def between(low: Verdict, high: Verdict) -> Verdict:
     """Judge a number known to lie between two: what both have in common, else open."""
     if low.text == high.text:
         return low
-    single, mean = (a if a == b else "open" for a, b in ((low.single, high.single), (low.mean, high.mean)))
-    return Verdict(single, mean, _text(single, mean))
+    return _of_readings(*(a if a == b else "open" for a, b in ((low.single, high.single), (low.mean, high.mean))))
 
 
 def decided(text: str) -> bool:
@@ -64,14 +62,13 @@ def decided(text: str) -> bool:
     return not any(word in text for word in UNDECIDED)
 
 
-def _text(single: str, mean: str) -> str:
-    return single if single == mean else f"{single} (single run), {mean} (mean)"
+def _of_readings(single: str, mean: str) -> Verdict:
+    return Verdict(single, mean, single if single == mean else f"{single} (single run), {mean} (mean)")
 
 
 def run_tails(value: float, ours: np.ndarray) -> tuple[float, float]:
     """Return the probabilities that one more run beside ours (n,) is so small, and so large: by rank among n + 1."""
-    below, above = (int(np.sum(side)) for side in (ours <= value, ours >= value))
-    return (1 + below) / (ours.size + 1), (1 + above) / (ours.size + 1)
+    return (1 + int(np.sum(ours <= value))) / (ours.size + 1), (1 + int(np.sum(ours >= value))) / (ours.size + 1)
 
 
 def mean_tails(value: float, ours: np.ndarray) -> tuple[float, float]:
@@ -97,7 +94,6 @@ def mean_p_value(value: float, ours: np.ndarray) -> float:
 
 
 def _side(tails: tuple[float, float]) -> str:
-    below, above = tails
-    if below <= OUTSIDE:
+    if tails[0] <= OUTSIDE:
         return "ours worse"
-    return "ours better" if above <= OUTSIDE else "reproduced"
+    return "ours better" if tails[1] <= OUTSIDE else "reproduced"

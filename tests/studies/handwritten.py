@@ -29,7 +29,7 @@ from bench.scenario.scenario import METHOD, Scenario
 from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import score
-from bench.scoring.summary import wilson_interval
+from bench.scoring.statistics import wilson_interval
 from tests.studies.common import RESULTS, Count, Out, publish, scenario, study, tracked
 
 SEED = 4242

@@ -23,7 +23,7 @@ from bench.scenario.disturbance import Irregular
 from bench.scenario.scenario import METHOD, PriorSpec, Scenario
 from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
-from bench.scoring.summary import wilson_interval
+from bench.scoring.statistics import wilson_interval
 from tests.studies.common import RESULTS, Count, Out, publish, study, tracked
 
 METHODS = ("shooting", "output_error", "pinn", "collocation", "ekf", "ukf", "frequency", "mcmc")

@@ -23,7 +23,7 @@ from bench.measured.record import Measured
 from bench.measured.twins import Answers, corrected_by, drawn, stated_on, stretch_of, stretched, told_quantities
 from bench.reporting.tables.common import markdown_table
 from bench.scenario.truth import closed_form
-from bench.scoring.summary import wilson_interval
+from bench.scoring.statistics import wilson_interval
 from bench.systems.linear import SDOF
 from tests.studies.common import Count, study, tracked
 

@@ -11,7 +11,7 @@ from bench.reporting.figures.gallery import Gallery, Nothing, Picture, counts, w
 from bench.reporting.figures.response import with_record
 from bench.reporting.figures.style import panels, wrapped
 from bench.reporting.frame import Result
-from bench.scoring.summary import Z95
+from bench.scoring.statistics import Z95
 
 
 def draw_band(gallery: Gallery) -> Picture:

@@ -12,7 +12,7 @@ from bench.entrants.reference import REFERENCES
 from bench.reporting.figures.gallery import Gallery, Nothing, Picture, best_first, counts
 from bench.reporting.figures.style import entry, legend_below, rows_of_methods
 from bench.reporting.frame import Result
-from bench.scoring.summary import RESAMPLES
+from bench.scoring.statistics import RESAMPLES
 
 METRICS = (("k_over_m_error_pct", "k/m"), ("c_over_m_error_pct", "c/m"))
 OTHERWISE = (("rmse", "displacement"),)

@@ -18,7 +18,7 @@ from bench.reporting.figures.style import FULL, MM, legend_below, pyplot
 from bench.reporting.frame import Result
 from bench.reporting.labels import beside_paper, title
 from bench.reporting.paper import own_method
-from bench.scoring.summary import Z95
+from bench.scoring.statistics import Z95
 
 DRAWS = 400
 MOST = 5

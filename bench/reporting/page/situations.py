@@ -16,7 +16,8 @@ from scipy.stats import beta
 from bench.reporting.frame import Result
 from bench.reporting.page.reading import ScenarioPanel
 from bench.reporting.page.standing import fit_seconds
-from bench.scoring.comparison import LEVEL, gross, more_often
+from bench.scoring.comparison import gross
+from bench.scoring.statistics import LEVEL, more_often
 
 ALIKE = 1.05
 """Errors within this factor of the least are alike for a user: the fastest of them is named first."""

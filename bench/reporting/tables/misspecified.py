@@ -17,7 +17,7 @@ from bench.reporting.labels import warns
 from bench.reporting.residuals import coloured
 from bench.reporting.rounding import excess_text, number, readable
 from bench.reporting.tables.common import Line, csv, failure_notes, markdown_table
-from bench.scoring.summary import wilson_interval
+from bench.scoring.statistics import wilson_interval
 
 COLUMNS = (
     "wrong", "system", "initial_state", "snr_db", "method", "quantity", "median_error_pct", "bias_pct", "excess",

@@ -19,7 +19,7 @@ from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.common import Line, csv, failure_notes, markdown_table
 from bench.reporting.tables.pooling import lower_median
 from bench.scoring.comparison import gross
-from bench.scoring.summary import wilson_interval
+from bench.scoring.statistics import wilson_interval
 
 COLUMNS = (
     "part", "method", "metric", "n", "n_answered", "median_over_bound", "rms_over_bound", "gross", "gross_low",

@@ -11,7 +11,7 @@ import numpy as np
 from bench.dynamics.modal import Modes, agreement, modes, modes_of_all
 from bench.reporting.frame import ERROR, Result
 from bench.scenario.scenario import Scenario
-from bench.scoring.summary import wilson_interval
+from bench.scoring.statistics import wilson_interval
 from bench.systems import System
 
 MODAL = {

@@ -17,7 +17,7 @@ from bench.reporting.frame import ERROR, Frame, Result
 from bench.reporting.labels import title as title_of
 from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.common import Line, csv, markdown_table
-from bench.scoring.resampling import shares
+from bench.scoring.statistics import counts
 from bench.store.store import Store
 
 COLUMNS = (
@@ -77,7 +77,7 @@ def ratio(disturbed: np.ndarray, undisturbed: np.ndarray) -> tuple[float, float,
     squares = np.stack([disturbed[good], undisturbed[good]], axis=1) ** 2
     if good.sum() < 2 or not np.any(squares[:, 1]):
         return math.nan, math.nan, math.nan
-    above, below = (shares(len(squares)) @ squares).T
+    above, below = (counts(len(squares)).T @ squares).T / len(squares)
     low, high = np.quantile(np.sqrt(above / np.maximum(below, np.finfo(float).tiny)), [0.025, 0.975])
     middle = squares.mean(axis=0)
     return float(np.sqrt(middle[0] / middle[1])), float(low), float(high)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.scoring.whiteness import ljung_box, whiteness
+from bench.scoring.statistics import ljung_box, whiteness
 
 
 def test_it_is_the_sum_of_ljung_and_box() -> None:

@@ -1,0 +1,112 @@
+"""Intervals and tests of few numbers that scipy does not have, or not for many sets at once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from scipy.special import bdtrc, ndtri
+
+RESAMPLES = 2000
+Z95 = float(ndtri(0.975))
+LEVEL = 0.05
+"""Of all tests here."""
+MOST_LAGS = 10
+PER_LAG = 5
+"""Samples for each lag: the advice of R. J. Hyndman, G. Athanasopoulos, Forecasting, 3rd ed. 2021, section 5.4."""
+DRAWS = 999
+"""Of white noise; with 999 the p-value is exact at 5 % (A. C. Davison, D. V. Hinkley, Bootstrap Methods, 1997, 4.2)."""
+
+
+@lru_cache(maxsize=16)
+def counts(n: int, resamples: int = RESAMPLES) -> np.ndarray:
+    """Draw resamples of n replicates, the same ones at every call: how often each is in each, shape (n, resamples)."""
+    return counted(np.random.default_rng(0).integers(0, n, (resamples, n)))
+
+
+def counted(drawn: np.ndarray) -> np.ndarray:
+    """Count how often each of n replicates is in each resample (resamples, n) of them, shape (n, resamples)."""
+    resamples, n = drawn.shape
+    places = drawn + n * np.arange(resamples)[:, None]
+    return np.bincount(places.ravel(), minlength=drawn.size).reshape(resamples, n).T.astype(np.int16, order="C")
+
+
+def medians(values: np.ndarray, often: np.ndarray, lower: bool = False) -> np.ndarray:
+    """Compute the median of each resample, shape (resamples,).
+
+    Args:
+        values: What was resampled (n,), some perhaps infinite: a mean of a number and infinity is infinite, never NaN.
+        often: How often each of them is in each resample, (n, resamples).
+        lower: Where n is even, take the lower of the middle two values instead of their mean.
+    """
+    order, middle = np.argsort(values, kind="stable"), (values.size - 1) // 2
+    ordered, total = values[order], np.cumsum(often[order], axis=0, dtype=often.dtype)
+    below = np.sum(total <= middle, axis=0, dtype=np.int16)
+    if lower or values.size % 2:
+        return np.asarray(ordered[below])
+    return np.asarray(0.5 * (ordered[below] + ordered[np.sum(total <= middle + 1, axis=0, dtype=np.int16)]))
+
+
+def middle_95(resampled: np.ndarray) -> tuple[float, float]:
+    """Return the 2.5 % and 97.5 % quantiles of resampled statistics, as values among them."""
+    ends = np.sort(resampled)[[math.ceil(level * resampled.size) - 1 for level in (0.025, 0.975)]]
+    return float(ends[0]), float(ends[1])
+
+
+def wilson_interval(k: int, n: int) -> tuple[float, float]:
+    """Return the 95 % interval of a fraction, ``k`` of ``n`` seen (E. B. Wilson, J. Am. Stat. Assoc. 22:209, 1927)."""
+    z2 = Z95**2
+    half = Z95 * math.sqrt(k * (n - k) / n + z2 / 4)
+    return max(0.0, float((k + z2 / 2 - half) / (n + z2))), min(1.0, float((k + z2 / 2 + half) / (n + z2)))
+
+
+def holm(p_values: Sequence[float]) -> np.ndarray:
+    """Return adjusted p-values (S. Holm, Scand. J. Stat. 6:65, 1979), in the order given."""
+    p = np.asarray(p_values, float)
+    order = np.argsort(p)
+    adjusted = np.empty(p.size)
+    adjusted[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(p.size, 0, -1)), 1.0)
+    return adjusted
+
+
+def more_often(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the one-sided p-value that ``a`` is true no more often than ``b`` on the same data sets.
+
+    The exact sign test of the pairs that differ (Q. McNemar, Psychometrika 12:153, 1947).
+    """
+    only_a, only_b = int(np.sum(a & ~b)), int(np.sum(b & ~a))
+    return float(bdtrc(only_a - 1, only_a + only_b, 0.5)) if only_a else 1.0
+
+
+def ljung_box(residuals: np.ndarray) -> np.ndarray:
+    """Return ``Q = n (n + 2) Σ r_k² / (n - k)`` of residuals (sets, n), shape (sets,).
+
+    G. M. Ljung, G. E. P. Box, Biometrika 65:297, 1978; r_k is the autocorrelation at lag k, up to :data:`MOST_LAGS` or
+    a lag for each :data:`PER_LAG` samples. NaN where a set is constant or not finite.
+    """
+    n = residuals.shape[1]
+    lags = np.arange(1, max(1, min(MOST_LAGS, n // PER_LAG)) + 1)
+    centred = residuals - np.mean(residuals, axis=1, keepdims=True)
+    with np.errstate(all="ignore"):
+        moments = np.stack([np.sum(centred[:, k:] * centred[:, : n - k], axis=1) for k in lags], axis=1)
+        correlations = moments / np.sum(centred**2, axis=1)[:, None]
+        q = n * (n + 2) * np.sum(correlations**2 / (n - lags), axis=1)
+    return np.where(np.isfinite(q), q, np.nan)
+
+
+def whiteness(residuals: np.ndarray, tangents: np.ndarray) -> np.ndarray:
+    """Return the p-values (sets,) of the Ljung-Box statistic of residuals (sets, n); NaN where a set has none.
+
+    A fit takes the directions of its ``tangents`` (n, q) out of the noise, which leaves residuals correlated although
+    the noise is white: with few samples chi-square rejects three times as often as it should. So the statistic is
+    compared with that of white noise from which the same directions were taken.
+    """
+    n = residuals.shape[1]
+    noise = np.random.default_rng(n).standard_normal((DRAWS, n))
+    basis = np.linalg.qr(tangents)[0]
+    null = np.sort(ljung_box(noise - (noise @ basis) @ basis.T))
+    q = ljung_box(residuals)
+    above = DRAWS - np.searchsorted(null, np.where(np.isfinite(q), q, 0.0), side="left")
+    return np.where(np.isfinite(q), (1.0 + above) / (DRAWS + 1.0), np.nan)
