@@ -10,13 +10,12 @@ force tells the scale.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from bench import Linearisation, StepLimits, minimise
-from methods.spectral.response import HarmonicLayout, forced_lines, transient
+from methods.spectral.lines import HarmonicLayout, forced_lines, transient
 
 LARGEST = 1.0
 """Longest step of a logarithm."""
@@ -24,26 +23,6 @@ LIMIT = 40.0
 """Largest size of a logarithm."""
 ROUNDS, SMALLER = 3, 0.5
 """Searches in turn, at most, and how much smaller the residuals must have become for another."""
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """Unknowns (p,), residuals (n,) and their derivatives (n, p), transient and offset fitted; a prior adds rows."""
-
-    unknowns: np.ndarray
-    residuals: np.ndarray
-    slopes: np.ndarray
-
-    @property
-    def cost(self) -> float:
-        """Sum of squares; infinite where a residual is not finite."""
-        total = float(self.residuals @ self.residuals)
-        return total if np.isfinite(total) and np.all(np.isfinite(self.slopes)) else np.inf
-
-    @property
-    def unit(self) -> float:
-        """Root mean square of the residuals; 1 where they are zero or not finite."""
-        return float(np.sqrt(self.cost / self.residuals.size)) if 0.0 < self.cost < np.inf else 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +38,18 @@ class Objective:
     nominal: np.ndarray | None = None
     width: np.ndarray | None = None
 
-    def at(self, unknowns: np.ndarray) -> Trial:
-        """Evaluate a trial."""
+    def at(self, unknowns: np.ndarray) -> Linearisation:
+        """Evaluate residuals and their derivatives at unknowns (cases, p), with transient and offset fitted."""
+        trials = [self._trial(row) for row in unknowns]
+        residuals, slopes = np.stack([left for left, _ in trials]), np.stack([by for _, by in trials])
+        if self.nominal is not None and self.width is not None:
+            rows = np.broadcast_to(np.diag(1.0 / self.width), (len(slopes), self.width.size, self.width.size))
+            residuals = np.concatenate([residuals, (unknowns - self.nominal) / self.width], axis=1)
+            slopes = np.concatenate([slopes, rows], axis=1)
+        return Linearisation.of(unknowns, residuals, slopes)
+
+    def _trial(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (N,) of the lines, and their derivatives (N, p)."""
         if self.layout.forced:
             m, c, k = np.exp(unknowns)
             r, g = k / m, c / m
@@ -75,50 +64,41 @@ class Objective:
             columns = np.hstack([columns, np.eye(self.y.size, 1)])
         sizes = np.linalg.norm(columns, axis=0)
         if not (np.all(np.isfinite(known)) and np.all(np.isfinite(sizes) & (sizes > 0))):
-            return Trial(unknowns, np.full(self.y.size, np.inf), np.zeros((self.y.size, unknowns.size)))
+            return np.full(self.y.size, np.inf), np.zeros((self.y.size, unknowns.size))
         basis, triangle = np.linalg.qr(columns / sizes)
         left = self.y - known
         amplitudes = np.linalg.lstsq(triangle, basis.T @ left, rcond=None)[0] / sizes
         slopes = slopes + by_unknowns @ (turns @ amplitudes[:2])
-        slopes = slopes - (slopes @ basis) @ basis.T
-        return self._with_prior(Trial(unknowns, left - basis @ (basis.T @ left), -slopes.T))
-
-    def _with_prior(self, trial: Trial) -> Trial:
-        if self.nominal is None or self.width is None:
-            return trial
-        away = (trial.unknowns - self.nominal) / self.width
-        return Trial(
-            trial.unknowns,
-            np.concatenate([trial.residuals, away]),
-            np.concatenate([trial.slopes, np.diag(1.0 / self.width)]),
-        )
+        return left - basis @ (basis.T @ left), -(slopes - (slopes @ basis) @ basis.T).T
 
 
-def search(objective: Objective, starts: Sequence[np.ndarray], iterations: int) -> tuple[list[Trial], int]:
-    """Search a minimum from each of the starts, all together; return where they end, and the number of evaluations.
+def search(objective: Objective, starts: np.ndarray, iterations: int) -> tuple[Linearisation, int]:
+    """Search a minimum from each of the starts (cases, p); return where they end, and the number of evaluations.
 
     Residuals are taken in units of those that the search began with; where it has made them much smaller, it goes on
     from there.
     """
-    forced, size = objective.layout.forced, starts[0].size
+    size, forced = starts.shape[1], objective.layout.forced
     limits = StepLimits(np.full(size, LARGEST), np.full(size, LIMIT)) if forced else None
-    trials, spent = [objective.at(start) for start in starts], len(starts)
+    ends, spent = objective.at(starts), len(starts)
     for _ in range(ROUNDS):
-        units = np.array([trial.unit for trial in trials])
+        units = _units(ends)
 
         def evaluate(cases: np.ndarray, unknowns: np.ndarray, units: np.ndarray = units) -> Linearisation:
-            return _in_units([objective.at(own) for own in unknowns], units[cases])
+            return _scaled(objective.at(unknowns), 1.0 / units[cases])
 
-        end = minimise(evaluate, _in_units(trials, units), iterations, limits)
-        reached = zip(end.at.unknowns, end.at.residuals, end.at.slopes, units, strict=True)
-        trials = [Trial(unknowns, residuals * unit, slopes * unit) for unknowns, residuals, slopes, unit in reached]
-        spent += int(end.iterations.sum())
-        if all(trial.unit > SMALLER * unit for trial, unit in zip(trials, units, strict=True)):
+        reached = minimise(evaluate, _scaled(ends, 1.0 / units), iterations, limits)
+        ends, spent = _scaled(reached.at, units), spent + int(reached.iterations.sum())
+        if np.all(_units(ends) > SMALLER * units):
             break
-    return trials, spent
+    return ends, spent
 
 
-def _in_units(trials: Sequence[Trial], units: np.ndarray) -> Linearisation:
-    residuals, slopes = np.stack([trial.residuals for trial in trials]), np.stack([trial.slopes for trial in trials])
-    unknowns = np.stack([trial.unknowns for trial in trials])
-    return Linearisation.of(unknowns, residuals / units[:, None], slopes / units[:, None, None])
+def _units(ends: Linearisation) -> np.ndarray:
+    """Root mean square of the residuals of each case; 1 where they are zero or not finite."""
+    usable = (ends.cost > 0.0) & np.isfinite(ends.cost)
+    return np.sqrt(np.where(usable, ends.cost / ends.residuals.shape[1], 1.0))
+
+
+def _scaled(ends: Linearisation, factors: np.ndarray) -> Linearisation:
+    return Linearisation.of(ends.unknowns, ends.residuals * factors[:, None], ends.slopes * factors[:, None, None])

@@ -3,16 +3,16 @@
 ``Y(k) = G(s_k) U(k) + T(z_k)/A(z_k) + noise``: the response to the force, a transient over the denominator of the
 system, and white noise of unknown level (R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach,
 2nd ed. 2012, chapters 6, 7 and 9). The transient takes leakage, the start and the end of the record without a window;
-the force is taken as it runs between its samples (:mod:`methods.spectral.response`, where nothing is approximate). Free
+the force is taken as it runs between its samples (:mod:`methods.spectral.lines`, where nothing is approximate). Free
 vibration is the case without a force: a ratio of polynomials whose numerator is free.
 
-White noise is white on the lines too, and all lines are used, so the likelihood is that of output error with an unknown
-start: both have the same bound. The start is always estimated, by the transient, even where it is told. A sensor's
-offset is the line of frequency zero, which is then free.
+All lines are used, so the likelihood is that of output error with an unknown initial state, and has the same bound;
+the initial state is always estimated, by the transient. A sensor's offset is the line of frequency zero, which is then
+free.
 
-The search (:mod:`methods.spectral.fit`) begins at the best minima of the scan over frequency and decay that others
-begin at, too (:mod:`methods.starts.candidates`), without the prior where the vibration is free. The covariance is the
-inverse of the Fisher information with transient and offset projected out, at the noise that the residuals show.
+The search (:mod:`methods.spectral.fit`) begins at the best minima of the scan (:mod:`methods.starts.candidates`),
+without the prior where the vibration is free. The covariance is the inverse of the Fisher information with transient
+and offset projected out, at the noise that the residuals show.
 
 Free vibration gives k/m and c/m, the latter negative where noise makes it so; a force gives m, c and k. The DFT of a
 free vibration is the same for a frequency and for its mirror image beyond half the sampling rate: the lower is meant.
@@ -31,6 +31,7 @@ from bench import (
     Estimate,
     InitialState,
     InputError,
+    Linearisation,
     NoEstimate,
     Normal,
     OutputError,
@@ -43,9 +44,8 @@ from bench import (
 )
 from methods.modal.even_steps import unevenness
 from methods.modal.free_decay import GROWS, has_offset, untold
-from methods.spectral.fit import Objective, Trial, search
-from methods.spectral.lines import dft_lines, force_harmonics, real_lines
-from methods.spectral.response import HarmonicLayout
+from methods.spectral.fit import Objective, search
+from methods.spectral.lines import HarmonicLayout, force_harmonics, real_lines
 from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import candidates
 
@@ -97,76 +97,61 @@ class Frequency(SearchingIdentifier):
         return super().objection(problem) or _objection(problem)
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Estimate m, c and k where a force tells the scale, else k/m and c/m. Uses no randomness.
+        """Estimate m, c and k where a force determines the scale, else k/m and c/m. Uses no randomness.
 
         Raises NoEstimate where the fit has no stiffness, or no response.
         """
-        own = untold(problem if problem.forced else replace(problem, prior=None))
-        objective = _objective(own)
-        starts = [_unknowns(own, p) for p in candidates(OutputError(own), self.starts)[: self.starts]]
+        free = untold(problem if problem.forced else replace(problem, prior=None))
+        objective = _objective(free)
+        starts = np.stack([_unknowns(free, p) for p in candidates(OutputError(free), self.starts)[: self.starts]])
         screened, spent = search(objective, starts, min(SCREENING, self.iterations))
-        (best,), evaluations = search(
-            objective, [min(screened, key=lambda trial: trial.cost).unknowns], self.iterations
-        )
+        end, evaluations = search(objective, screened.unknowns[[np.argmin(screened.cost)]], self.iterations)
         spent += evaluations
-        if not np.isfinite(best.cost):
+        if not np.isfinite(end.cost[0]):
             raise NoEstimate(NO_RESPONSE, cost=Cost(spent, spent))
-        if own.forced:
-            return self._forced(own, objective, best, spent)
-        return _free(own, objective, best, spent)
+        return (self._forced if free.forced else self._free)(free, objective, end, spent)
 
-    def _forced(self, problem: Problem, objective: Objective, best: Trial, spent: int) -> Estimate:
+    def _forced(self, problem: Problem, objective: Objective, end: Linearisation, spent: int) -> Estimate:
         """All parameters; with a prior, fit and noise in turn."""
-        samples, nuisances = objective.y.size, 2 + int(objective.offset)
-        used = best.unknowns.size + nuisances
-        sigma = _noise(best.residuals, samples, used)
+        names, samples, used = _parameters(problem), objective.y.size, 5 + int(objective.offset)
+        sigma = _noise(end, samples, used)
         for _ in range(SIGMA_ROUNDS if problem.prior is not None else 0):
             assert problem.prior is not None
-            sds = [problem.prior.log_sd[name] for name in _parameters(problem)]
-            nominal = np.log([problem.prior.nominal[name] for name in _parameters(problem)])
-            objective = replace(objective, nominal=nominal, width=np.array(sds) / sigma)
-            (best,), evaluations = search(objective, [best.unknowns], self.iterations)
-            spent, before, sigma = spent + evaluations, sigma, _noise(best.residuals, samples, used)
+            sds = np.array([problem.prior.log_sd[name] for name in names])
+            nominal = np.log([problem.prior.nominal[name] for name in names])
+            end, evaluations = search(
+                replace(objective, nominal=nominal, width=sds / sigma), end.unknowns, self.iterations
+            )
+            spent, before, sigma = spent + evaluations, sigma, _noise(end, samples, used)
             if abs(np.log(sigma / before)) < 1e-3:
                 break
         model = OutputError(problem)
-        covariance = covariances(best.slopes[None] / sigma)[0]
-        order = [_parameters(problem).index(name) for name in problem.system.names]
-        if covariance is not None:
-            covariance = covariance[np.ix_(order, order)]
-        p = dict(zip(_parameters(problem), map(float, np.exp(best.unknowns)), strict=True))
-        message = _message(best.residuals[:samples], objective.y, covariance is None)
+        covariance = _covariance(end, sigma, [names.index(name) for name in problem.system.names])
+        p = dict(zip(names, map(float, np.exp(end.unknowns[0])), strict=True))
+        message = _message(end.residuals[0, :samples], objective.y, covariance)
         return estimate_at(model, model.vector(p), covariance, float(used), Cost(spent, spent), message)
 
-
-def _free(problem: Problem, objective: Objective, best: Trial, spent: int) -> Estimate:
-    """The groups k/m and c/m, of the lower of the frequencies that the lines cannot tell apart."""
-    r, g = _lowest(best.unknowns, objective.layout.step)
-    if not r > 0:
-        raise NoEstimate(NO_VIBRATION, cost=Cost(spent, spent))
-    best = objective.at(np.array([r, g]))
-    used = 4 + int(objective.offset)
-    covariance = covariances(best.slopes[None] / _noise(best.residuals, objective.y.size, used))[0]
-    order = [0 if _stiffness(problem) in group.exponents else 1 for group in problem.system.groups]
-    if covariance is not None:
-        covariance = covariance[np.ix_(order, order)]
-    mass, damping, stiffness = _parameters(problem)
-    p = {mass: 1.0, damping: g, stiffness: r}
-    start = fitted_start(problem.system, p, problem.records[0])
-    return Estimate(
-        problem.system,
-        groups=Normal(
-            tuple(group.name for group in problem.system.groups),
-            best.unknowns[order],
-            covariance,
-            log=False,
-            dof=max(float(objective.y.size - used), 1.0),
-        ),
-        reconstructions=(SimulatedResponse(problem.system, p, start),),
-        initial_states=(InitialState(start.displacement, start.velocity),),
-        message=GROWS if g <= 0 else _message(best.residuals, objective.y, covariance is None),
-        cost=Cost(spent, spent),
-    )
+    def _free(self, problem: Problem, objective: Objective, end: Linearisation, spent: int) -> Estimate:
+        """The groups k/m and c/m, of the lower of the frequencies that the lines cannot tell apart."""
+        r, g = _lowest(end.unknowns[0], objective.layout.step)
+        if not r > 0:
+            raise NoEstimate(NO_VIBRATION, cost=Cost(spent, spent))
+        end, used, system = objective.at(np.array([[r, g]])), 4 + int(objective.offset), problem.system
+        mass, damping, stiffness = _parameters(problem)
+        order = [0 if stiffness in group.exponents else 1 for group in system.groups]
+        covariance = _covariance(end, _noise(end, objective.y.size, used), order)
+        names = tuple(group.name for group in system.groups)
+        dof = max(float(objective.y.size - used), 1.0)
+        p = {mass: 1.0, damping: g, stiffness: r}
+        start = fitted_start(system, p, problem.records[0])
+        return Estimate(
+            system,
+            groups=Normal(names, end.unknowns[0, order], covariance, log=False, dof=dof),
+            reconstructions=(SimulatedResponse(system, p, start),),
+            initial_states=(InitialState(start.displacement, start.velocity),),
+            message=GROWS if g <= 0 else _message(end.residuals[0], objective.y, covariance),
+            cost=Cost(spent, spent),
+        )
 
 
 def _lowest(unknowns: np.ndarray, step: float) -> tuple[float, float]:
@@ -190,7 +175,7 @@ def _objective(problem: Problem) -> Objective:
         harmonics = force_harmonics(record.forces, first, last, channel.n * step, count)
     return Objective(
         HarmonicLayout(channel.n, step, harmonics),
-        real_lines(dft_lines(channel.values), channel.n),
+        real_lines(np.fft.rfft(channel.values, norm="ortho"), channel.n),
         has_offset(problem),
     )
 
@@ -201,28 +186,28 @@ def _parameters(problem: Problem) -> list[str]:
     return [kinds["mass"], kinds["damping"], kinds["stiffness"]]
 
 
-def _stiffness(problem: Problem) -> str:
-    return _parameters(problem)[2]
-
-
 def _unknowns(problem: Problem, p: dict[str, float]) -> np.ndarray:
     m, c, k = (p[name] for name in _parameters(problem))
     return np.log([m, c, k]) if problem.forced else np.array([k / m, c / m])
 
 
-def _noise(residuals: np.ndarray, samples: int, used: int) -> float:
+def _noise(end: Linearisation, samples: int, used: int) -> float:
     """Standard deviation of the noise; never zero."""
-    rss = float(residuals[:samples] @ residuals[:samples])
-    return max(float(np.sqrt(rss / max(samples - used, 1))), 1e-12)
+    residuals = end.residuals[0, :samples]
+    return max(float(np.sqrt(residuals @ residuals / max(samples - used, 1))), 1e-12)
 
 
-def _message(residuals: np.ndarray, y: np.ndarray, open_direction: bool) -> str:
-    left, said = float(residuals @ residuals) / float(y @ y), []
-    if left > POOR:
-        said.append(f"the response leaves {left:.0%} of the data's mean square: a wrong minimum, or mostly noise")
-    if open_direction:
-        said.append("the data leave a parameter open here, so there is no uncertainty")
-    return "; ".join(said)
+def _covariance(end: Linearisation, sigma: float, order: list[int]) -> np.ndarray | None:
+    """The covariance of the unknowns, in another order; None where they leave a direction open."""
+    covariance = covariances(end.slopes / sigma)[0]
+    return None if covariance is None else covariance[np.ix_(order, order)]
+
+
+def _message(residuals: np.ndarray, y: np.ndarray, covariance: np.ndarray | None) -> str:
+    left = float(residuals @ residuals) / float(y @ y)
+    poor = f"the response leaves {left:.0%} of the data's mean square: a wrong minimum, or mostly noise"
+    no_interval = "the data leave a parameter open here, so there is no uncertainty"
+    return "; ".join(filter(None, [poor if left > POOR else "", no_interval if covariance is None else ""]))
 
 
 def _objection(problem: Problem) -> str | None:
