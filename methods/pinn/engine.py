@@ -15,7 +15,7 @@ from methods.network.ansatz import Ansatz, Basis, SumAnsatz
 from methods.network.response import Assisted, Band, Displacements, ExactStart, Function
 from methods.pinn import descent, levenberg
 from methods.pinn.block import Block, Spread
-from methods.pinn.laplace import laplace
+from methods.pinn.equations import equations
 from methods.pinn.levenberg import Walk
 from methods.pinn.residuals import TERMS, Residuals
 from methods.pinn.settings import PhysicsSettings
@@ -157,7 +157,7 @@ class Attempt:
         )
         self.n_paths = first.system.n_dof + first.system.n_hidden
         weights = [self._first_coefficients(k, rngs) for k in range(len(first.records))]
-        offsets = np.zeros((len(problems), len(self.residuals.offsets)))
+        offsets = np.zeros((len(problems), self.residuals.n_offsets))
         z = np.concatenate([*weights, logs[:, self.residuals.free], offsets], 1)
         self.walk = Walk.start(torch.as_tensor(z, device=settings.device))
         self._measure(degrees_of_freedom(first), guesses)
@@ -219,13 +219,9 @@ class Attempt:
 
     def errors(self, rows: Tensor, deviations: Tensor) -> np.ndarray:
         """Sum of squared data residuals of each channel, (B, n_channels), in natural units."""
-        plain = np.asarray((rows * deviations).cpu())
-        sums, at = [], 0
-        for block in self.residuals.blocks:
-            own = plain[:, at : at + block.n_data] ** 2
-            sums += [own[:, block.channel == i].sum(1) for i in range(int(block.channel[-1]) + 1)]
-            at += block.n_rows
-        return np.stack(sums, 1)
+        squares = np.asarray((rows * deviations).cpu()) ** 2
+        kinds = self.residuals.kinds
+        return np.stack([squares[:, kinds == i].sum(1) for i in range(self.residuals.n_channels)], 1)
 
     def estimate_noise(self, residuals: Residuals, deviations: Tensor, who: np.ndarray) -> np.ndarray:
         """Set the noise of the fits ``who`` from their data residuals; returns its largest relative change in each."""
@@ -253,14 +249,9 @@ class Attempt:
 
     def respond(self, heads: Residuals, iterations: int, damping: float, who: np.ndarray) -> None:
         """Fit the response of the fits ``who`` with their parameters held where they are."""
-        own = heads.take(who)
-        held, z = own.held(self.walk.z[who])
-        walk = Walk.start(z, damping)
-        deviations = heads.deviations(self.spread())[who]
-        levenberg.minimise(held, walk, deviations[:, : held.n_rows], iterations, self.settings.tolerance)
-        self.walk.z[who] = own.with_responses(self.walk.z[who], walk.z)
-        self.walk.evaluations[who] += walk.evaluations
-        self.walk.iterations[who] += walk.iterations
+        self.walk.damping[who] = damping
+        deviations = heads.deviations(self.spread())
+        levenberg.minimise(heads.hold(), self.walk, deviations, iterations, self.settings.tolerance, who)
 
     def levenberg(self) -> None:
         """Minimise with soft physics, then nearly hard, on the output layer alone; then over all coefficients.
@@ -330,10 +321,10 @@ class Attempt:
         residuals, walk = self.residuals, self.walk
         deviations = residuals.deviations(self.spread())
         state = residuals.evaluate(walk.z, deviations)
-        posterior = laplace(residuals, state, deviations)
+        posterior = equations(residuals, state, deviations).posterior()
         n = len(residuals.free)
         covariance = np.asarray(posterior.covariance[:, :n, :n].cpu())
-        bands = [np.asarray(own.cpu()) for own in posterior.bands]
+        bands = [own.reshape(len(own), self.problems[0].system.n_dof, -1) for own in posterior.deviations]
         parts, logs, offsets = residuals.split(walk.z)
         coefficients = [np.asarray(part.cpu()) for part in parts]
         n_dof = self.problems[0].system.n_dof

@@ -1,9 +1,6 @@
 """Levenberg-Marquardt for many least-squares problems at once, each on its own: a fit is the same alone or in company.
 
-A step solves the damped normal equations in whichever space is smaller. A network has 4,400 weights and some 230
-residuals, so it solves them in residual space, where ``-(JᵀJ + μI)⁻¹ Jᵀ r = -Jᵀ (JJᵀ + μI)⁻¹ r`` (push-through
-identity). Where residuals outnumber unknowns (the output layer alone, thousands of samples) it solves them in the
-space of the unknowns, with JᵀJ summed up from parts of J; those of splines are bands (:mod:`methods.pinn.banded`).
+A step solves the damped normal equations of :mod:`methods.pinn.equations`.
 """
 
 from __future__ import annotations
@@ -14,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from methods.pinn.banded import BandedEquations
-from methods.pinn.residuals import Linear, Residuals, State
+from methods.pinn.equations import NormalEquations, equations
+from methods.pinn.residuals import Residuals, State
 
 LEAST_DAMPING = 1e-11
 GREATEST_DAMPING = 1e6
@@ -58,61 +55,6 @@ class Walk:
             self.history[i].append(np.append(self.evaluations[i], own))
 
 
-class DualEquations:
-    """The damped normal equations in residual space."""
-
-    def __init__(self, residuals: Residuals, state: State, deviations: Tensor) -> None:
-        self.residuals, self.state = residuals, state
-        self.linear: Linear = residuals.linearise(state, deviations)
-        self.gram = residuals.gram(state, self.linear)
-        self.size = self.gram.diagonal(dim1=1, dim2=2).amax(1)
-        self.trace = self.gram.diagonal(dim1=1, dim2=2).sum(1)
-
-    def solve(self, damping: Tensor) -> tuple[Tensor, Tensor]:
-        """Steps to subtract (B, n_z), and the decrease of the loss that the linear model promises (B,).
-
-        The step leaves the linear residual ``μ (JJᵀ + μI)⁻¹ r``. NaN where the matrix is not positive definite.
-        """
-        matrix = self.gram.clone()
-        matrix.diagonal(dim1=1, dim2=2).add_(damping[:, None])
-        factor, info = torch.linalg.cholesky_ex(matrix)
-        rows = self.state.rows
-        dual = torch.cholesky_solve(rows[..., None], factor)[..., 0]
-        left = damping[:, None] * dual
-        promised = 0.5 * ((rows - left) * (rows + left)).sum(1)
-        step = self.residuals.pull_back(self.state, self.linear, dual)
-        return step, torch.where(info == 0, promised, torch.nan)
-
-
-class PrimalEquations:
-    """The damped normal equations in the space of the unknowns."""
-
-    def __init__(self, residuals: Residuals, state: State, deviations: Tensor) -> None:
-        linear = residuals.linearise(state, deviations)
-        self.matrix, self.gradient, self.size = residuals.normal_equations(state, linear)
-        self.trace = self.matrix.diagonal(dim1=1, dim2=2).sum(1)
-
-    def solve(self, damping: Tensor) -> tuple[Tensor, Tensor]:
-        """As :meth:`DualEquations.solve`: the promise is ``hᵀ (μ h + Jᵀ r) / 2`` for the step h."""
-        matrix = self.matrix.clone()
-        matrix.diagonal(dim1=1, dim2=2).add_(damping[:, None])
-        factor, info = torch.linalg.cholesky_ex(matrix)
-        step = torch.cholesky_solve(self.gradient[..., None], factor)[..., 0]
-        promised = 0.5 * (step * (damping[:, None] * step + self.gradient)).sum(1)
-        return step, torch.where(info == 0, promised, torch.nan)
-
-
-Equations = DualEquations | PrimalEquations | BandedEquations
-
-
-def equations(residuals: Residuals, state: State, deviations: Tensor) -> Equations:
-    """Return the normal equations in the smaller space, those of splines as bands."""
-    if all(ansatz.local for ansatz in residuals.ansatzes):
-        return BandedEquations(residuals, state, deviations)
-    dual = residuals.n_rows <= residuals.n_z
-    return (DualEquations if dual else PrimalEquations)(residuals, state, deviations)
-
-
 def minimise(
     residuals: Residuals,
     walk: Walk,
@@ -135,7 +77,7 @@ def minimise(
     own, own_deviations = residuals.take(active), deviations[active]
     state = own.evaluate(walk.z[active], own_deviations)
     walk.evaluations[active] += 1
-    normal: Equations | None = None
+    normal: NormalEquations | None = None
     for _ in range(iterations):
         if normal is None:
             normal = equations(own, state, own_deviations)

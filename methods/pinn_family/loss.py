@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from methods.pinn.levenberg import Equations, equations
+from methods.pinn.equations import NormalEquations, equations
 from methods.pinn.residuals import Residuals, State
 from methods.pinn_family.choices import TrainingComponent
 from methods.pinn_family.sampling import Sampling, TrainingResiduals
@@ -158,7 +158,7 @@ class Loss:
         self.charge(COSTS["gradient"])
         return value, gradient[0]
 
-    def equations(self, z: Tensor) -> tuple[State, Equations]:
+    def equations(self, z: Tensor) -> tuple[State, NormalEquations]:
         """Return the state and the normal equations at z."""
         self.charge(COSTS["equations"])
         state = self.residuals.evaluate(z[None], self.deviations)

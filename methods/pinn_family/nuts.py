@@ -215,12 +215,11 @@ class Coordinates:
         state = residuals.evaluate(z, deviations)
         linear = residuals.linearise(state, deviations)
         self.columns = linear.columns[0]
-        logs = residuals.split(z)[1]
         self.seeds, first = [], 0
         self.constant = state.rows[0] - self.columns @ short[0, self.n_output :]
         for k, block in enumerate(residuals.blocks):
             rows = slice(first, first + block.n_rows)
-            seeds = residuals._seeds(block, state.outputs[k], logs)[0][0] / deviations[0, rows, None]
+            seeds = linear.seeds[k][0]
             self.constant[rows] -= (seeds * state.tapes[k].output[0][:, block.points]).sum((0, 2))
             self.seeds.append(seeds)
             first += block.n_rows
@@ -278,7 +277,7 @@ class Coordinates:
         sizes = [b.n_paths * stream.shape[-1] for b, stream in zip(residuals.blocks, streams, strict=True)]
         records = zip(residuals.blocks, streams, weights.split(sizes), strict=True)
         outputs = [b.response((stream @ own.reshape(b.n_paths, -1).mT)[None]) for b, stream, own in records]
-        rows = residuals._rows(outputs, residuals._physics(outputs, logs), logs, offsets) / self.posterior.deviations
+        rows = residuals.rows(outputs, logs, offsets) / self.posterior.deviations
         squares = (rows**2).sum() + (weights**2).sum() + (u[: self.n_hidden] ** 2).sum()
         return -0.5 * squares - torch.log(root.diagonal()).sum()
 

@@ -47,8 +47,8 @@ class TrainingResiduals(Residuals):
         copy.ansatzes = [self.make_ansatz(k, block) for k, block in enumerate(copy.blocks)]
         return copy
 
-    def _rows(self, outputs: Sequence[Tensor], physics: Sequence[Tensor], logs: Tensor, offsets: Tensor) -> Tensor:
-        rows = super()._rows(outputs, physics, logs, offsets)
+    def rows(self, outputs: Sequence[Tensor], logs: Tensor, offsets: Tensor) -> Tensor:
+        rows = super().rows(outputs, logs, offsets)
         return rows if self.shift is None else rows + self.shift
 
 

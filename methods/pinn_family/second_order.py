@@ -195,11 +195,10 @@ class VariableProjection(Optimizer):
             """Return all unknowns of the output layer's problem where the parameters are given."""
             point = short.clone()
             point[0, free] = tensor(logs, point)
-            held, unknowns = heads.held(point)
-            walk = Walk.start(unknowns, 1e-9)
-            minimise(held, walk, deviations[:, : held.n_rows], INNER, 1e-9)
+            walk = Walk.start(point, 1e-9)
+            minimise(heads.hold(), walk, deviations, INNER, 1e-9)
             loss.charge(COSTS["equations"] * float(walk.iterations[0]))
-            return heads.with_responses(point, walk.z)
+            return walk.z
 
         def rows(logs: np.ndarray) -> np.ndarray:
             point = projected(logs)

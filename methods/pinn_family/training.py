@@ -16,7 +16,8 @@ from methods.network.ansatz import SumAnsatz
 from methods.network.tanh import Network
 from methods.pinn.block import Spread
 from methods.pinn.engine import Attempt, Fit, Watch, torch_threads
-from methods.pinn.levenberg import Walk, equations, minimise
+from methods.pinn.equations import equations
+from methods.pinn.levenberg import Walk, minimise
 from methods.pinn.residuals import Residuals
 from methods.pinn_family.architectures import FeatureAnsatz
 from methods.pinn_family.choices import component

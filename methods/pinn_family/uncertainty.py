@@ -21,7 +21,7 @@ from methods.network.ansatz import Ansatz, SumAnsatz
 from methods.network.response import Band, Function
 from methods.network.tanh import Network
 from methods.pinn.engine import torch_threads
-from methods.pinn.laplace import laplace
+from methods.pinn.equations import equations
 from methods.pinn.task import Task, simulated
 from methods.pinn_family.architectures import FeatureAnsatz
 from methods.pinn_family.loss import Clock, TrainingPath, tensor
@@ -146,9 +146,10 @@ def last_layer(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Gene
     A. Kristiadi, M. Hein and P. Hennig, ICML 2020; E. Daxberger et al., NeurIPS 2021.
     """
     heads, short = posterior.residuals.heads(posterior.z)
-    linear = laplace(heads, heads.evaluate(short, posterior.deviations), posterior.deviations)
+    linear = equations(heads, heads.evaluate(short, posterior.deviations), posterior.deviations).posterior()
     n = len(posterior.residuals.free)
-    bands = [Band(old.times, np.asarray(sd[0].cpu())) for old, sd in zip(fit.bands, linear.bands, strict=True)]
+    pairs = zip(fit.bands, linear.deviations, strict=True)
+    bands = [Band(old.times, sd[0].reshape(old.values.shape)) for old, sd in pairs]
     return replace(fit, covariance=np.asarray(linear.covariance[0, :n, :n].cpu()), bands=tuple(bands))
 
 

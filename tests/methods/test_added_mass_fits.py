@@ -199,13 +199,13 @@ def test_parameters_that_run_off_together_are_held() -> None:
 def test_what_nothing_tells_has_a_large_variance() -> None:
     """The inverse of a regular matrix, and of ones whose information is on a sum alone, or of one unknown none."""
     torch = pytest.importorskip("torch")
-    from methods.pinn.laplace import _inverse
+    from methods.pinn.equations import inverse
 
     regular = torch.tensor([[[4.0, 1.0], [1.0, 3e6]]], dtype=torch.float64)
-    np.testing.assert_allclose(_inverse(regular) @ regular, np.eye(2)[None], atol=1e-9)
+    np.testing.assert_allclose(inverse(regular) @ regular, np.eye(2)[None], atol=1e-9)
     sums = torch.ones(1, 2, 2, dtype=torch.float64)
-    assert float(_inverse(sums)[0, 0, 0]) > 1e10
-    assert float(torch.ones(1, 2, dtype=torch.float64) @ _inverse(sums)[0] @ torch.ones(2, dtype=torch.float64)) < 2.0
+    assert float(inverse(sums)[0, 0, 0]) > 1e10
+    assert float(torch.ones(1, 2, dtype=torch.float64) @ inverse(sums)[0] @ torch.ones(2, dtype=torch.float64)) < 2.0
     lone = torch.diag(torch.tensor([2.0, 0.0], dtype=torch.float64))[None]
-    assert float(_inverse(lone)[0, 0, 0]) == pytest.approx(0.5)
-    assert float(_inverse(lone)[0, 1, 1]) > 1e10
+    assert float(inverse(lone)[0, 0, 0]) == pytest.approx(0.5)
+    assert float(inverse(lone)[0, 1, 1]) > 1e10

@@ -24,7 +24,7 @@ torch = pytest.importorskip("torch")
 from methods.network import tanh  # noqa: E402
 from methods.network.ansatz import Ansatz, Basis, Local, SumAnsatz  # noqa: E402
 from methods.network.tanh import Network  # noqa: E402
-from methods.pinn import laplace, levenberg  # noqa: E402
+from methods.pinn import equations, levenberg  # noqa: E402
 from methods.pinn.block import Block, Spread  # noqa: E402
 from methods.pinn.residuals import Residuals  # noqa: E402
 from methods.starts.waves import scan  # noqa: E402
@@ -209,7 +209,7 @@ def _autograd_jacobian(residuals: Residuals, z: torch.Tensor, deviations: torch.
             slopes = [torch.autograd.grad(c.sum(), times, create_graph=True)[0][0] for c in streams[-1].unbind(-1)]
             streams.append(torch.stack(slopes, -1))
         outputs.append(torch.stack(streams)[None])
-    rows = residuals._rows(outputs, residuals._physics(outputs, logs), logs, offsets)[0] / deviations[0]
+    rows = residuals.rows(outputs, logs, offsets)[0] / deviations[0]
     grads = [
         torch.autograd.grad(row, z, retain_graph=True, allow_unused=True, materialize_grads=True)[0][0] for row in rows
     ]
@@ -230,7 +230,7 @@ def test_dual_and_primal_steps_are_the_textbook_step() -> None:
     state = residuals.evaluate(z, deviations)
     linear = residuals.linearise(state, deviations)
     jacobian = torch.cat([part for _, part in residuals.jacobian_parts(state, linear)], 1)
-    for kind in (levenberg.DualEquations, levenberg.PrimalEquations):
+    for kind in (equations.DualEquations, equations.PrimalEquations):
         normal = kind(residuals, state, deviations)
         torch.testing.assert_close(normal.size, (jacobian**2).sum(2).amax(1))
         damping = 1e-3 * normal.size
@@ -261,23 +261,21 @@ def test_bands_of_splines_are_the_dense_equations(system: System) -> None:
     residuals, z, deviations = splines(system)
     state = residuals.evaluate(z, deviations)
     banded, dense = (
-        kind(residuals, state, deviations) for kind in (levenberg.BandedEquations, levenberg.PrimalEquations)
+        kind(residuals, state, deviations) for kind in (equations.BandedEquations, equations.PrimalEquations)
     )
     torch.testing.assert_close(banded.size, dense.size)
     torch.testing.assert_close(banded.trace, dense.trace)
     (step, promised), (expected, promise) = (own.solve(1e-3 * dense.size) for own in (banded, dense))
     torch.testing.assert_close(step, expected, rtol=1e-7, atol=1e-9)
     torch.testing.assert_close(promised, promise, rtol=1e-9, atol=0.0)
-    for own, other in zip(
-        laplace._banded(residuals, state, deviations), laplace._primal(residuals, state, deviations), strict=True
-    ):
-        for part, wanted in zip(own, other, strict=True):
-            torch.testing.assert_close(part, wanted, rtol=1e-5, atol=1e-7 * float(wanted.abs().max()))
+    own, other = banded.posterior(), dense.posterior()
+    for part, wanted in zip([own.covariance, *own.variances], [other.covariance, *other.variances], strict=True):
+        torch.testing.assert_close(part, wanted, rtol=1e-5, atol=1e-7 * float(wanted.abs().max()))
 
 
 def test_bands_that_are_not_definite_promise_nothing() -> None:
     residuals, z, deviations = splines(SDOF())
-    normal = levenberg.BandedEquations(residuals, residuals.evaluate(z, deviations), deviations)
+    normal = equations.BandedEquations(residuals, residuals.evaluate(z, deviations), deviations)
     _, promised = normal.solve(-normal.size)
     assert bool(promised.isnan().all())
 
@@ -600,10 +598,13 @@ def test_the_local_functions_of_a_spline_are_those_of_its_full_basis() -> None:
         np.testing.assert_allclose(local.functions[0, order].numpy(), expected, atol=1e-12)
 
 
-def test_a_held_fit_has_the_same_rows_but_those_of_the_prior() -> None:
+def test_steps_of_a_held_fit_leave_its_parameters() -> None:
     residuals, z, deviations = small(offset=True, n_fits=2)
-    held, short = residuals.held(z)
-    rows = held.evaluate(short, deviations[:, : held.n_rows]).rows
-    torch.testing.assert_close(rows, residuals.evaluate(z, deviations).rows[:, : held.n_rows])
-    assert short.shape[1] == z.shape[1] - len(residuals.free)
-    torch.testing.assert_close(residuals.with_responses(z, short), z)
+    held = residuals.hold()
+    state = held.evaluate(z, deviations)
+    torch.testing.assert_close(state.rows, residuals.evaluate(z, deviations).rows)
+    walk = levenberg.Walk.start(z)
+    levenberg.minimise(held, walk, deviations, 5, 1e-9)
+    parameters = slice(residuals.n_coefficients, residuals.n_coefficients + len(residuals.free))
+    torch.testing.assert_close(walk.z[:, parameters], z[:, parameters], rtol=0.0, atol=0.0)
+    assert np.all(residuals.evaluate(walk.z, deviations).loss < 0.5 * state.loss)
