@@ -28,14 +28,13 @@ from bench.contract.problem import Channel, Force, InitialState, Problem, Record
 from bench.contract.progress import report_progress
 from bench.contract.window import WindowTracker
 from bench.contract.zero import levelled
-from bench.dynamics.compiled_path import compiled_path
-from bench.dynamics.fixed_step import Steps, rk4_path, rk4_scan, rk4_step, step_counts
 from bench.dynamics.held import HeldModel
-from bench.dynamics.intervals import interval_polynomials
+from bench.dynamics.intervals import Steps, interval_polynomials, step_counts
 from bench.dynamics.mechanics import acceleration, mass_matrix, regression_columns, state_matrix, state_rate
 from bench.dynamics.ops import array_ops, nan_ops, numpy_ops, ops_from
 from bench.dynamics.rates import fastest_rates
 from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurements, simulate
+from bench.dynamics.stepper import compiled_path, rk4_path, rk4_scan, rk4_step
 from bench.entry_points import entry_points_of, load_entry_point
 from bench.errors import InputError, check_name
 from bench.likelihood.batching import batches, layout

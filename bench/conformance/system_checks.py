@@ -15,9 +15,8 @@ from bench.conformance.check import Checks, Refusal
 from bench.conformance.imports import HARNESS, check_imports
 from bench.contract.problem import InitialState, Units
 from bench.dynamics.mechanics import mass_matrix
-from bench.dynamics.ops import array_ops, float_ops, numpy_ops
+from bench.dynamics.ops import array_ops, float_ops, numpy_ops, sympy_ops
 from bench.dynamics.simulate import simulate
-from bench.dynamics.symbolic import sympy_ops
 from bench.errors import InputError
 from bench.information.structural import readable, structure_of
 from bench.scenario.scenario import Scenario

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from bench.contract.online import Layout
-from bench.dynamics.fixed_step import rk4_step
 from bench.dynamics.mechanics import acceleration, state_rate
 from bench.dynamics.ops import array_ops
+from bench.dynamics.stepper import rk4_step
 
 SUBSTEPS = 4
 """Runge-Kutta steps in an interval, a power of two."""

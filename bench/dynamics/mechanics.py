@@ -6,12 +6,16 @@ Every function runs in whichever library its arguments come from; ``ops`` names 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from bench.dynamics.ops import numpy_ops
+from bench.dynamics.ops import nan_ops, numpy_ops, solved_or_nan
 from bench.systems import Array, Components, Ops, System
+
+_analytic_ops = replace(nan_ops, abs=lambda z: np.where(np.real(z) < 0, -z, z))
+"""The numpy functions that a residual may call, all of them analytic in an imaginary step."""
 
 
 def mass_matrix(
@@ -74,39 +78,40 @@ def regression_columns(
     return np.stack([stacked({**zero, name: 1.0}) - offset for name in system.names], axis=1), offset
 
 
-def linear_matrices(system: System, p: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mass, damping and stiffness matrices of a linear system, each of shape (..., n_dof, n_dof).
+def _unit_residuals(system: System, p: Mapping[str, Any]) -> np.ndarray:
+    """Compute the residual of a linear system at one unit of x, v, a or f and nothing else, shape (..., n, 4 n).
 
-    Parameters may be arrays of one shape, which leads the result. Raises ValueError where the system is not linear.
+    So no entry is a small difference of large numbers. The parameters may have an imaginary step each.
     """
     if not system.linear:
         raise ValueError(f"{system.name} is not linear: it has no constant matrices")
     n = system.n_dof
-    shape = np.broadcast_shapes(*(np.shape(value) for value in p.values()))
-    zero = [0.0] * n
+    units = np.eye(4 * n)
+    x, v, a, f = (list(units[i * n : (i + 1) * n]) for i in range(4))
+    columns = {name: np.asarray(value)[..., None] for name, value in p.items()}
+    rows = system.residual(columns, x, v, a, f, [], _analytic_ops)
+    shape = np.broadcast_shapes(*map(np.shape, columns.values()), (4 * n,))
+    return np.stack([np.broadcast_to(row, shape) for row in rows], axis=-2)
 
-    def matrix(which: int) -> np.ndarray:
-        result = np.empty((*shape, n, n))
-        for j in range(n):
-            state = [list(zero), list(zero), list(zero)]
-            state[which][j] = 1.0
-            x, v, a = state
-            for i, r in enumerate(system.residual(p, x, v, a, zero, [], numpy_ops)):
-                result[..., i, j] = r
-        return result
 
-    return matrix(2), matrix(1), matrix(0)
+def linear_matrices(system: System, p: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return mass, damping and stiffness matrices of a linear system, each of shape (..., n_dof, n_dof).
+
+    Parameters may be arrays of one shape, which leads the result. Raises ValueError where the system is not linear.
+    """
+    stiffness, damping, mass, _ = np.split(_unit_residuals(system, p), 4, axis=-1)
+    return mass, damping, stiffness
 
 
 def state_matrix(system: System, p: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-    """``A`` and ``B`` of ``s' = A s + B f`` for the state ``s = [x, v]``, shapes (..., 2n, 2n) and (..., 2n, n)."""
+    """Return ``A`` and ``B`` of ``s' = A s + B f`` for the state ``s = [x, v]``, (..., 2n, 2n) and (..., 2n, n).
+
+    NaN where the mass matrix is singular. Raises ValueError where the system is not linear.
+    """
     n = system.n_dof
-    mass, damping, stiffness = linear_matrices(system, p)
-    inverse = 1.0 / mass if n == 1 else np.linalg.inv(mass)
-    a = np.zeros((*mass.shape[:-2], 2 * n, 2 * n))
-    a[..., :n, n:] = np.eye(n)
-    a[..., n:, :n] = -inverse @ stiffness
-    a[..., n:, n:] = -inverse @ damping
-    b = np.zeros((*mass.shape[:-2], 2 * n, n))
-    b[..., n:, :] = inverse
-    return a, b
+    residuals = _unit_residuals(system, p)
+    by_input = np.concatenate([residuals[..., : 2 * n], residuals[..., 3 * n :]], axis=-1)
+    rates = np.zeros((*residuals.shape[:-2], 2 * n, 3 * n), residuals.dtype)
+    rates[..., :n, n : 2 * n] = np.eye(n)
+    rates[..., n:, :] = -solved_or_nan(residuals[..., 2 * n : 3 * n], by_input)
+    return rates[..., : 2 * n], rates[..., 2 * n :]

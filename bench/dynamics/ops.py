@@ -1,15 +1,15 @@
 """Tables of the functions that a residual may call, one for each library that runs it.
 
-Those of numpy and of plain numbers stand here. A table for another library is made from the library that is handed in,
-by :func:`array_ops` where it works on arrays as numpy does (jax, torch), else by :func:`ops_from` (casadi, sympy): the
-harness imports none of them.
+A table for another library is made from the library that is handed in, by :func:`array_ops` where it works on arrays as
+numpy does (jax, torch), else by :func:`ops_from` (casadi): the harness imports none of them.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -31,39 +31,37 @@ def ops_from(library: Any, solve: Solve, **others: Callable[..., Array]) -> Ops:
     return Ops(solve=solve, **{name: others[name] if name in others else getattr(library, name) for name in NAMES})
 
 
-def array_ops(library: Any, broadcast: Callable[..., Sequence[Array]] | None = None) -> Ops:
+def array_ops(library: Any, broadcast: Callable[..., Sequence[Array]] | None = None, solved: Any = None) -> Ops:
     """Make the table of a library of arrays, in whose linear systems every entry may be an array or a number.
 
-    ``broadcast`` brings arrays to one shape where the library has no ``broadcast_arrays``.
+    ``broadcast`` brings arrays to one shape where the library has no ``broadcast_arrays``; ``solved`` replaces its
+    ``linalg.solve``.
     """
-    broadcast = broadcast or library.broadcast_arrays
+    broadcast, solved = broadcast or library.broadcast_arrays, solved or library.linalg.solve
 
     def solve(matrix: Sequence[Sequence[Array]], rhs: Components) -> Components:
         entries, n = broadcast(*[entry for row in matrix for entry in row], *rhs), len(rhs)
         stacked = library.stack(entries[: n * n], -1).reshape(*entries[0].shape, n, n)
-        solution = library.linalg.solve(stacked, library.stack(entries[n * n :], -1)[..., None])[..., 0]
+        solution = solved(stacked, library.stack(entries[n * n :], -1)[..., None])[..., 0]
         return [solution[..., i] for i in range(n)]
 
     return ops_from(library, solve)
 
 
+def solved_or_nan(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve linear systems (..., n, n), NaN where a matrix is singular: one of them does not stop the others."""
+    if matrix.shape[-1] == 1:
+        return np.asarray(right / matrix)
+    try:
+        return np.linalg.solve(matrix, right)
+    except np.linalg.LinAlgError:
+        singular = (np.linalg.det(matrix) == 0)[..., None, None]
+        return np.where(singular, np.nan, np.linalg.solve(np.where(singular, np.eye(matrix.shape[-1]), matrix), right))
+
+
 numpy_ops = array_ops(np)
 """The numpy functions a residual may call."""
-
-
-def _solve_or_nan(matrix: Sequence[Sequence[Array]], rhs: Components) -> Components:
-    try:
-        return numpy_ops.solve(matrix, rhs)
-    except np.linalg.LinAlgError:
-        n = len(rhs)
-        entries = np.broadcast_arrays(*[entry for row in matrix for entry in row], *rhs)
-        stacked = np.stack(entries[: n * n], -1).reshape(*entries[0].shape, n, n)
-        good = np.abs(np.linalg.det(stacked)) > 0
-        rows = [[np.where(good, entries[i * n + j], float(i == j)) for j in range(n)] for i in range(n)]
-        return numpy_ops.solve(rows, [np.where(good, entry, np.nan) for entry in entries[n * n :]])
-
-
-nan_ops = replace(numpy_ops, solve=_solve_or_nan)
+nan_ops = array_ops(np, solved=solved_or_nan)
 """``numpy_ops``, but NaN where a matrix is singular: one set of parameters that ran away does not stop the others."""
 float_ops = ops_from(
     math,
@@ -72,3 +70,14 @@ float_ops = ops_from(
     where=lambda condition, a, b: a if condition else b,
 )
 """The functions that a residual may call, for plain numbers."""
+
+
+@cache
+def sympy_ops() -> Ops:
+    """Make the table of sympy, which is loaded when it is first asked for: equations as formulas."""
+    import sympy
+
+    def solve(matrix: Sequence[Sequence[Any]], right: Sequence[Any]) -> list[Any]:
+        return list(sympy.Matrix(matrix).LUsolve(sympy.Matrix(right)))
+
+    return ops_from(sympy, solve, abs=sympy.Abs, where=lambda c, a, b: sympy.Piecewise((a, c), (b, True)))

@@ -1,8 +1,8 @@
-"""How fast a system moves: the fastest rate of its equation of motion linearised, by finite differences."""
+"""How fast a system moves: the fastest rate of its equation of motion linearised, and the step that resolves it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,9 +11,10 @@ from bench.dynamics.mechanics import state_rate
 from bench.dynamics.ops import nan_ops
 from bench.systems import System
 
-STEP = 1e-6
+DIFFERENCE = 1e-6
 """Step of the differences over the largest component of the state."""
-LEAST_STEP = 1e-9
+LEAST_DIFFERENCE = 1e-9
+STEPS_PER_RADIAN = 20
 
 
 def fastest_rates(system: System, p: Mapping[str, Any], state: np.ndarray, step: float | None = None) -> np.ndarray:
@@ -34,15 +35,25 @@ def fastest_rates(system: System, p: Mapping[str, Any], state: np.ndarray, step:
     d = len(state)
     # one step for all: a smaller one where the state is zero would show the rounding of stiff springs elsewhere
     if step is None:
-        step = max(STEP * float(np.max(np.abs(state[np.isfinite(state)]), initial=0.0)), LEAST_STEP)
+        step = max(DIFFERENCE * float(np.max(np.abs(state[np.isfinite(state)]), initial=0.0)), LEAST_DIFFERENCE)
     moves = (step * np.concatenate([np.eye(d), -np.eye(d)], axis=1)).reshape(d, 2 * d, *[1] * (state.ndim - 1))
     fastest = []
     with np.errstate(all="ignore"):
-        for level in (0.0, 1.0):
-            moved = list(level * state[:, None] + moves)
+        for share in (0.0, 1.0):
+            moved = list(share * state[:, None] + moves)
             rates = np.array(np.broadcast_arrays(*state_rate(system, p, moved, [0.0] * system.n_dof, nan_ops)))
             jacobian = np.moveaxis((rates[:, :d] - rates[:, d:]) / (2 * step), (0, 1), (-2, -1))
             finite = np.all(np.isfinite(jacobian), axis=(-2, -1))
             eigenvalues = np.linalg.eigvals(np.where(finite[..., None, None], jacobian, 0.0))
             fastest.append(np.where(finite, np.max(np.abs(eigenvalues), axis=-1), np.nan))
     return np.array(fastest)
+
+
+def longest_step(system: System, p: Mapping[str, Any], state: Sequence[np.ndarray]) -> float:
+    """Choose a step (s) that resolves the fastest rate of the system at rest and at a state, over all sets.
+
+    Of the two, one at which the rate of any set is not finite does not count; infinite where nothing moves.
+    """
+    rates = fastest_rates(system, p, np.stack(state)).reshape(2, -1)
+    fastest = float(np.max(rates[np.all(np.isfinite(rates), axis=1)], initial=0.0))
+    return 1.0 / (STEPS_PER_RADIAN * fastest) if fastest > 0 else np.inf

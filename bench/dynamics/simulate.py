@@ -1,15 +1,16 @@
 """The response of a system, vectorised over parameter sets, for methods and for scoring.
 
-Linear systems by superposition of their modes, exact in time. One motion of another system by adaptive Runge-Kutta
-steps of order eight (:mod:`bench.dynamics.integrator`), to about 1e-8 of its largest value even where rates have
-kinks; many at once by steps of order four, to about 1e-5 of it, alike for all sets, so that their differences are
-smooth. The truth is never made here (see :mod:`bench.scenario.truth`), nor the sensitivities of a bound (see
-:mod:`bench.information.fisher`).
+Linear systems are exact in time (:mod:`bench.dynamics.linear_motion`). One motion of another system is integrated by
+LSODA to about 1e-9 of its largest value, even where rates have kinks; many at once by Runge-Kutta steps of order four,
+to about 1e-5 of it, alike for all sets, so that their differences are smooth. The truth is never made here (see
+:mod:`bench.scenario.truth`).
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,21 +18,21 @@ from typing import Any
 import numpy as np
 
 from bench.contract.problem import Channel, Force, InitialState, Record
-from bench.dynamics.fixed_step import Steps, rk4_path, step_counts
-from bench.dynamics.integrator import Rate, integrate
-from bench.dynamics.intervals import interval_polynomials, merged_grid
-from bench.dynamics.linear_response import linear_response
+from bench.dynamics.intervals import Steps, interval_polynomials, merged_grid, step_counts
+from bench.dynamics.linear_motion import linear_motion
 from bench.dynamics.mechanics import acceleration, state_rate
 from bench.dynamics.ops import float_ops, numpy_ops
-from bench.dynamics.rates import fastest_rates
+from bench.dynamics.rates import longest_step
+from bench.dynamics.stepper import rk4_path
 from bench.systems import System
 
-STEPS_PER_RADIAN = 20
 MAX_STEPS = 200_000
 LONG_GRID = 200
 """Evenly spaced times from which on free motions of one mass are superposed rather than simulated at each time."""
-FIRST_STEP = 0.5
-"""The first step of an integration, in radians of the fastest rate at its start."""
+TOLERANCE = 1e-10
+"""Estimated local error of LSODA, relative to a component and to the largest component of the first state."""
+MAX_RATES = 500_000
+"""Evaluations of the equation of motion after which LSODA gives a motion up: some seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +74,9 @@ def simulate(
     times = np.asarray(times, float)
     with np.errstate(all="ignore"):
         if system.linear:
-            path = linear_response(system, p, np.stack(state, -1), times, forces)
+            flat = {name: value.ravel() for name, value in p.items()}
+            motion, _ = linear_motion(system, flat, np.stack(state, -1).reshape(-1, len(state)), times, forces, False)
+            path = np.moveaxis(motion.reshape(*sets, *motion.shape[1:]), -1, 0)
         else:
             state += [np.zeros(sets) for _ in range(system.n_hidden)]
             path = (_many if sets else _alone)(system, p, state, times, forces)
@@ -100,16 +103,24 @@ def displacements(
     Returns:
         Displacements (m) on each grid, shape (n, n_dof, n_times). Those that diverge are not finite.
     """
+    times, first = np.concatenate(grids), forces[0] if forces else ()
+    state = np.array([s.displacement for s in starts]).T, np.array([s.velocity for s in starts]).T
     if system.linear and system.n_dof == 1 and not any(forces):
-        state = np.array([s.displacement for s in starts]).T, np.array([s.velocity for s in starts]).T
-        free = [_free_motions(system, p, state, times)[:, None] for times in grids]
-        if all(np.all(np.isfinite(path)) for path in free):  # one that diverges takes the others along
-            return free
-    paths = []
-    for i, (start, own) in enumerate(zip(starts, forces, strict=True)):
-        parameters = {name: values[i] for name, values in p.items()}
-        paths.append(simulate(system, parameters, start, np.concatenate(grids), own).displacement)
-    return np.split(np.stack(paths), np.cumsum([times.size for times in grids])[:-1], axis=2)
+        return [_free_motions(system, p, state, grid)[:, None] for grid in grids]
+    if system.linear and all(_alike(first, other) for other in forces):
+        paths = np.moveaxis(simulate(system, p, state, times, first).displacement, 0, 1)
+    else:
+        each = [{name: values[i] for name, values in p.items()} for i in range(len(starts))]
+        motions = zip(each, starts, forces, strict=True)
+        paths = np.stack([simulate(system, one, start, times, acting).displacement for one, start, acting in motions])
+    return np.split(paths, np.cumsum([grid.size for grid in grids])[:-1], axis=2)
+
+
+def _alike(forces: Sequence[Force], others: Sequence[Force]) -> bool:
+    return len(forces) == len(others) and all(
+        (a.dof, a.hold) == (b.dof, b.hold) and np.array_equal(a.times, b.times) and np.array_equal(a.values, b.values)
+        for a, b in zip(forces, others, strict=True)
+    )
 
 
 def _free_motions(
@@ -125,9 +136,9 @@ def _free_motions(
         return simulate(system, p, start, times).displacement[0]
     stride = math.isqrt(times.size)
     states = simulate(system, p, start, times[::stride])
-    one, none = np.ones_like(start[0]), np.zeros_like(start[0])
-    by_displacement = simulate(system, p, (one, none), times[:stride] - times[0]).displacement[0]
-    by_velocity = simulate(system, p, (none, one), times[:stride] - times[0]).displacement[0]
+    unit, zero = np.ones_like(start[0]), np.zeros_like(start[0])
+    by_displacement = simulate(system, p, (unit, zero), times[:stride] - times[0]).displacement[0]
+    by_velocity = simulate(system, p, (zero, unit), times[:stride] - times[0]).displacement[0]
     with np.errstate(all="ignore"):
         path = states.displacement[0][..., None] * by_displacement[:, None]
         path += states.velocity[0][..., None] * by_velocity[:, None]
@@ -137,16 +148,6 @@ def _free_motions(
 def _spread(value: Any, shape: tuple[int, ...]) -> np.ndarray:
     array = np.asarray(value, float)
     return array if array.shape == shape else np.broadcast_to(array, shape)
-
-
-def longest_step(system: System, p: Mapping[str, Any], state: Sequence[np.ndarray]) -> float:
-    """Choose a step (s) that resolves the fastest rate of the system at rest and at a state, over all sets.
-
-    Of the two, one at which the rate of any set is not finite does not count; infinite where nothing moves.
-    """
-    rates = fastest_rates(system, p, np.stack(state)).reshape(2, -1)
-    fastest = float(np.max(rates[np.all(np.isfinite(rates), axis=1)], initial=0.0))
-    return 1.0 / (STEPS_PER_RADIAN * fastest) if fastest > 0 else np.inf
 
 
 def _many(
@@ -164,26 +165,44 @@ def _many(
 def _alone(
     system: System, p: Mapping[str, Any], state: list[np.ndarray], times: np.ndarray, forces: Sequence[Force]
 ) -> np.ndarray:
-    """One set, by adaptive steps in plain numbers, which are several times faster than arrays of one."""
-    grid = merged_grid(times, forces)
-    pushes = interval_polynomials(forces, grid, system.n_dof)
-    first = FIRST_STEP * STEPS_PER_RADIAN * longest_step(system, p, state)
-    values, rest = {name: float(value) for name, value in p.items()}, [0.0] * system.n_dof
+    """One set, by LSODA from one knot of a force to the next; not finite from where it diverges.
 
-    def rate_over(i: int) -> Rate:
-        if not forces:
-            return lambda s, at: state_rate(system, values, s, rest, float_ops)
-        length, own = float(grid[i + 1] - grid[i]), pushes[:, i].T.tolist()
-        return lambda s, at: state_rate(system, values, s, [_polynomial(c, at / length) for c in own], float_ops)
+    LSODA (L. Petzold, SIAM J. Sci. Stat. Comput. 4:136, 1983) is a multistep method, unlike the truth's integrator, so
+    that no method fits by what made its data.
+    """
+    from scipy.integrate import odeint  # slow to import, and linear systems do not need it
 
-    return integrate(rate_over, [float(s) for s in state], grid, np.searchsorted(grid, times), first, system.smooth)
+    values, left = {name: float(value) for name, value in p.items()}, MAX_RATES
+    knots = merged_grid(times[-1:], forces)
+    pushes, passed = interval_polynomials(forces, knots, system.n_dof), np.searchsorted(times, knots, "right").tolist()
+    path, now = np.full((len(state), times.size), np.nan), np.array(state, float)
+    path[:, : passed[0]] = now[:, None]
+    tolerances = {"rtol": TOLERANCE, "atol": TOLERANCE * float(np.max(np.abs(now))) or TOLERANCE}
 
+    def rate(state: np.ndarray, time: float, begin: float, length: float, polynomials: list[list[float]]) -> list[Any]:
+        nonlocal left
+        left -= 1
+        part, push = (time - begin) / length, [0.0] * system.n_dof
+        for dof, polynomial in enumerate(polynomials):
+            for coefficient in polynomial:
+                push[dof] = push[dof] * part + coefficient
+        try:
+            return state_rate(system, values, state.tolist(), push, float_ops) if left > 0 else [math.nan] * len(state)
+        except (ArithmeticError, ValueError):
+            return [math.nan] * len(state)
 
-def _polynomial(coefficients: Sequence[float], part: float) -> float:
-    total = 0.0
-    for c in reversed(coefficients):
-        total = total * part + c
-    return total
+    for i, (begin, end) in enumerate(itertools.pairwise(knots.tolist())):
+        inside = slice(passed[i], passed[i + 1])
+        wanted = np.concatenate([[begin], times[inside], [end]])
+        given = begin, end - begin, pushes[::-1, i].T.tolist()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what is not reached is not finite
+            states, report = odeint(rate, now, wanted, given, mxstep=MAX_RATES, full_output=True, **tolerances)
+        states[1:][report["tcur"] < wanted[1:]] = np.nan
+        path[:, inside], now = states[1:-1].T, states[-1]
+        if not np.all(np.isfinite(now)):
+            break
+    return path
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ import pandas as pd
 
 from bench.contract.problem import Problem
 from bench.dynamics.mechanics import acceleration
-from bench.dynamics.symbolic import sympy_ops
+from bench.dynamics.ops import sympy_ops
 from bench.errors import InputError
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import Truth

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from bench.contract.problem import Force, InitialState
-from bench.dynamics.fixed_step import Steps, rk4_scan, step_counts
-from bench.dynamics.intervals import merged_grid
-from bench.dynamics.simulate import longest_step
+from bench.dynamics.intervals import Steps, merged_grid, step_counts
+from bench.dynamics.rates import longest_step
+from bench.dynamics.stepper import rk4_scan
 from bench.systems import System
 
 REFINE = 12

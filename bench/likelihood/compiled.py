@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.contract.problem import InitialState, Problem, Record
-from bench.dynamics.compiled_path import compiled_path
-from bench.dynamics.fixed_step import Steps, step_counts
-from bench.dynamics.intervals import merged_grid
-from bench.dynamics.simulate import MAX_STEPS, SimulatedMotion, longest_step
+from bench.dynamics.intervals import Steps, merged_grid, step_counts
+from bench.dynamics.rates import longest_step
+from bench.dynamics.simulate import MAX_STEPS, SimulatedMotion
+from bench.dynamics.stepper import compiled_path
 from bench.likelihood.output_error import OutputError, Start
 
 START_STEPS = 5

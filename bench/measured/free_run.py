@@ -10,8 +10,8 @@ from scipy.interpolate import CubicSpline
 
 from bench.config.records import primary_method
 from bench.contract.problem import Record
-from bench.dynamics.fixed_step import rk4_step
 from bench.dynamics.ops import numpy_ops
+from bench.dynamics.stepper import rk4_step
 from bench.measured.reading import read_recording
 from bench.measured.request import request_of
 from bench.measured.sets import MeasuredSet, SimulatedSpan

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.dynamics.linear_response import linear_response
+from bench.dynamics.linear_motion import linear_motion
 from bench.reporting.frame import Result, group
 from bench.scoring.statistics import whiteness
 from bench.systems import SDOF
@@ -68,4 +68,4 @@ def _motions(times: np.ndarray, groups: np.ndarray) -> np.ndarray:
     """Responses (sets, n, 2) to unit displacement and to unit velocity of mass 1 with k/m and c/m (sets, 2)."""
     p = {"m": np.ones(len(groups)), "c": groups[:, 1], "k": groups[:, 0]}
     starts = np.repeat(np.eye(2)[:, None], len(groups), axis=1)
-    return np.stack([linear_response(SDOF(), p, start, times, ())[0] for start in starts], axis=-1)
+    return np.stack([linear_motion(SDOF(), p, s0, times, slopes=False)[0][..., 0] for s0 in starts], axis=-1)

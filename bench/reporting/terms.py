@@ -8,7 +8,7 @@ from functools import cache
 
 from bench.contract.estimate import Status
 from bench.dynamics.mechanics import acceleration
-from bench.dynamics.symbolic import sympy_ops
+from bench.dynamics.ops import sympy_ops
 from bench.scenario.scenario import Scenario
 from bench.store.stored import StoredCell
 from bench.systems import System

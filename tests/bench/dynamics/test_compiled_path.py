@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench import Force, Steps, rk4_path
-from bench.dynamics.compiled_path import compiled_path, padded
+from bench.dynamics.stepper import compiled_path, padded
 from bench.systems import BoucWen, Duffing, System
 
 pytest.importorskip("jax")

@@ -11,7 +11,6 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
 from bench import Channel, Force, InitialState, Record, fitted_start, measurements, simulate
-from bench.dynamics.integrator import _ROWS, ERROR, KINK, NODES, WEIGHTS
 from bench.scenario.truth import closed_form, reference_response
 from bench.systems import SDOF, BoucWen, Coulomb, Duffing, Pendulum, QuadraticDamping, System, VanDerPol
 
@@ -157,32 +156,6 @@ def test_work_done_is_energy_gained_and_dissipated(name: str, forces: tuple[Forc
     energy = p["m"] * v**2 / 2 + potential(p, x)
     assert energy[-1] - energy[0] == pytest.approx((4 * fine - coarse) / 3, abs=2e-6 * np.max(energy))
     np.testing.assert_allclose(reference_response(system, p, start, t, forces)[0], x, atol=1e-8 * np.max(np.abs(x)))
-
-
-def test_the_integrators_table_meets_the_order_conditions_and_halving_the_step_gains_two_to_the_eighth() -> None:
-    """Rows sum to their nodes, ``sum b c^j = 1/(j+1)`` to order eight, and the error weights sum to nothing."""
-    weights, error, kink = (np.array(row) for row in (WEIGHTS, ERROR, KINK))
-    nodes = np.array(NODES)
-    for j in range(8):
-        assert weights @ nodes**j == pytest.approx(1 / (j + 1), abs=1e-14)
-    assert abs(error.sum()) < 1e-15
-    assert abs(kink.sum()) < 1e-15
-    for row, node in zip(_ROWS, NODES, strict=True):
-        assert sum(row) == pytest.approx(node, abs=1e-14)
-
-    def off(n: int) -> float:
-        """Error of n plain steps on y' = -2 t y², y(0) = 1, y = 1 / (1 + t²), at t = 1."""
-        y, t, h = 1.0, 0.0, 1.0 / n
-        for _ in range(n):
-            k: list[float] = []
-            for row, node in zip(_ROWS, NODES, strict=True):
-                moved = y + h * sum(a * b for a, b in zip(row, k, strict=True))
-                k.append(-2 * (t + node * h) * moved**2)
-            y, t = y + h * float(weights @ k), t + h
-        return abs(y - 0.5)
-
-    assert off(4) / off(8) > 2**7.5
-    assert off(8) < 1e-9
 
 
 def test_a_sensor_of_acceleration_feels_the_hidden_state_and_a_start_is_fitted_with_it() -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bench import Channel, Force, InitialState, Problem, Record, Steps, System, acceleration, numpy_ops
-from bench.dynamics.fixed_step import rk4_path
 from bench.dynamics.linear_motion import linear_motion
+from bench.dynamics.stepper import rk4_path
 from bench.systems import SDOF, BoucWen, Coulomb, Duffing, Pendulum
 
 pytest.importorskip("casadi")

@@ -1,0 +1,141 @@
+"""The Runge-Kutta stepper of order four: one step in any library, and paths of steps in numpy and in jax."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from bench.dynamics.intervals import Steps
+from bench.dynamics.mechanics import state_rate
+from bench.dynamics.ops import array_ops, numpy_ops
+from bench.systems import Array, Components, Ops, System
+
+MOST_STATES = 10_000_000
+"""Numbers in the states after all compiled steps, which are all kept; numpy keeps those that are wanted."""
+
+
+def rk4_step(
+    system: System,
+    p: Mapping[str, Array],
+    state: Components,
+    step: Array,
+    forces: tuple[Components, Components, Components],
+    ops: Ops,
+) -> list[Array]:
+    """Take one classical Runge-Kutta step of order four; ``forces`` at its start, middle and end."""
+    start, middle, end = forces
+    k1 = state_rate(system, p, state, start, ops)
+    k2 = state_rate(system, p, [s + 0.5 * step * k for s, k in zip(state, k1, strict=True)], middle, ops)
+    k3 = state_rate(system, p, [s + 0.5 * step * k for s, k in zip(state, k2, strict=True)], middle, ops)
+    k4 = state_rate(system, p, [s + step * k for s, k in zip(state, k3, strict=True)], end, ops)
+    return [s + step / 6.0 * (a + 2.0 * b + 2.0 * c + d) for s, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)]
+
+
+def rk4_path(
+    system: System, p: Mapping[str, Any], state: Sequence[np.ndarray], steps: Steps, wanted: np.ndarray
+) -> np.ndarray:
+    """Carry a state along the steps, for all sets of parameters at once.
+
+    Args:
+        system: any.
+        p: the parameters, floats or arrays of one shape ``sets``.
+        state: the components at the first point of the grid, each of shape ``sets``.
+        steps: the steps from there.
+        wanted: the numbers of the grid's points at which the state is wanted, shape (n_wanted,).
+
+    Returns:
+        The states, shape (n_state, *sets, n_wanted); not finite where the motion diverges.
+    """
+    path, arrival = np.empty((len(state), *state[0].shape, wanted.size)), steps.reached[wanted]
+    path[..., arrival == 0] = np.stack(state)[..., None]
+    reached = set(arrival.tolist())
+    for j, (h, (start, middle, end)) in enumerate(zip(steps.lengths, steps.forces.tolist(), strict=True), start=1):
+        state = rk4_step(system, p, state, h, (start, middle, end), numpy_ops)
+        if j in reached:
+            path[..., arrival == j] = np.stack(state)[..., None]
+    return path
+
+
+def rk4_scan(system: System, p: Mapping[str, Any], start: Any, lengths: Any, forces: Any) -> Any:
+    """Carry a state along steps in jax, which differentiates it.
+
+    Args:
+        system: any.
+        p: the parameters, arrays of jax of one shape ``sets``.
+        start: the state, shape (n_state, *sets).
+        lengths: of the steps, shape (J,).
+        forces: at the start, middle and end of each step, shape (J, 3, n_dof).
+
+    Returns:
+        The states before the first step and after each, shape (J + 1, n_state, *sets).
+    """
+    import jax
+    import jax.numpy as jnp
+
+    ops = array_ops(jnp)
+
+    def step(state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
+        h, push = inputs
+        f = [[push[i, j] for j in range(system.n_dof)] for i in range(3)]
+        new = jnp.stack(rk4_step(system, p, list(state), h, (f[0], f[1], f[2]), ops))
+        return new, new
+
+    _, after = jax.lax.scan(step, start, (lengths, forces))
+    return jnp.concatenate([start[None], after])
+
+
+def compiled_path(
+    system: System,
+    p: Mapping[str, Any],
+    state: Sequence[np.ndarray],
+    steps: Steps,
+    wanted: np.ndarray,
+    coarse: bool = False,
+) -> np.ndarray:
+    """Carry a state along the steps by :func:`rk4_scan`, compiled; arguments and result are those of :func:`rk4_path`.
+
+    What is compiled depends on the system and the numbers of sets and of steps. Both numbers are rounded up, so that
+    few programmes serve many calls. ``coarse``: to powers of four, not of two (sets) and to a fourth of an octave
+    (steps): for short work, where compiling takes longer than steps and sets that are in vain.
+    """
+    sets = state[0].shape
+    n_sets, n_steps = int(np.prod(sets)), steps.lengths.size
+    if not n_sets or not n_steps or len(state) * n_sets * n_steps > MOST_STATES:
+        return rk4_path(system, p, state, steps, wanted)
+    repeated = np.minimum(np.arange(_power(4 if coarse else 2, n_sets)), n_sets - 1)
+    values = np.stack([np.broadcast_to(np.asarray(p[name], float), sets).ravel()[repeated] for name in system.names])
+    start = np.stack([component.ravel() for component in state])[:, repeated]
+    path = np.asarray(_carrier(system)(values, start, *padded(steps, coarse)))
+    return np.moveaxis(path[steps.reached[wanted], :, :n_sets], 0, -1).reshape(len(state), *sets, wanted.size)
+
+
+def padded(steps: Steps, coarse: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Return lengths (n,) and forces (n, 3, n_dof) with steps of no length at the end, which move nothing."""
+    n_steps = steps.lengths.size
+    part = 2 ** max(n_steps.bit_length() - 3, 0)
+    more = (_power(4, n_steps) if coarse else -(-n_steps // part) * part) - n_steps
+    return np.pad(steps.lengths, (0, more)), np.pad(steps.forces, ((0, more), (0, 0), (0, 0)))
+
+
+def _power(base: int, number: int) -> int:
+    """Return the least power of ``base`` that is not below a number."""
+    power = 1
+    while power < number:
+        power *= base
+    return power
+
+
+@lru_cache(maxsize=64)
+def _carrier(system: System) -> Any:
+    """(parameters, states, lengths, forces) -> the states before the first step and after each."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+
+    def path(values: Any, start: Any, lengths: Any, forces: Any) -> Any:
+        return rk4_scan(system, dict(zip(system.names, values, strict=True)), start, lengths, forces)
+
+    return jax.jit(path)
