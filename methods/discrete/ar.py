@@ -7,10 +7,8 @@ S. M. Kay, Modern Spectral Estimation, 1988, section 11.4), and its roots are tu
 This is the plain form that textbooks give and people run, and it has their bias. The columns are measured too: their
 noise (errors in variables; T. Söderström, Automatica 43:939, 2007) draws the coefficients towards zero, the more the
 more samples a cycle there are, since then two neighbours differ by little else than noise. The estimate is biased
-at any length of record, towards too much damping above all. ``iqml`` removes that bias.
-
-Told: the samples, at even steps. The start, the prior and the noise level are not used. The uncertainty is a parametric
-bootstrap's spread, which does not hold the bias.
+at any length of record, towards too much damping above all. ``iqml`` removes that bias. The uncertainty is a parametric
+bootstrap's spread, which does not show it.
 """
 
 from __future__ import annotations
@@ -22,16 +20,17 @@ import numpy as np
 
 from bench import Card
 from methods.discrete.difference import NO_OSCILLATOR, equations, groups_of
-from methods.discrete.sampled_decay import SampledDecay
-from methods.modal.even_steps import step_of
-from methods.modal.free_decay import Reading
+from methods.modal.free_decay import PoleIdentifier
 from methods.regression.equation import solve
 
 
 @dataclass(frozen=True)
-class AR(SampledDecay):
+class AR(PoleIdentifier):
     """Autoregression of order two by least squares; ``bootstrap`` records are drawn for the covariance, 0 for none."""
 
+    bootstrap: int = 100
+
+    unreadable: ClassVar[str] = NO_OSCILLATOR
     card: ClassVar[Card] = Card(
         summary="autoregression of order two: least squares on the difference equation of the sampled free decay",
         start="not used",
@@ -46,9 +45,5 @@ class AR(SampledDecay):
         marker="<",
     )
 
-    def reading(self) -> Reading:
-        return Reading(_read, NO_OSCILLATOR, self.bootstrap)
-
-
-def _read(times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
-    return groups_of(solve(*equations(sets, offset)), step_of(times))
+    def poles_read(self, sets: np.ndarray, step: float, offset: bool) -> np.ndarray:
+        return groups_of(solve(*equations(sets, offset)), step)

@@ -9,50 +9,12 @@ Spectral Estimation, 1988, section 11.4).
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-
-from bench import Estimate, Problem, Status, simulate
 
 NO_OSCILLATOR = (
     "the roots of its difference equation are not those of a sampled oscillator (one is negative, or one decays and "
     "one grows): take more samples a cycle, a longer record or less noise"
 )
-
-POOR = 0.5
-"""A response that leaves more than this part of the mean square of the data unexplained is said to be poor."""
-POOR_FIT = (
-    "the best response of its k/m and c/m leaves more than half of the record unexplained: do not trust them; "
-    "take a record with less noise"
-)
-
-
-def unlike_the_record(problem: Problem, answer: Estimate) -> Estimate:
-    """The answer, with a sentence where the best response of its k/m and c/m is far from the record."""
-    if answer.status is not Status.OK or answer.message:
-        return answer
-    channel, p = problem.records[0].channels[0], _parameters(problem, answer)
-    basis = simulate(problem.system, p, (np.eye(2)[:1], np.eye(2)[1:]), channel.times).displacement[0].T
-    columns = np.column_stack([basis, np.ones((channel.n, int(channel.offset)))])
-    size = np.max(np.abs(columns), axis=0)
-    if not np.all(np.isfinite(size)):
-        return replace(answer, message=POOR_FIT)
-    found = np.linalg.lstsq(columns / size, channel.values, rcond=None)[0]
-    left = channel.values - columns / size @ found
-    level = np.mean(channel.values) if channel.offset else 0.0
-    poor = np.sum(left**2) > POOR * np.sum((channel.values - level) ** 2)
-    return replace(answer, message=POOR_FIT) if poor else answer
-
-
-def _parameters(problem: Problem, answer: Estimate) -> dict[str, float]:
-    """Parameters of mass 1 with the k/m and c/m of the answer."""
-    assert answer.groups is not None
-    found = {"mass": 1.0}
-    kinds = {p.name: p.kind for p in problem.system.parameters}
-    for group, value in zip(problem.system.groups, answer.groups.mean, strict=True):
-        found |= {kinds[name]: float(value) for name in group.exponents if kinds[name] != "mass"}
-    return {name: found[kind] for name, kind in kinds.items()}
 
 
 def equations(sets: np.ndarray, offset: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -30,9 +30,8 @@ from scipy.linalg import solveh_banded
 
 from bench import Card, InputError
 from methods.discrete.difference import coefficient_slopes, coefficients_of, equations, groups_of
-from methods.discrete.sampled_decay import SampledDecay
-from methods.modal.even_steps import step_of
-from methods.modal.free_decay import Decays, Reading
+from methods.modal.free_decay import Decays, PoleIdentifier
+from methods.modal.realisation import step_of
 from methods.regression.equation import solve
 
 SETTLED = 1e-4
@@ -46,14 +45,16 @@ UNSETTLED = (
 
 
 @dataclass(frozen=True)
-class IQML(SampledDecay):
+class IQML(PoleIdentifier):
     """At most ``rounds`` rounds of reweighting.
 
     ``bootstrap`` records are drawn where the bound cannot be computed; with ``bootstrap=0`` there is no uncertainty.
     """
 
+    bootstrap: int = 100
     rounds: int = 60
 
+    unreadable: ClassVar[str] = UNSETTLED
     card: ClassVar[Card] = Card(
         summary="iterated quadratic maximum likelihood (Steiglitz-McBride) of the free decay's difference equation",
         start="estimated always",
@@ -73,14 +74,14 @@ class IQML(SampledDecay):
             raise InputError("method.rounds", self.rounds, "at least 1")
         super().__post_init__()
 
-    def reading(self) -> Reading:
-        return Reading(self._read, UNSETTLED, self.bootstrap, bound)
-
-    def _read(self, times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
+    def poles_read(self, sets: np.ndarray, step: float, offset: bool) -> np.ndarray:
         columns, target = equations(sets, offset)
-        start = solve(columns, target)
-        found = [reweighted(x, y, a, self.rounds) for x, y, a in zip(columns, target, start, strict=True)]
-        return groups_of(np.stack(found), step_of(times))
+        first = solve(columns, target)
+        settled = [reweighted(x, y, a, self.rounds) for x, y, a in zip(columns, target, first, strict=True)]
+        return groups_of(np.stack(settled), step)
+
+    def spread(self, decays: Decays) -> np.ndarray:
+        return bound(decays)
 
 
 def reweighted(columns: np.ndarray, target: np.ndarray, start: np.ndarray, rounds: int) -> np.ndarray:

@@ -25,29 +25,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Estimate, InputError, NoEstimate, Problem, Serves
-from methods.modal.even_steps import unevenness
-from methods.modal.free_decay import untold
-from methods.modal.matrix_pencil import MAX_SAMPLES
-from methods.modal.subspace import leading_vectors
-from methods.regression.company import Finish, answers_together
+from bench import Card, Estimate, InputError, Problem, Serves, Status
+from methods.modal.realisation import MAX_SAMPLES, realise, step_of
 from methods.regression.derivatives import Motion
-from methods.regression.equation import Regression, answer, layout_objection, solve
-from methods.starts.ambiguity import BandIdentifier
+from methods.regression.equation import Regression, solve
+from methods.regression.identifier import RegressionIdentifier, answer, covariance
+from methods.starts.reach import unevenness
 
-BATCH = 2_000_000
-"""Matrix entries decomposed at once."""
 REALNESS = 1e-6
 """The state matrix of poles and shapes that come in conjugate pairs has an imaginary part below this part of it."""
+NO_VIBRATION = (
+    "its poles are not those of a vibration of this system: take a longer record, more samples a cycle or less noise"
+)
+UNDETERMINED = "the realised matrices do not determine the groups: take more samples, or samples of more motion"
 
 
 @dataclass(frozen=True)
-class ERA(BandIdentifier):
+class ERA(RegressionIdentifier):
     """Block rows ``rows`` times the samples; ``bootstrap`` synthetic records for weights and covariance."""
 
     rows: float = 0.5
@@ -67,110 +65,59 @@ class ERA(BandIdentifier):
         marker=(3, 1, 0.0),
     )
     serves: ClassVar[Serves] = Serves(several_channels=True, forced=False, nonlinear=False, max_dof=None)
-
-    works_in = "natural units"
+    uses_start = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 0 < self.rows < 1:
             raise InputError("method.rows", self.rows, "a part of the number of samples, a half say")
-        if self.bootstrap < 0:
-            raise InputError("method.bootstrap", self.bootstrap, "a number of records, 0 for no uncertainty")
 
     def objection(self, problem: Problem) -> str | None:
-        return super().objection(problem) or layout_objection(problem) or _sampling_objection(problem)
+        return super().objection(problem) or _sampling_objection(problem)
 
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Estimate the identifiable groups; ``diverged`` where the realisation is no vibration of the system."""
-        return self.estimate_many([problem], [rng])[0]
+    def fit(self, regression: Regression, rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Realise all problems at once, and their synthetic records."""
+        y, times = regression.values[0].swapaxes(0, 1), regression.times[0]
+        rates, shapes = self._realised(y)
+        rows = state_rows(rates, shapes, step_of(times))
+        answers = [Estimate.failed(regression.system, Status.DIVERGED, NO_VIBRATION) for _ in rngs]
+        there = np.flatnonzero(np.all(np.isfinite(rows), axis=(1, 2))).tolist()
+        responses = [RealisedResponse.of(np.log(rates[i]) / step_of(times), shapes[i], times, y[i]) for i in there]
+        drawn = [rows[:0]] * len(there)
+        if self.bootstrap and len(there):
+            left = max(1.0 - (len(regression.names) + 2 * len(y[0])) / y[0].size, 1.0 / y[0].size)
+            sets = []
+            for i, response in zip(there, responses, strict=True):
+                centre = response(times)
+                noise = np.sqrt(np.mean((centre - y[i]) ** 2, axis=1, keepdims=True) / left)
+                sets.append(centre + noise * rngs[i].standard_normal((self.bootstrap, *centre.shape)))
+            drawn = np.split(state_rows(*self._realised(np.concatenate(sets)), step_of(times)), len(there))
+        for i, response, own_rows in zip(there, responses, drawn, strict=True):
+            answers[i] = _answer(regression, rows[[i]], response, own_rows)
+        return answers
 
-    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Estimate problems of one layout together."""
-        return answers_together([untold(problem) for problem in problems], rngs, self._solve, max(1, self.bootstrap))
-
-    def _solve(self, regressions: Sequence[Regression], rngs: Sequence[np.random.Generator]) -> Sequence[Finish]:
-        first = Regression.joined(regressions)
-        y, times = first.values[0].swapaxes(0, 1), first.times[0]
-        step = float(times[-1] - times[0]) / (times.size - 1)
-        rates, shapes = realise(y, self.rows)
-        rows = state_rows(rates, shapes, step)
-        responses: dict[int, RealisedResponse] = {
-            int(i): RealisedResponse.of(np.log(rates[i]) / step, shapes[i], times, y[i])
-            for i in np.flatnonzero(np.all(np.isfinite(rows), axis=(1, 2)))
-        }
-        drawn = dict[int, np.ndarray]()
-        if self.bootstrap and responses:
-            sets = [self._drawn(regressions[i], response, y[i], rngs[i]) for i, response in responses.items()]
-            drawn_rows = state_rows(*realise(np.concatenate(sets), self.rows), step)
-            drawn = dict(zip(responses, np.split(drawn_rows, len(sets)), strict=True))
-        return [
-            partial(_estimate, regression, rows[i : i + 1], responses.get(i), drawn.get(i))
-            for i, regression in enumerate(regressions)
-        ]
-
-    def _drawn(
-        self, regression: Regression, response: RealisedResponse, y: np.ndarray, rng: np.random.Generator
-    ) -> np.ndarray:
-        """Synthetic records (bootstrap, n_dof, N) like the record y (n_dof, N)."""
-        centre = response(regression.times[0])
-        spent = len(regression.names) + 2 * regression.system.n_dof
-        left = max(1.0 - spent / y.size, 1.0 / y.size)
-        noise = np.sqrt(np.mean((centre - y) ** 2, axis=1) / left)
-        return np.asarray(centre + noise[:, None] * rng.standard_normal((self.bootstrap, *y.shape)))
+    def _realised(self, sets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Realise samples (sets, n, N), N at least 4 n + 1, with as many rows and columns as states and one shift."""
+        n, samples = sets.shape[1:]
+        return realise(sets, int(np.clip(round(self.rows * samples), 2 * n + 1, samples + 1 - 2 * n)), 2 * n)
 
 
-def _estimate(
-    regression: Regression, rows: np.ndarray, response: RealisedResponse | None, drawn: np.ndarray | None
-) -> Estimate:
-    """The groups of realised ``rows`` (1, n, 2n), with weights and covariance where rows of records were drawn."""
-    if response is None:
-        sentence = (
-            "its poles are not those of a vibration of this system: take a longer record, more samples a cycle "
-            "or less noise"
-        )
-        raise NoEstimate(sentence)
-    unknowns, covariance = (_groups(regression, rows), None) if drawn is None else _weighted(regression, rows, drawn)
+def _answer(regression: Regression, rows: np.ndarray, response: RealisedResponse, drawn: np.ndarray) -> Estimate:
+    """Answer with the groups of realised ``rows`` (1, n, 2n), weighted by those of drawn records, if any."""
+    unknowns, spread = _weighted(regression, rows, drawn)
     if not np.all(np.isfinite(unknowns)):
-        sentence = "the realised matrices do not determine the groups: take more samples, or samples of more motion"
-        raise NoEstimate(sentence)
+        return Estimate.failed(regression.system, Status.DIVERGED, UNDETERMINED)
     said = [f"{name} came out negative" for name, value in zip(regression.names, unknowns[0], strict=True) if value < 0]
-    estimate = answer(regression, unknowns[0], covariance, "; ".join(said))
-    return replace(estimate, reconstructions=(response,))
+    return replace(answer(regression, unknowns[0], spread, "; ".join(said)), reconstructions=(response,))
 
 
 def _sampling_objection(problem: Problem) -> str | None:
-    for record in problem.records:
-        times, n = record.channels[0].times, problem.system.n_dof
-        # rows and columns enough for two states a DOF, a shift, and a sample for the noise
-        least = 4 * n + 1
-        if not least <= times.size <= MAX_SAMPLES:
-            return f"it takes {least} to {MAX_SAMPLES} samples a channel; thin a longer record"
-        if (objection := unevenness(times)) is not None:
-            return objection
-    return None
-
-
-def realise(sets: np.ndarray, rows: float) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues z (sets, 2n) and displacement shapes (sets, n, 2n), complex, of even samples (sets, n, N).
-
-    The N samples must be at least 4 n + 1. NaN where the data span less than two dimensions a DOF.
-    """
-    n, samples = sets.shape[1:]
-    blocks = int(np.clip(round(rows * samples), 3, samples + 1 - 2 * n))
-    blocks = max(blocks, 2 * n + 1) if samples + 1 - (2 * n + 1) >= 2 * n else blocks
-    batch = max(1, BATCH // (n * blocks * (samples + 1 - blocks)))
-    parts = [_realise(sets[i : i + batch], blocks) for i in range(0, len(sets), batch)]
-    return np.concatenate([z for z, _ in parts]), np.concatenate([shapes for _, shapes in parts])
-
-
-def _realise(sets: np.ndarray, blocks: int) -> tuple[np.ndarray, np.ndarray]:
-    count, n, _ = sets.shape
-    # windows (sets, n, columns, blocks) to block rows of n channels each
-    hankel = np.lib.stride_tricks.sliding_window_view(sets, sets.shape[2] + 1 - blocks, axis=-1)
-    hankel = hankel.swapaxes(1, 2).reshape(count, blocks * n, -1)
-    main = leading_vectors(hankel, 2 * n)
-    shift = np.linalg.pinv(main[:, :-n]) @ main[:, n:]
-    z, vectors = np.linalg.eig(shift)
-    return z.astype(complex), (main[:, :n] @ vectors).astype(complex)
+    times, n = problem.records[0].channels[0].times, problem.system.n_dof
+    # rows and columns enough for two states a DOF, a shift, and a sample for the noise
+    least = 4 * n + 1
+    if not least <= times.size <= MAX_SAMPLES:
+        return f"it takes {least} to {MAX_SAMPLES} samples a channel; thin a longer record"
+    return unevenness(times)
 
 
 def state_rows(z: np.ndarray, shapes: np.ndarray, step: float) -> np.ndarray:
@@ -202,19 +149,18 @@ def _equations(regression: Regression, rows: np.ndarray) -> tuple[np.ndarray, np
     return regression.equations([motion])
 
 
-def _groups(regression: Regression, rows: np.ndarray) -> np.ndarray:
-    """Groups (sets, q) by least squares, all entries alike."""
-    return solve(*_equations(regression, rows))
-
-
 def _weighted(regression: Regression, rows: np.ndarray, drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Groups (1, q) by generalised least squares and their covariance, both from realised rows of synthetic records."""
-    plain = _groups(regression, rows)
+    """Groups (1, q) by generalised least squares and their covariance, from realised rows of synthetic records.
+
+    Without enough of these, by least squares, all entries alike.
+    """
+    equations = _equations(regression, rows)
+    plain = solve(*equations)
     drawn = drawn[np.all(np.isfinite(drawn), axis=(1, 2))]
-    columns, target = _equations(regression, drawn)
-    count, entries = target.shape
-    if count <= 2 * entries or not np.all(np.isfinite(plain)):
+    entries = rows[0].size
+    if len(drawn) <= 2 * entries or not np.all(np.isfinite(plain)):
         return plain, None
+    columns, target = _equations(regression, drawn)
     missed = np.cov(columns @ plain[0] - target, rowvar=False)
     scale = np.sqrt(np.diag(missed))
     scale = np.where(scale > 0, scale, 1.0)
@@ -224,10 +170,7 @@ def _weighted(regression: Regression, rows: np.ndarray, drawn: np.ndarray) -> tu
     def fit(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
         return solve(np.linalg.solve(root, columns), np.linalg.solve(root, target[..., None])[..., 0])
 
-    found = fit(columns, target)
-    found = found[np.all(np.isfinite(found), axis=1)]
-    covariance = np.atleast_2d(np.cov(found, rowvar=False)) if len(found) > found.shape[1] + 1 else None
-    return fit(*_equations(regression, rows)), covariance
+    return fit(*equations), covariance(fit(columns, target))
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,16 +21,14 @@ Times may be uneven. The start, the prior and the noise level are not used.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Estimate, InputError, Problem, Serves
-from methods.modal.free_decay import SERVES, Reading, decay_estimates, decay_objection
+from bench import Card, InputError
+from methods.modal.free_decay import FreeDecayIdentifier
 from methods.regression.derivatives import finite_differences
-from methods.starts.ambiguity import BandIdentifier
 
 MIN_CROSSINGS = 3
 """One full cycle."""
@@ -41,12 +39,17 @@ MISSING = 1.5
 
 
 @dataclass(frozen=True)
-class LogDecrement(BandIdentifier):
+class LogDecrement(FreeDecayIdentifier):
     """Swings down to ``smallest`` of the largest sample are read; ``bootstrap`` records give the covariance."""
 
     smallest: float = 0.2
     bootstrap: int = 100
 
+    unreadable: ClassVar[str] = (
+        f"fewer than {MIN_CROSSINGS} zero crossings or {MIN_EXTREMES} extremes above its level smallest: take a longer "
+        "record, more samples a cycle or less noise; a mass that returns to rest without swinging, damped near or "
+        "above critically, has no decrement: take matrix_pencil or output_error"
+    )
     card: ClassVar[Card] = Card(
         summary="zero crossings for the frequency, logarithmic decrement of the extremes for the damping",
         start="not used",
@@ -60,32 +63,13 @@ class LogDecrement(BandIdentifier):
         colour="#44AA99",
         marker="3",
     )
-    serves: ClassVar[Serves] = SERVES
-    works_in = "natural units"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 0 < self.smallest < 1:
             raise InputError("method.smallest", self.smallest, "a part of the largest sample, between 0 and 1")
-        if self.bootstrap < 0:
-            raise InputError("method.bootstrap", self.bootstrap, "a number of records, 0 for no uncertainty")
 
-    def objection(self, problem: Problem) -> str | None:
-        return super().objection(problem) or decay_objection(problem)
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Estimate the groups k/m and c/m; ``diverged`` where there are too few crossings or extremes."""
-        return self.estimate_many([problem], [rng])[0]
-
-    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Estimate problems of one layout together."""
-        sentence = (
-            f"fewer than {MIN_CROSSINGS} zero crossings or {MIN_EXTREMES} extremes above {self.smallest:g} of the "
-            "largest sample: take a longer record, more samples a cycle or less noise; a mass that returns to rest "
-            "without swinging, damped near or above critically, has no decrement: take matrix_pencil or output_error"
-        )
-        return decay_estimates(problems, rngs, Reading(self._read, sentence, self.bootstrap, by_poles=False))
-
-    def _read(self, times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
+    def read(self, times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
         level = resting_level(times, sets, self.smallest)[:, None] if offset else 0.0
         return decrement(times, sets - level, self.smallest)
 

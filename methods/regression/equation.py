@@ -1,11 +1,10 @@
-"""What the equation-error methods share: the equation of motion as a linear regression, and what its answer implies.
+"""The equation of motion as a linear regression, of many data sets at once, and the responses that its answers give.
 
-LS, RLS, DDNN and SINDy put (displacement, velocity, acceleration) at some times into the residual of the system,
-which is affine in the parameters, and solve for them. They differ in how they differentiate and how they solve.
+LS, RLS and SINDy put displacement, velocity and acceleration at some times into the residual of the system, which is
+affine in the parameters, and solve for them. They differ in how they differentiate and how they solve.
 :class:`Regression` turns the motion of every degree of freedom (DOF) into ``columns @ unknowns = target``.
 
-Arrays hold many data sets at once: displacements of a record have shape (n_dof, sets, n), time last. Everything works
-on a problem in its natural units (:meth:`bench.Problem.natural_units`).
+Displacements of a record have shape (n_dof, sets, n), time last. Everything is in the natural units of the problem.
 """
 
 from __future__ import annotations
@@ -16,19 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bench import (
-    Dimension,
-    Estimate,
-    NoEstimate,
-    Normal,
-    Problem,
-    Record,
-    Status,
-    System,
-    fastest_rates,
-    regression_columns,
-    simulate,
-)
+from bench import Problem, Record, System, fastest_rates, regression_columns, simulate
 from methods.regression.derivatives import Motion, finite_differences, smoothing_spline
 
 Values = Sequence[np.ndarray]
@@ -37,12 +24,11 @@ Values = Sequence[np.ndarray]
 MAX_SAMPLES = 20_000
 """A record of more is refused: the arrays of the bootstrap would fill the memory, and smoothing decides nothing."""
 SINGULAR = 1e-9
-"""A column that is, up to this part of its length, a combination of the others cannot be told from them."""
-# ---------------------------------------------------------------------------------------------------- regression
+"""A column that is, up to this part of its length, a combination of the others is not identifiable beside them."""
 
 
 def layout_objection(problem: Problem) -> str | None:
-    """Why the records cannot be put into a regression, in a sentence; None where they can.
+    """Say why the records cannot be put into a regression; None where they can.
 
     A regression needs the displacement of every DOF, all at the same times, and a residual affine in its parameters
     whose groups are ratios to the gauge mass.
@@ -64,59 +50,59 @@ def layout_objection(problem: Problem) -> str | None:
     return None
 
 
-def _state(record: Record) -> np.ndarray | None:
-    start = record.initial_state
-    return None if start is None else np.concatenate([start.displacement, start.velocity])[:, None]
-
-
 def _numerator(exponents: Mapping[str, float]) -> str:
     return next((name for name, power in exponents.items() if power > 0), "")
 
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """A problem as ``columns @ unknowns = target``.
+    """Data sets of one layout as ``columns @ unknowns = target``.
 
     In free vibration the residual is homogeneous in the parameters: the gauge mass is set to 1, and the unknowns are
-    the identifiable groups, in the order of ``system.groups``. Where a known force or an added mass tells the scale
+    the identifiable groups, in the order of ``system.groups``. Where a known force or an added mass sets the scale
     they are all parameters. An unknown sensor offset of a linear system adds a constant to each equation of its record:
     a nuisance unknown after those.
 
-    Several problems of one layout (:func:`bench.layout`) can stand in one, with the records of the first: ``values``
-    are the measured displacements, (n_dof, problems, n) a record, ``told`` displacement and velocity at time 0,
-    (2 n_dof, problems) a record, None where they are not told.
+    The sets are problems of one layout (:func:`bench.layout`), with the records of the first, or data drawn like
+    theirs: ``values`` are displacements, (n_dof, sets, n) a record, ``starts`` the known displacement and velocity at
+    time 0, (2 n_dof, sets) a record, None where they are unknown.
     """
 
     system: System
     records: tuple[Record, ...]
-    scale_told: bool
+    scale_known: bool
     values: tuple[np.ndarray, ...]
-    told: tuple[np.ndarray | None, ...]
+    starts: tuple[np.ndarray | None, ...]
 
     @staticmethod
-    def of(problem: Problem) -> Regression:
-        """Make that of a problem past :func:`layout_objection`; NoEstimate where a displacement never changes."""
-        by_dof = [sorted(record.channels, key=lambda c: c.dof) for record in problem.records]
-        series = tuple(np.stack([c.values for c in channels])[:, None] for channels in by_dof)
-        told = tuple(_state(record) for record in problem.records)
-        regression = Regression(problem.system, problem.records, problem.scale_told, series, told)
-        for values in regression.values:
-            dead = [i for i, series in enumerate(values[:, 0]) if not np.any(series != series[0])]
-            if dead:
-                where = f"the measured displacement of DOF {dead[0] + 1}"
-                raise NoEstimate(f"{where} never changes: check the sensor and its cable", Status.INVALID)
-        return regression
+    def of(problems: Sequence[Problem]) -> Regression:
+        """Make that of problems of one layout past :func:`layout_objection`."""
+        values, starts = [], []
+        for same in zip(*(problem.records for problem in problems), strict=True):
+            by_dof = [sorted(record.channels, key=lambda c: c.dof) for record in same]
+            values.append(np.stack([[c.values for c in channels] for channels in by_dof], axis=1))
+            states = [record.initial_state for record in same]
+            known = [np.concatenate([s.displacement, s.velocity]) for s in states if s is not None]
+            starts.append(np.stack(known, axis=1) if known else None)
+        first = problems[0]
+        return Regression(first.system, first.records, first.scale_told, tuple(values), tuple(starts))
 
-    @staticmethod
-    def joined(regressions: Sequence[Regression]) -> Regression:
-        """Problems of one layout in one."""
-        values = zip(*(regression.values for regression in regressions), strict=True)
-        told = zip(*(regression.told for regression in regressions), strict=True)
-        return replace(
-            regressions[0],
-            values=tuple(np.concatenate(own, axis=1) for own in values),
-            told=tuple(None if own[0] is None else np.concatenate(own, axis=1) for own in told),
-        )
+    @property
+    def sets(self) -> int:
+        return int(self.values[0].shape[1])
+
+    def __getitem__(self, sets: np.ndarray) -> Regression:
+        """Keep the sets of these numbers, or of these truth values."""
+        starts = tuple(None if start is None else start[:, sets] for start in self.starts)
+        return replace(self, values=tuple(y[:, sets] for y in self.values), starts=starts)
+
+    def repeated(self, count: int) -> Regression:
+        """Put every set ``count`` times, one behind the other."""
+        return self[np.repeat(np.arange(self.sets), count)]
+
+    def with_values(self, values: Values) -> Regression:
+        """Put displacements in place of those here, as many sets for each of these, one behind the other."""
+        return replace(self.repeated(values[0].shape[1] // self.sets), values=tuple(values))
 
     @cached_property
     def times(self) -> tuple[np.ndarray, ...]:
@@ -125,15 +111,15 @@ class Regression:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """What is identified: group names, or parameter names where a force or an added mass is known."""
-        return self.system.names if self.scale_told else tuple(g.name for g in self.system.groups)
+        return self.system.names if self.scale_known else tuple(g.name for g in self.system.groups)
 
     @cached_property
     def numerators(self) -> tuple[str, ...]:
         """The parameter of each of these, beside the gauge mass that a group is over."""
-        return self.system.names if self.scale_told else tuple(_numerator(g.exponents) for g in self.system.groups)
+        return self.system.names if self.scale_known else tuple(_numerator(g.exponents) for g in self.system.groups)
 
     def parameters(self, unknowns: np.ndarray) -> dict[str, np.ndarray]:
-        """Parameters, each (...), from unknowns (..., q); the gauge mass is 1 where nothing tells it."""
+        """Return parameters, each (...), of unknowns (..., q); the gauge mass is 1 where nothing sets the scale."""
         values = {self.system.gauge: np.ones(unknowns.shape[:-1])}
         values |= {name: unknowns[..., i] for i, name in enumerate(self.numerators)}
         return {name: values[name] for name in self.system.names}
@@ -145,48 +131,57 @@ class Regression:
         with_offset = [any(c.offset for c in record.channels) for record in self.records]
         for i, (record, motion) in enumerate(zip(self.records, motions, strict=True)):
             force = record.force(motion.times, n) if motion.force is None else motion.force
-            a_matrix, offset = regression_columns(
+            matrix, rest = regression_columns(
                 record.rig(self.system), list(motion.x), list(motion.v), list(motion.a), list(force)
             )
             sets, rows = motion.x.shape[1:]
             # regression_columns stacks the DOFs on the first axis and the parameters on the second
-            a_matrix = a_matrix.reshape(n, sets, -1, rows).transpose(1, 3, 0, 2).reshape(sets, rows * n, -1)
-            offset = offset.reshape(n, sets, rows).transpose(1, 2, 0).reshape(sets, rows * n)
+            matrix = matrix.reshape(n, sets, -1, rows).transpose(1, 3, 0, 2).reshape(sets, rows * n, -1)
+            rest = rest.reshape(n, sets, rows).transpose(1, 2, 0).reshape(sets, rows * n)
             nuisance = np.zeros((sets, rows * n, n * sum(with_offset)))
             if with_offset[i]:
                 first = n * sum(with_offset[:i])
                 nuisance[..., first : first + n] = np.tile(np.eye(n), (rows, 1))
-            at = [self.system.names.index(name) for name in self.numerators]
-            gauge = 0.0 if self.scale_told else a_matrix[..., self.system.names.index(self.system.gauge)]
-            columns.append(np.concatenate([a_matrix[..., at], nuisance], axis=-1))
-            targets.append(-offset - gauge)
+            places = [self.system.names.index(name) for name in self.numerators]
+            gauge = 0.0 if self.scale_known else matrix[..., self.system.names.index(self.system.gauge)]
+            columns.append(np.concatenate([matrix[..., places], nuisance], axis=-1))
+            targets.append(-rest - gauge)
         return np.concatenate(columns, axis=1), np.concatenate(targets, axis=1)
 
-    def finite(self, values: Values) -> tuple[np.ndarray, np.ndarray]:
-        """The equations on finite differences of displacements (n_dof, sets, n) a record."""
-        return self.equations([finite_differences(t, y) for t, y in zip(self.times, values, strict=True)])
+    def finite(self) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and target on finite differences of the displacements."""
+        return self.equations([finite_differences(t, y) for t, y in zip(self.times, self.values, strict=True)])
 
-    def splines(self, values: Values, smoother: tuple[int, int], which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The equations on smoothing splines (order, trim) at numbers ``which`` (sets,) of the grid of weights."""
-        return self.equations(self.motions(values, smoother, which))
-
-    def motions(self, values: Values, smoother: tuple[int, int], which: np.ndarray) -> list[Motion]:
-        """The motion of those splines at the samples, less those left out at the ends.
+    def splines(self, smoother: tuple[int, int], weights: np.ndarray) -> list[Motion]:
+        """Smooth the displacements: their motion at the samples, less those left out at the ends.
 
         The force is smoothed alike, from its values at the samples: smoothing that damps some frequency of the motion
         and not of the force would make the system seem heavier and stiffer than it is.
+
+        Args:
+            smoother: order of the spline's penalty, and samples left out at each end.
+            weights: the number of the smoothing weight on the spline's grid for each set, (sets,).
         """
         order, trim = smoother
         motions = []
-        for record, times, y in zip(self.records, self.times, values, strict=True):
+        for record, times, y in zip(self.records, self.times, self.values, strict=True):
             spline, inner = smoothing_spline(times, order), times[trim : times.size - trim]
-            weights = spline.weights[which]
-            motion = spline.motion(spline.fit(y, weights), inner)
+            weight = spline.weights[weights]
+            motion = spline.motion(spline.fit(y, weight), inner)
             if any(other.forces for other in self.records):
-                pushes = np.array(record.force(times, self.system.n_dof))[:, None]
-                motion = motion._replace(force=spline.motion(spline.fit(pushes, weights), inner).x)
+                force = np.array(record.force(times, self.system.n_dof))[:, None]
+                motion = motion._replace(force=spline.motion(spline.fit(force, weight), inner).x)
             motions.append(motion)
         return motions
+
+    def responses(self, unknowns: np.ndarray) -> list[np.ndarray]:
+        """Simulate displacements (n_dof, sets, n) a record at unknowns (sets, q), from known or best-fitting starts.
+
+        Estimated offsets are in the response. NaN where it diverges.
+        """
+        p = self.parameters(unknowns)
+        each = zip(self.records, self.values, self.starts, strict=True)
+        return [_response(self.system, p, record, y, start) for record, y, start in each]
 
 
 def solve(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -208,112 +203,69 @@ def solve(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
     return np.where(healthy[:, None], unknowns, np.nan)
 
 
-# ----------------------------------------------------------------------------- responses simulated from estimates
-
-
-def responses(
-    system: System,
-    p: Mapping[str, np.ndarray],
-    record: Record,
-    y: np.ndarray,
-    guess: np.ndarray,
-    told: np.ndarray | None = None,
+def _response(
+    system: System, p: Mapping[str, np.ndarray], record: Record, y: np.ndarray, start: np.ndarray | None
 ) -> np.ndarray:
-    """Displacements (n_dof, sets, n) simulated at parameters (sets,), from ``told`` starts or the best-fitting ones.
+    """Simulate displacements (n_dof, sets, n) at parameters (sets,), from ``start`` (2 n_dof, sets) or the best one.
 
-    The vectorised twin of :func:`bench.fitted_start`, on data ``y`` (n_dof, sets or 1, n) in place of the record's:
-    Gauss-Newton over the start by finite differences, one step for a linear system (exact), two from ``guess``
-    (2 n_dof,) for others. Told starts are of shape (2 n_dof, sets); that of the record is not looked at. Estimated
-    offsets are in the response. NaN where it diverges.
+    The vectorised twin of :func:`bench.fitted_start`: Gauss-Newton over the start by finite differences, one step for a
+    linear system (exact), two for others, from the parabola through the first samples.
     """
-    sets, n, rig = np.shape(next(iter(p.values())))[0], system.n_dof, record.rig(system)
+    sets, n, rig, times = y.shape[1], system.n_dof, record.rig(system), record.channels[0].times
+    guess = np.zeros(2 * n) if system.linear or start is not None else _first_state(times, np.mean(y, axis=1))
     usable = np.all([np.isfinite(value) for value in p.values()], axis=0)
     if not system.linear:
-        usable &= ~too_fast(rig, p, guess, record.channels[0].times)
+        usable &= ~too_fast(rig, p, guess, times)
     # a set that is not simulated must not slow the others down
     p = {name: np.where(usable, value, 1.0) for name, value in p.items()}
     offset = np.zeros((n, 1, 1))
     offset[[c.dof for c in record.channels if c.offset]] = 1.0
 
-    def at(theta: np.ndarray) -> np.ndarray:
-        times = record.channels[0].times
+    def simulated(theta: np.ndarray) -> np.ndarray:
         # starts (2n, trials, sets): the trials of a set share its parameters
         x = simulate(rig, p, (theta[:n], theta[n:]), times, record.forces).displacement
-        data = y[:, None] if theta.ndim == 3 else y
-        constant = np.mean(x - data, axis=-1, keepdims=True)
-        return np.asarray(x - (offset[:, None] if theta.ndim == 3 else offset) * constant)
+        data, with_offset = (y[:, None], offset[:, None]) if theta.ndim == 3 else (y, offset)
+        return np.asarray(x - with_offset * np.mean(x - data, axis=-1, keepdims=True))
 
     with np.errstate(all="ignore"):
-        if told is not None:
-            return np.where(usable[:, None], at(told), np.nan)
+        if start is not None:
+            return np.where(usable[:, None], simulated(start), np.nan)
         size = np.repeat([1.0, 1.0 / record.duration], n)[:, None] * np.max(np.abs(y), axis=(0, 2))
-        theta = np.repeat(0.0 * guess[:, None] if system.linear else guess[:, None], sets, 1)
+        theta = np.repeat(guess[:, None], sets, 1)
         trials = 1e-3 * np.concatenate([np.zeros((1, 2 * n)), np.eye(2 * n)]).T[..., None] * size[:, None]
         for _ in range(1 if system.linear else 2):
-            x = at(theta[:, None] + trials)
+            x = simulated(theta[:, None] + trials)
             jacobian = (x[:, 1:] - x[:, :1]) / 1e-3
             misfit = (y - x[:, 0]).transpose(1, 0, 2).reshape(sets, -1)
             step = _shortest(jacobian.transpose(2, 0, 3, 1).reshape(sets, -1, 2 * n), misfit)
             theta = theta + size * step.T
-            if system.linear:  # the response is affine in the start
-                response = x[:, 0] + np.einsum("dqsn,sq->dsn", jacobian, step)
-                return np.where(usable[:, None], response, np.nan)
-        return np.where(usable[:, None], at(theta), np.nan)
+        # the response of a linear system is affine in the start
+        x = x[:, 0] + np.einsum("dqsn,sq->dsn", jacobian, step) if system.linear else simulated(theta)
+        return np.where(usable[:, None], x, np.nan)
+
+
+def _first_state(times: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Displacement and velocity at time 0, (2 n_dof,), by the parabola through the first samples of y (n_dof, n)."""
+    polynomial = np.linalg.solve(np.vander(times[:3], increasing=True), y[:, :3].T)
+    return np.concatenate([polynomial[0], polynomial[1]])
 
 
 def _shortest(jacobian: np.ndarray, misfit: np.ndarray) -> np.ndarray:
     """Least-squares steps (sets, q), the shortest where several fit equally; zero where the response diverged."""
-    healthy = np.all(np.isfinite(jacobian), axis=(-2, -1)) & np.all(np.isfinite(misfit), axis=-1)
-    jacobian, misfit = np.where(healthy[:, None, None], jacobian, 0.0), np.where(healthy[:, None], misfit, 0.0)
     # in the basis of the columns' own products: far cheaper than a decomposition of the columns
-    with np.errstate(over="ignore"):
-        products = np.swapaxes(jacobian, -1, -2) @ jacobian
-    bounded = np.all(np.isfinite(products), axis=(-2, -1))  # a response of 1e200 has none
-    jacobian = np.where(bounded[:, None, None], jacobian, 0.0)
-    values, vectors = np.linalg.eigh(np.where(bounded[:, None, None], products, 0.0))
+    with np.errstate(all="ignore"):
+        products, moments = np.swapaxes(jacobian, -1, -2) @ jacobian, np.einsum("snq,sn->sq", jacobian, misfit)
+    healthy = np.all(np.isfinite(products), axis=(-2, -1)) & np.all(np.isfinite(moments), axis=-1)
+    values, vectors = np.linalg.eigh(np.where(healthy[:, None, None], products, 0.0))
     seen = values > 1e-12 * values[:, -1:]
-    along = np.einsum("sqk,snq,sn->sk", vectors, jacobian, misfit, optimize=True)
+    along = np.einsum("sqk,sq->sk", vectors, np.where(healthy[:, None], moments, 0.0))
     return np.asarray(np.einsum("sqk,sk->sq", vectors, np.where(seen, along, 0.0) / np.where(seen, values, 1.0)))
 
 
 def too_fast(system: System, p: Mapping[str, np.ndarray], state: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Which parameter sets (sets,) move faster than samples can show: over π radians a step, at rest or at a state.
+    """Mark the sets (sets,) that move faster than samples show, over π radians a step, at rest or at a state.
 
-    Not finite counts.
+    Sets whose rates are not finite are marked.
     """
     rates = fastest_rates(system, p, state[:, None])
     return np.asarray(~np.all(rates * np.median(np.diff(times)) <= np.pi, axis=0))
-
-
-def answer(
-    regression: Regression,
-    unknowns: np.ndarray,
-    covariance: np.ndarray | None,
-    message: str = "",
-    traces: Mapping[str, np.ndarray] | None = None,
-    dimensions: Mapping[str, Sequence[Dimension]] | None = None,
-) -> Estimate:
-    """Make the Estimate of unknowns (q,): groups, or parameters where the scale is told.
-
-    Nuisance unknowns are dropped. For parameters the covariance goes to the logarithms to first order. Raises
-    NoEstimate for unknowns that are not finite, and for parameters that are not positive.
-    """
-    system, d = regression.system, len(regression.names)
-    mean = unknowns[:d]
-    if not np.all(np.isfinite(mean)):
-        raise NoEstimate("the equations do not determine the parameters: take more samples, or samples of more motion")
-    cov = None if covariance is None else covariance[:d, :d]
-    fitted_starts = sum(2 * system.n_dof for record in regression.records if record.initial_state is None)
-    samples = sum(record.n for record in regression.records)
-    dof = float(max(1, samples - unknowns.size - fitted_starts))
-    parameters = groups = None
-    if not regression.scale_told:
-        groups = Normal(regression.names, mean, cov, log=False, dof=dof)
-    elif np.any(mean <= 0):
-        name = regression.names[int(np.argmin(mean))]
-        sentence = f"the estimate of {name} is negative: the derivatives are too noisy; take more samples or less noise"
-        raise NoEstimate(sentence)
-    else:
-        cov = None if cov is None else cov / np.outer(mean, mean)
-        parameters = Normal(regression.names, np.log(mean), cov, log=True, dof=dof)
-    return Estimate(system, parameters, groups, message=message, traces=traces or {}, dimensions=dimensions or {})

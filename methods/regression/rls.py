@@ -3,37 +3,32 @@
 The update is the standard one with exponential forgetting (Ljung, System Identification: Theory for the User, 2nd ed.
 1999, section 11.2): with row ``φ``, target ``y`` and forgetting factor ``λ``,
 ``K = P φ / (λ + φᵀ P φ)``, ``θ <- θ + K (y - φᵀ θ)``, ``P <- (P - K φᵀ P) / λ``.
-A sample of several degrees of freedom brings several rows; it forgets once. Held is a root S of ``P = S Sᵀ`` (Potter's
+A sample of several degrees of freedom brings several rows; it forgets once. A root S of ``P = S Sᵀ`` is kept (Potter's
 form: G. J. Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter II), with ``f = Sᵀ φ`` and
 ``β = λ + fᵀ f``: ``K = S f / β``, ``S <- (S - K fᵀ / (1 + √(λ/β))) / √λ``. P itself loses half of its
 digits on the way from diffuse to known.
 
-It starts from nothing: ``θ = 0`` and a diffuse ``P``, ``diffuse`` times the identity in the problem's natural units
-(displacement of order one). The prior does not enter here; the harness combines it with the groups, once. The
-forgetting factor is a textbook value for parameters that hardly move; since they do not move at all, any forgetting
-costs something: ``forgetting=1`` is the batch LS.
+It starts from ``θ = 0`` and a diffuse ``P``, ``diffuse`` times the identity in natural units (displacement of order
+one). Since the parameters do not move, any forgetting costs something: ``forgetting=1`` is the batch LS.
 
-Told: the equations, the samples, the known force. A told start is used in the bootstrap's noise level only. It has the
-bias of finite differences, and says so as LS does. No own reconstruction. The uncertainty is a parametric bootstrap's
-spread. The trace ``trajectory`` keeps the estimate after each sample (n_samples, n_identified), ``trajectory_times``
-its times (s).
+A known initial state is used in the bootstrap's noise level only; prior, bias and its warning are those of LS. The
+uncertainty is a parametric bootstrap's spread. The trace ``trajectory`` keeps the estimate after each sample
+(n_samples, n_identified), ``trajectory_times`` its times (s).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Dimension, Estimate, InputError, Problem, Serves
-from methods.regression.bootstrap import TRIED, bootstrap_covariances, spline_fits
-from methods.regression.company import Finish, answers_together
-from methods.regression.equation import Regression, answer, layout_objection
-from methods.regression.hausman import doubt, most_likely
-from methods.starts.ambiguity import BandIdentifier
+from bench import Card, Dimension, Estimate, InputError, Serves
+from methods.regression.equation import Regression
+from methods.regression.hausman import doubts
+from methods.regression.identifier import RegressionIdentifier, answer, bootstrap_covariances
+from methods.regression.smoothing import TRIED, spline_fits
 
 
 def recursive_least_squares(
@@ -56,8 +51,23 @@ def recursive_least_squares(
     return path
 
 
+def check_recursion(forgetting: float, diffuse: float) -> None:
+    """Refuse settings that the recursion does not take."""
+    if not 0 < forgetting <= 1:
+        raise InputError("method.forgetting", forgetting, "a number above 0, at most 1")
+    if not (diffuse > 0 and np.isfinite(diffuse)):
+        raise InputError("method.diffuse", diffuse, "a positive number, large against 1")
+
+
+def trajectory_dimensions(regression: Regression) -> dict[str, list[Dimension]]:
+    """Give the dimensions of the traces ``trajectory`` and ``trajectory_times``."""
+    system = regression.system
+    dimensions = [system.dimension(system.quantity(name)) for name in regression.names]
+    return {"trajectory": dimensions, "trajectory_times": [Dimension(time=1.0)]}
+
+
 @dataclass(frozen=True)
-class RLS(BandIdentifier):
+class RLS(RegressionIdentifier):
     """Recursive least squares with ``forgetting`` (0 to 1) and initial covariance ``diffuse``; see the module."""
 
     forgetting: float = 0.98
@@ -82,56 +92,30 @@ class RLS(BandIdentifier):
         several_records=True, several_channels=True, offsets=True, max_dof=None, added_mass=True
     )
 
-    works_in = "natural units"
+    @property
+    def records_held(self) -> int:
+        return max(TRIED, self.bootstrap)
 
     def __post_init__(self) -> None:
-        if not 0 < self.forgetting <= 1:
-            raise InputError("method.forgetting", self.forgetting, "a number above 0, at most 1")
-        if not (self.diffuse > 0 and np.isfinite(self.diffuse)):
-            raise InputError("method.diffuse", self.diffuse, "a positive number, large against 1")
+        super().__post_init__()
+        check_recursion(self.forgetting, self.diffuse)
 
-    def objection(self, problem: Problem) -> str | None:
-        return super().objection(problem) or layout_objection(problem)
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Estimate groups, or parameters where the scale is told."""
-        return self.estimate_many([problem], [rng])[0]
-
-    def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Estimate problems of one layout together."""
-        return answers_together(problems, rngs, self._solve, max(self.bootstrap, TRIED))
-
-    def _solve(self, regressions: Sequence[Regression], rngs: Sequence[np.random.Generator]) -> Sequence[Finish]:
-        joined = Regression.joined(regressions)
-        columns, target = joined.finite(joined.values)
-        if columns.shape[1] < columns.shape[2]:
-            columns = columns * np.nan  # fewer equations than unknowns: the diffuse start would answer
-        fits = spline_fits(regressions)
-        path = self._path(joined, columns, target)
+    def fit(self, regression: Regression, rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Take the equations of all problems, and of their synthetic records, one after the other."""
+        splines, path = spline_fits(regression), self._path(regression)
         covariances = bootstrap_covariances(
-            fits, lambda values: self._path(joined, *joined.finite(values))[-1], rngs, self.bootstrap
+            regression, splines.centres, splines.noise, lambda data: self._path(data)[-1], rngs, self.bootstrap
         )
-        return [
-            partial(_answer, regression, path[:, i], covariance, likely)
-            for i, (regression, covariance, likely) in enumerate(
-                zip(regressions, covariances, most_likely(joined, fits), strict=True)
-            )
-        ]
+        times, dimensions = np.concatenate([t[1:-1] for t in regression.times]), trajectory_dimensions(regression)
+        answers = []
+        for i, doubt in enumerate(doubts(regression, path[-1], covariances, splines)):
+            traces = {"trajectory": path[:, i, : len(regression.names)], "trajectory_times": times}
+            answers.append(answer(regression, path[-1, i], covariances[i], *doubt, traces, dimensions))
+        return answers
 
-    def _path(self, regression: Regression, columns: np.ndarray, target: np.ndarray) -> np.ndarray:
+    def _path(self, regression: Regression) -> np.ndarray:
+        """Estimates after each sample, (n_samples, sets, q); NaN with fewer equations than unknowns."""
+        columns, target = regression.finite()
+        if columns.shape[1] < columns.shape[2]:
+            columns = columns * np.nan  # the diffuse start would answer
         return recursive_least_squares(columns, target, self.forgetting, self.diffuse, regression.system.n_dof)
-
-
-def _answer(regression: Regression, path: np.ndarray, covariance: np.ndarray | None, likely: np.ndarray) -> Estimate:
-    """The last of the estimates (n_samples, q), with all of them as a trace."""
-    system = regression.system
-    traces = {
-        "trajectory": path[:, : len(regression.names)],
-        "trajectory_times": np.concatenate([t[1:-1] for t in regression.times]),
-    }
-    dimensions = {
-        "trajectory": [system.dimension(system.quantity(name)) for name in regression.names],
-        "trajectory_times": [Dimension(time=1.0)],
-    }
-    message = doubt(regression, path[-1], covariance, likely)
-    return answer(regression, path[-1], covariance, message, traces, dimensions)

@@ -5,8 +5,7 @@ three, and on the known forces, and few of them are kept (Brunton, Proctor and K
 library holds more than the equation of motion: sparsity has to find it.
 
 * Derivatives decide everything on few samples. They are those of a smoothing spline, smoothed as in LS with
-  ``derivative="spline"`` (:func:`methods.regression.bootstrap.spline_fits`).
-* ``form="weak"`` regresses integrals over test functions in place of accelerations
+  ``derivative="spline"``. ``form="weak"`` regresses integrals over test functions in place of accelerations
   (:func:`methods.regression.weak.weak_rows`).
 * Terms are taken one by one by forward orthogonal least squares (FROLS of pysindy; Billings, Nonlinear System
   Identification, 2013, chapter 3): each time the one that explains most of what is left of the acceleration.
@@ -17,11 +16,10 @@ library holds more than the equation of motion: sparsity has to find it.
   the equation of motion, and the parameters are the least-squares solution, as in LS. Terms that the equation of motion
   does not have are thus projected onto those that it has.
 
-Told: the equations (for that last step, and the smoothing), the samples, the known force; a told start is used in
-choosing the smoothing. The prior is not used. No own reconstruction. The uncertainty is a parametric bootstrap's
-spread, terms chosen anew each time. The terms kept are in the message, and as numbers in the trace ``coefficients``
-(n_dof, n_terms), in the problem's units, with the powers of each monomial in the trace ``powers`` (n_monomials,
-2 n_dof); forces follow the monomials.
+A known initial state is used in choosing the smoothing. The prior is not used. The uncertainty is a parametric
+bootstrap's spread, terms chosen again each time. The terms kept are in the message, and as numbers in the trace
+``coefficients`` (n_dof, n_terms), in the problem's units, with the powers of each monomial in the trace ``powers``
+(n_monomials, 2 n_dof); forces follow the monomials.
 """
 
 from __future__ import annotations
@@ -35,25 +33,26 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from bench import Card, Dimension, Estimate, InputError, NoEstimate, Problem, Serves, Status
-from methods.regression.bootstrap import SplineFit, bootstrap_covariances, smoothings, spline_fits
+from bench import Card, Dimension, Estimate, InputError, NoEstimate, Serves, Status
 from methods.regression.derivatives import Motion
-from methods.regression.equation import Regression, Values, answer, layout_objection, solve
-from methods.regression.hausman import doubt, most_likely
+from methods.regression.equation import Regression, solve
+from methods.regression.hausman import doubts
+from methods.regression.identifier import MOST_AT_ONCE, RegressionIdentifier, answer, bootstrap_covariances
+from methods.regression.smoothing import SMOOTHERS, SplineFits, smoothing_again, spline_fits
 from methods.regression.weak import weak_rows
-from methods.starts.ambiguity import BandIdentifier
 
 RADIANS_A_STEP = 0.35
 """Step of the fourth-order integrator: its error, a phase of some 4e-5 radians a step, is far below the noise."""
-
 DEPENDENT = 1e-12
 """A term of which the terms taken leave less than this part, squared, is one of their combinations."""
+RIDGE = 1e-14
+"""Added to products of columns of length one, which terms that nearly depend on each other make singular."""
 EXACT = 1e-3
 """A misfit below this part of the motion is that of smoothing and integration: no further term is called for."""
 
 
 @dataclass(frozen=True)
-class SINDy(BandIdentifier):
+class SINDy(RegressionIdentifier):
     """Sparse identification; ``degree`` of the library, ``most_terms`` of an equation, ``bootstrap`` data sets.
 
     ``form="weak"`` regresses integrals over test functions in place of accelerations.
@@ -94,44 +93,67 @@ class SINDy(BandIdentifier):
     serves: ClassVar[Serves] = Serves(several_records=True, several_channels=True, offsets=True, max_dof=None)
     requires: ClassVar[tuple[str, ...]] = ("pysindy",)
     extra: ClassVar[str] = "sindy"
-    works_in = "natural units"
 
     def __post_init__(self) -> None:
-        if self.most_terms < 1:
-            raise InputError("method.most_terms", self.most_terms, "at least 1")
-        if self.degree < 1:
-            raise InputError("method.degree", self.degree, "at least 1")
+        super().__post_init__()
+        for name, value in (("most_terms", self.most_terms), ("degree", self.degree)):
+            if value < 1:
+                raise InputError(f"method.{name}", value, "at least 1")
 
-    def objection(self, problem: Problem) -> str | None:
-        return super().objection(problem) or layout_objection(problem)
+    @property
+    def records_held(self) -> int:
+        return MOST_AT_ONCE  # one problem at a time, since the number of models differs
 
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Estimate groups in free vibration, parameters with a known force."""
-        regression = Regression.of(problem)
-        (fit,) = spline_fits([regression])
+    def fit(self, regression: Regression, rngs: Sequence[np.random.Generator]) -> list[Estimate]:
+        """Choose the terms of one problem, and again of its synthetic records."""
+        splines = spline_fits(regression)
         library = _Library.of(regression, self.degree, self.form == "weak")
-        motions = regression.motions(regression.values, fit.smoother, np.array([fit.which]))
-        models = library.sparse_models(motions, regression.values, fit.smoother[1], self.most_terms)
-        best = library.best(models[None], motions, regression.values, fit.smoother[1])
-        unknowns = library.projected(motions, best)[0]
-
-        def fitter(values: Values) -> np.ndarray:
-            return library.refit(values, fit, len(models))
-
-        covariance = bootstrap_covariances([fit], fitter, [rng], self.bootstrap)[0]
+        curves = Curves.of(regression, int(splines.smoother[0]), splines.weight)
+        models = library.sparse_models(curves, self.most_terms)
+        best = library.best(models[None], curves)
+        unknowns = library.projected(curves, best)
+        covariances = bootstrap_covariances(
+            regression,
+            splines.centres,
+            splines.noise,
+            lambda data: library.refit(data, splines, len(models)),
+            rngs,
+            self.bootstrap,
+        )
+        ((doubt, hopeless),) = doubts(regression, unknowns, covariances, splines)
+        message = doubt if hopeless else "; ".join(filter(None, [doubt, library.sentence(best[0])]))
         traces = {"coefficients": best[0], "powers": library.powers.astype(float)}
         dimensions = {"coefficients": library.dimensions()}
-        said = [doubt(regression, unknowns, covariance, most_likely(regression, [fit])[0]), library.told(best[0])]
-        return answer(regression, unknowns, covariance, "; ".join(filter(None, said)), traces, dimensions)
+        return [answer(regression, unknowns[0], covariances[0], message, hopeless, traces, dimensions)]
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """Data sets with their smoothed motion a record, and the ``samples`` (n_dof, sets, rows) at its times."""
+
+    data: Regression
+    motions: list[Motion]
+    samples: list[np.ndarray]
+
+    @staticmethod
+    def of(data: Regression, smoother: int, weights: np.ndarray) -> Curves:
+        """Smooth all sets by the smoother of a number, at the weights of numbers (sets,)."""
+        trim = SMOOTHERS[smoother][1]
+        samples = [y[..., trim : y.shape[2] - trim] for y in data.values]
+        return Curves(data, data.splines(SMOOTHERS[smoother], weights), samples)
+
+    def split(self, rows: np.ndarray, axis: int) -> list[np.ndarray]:
+        """Split what stands record by record on an axis."""
+        return np.split(rows, np.cumsum([motion.times.size for motion in self.motions])[:-1], axis=axis)
 
 
 @dataclass(frozen=True, eq=False)
 class _Library:
     """Monomials of displacements and velocities, ``powers`` (n_monomials, 2 n_dof), and the forces on ``pushed``."""
 
-    regression: Regression
+    n_dof: int
     powers: np.ndarray
-    pushed: tuple[int, ...]
+    pushed: list[int]
     weak: bool
 
     @staticmethod
@@ -143,89 +165,51 @@ class _Library:
         offset = any(c.offset for record in regression.records for c in record.channels)
         polynomials = pysindy.PolynomialLibrary(degree=degree, include_bias=offset).fit(np.zeros((2, 2 * n)))
         acting = {f.dof for r in regression.records for f in r.forces if np.any(f.values)}
-        return _Library(regression, np.array(polynomials.powers_), tuple(sorted(acting)), weak)
+        return _Library(n, np.array(polynomials.powers_), sorted(acting), weak)
 
-    def features(self, motions: Sequence[Motion]) -> np.ndarray:
-        """Library terms (sets, rows, terms) along the motions of all records."""
-        parts = []
-        for motion in motions:
-            states = np.concatenate([motion.x, motion.v]).transpose(1, 2, 0)
-            force = np.zeros((0, *motion.x.shape[1:])) if motion.force is None else motion.force[list(self.pushed)]
-            force = np.broadcast_to(force, (len(self.pushed), *states.shape[:2]))
-            parts.append(self.terms(states, np.moveaxis(force, 0, -1)))
-        return np.concatenate(parts, axis=1)
-
-    def rows(self, motions: Sequence[Motion], values: Values, trim: int) -> tuple[np.ndarray, np.ndarray]:
-        """Library terms (sets, rows, terms) and target (n_dof, sets, rows) of the regression over all records."""
-        features = self.features(motions)
-        if not self.weak:
-            return features, np.concatenate([motion.a for motion in motions], axis=-1)
-        ends = np.cumsum([motion.times.size for motion in motions])[:-1]
-        linear = np.array([int(np.flatnonzero((self.powers == row).all(1))[0]) for row in np.eye(self.powers.shape[1])])
-        parts = [
-            weak_rows(motion, y[..., trim : y.shape[2] - trim], part, linear)
-            for motion, y, part in zip(motions, values, np.split(features, ends, axis=1), strict=True)
-        ]
-        return np.concatenate([part[0] for part in parts], axis=1), np.concatenate([part[1] for part in parts], axis=-1)
+    @cached_property
+    def _factors(self) -> np.ndarray:
+        """The states whose product each monomial is, (degree, n_monomials); 2 n_dof stands for 1."""
+        states = [np.repeat(np.arange(row.size), row) for row in self.powers]
+        degree = int(self.powers.sum(1).max())
+        return np.array([np.pad(s, (0, degree - s.size), constant_values=2 * self.n_dof) for s in states]).T
 
     def terms(self, states: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Library terms (..., terms) at states (..., 2 n_dof) under forces (..., n_pushed)."""
-        n = len(self.powers)
-        found = np.empty((n + len(self.pushed), *states.shape[:-1]))
-        for i, (shorter, factor) in enumerate(self._products):
-            if factor < 0:
-                found[i] = 1.0
-            elif shorter < 0:
-                found[i] = states[..., factor]
-            else:
-                np.multiply(found[shorter], states[..., factor], out=found[i])
-        for i in range(len(self.pushed)):
-            found[n + i] = force[..., i]
-        return np.moveaxis(found, 0, -1)
+        """Library terms (terms, ...) at states (2 n_dof, ...) under forces (n_dof, ...)."""
+        with_one = np.concatenate([states, np.ones_like(states[:1])])
+        monomials = with_one[self._factors[0]]
+        for factor in self._factors[1:]:
+            monomials *= with_one[factor]
+        pushed = np.broadcast_to(force[self.pushed], (len(self.pushed), *states.shape[1:]))
+        return np.concatenate([monomials, pushed])
 
-    @cached_property
-    def _products(self) -> list[tuple[int, int]]:
-        """Each monomial as (number of a shorter one, state to multiply it with); -1 for 1. They come by degree."""
-        numbers = {tuple(row): i for i, row in enumerate(self.powers)}
-        products = []
-        for row in self.powers:
-            factor = int(np.argmax(row > 0)) if np.any(row) else -1
-            shorter = row - (np.arange(row.size) == factor)
-            products.append((numbers[tuple(shorter)] if np.sum(row) > 1 else -1, factor))
-        return products
+    def features(self, curves: Curves) -> np.ndarray:
+        """Library terms (sets, rows, terms) along the motions of all records."""
+        parts = []
+        for motion in curves.motions:
+            force = np.zeros((self.n_dof, *motion.x.shape[1:])) if motion.force is None else motion.force
+            parts.append(self.terms(np.concatenate([motion.x, motion.v]), force))
+        return np.moveaxis(np.concatenate(parts, axis=2), 0, -1)
 
-    @cached_property
-    def names(self) -> list[str]:
-        """The terms in words, e.g. ``x^2 v``."""
-        n = self.regression.system.n_dof
-        state = ["x", "v"] if n == 1 else [f"{s}{i + 1}" for s in "xv" for i in range(n)]
-        words = [[f"{s}^{p}" if p > 1 else s for s, p in zip(state, row, strict=True) if p] for row in self.powers]
-        return [" ".join(word) or "1" for word in words] + [f"f{i + 1}" if n > 1 else "f" for i in self.pushed]
+    def rows(self, curves: Curves) -> tuple[np.ndarray, np.ndarray]:
+        """Library terms (sets, rows, terms) and target (n_dof, sets, rows) of the regression over all records."""
+        features = self.features(curves)
+        if not self.weak:
+            return features, np.concatenate([motion.a for motion in curves.motions], axis=-1)
+        linear = np.array([np.flatnonzero((self.powers == row).all(1))[0] for row in np.eye(2 * self.n_dof)])
+        records = zip(curves.motions, curves.samples, curves.split(features, 1), strict=True)
+        parts = [weak_rows(motion, y, part, linear) for motion, y, part in records]
+        return np.concatenate([rows for rows, _ in parts], axis=1), np.concatenate([a for _, a in parts], axis=-1)
 
-    def told(self, model: np.ndarray) -> str:
-        """The terms that a model (n_dof, terms) kept, in a sentence."""
-        kept = [", ".join(name for name, c in zip(self.names, row, strict=True) if c) or "none" for row in model]
-        if len(kept) == 1:
-            return f"terms kept of {len(self.names)}: {kept[0]}"
-        return f"terms kept of {len(self.names)}: " + "; ".join(f"{row} (DOF {i + 1})" for i, row in enumerate(kept))
-
-    def dimensions(self) -> list[Dimension]:
-        """Dimension of each coefficient: of an acceleration over the term's own."""
-        velocities = self.powers[:, self.regression.system.n_dof :].sum(1)
-        orders = zip(self.powers.sum(1), velocities, strict=True)
-        monomials = [Dimension(0.0, 1.0 - float(length), float(velocity) - 2.0) for length, velocity in orders]
-        return monomials + [Dimension(mass=-1.0)] * len(self.pushed)
-
-    def sparse_models(self, motions: Sequence[Motion], values: Values, trim: int, most_terms: int) -> np.ndarray:
+    def sparse_models(self, curves: Curves, most_terms: int) -> np.ndarray:
         """Models (sizes, n_dof, terms) of 1, 2, ... terms by pysindy's FROLS. Raises NoEstimate for too few samples."""
         from pysindy import FROLS
 
-        features, target = self.rows(motions, values, trim)
+        features, target = self.rows(curves)
         features, target = features[0], target[:, 0].T
         if features.shape[0] <= features.shape[1]:
-            lost = self.regression.values[0].shape[-1] - motions[0].times.size
-            needed = features.shape[1] + 1 + lost * len(motions)
-            sentence = f"its library of {features.shape[1]} terms needs at least {needed} samples"
+            lost = sum(t.size for t in curves.data.times) - sum(motion.times.size for motion in curves.motions)
+            sentence = f"its library of {features.shape[1]} terms needs at least {features.shape[1] + 1 + lost} samples"
             raise NoEstimate(sentence, Status.UNSUPPORTED)
         norms, size = np.linalg.norm(features, axis=0), np.linalg.norm(target, axis=0)
         if not np.all(size > 0):
@@ -240,95 +224,94 @@ class _Library:
         models[..., there] = np.stack(sparse.history_[1 : most + 1]) * size[:, None] / norms[there]
         return models
 
-    def best(self, models: np.ndarray, motions: Sequence[Motion], values: Values, trim: int) -> np.ndarray:
+    def best(self, models: np.ndarray, curves: Curves) -> np.ndarray:
         """Of models (sets, sizes, n_dof, terms), those (sets, n_dof, terms) of least corrected Akaike criterion."""
-        count = np.count_nonzero(models, axis=(2, 3))
-        samples = sum(y.shape[0] * y.shape[2] for y in values)
+        count, samples = np.count_nonzero(models, axis=(2, 3)), sum(record.n for record in curves.data.records)
         score = 2.0 * count * samples / np.maximum(samples - count - 1, 1e-3)
-        for i, (motion, y) in enumerate(zip(motions, values, strict=True)):
-            inner = y[:, :, None, trim : y.shape[2] - trim]
+        for i, y in enumerate(curves.samples):
             with np.errstate(all="ignore"):
-                square = np.mean((self._simulated(models, i, motion) - inner) ** 2, axis=-1)
-                floor = EXACT**2 * np.var(inner, axis=-1)
-                score = score + np.sum(inner.shape[-1] * np.log(np.maximum(square, floor)), axis=0)
+                square = np.mean((self._simulated(models, curves, i) - y[:, :, None]) ** 2, axis=-1)
+                floor = EXACT**2 * np.var(y, axis=-1)[..., None]
+                score = score + np.sum(y.shape[-1] * np.log(np.maximum(square, floor)), axis=0)
         chosen = np.argmin(np.where(np.isfinite(score), score, np.inf), axis=1)
         return models[np.arange(len(models)), chosen]
 
-    def _simulated(self, models: np.ndarray, number: int, motion: Motion) -> np.ndarray:
+    def _simulated(self, models: np.ndarray, curves: Curves, number: int) -> np.ndarray:
         """Displacements (n_dof, sets, sizes, rows) from each motion's first state, by classical Runge-Kutta steps."""
-        times, x, v, a = motion[:4]
-        n, record = self.regression.system.n_dof, self.regression.records[number]
+        times, x, v, a = curves.motions[number][:4]
+        record, n = curves.data.records[number], self.n_dof
         rate = np.sqrt(np.mean(a**2) / np.mean(v**2))
-        shape = models.shape[:2]
-        result = np.empty((*shape, 2 * n))
 
-        def slope(state: np.ndarray, at: float) -> np.ndarray:
-            force = np.array(record.force(np.array(at), n))[list(self.pushed)] if self.pushed else np.empty(0)
-            result[..., :n] = state[..., n:]
-            result[..., n:] = np.einsum("...dk,...k->...d", models, self.terms(state, force))
-            return result.copy()
+        def slope(state: np.ndarray, time: float) -> np.ndarray:
+            force = np.array(record.force(np.array(time), n)).reshape(n, 1, 1)
+            return np.concatenate([state[n:], np.einsum("szdk,ksz->dsz", models, self.terms(state, force))])
 
-        first = np.concatenate([x[..., 0], v[..., 0]]).T[:, None]
-        state = np.broadcast_to(first, (*shape, 2 * n))
-        path = [state[..., :n]]
+        state = np.repeat(np.concatenate([x[..., :1], v[..., :1]]), models.shape[1], axis=2)
+        path = [state[:n]]
         with np.errstate(all="ignore"):
             for start, end in pairwise(times):
                 steps = int(np.clip(np.ceil((end - start) * rate / RADIANS_A_STEP), 1, 100))
                 h = (end - start) / steps
-                for j in range(steps):
-                    t = start + j * h
+                for t in start + h * np.arange(steps):
                     k1 = slope(state, t)
                     k2 = slope(state + h / 2 * k1, t + h / 2)
                     k3 = slope(state + h / 2 * k2, t + h / 2)
                     k4 = slope(state + h * k3, t + h)
                     state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-                path.append(state[..., :n])
-        return np.moveaxis(np.stack(path), (0, -1), (-1, 0))
+                path.append(state[:n])
+        return np.stack(path, axis=-1)
 
-    def projected(self, motions: Sequence[Motion], models: np.ndarray) -> np.ndarray:
+    def projected(self, curves: Curves, models: np.ndarray) -> np.ndarray:
         """Unknowns (sets, q): the models' (sets, n_dof, terms) accelerations in the equation of motion."""
-        accelerations = np.einsum("sdk,srk->dsr", models, self.features(motions))
-        parts = np.split(accelerations, np.cumsum([motion.times.size for motion in motions])[:-1], axis=-1)
-        replaced = [motion._replace(a=a) for motion, a in zip(motions, parts, strict=True)]
-        return solve(*self.regression.equations(replaced))
+        accelerations = curves.split(np.einsum("sdk,srk->dsr", models, self.features(curves)), -1)
+        replaced = [motion._replace(a=a) for motion, a in zip(curves.motions, accelerations, strict=True)]
+        return solve(*curves.data.equations(replaced))
 
-    def refit(self, values: Values, fit: SplineFit, most_terms: int) -> np.ndarray:
-        """Unknowns (sets, q) of other data (n_dof, sets, n) a record: the whole choice of terms, made anew."""
-        chosen = smoothings(self.regression, [fit], values)
-        found = np.full((len(chosen), fit.unknowns.size), np.nan)
-        for smoother in sorted({s for s, _ in chosen}):
-            mine = np.array([s == smoother for s, _ in chosen])
-            which = np.array([w for _, w in chosen])[mine]
-            mine_values = [y[:, mine] for y in values]
-            motions = self.regression.motions(mine_values, smoother, which)
-            features, target = self.rows(motions, mine_values, smoother[1])
+    def refit(self, data: Regression, fits: SplineFits, most_terms: int) -> np.ndarray:
+        """Unknowns (sets, q) of data drawn like the fit's: the whole choice of terms again."""
+        smoother, weight = smoothing_again(data, fits)
+        unknowns = np.full((data.sets, fits.unknowns.shape[1]), np.nan)
+        for number in np.unique(smoother):
+            sets = smoother == number
+            curves = Curves.of(data[sets], number, weight[sets])
+            features, target = self.rows(curves)
             if features.shape[1] > features.shape[2]:
                 models = np.stack([greedy(features, a, most_terms) for a in target], axis=2)
-                found[mine] = self.projected(motions, self.best(models, motions, mine_values, smoother[1]))
-        return found
+                unknowns[sets] = self.projected(curves, self.best(models, curves))
+        return unknowns
 
+    @cached_property
+    def names(self) -> list[str]:
+        """The terms in words, e.g. ``x^2 v``."""
+        n = self.n_dof
+        state = ["x", "v"] if n == 1 else [f"{s}{i + 1}" for s in "xv" for i in range(n)]
+        words = [[f"{s}^{p}" if p > 1 else s for s, p in zip(state, row, strict=True) if p] for row in self.powers]
+        return [" ".join(word) or "1" for word in words] + [f"f{i + 1}" if n > 1 else "f" for i in self.pushed]
 
-def _solved(square: np.ndarray, moment: np.ndarray) -> np.ndarray:
-    """Coefficients (sets, terms) of normal equations; of least norm in all sets where one is singular to rounding."""
-    try:
-        return np.asarray(np.linalg.solve(square, moment[..., None])[..., 0])
-    except np.linalg.LinAlgError:
-        finite = np.all(np.isfinite(square), axis=(1, 2))
-        inverse = np.linalg.pinv(np.where(finite[:, None, None], square, 0.0), hermitian=True)
-        return np.where(finite[:, None], np.einsum("sjk,sk->sj", inverse, moment), np.nan)
+    def sentence(self, model: np.ndarray) -> str:
+        """Name the terms that a model (n_dof, terms) kept."""
+        kept = [", ".join(name for name, c in zip(self.names, row, strict=True) if c) or "none" for row in model]
+        of_dof = kept if len(kept) == 1 else [f"{row} (DOF {i + 1})" for i, row in enumerate(kept)]
+        return f"terms kept of {len(self.names)}: " + "; ".join(of_dof)
+
+    def dimensions(self) -> list[Dimension]:
+        """Dimension of each coefficient: of an acceleration over the term's own."""
+        orders = zip(self.powers.sum(1), self.powers[:, self.n_dof :].sum(1), strict=True)
+        monomials = [Dimension(0.0, 1.0 - float(length), float(velocity) - 2.0) for length, velocity in orders]
+        return monomials + [Dimension(mass=-1.0)] * len(self.pushed)
 
 
 def greedy(features: np.ndarray, target: np.ndarray, most: int) -> np.ndarray:
     """Models of 1 to ``most`` terms, (sets, most, terms), of features (sets, rows, terms) and target (sets, rows).
 
     Each step takes the term that, made orthogonal to those taken, explains most of the target. The vectorised twin of
-    ``pysindy.FROLS(alpha=0)``, for the bootstrap; a test holds the two together. A term that the ones taken already
+    ``pysindy.FROLS(alpha=0)``, for the bootstrap; a test compares the two. A term that the ones taken already
     give is never taken; where no other is left, the larger models are the last one again.
     """
     norms = np.linalg.norm(features, axis=1)
     norms = np.where(norms > 0, norms, 1.0)
     columns = features / norms[:, None]
-    left, rows = columns.copy(), np.arange(len(features))
+    left, sets = columns.copy(), np.arange(len(features))
     gram, moment = np.swapaxes(columns, 1, 2) @ columns, np.einsum("srk,sr->sk", columns, target)
     kept, models = np.zeros(norms.shape, bool), []
     for _ in range(most):
@@ -336,10 +319,11 @@ def greedy(features: np.ndarray, target: np.ndarray, most: int) -> np.ndarray:
         free = ~kept & (power > DEPENDENT)
         gain = np.where(free, np.einsum("srk,sr->sk", left, target) ** 2 / np.where(free, power, 1.0), -1.0)
         best = np.argmax(gain, axis=1)
-        kept[rows, best] |= free[rows, best]
-        taken = left[rows, :, best] / np.sqrt(np.maximum(power[rows, best], 1e-300))[:, None]
+        kept[sets, best] |= free[sets, best]
+        taken = left[sets, :, best] / np.sqrt(np.maximum(power[sets, best], 1e-300))[:, None]
         left = left - taken[:, :, None] * np.einsum("sr,srk->sk", taken, left)[:, None]
-        square = np.where(kept[:, :, None] & kept[:, None, :], gram, np.eye(norms.shape[1]))
-        solution = _solved(square, np.where(kept, moment, 0.0))
-        models.append(np.where(kept, solution, 0.0) / norms)
+        eye = np.eye(norms.shape[1])
+        square = np.where(kept[:, :, None] & kept[:, None, :], gram, 0.0) + np.where(kept, RIDGE, 1.0)[:, None] * eye
+        solution = np.linalg.solve(square, np.where(kept, moment, 0.0)[..., None])[..., 0]
+        models.append(solution / norms)
     return np.stack(models, axis=1)

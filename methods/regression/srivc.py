@@ -2,16 +2,17 @@
 
 With ``a₁ = c/m``, ``a₀ = k/m``, ``b = 1/m`` and ``A(s) = s² + a₁ s + a₀`` the motion from displacement x₀ and velocity
 v₀ is ``A(s) X = b F + s x₀ + w₀``, ``w₀ = v₀ + a₁ x₀``. Both sides are passed through 1/A of the parameters at hand
-(the prefilter), which makes of displacement y its filtered ``y_f, y_f', y_f''``, of the force ``f_f``, and of the start
-the free response S from unit velocity and its derivative S':
+(the prefilter), which makes of displacement y its filtered ``y_f, y_f', y_f''``, of the force ``f_f``, and of the
+initial state the free response S from unit velocity and its derivative S':
 
     y_f'' = -a₁ y_f' - a₀ y_f + b f_f + x₀ S' + w₀ S
 
-This is linear in a₁, a₀, b, and in x₀ and w₀ where they are not told. Where they are, ``x₀ S' + v₀ S`` goes to the left
-and ``a₁ x₀ S`` to the regressor of a₁. Least squares would be biased, y_f being noisy on both sides. The instruments
-are the regressors made of the simulated response (the auxiliary model) in place of y, without noise. The answer gives a
-new filter and a new simulation, until it stays (P. C. Young, A. J. Jakeman, International Journal of Control 31:741,
-1980; H. Garnier, L. Wang, eds., Identification of Continuous-time Models from Sampled Data, 2008, chapter 4).
+This is linear in a₁, a₀, b, and in x₀ and w₀ where they are unknown. Where they are known, ``x₀ S' + v₀ S`` goes to the
+left and ``a₁ x₀ S`` to the regressor of a₁. Least squares would be biased, y_f being noisy on both sides. The
+instruments are the regressors made of the simulated response (the auxiliary model) in place of y, without noise. The
+answer gives a new filter and a new simulation, until it stays (P. C. Young, A. J. Jakeman, International Journal of
+Control 31:741, 1980; H. Garnier, L. Wang, eds., Identification of Continuous-time Models from Sampled Data, 2008,
+chapter 4).
 
 Where it stays, ``y_f'' + a₁ y_f' + a₀ y_f = y`` at every sample, however y is interpolated between them, and the
 instruments are the derivatives of the response by the parameters: the normal equations of the output-error likelihood
@@ -27,6 +28,7 @@ at the answer, to first order in the logarithms.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -35,15 +37,17 @@ from bench import (
     Card,
     Cost,
     Estimate,
+    Force,
+    InitialState,
     InputError,
     NoEstimate,
+    Normal,
     Problem,
     Serves,
     SimulatedResponse,
+    simulate,
 )
-from methods.discrete.difference import POOR, POOR_FIT
-from methods.modal.free_decay import GROWS
-from methods.regression.refined import Model
+from methods.modal.free_decay import GROWS, POOR, POOR_FIT
 from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.equation_error import regression_starts
 
@@ -53,9 +57,15 @@ ROUNDING = 1e-10
 """Or by less than this part of itself: where there is no noise, no standard error is."""
 MOST_GROWTH = 4.0
 """A filter of negative damping may grow by e^2 over a record. Beyond, the sign of its damping is turned."""
+FINER = 2
+"""Points of the simulated response a step of the samples: its spline makes the instruments."""
+FASTEST = 1e4
+"""Rates beyond this many a record are no answer, and their simulation would overflow."""
 UNSETTLED = (
     "its iteration did not settle from any of its starts: take a longer record, more samples a cycle or less noise"
 )
+UNDETERMINED = "the record does not determine the parameters: take more samples or a richer force"
+REST, UNIT_VELOCITY = (np.zeros(1), np.zeros(1)), (np.zeros(1), np.ones(1))
 
 
 @dataclass(frozen=True)
@@ -90,7 +100,7 @@ class SRIVC(SearchingIdentifier):
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate m, c, k under a force, k/m and c/m without; ``diverged`` with a sentence where nothing settles."""
         model, rounds = Model(problem), 0
-        for theta in _starts(model):
+        for theta in _first_unknowns(model):
             end, spent = self._end(model, theta)
             rounds += spent
             if end is not None:
@@ -98,9 +108,9 @@ class SRIVC(SearchingIdentifier):
         raise NoEstimate(UNSETTLED, cost=Cost(iterations=rounds))
 
     def _end(self, model: Model, theta: np.ndarray) -> tuple[np.ndarray | None, int]:
-        """Unknowns (q,) at which the iteration stays, None where it does not, and its rounds."""
+        """Iterate from unknowns (q,): those at which it stays, None where it does not, and its rounds."""
         for count in range(1, self.rounds + 1):
-            if not model.usable(theta):
+            if not (np.all(np.isfinite(theta)) and abs(theta[0]) < FASTEST and 0 < theta[1] < FASTEST**2):
                 return None, count
             equations = model.equations(theta)
             try:
@@ -115,32 +125,164 @@ class SRIVC(SearchingIdentifier):
         return None, self.rounds
 
 
-def _starts(model: Model) -> list[np.ndarray]:
-    """Unknowns (q,) at the regressions on smooth curves, that of least misfit first."""
-    problem = model.problem
-    by_kind = {p.kind: p.name for p in problem.system.parameters}
-    found = []
-    for p in regression_starts(replace(problem, prior=None)):
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """At some parameters: ``regressors`` (n, q), ``target`` (n,), ``instruments`` (n, q), ``residuals`` (n,)."""
+
+    regressors: np.ndarray
+    target: np.ndarray
+    instruments: np.ndarray
+    residuals: np.ndarray
+
+    @property
+    def information(self) -> np.ndarray:
+        """The information of the data on the unknowns at unit noise, (q, q)."""
+        return np.asarray(self.instruments.T @ self.instruments)
+
+    @property
+    def noise(self) -> float:
+        """The variance of the residuals, q degrees of freedom spent."""
+        n, q = self.instruments.shape
+        return float(self.residuals @ self.residuals) / max(n - q, 1)
+
+    def solution(self) -> np.ndarray:
+        """Return the instrumental-variable estimate (q,); LinAlgError where the instruments do not determine it."""
+        return np.linalg.solve(self.instruments.T @ self.regressors, self.instruments.T @ self.target)
+
+
+class Model:
+    """The regression that is repeated: one record of one mass, displacement against time, under forces or free.
+
+    The unknowns are, in this order, those that there are of: ``c/m, k/m`` (always), ``1/m`` (under a force), ``x₀, w₀``
+    (an unknown initial state), the offset. Everything is in the natural units of the problem.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.record = problem, problem.records[0]
+        channel, self.known_start = self.record.channels[0], self.record.initial_state
+        self.times, self.values, self.offset = channel.times, channel.values, channel.offset
+        self.size = 2 + problem.forced + 2 * (self.known_start is None) + self.offset
+        known = self.known_start
+        self.x0, self.v0 = (0.0, 0.0) if known is None else (float(known.displacement[0]), float(known.velocity[0]))
+
+    @cached_property
+    def fine(self) -> np.ndarray:
+        """The samples, time 0 and points between: those at ``samples`` are the samples."""
+        knots = np.unique(np.append(0.0, self.times))
+        return np.interp(np.arange(FINER * (knots.size - 1) + 1) / FINER, np.arange(knots.size), knots)
+
+    @cached_property
+    def samples(self) -> np.ndarray:
+        """Numbers of the samples among the fine times."""
+        return np.arange(0, self.fine.size, FINER)[-self.times.size :]
+
+    def parameters(self, damping: float, stiffness: float, mass: float = 1.0) -> dict[str, float]:
+        """Return the system's parameters by their own names, of c/m and k/m."""
+        values = {"mass": mass, "damping": damping * mass, "stiffness": stiffness * mass}
+        return {p.name: values[p.kind] for p in self.problem.system.parameters}
+
+    def _motions(self, damping: float, stiffness: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """S', S, and the columns (n_fine, q - 2) in whose unknowns the response is linear, at the fine times."""
+        system, p = self.problem.system, self.parameters(damping, stiffness)
+        free = simulate(system, p, UNIT_VELOCITY, self.fine)
+        slope, response = free.velocity[0], free.displacement[0]
+        columns = np.empty((self.fine.size, 0))
+        if self.problem.forced:
+            forced = simulate(system, p, REST, self.fine, self.record.forces).displacement[0]
+            columns = np.column_stack([columns, forced])
+        if self.known_start is None:
+            columns = np.column_stack([columns, slope, response])
+        if self.offset:
+            columns = np.column_stack([columns, np.ones_like(response)])
+        return slope, response, columns
+
+    def completed(self, damping: float, stiffness: float) -> tuple[np.ndarray, float]:
+        """Add to c/m and k/m the other unknowns by least squares on the response: all (q,), and the sum of squares.
+
+        NaN and infinite where there is no response.
+        """
+        slope, free, columns = (motion[self.samples] for motion in self._motions(damping, stiffness))
+        if not (np.all(np.isfinite(columns)) and np.all(np.isfinite(free))):
+            return np.full(self.size, np.nan), np.inf
+        left = self.values - self.x0 * slope - (self.v0 + damping * self.x0) * free
+        rest = np.linalg.lstsq(columns, left, rcond=None)[0]
+        return np.append([damping, stiffness], rest), float(np.sum((left - columns @ rest) ** 2))
+
+    def equations(self, theta: np.ndarray) -> Equations:
+        """Make the regression filtered by, and with instruments simulated at, unknowns (q,)."""
+        damping, stiffness, offset = float(theta[0]), float(theta[1]), float(theta[-1]) if self.offset else 0.0
+        slope, free, columns = self._motions(damping, stiffness)
+        response = columns @ theta[2:] + self.x0 * slope + (self.v0 + damping * self.x0) * free
+        measured = self._filtered(damping, stiffness, self.times, self.values - offset)
+        simulated = self._filtered(damping, stiffness, self.fine, response - offset)
+        slope, free, columns, response = (part[self.samples] for part in (slope, free, columns, response))
+        # A y_f = y holds at every sample: the second derivative needs no spline of its own
+        curvature = self.values - offset - damping * measured[1] - stiffness * measured[0]
+        target = curvature - self.x0 * slope - self.v0 * free + offset
+
+        def rows(filtered: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+            return np.column_stack([self.x0 * free - filtered[1], -filtered[0], columns])
+
+        return Equations(rows(measured), target, rows(simulated), self.values - response)
+
+    def _filtered(
+        self, damping: float, stiffness: float, times: np.ndarray, values: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Pass values at times through 1/A: the result and its derivative at the samples."""
+        spline, p = Force(times, values, "cubic"), self.parameters(damping, stiffness)
+        motion = simulate(self.problem.system, p, REST, self.times, (spline,))
+        return motion.displacement[0], motion.velocity[0]
+
+    def distribution(self, theta: np.ndarray, equations: Equations) -> Normal:
+        """Return the log-parameters under a force, k/m and c/m without; NoEstimate where one is not positive."""
+        system = self.problem.system
+        try:
+            covariance = equations.noise * np.linalg.inv(equations.information)
+        except np.linalg.LinAlgError:
+            raise NoEstimate(UNDETERMINED) from None
+        dof = float(max(1, self.times.size - theta.size))
+        if not self.problem.forced:
+            damping = next(p.name for p in system.parameters if p.kind == "damping")
+            order = [0 if damping in group.exponents else 1 for group in system.groups]
+            names = tuple(group.name for group in system.groups)
+            return Normal(names, theta[order], covariance[np.ix_(order, order)], log=False, dof=dof)
+        if np.any(theta[:3] <= 0):
+            name = ("damping", "stiffness", "mass")[int(np.argmin(theta[:3]))]
+            raise NoEstimate(f"the estimated {name} is not positive: take more samples or less noise")
+        # the logarithms of m, c, k by those of c/m, k/m, 1/m
+        powers = {"mass": [0.0, 0.0, -1.0], "damping": [1.0, 0.0, -1.0], "stiffness": [0.0, 1.0, -1.0]}
+        rows = np.array([powers[p.kind] for p in system.parameters])
+        spread = covariance[:3, :3] / np.outer(theta[:3], theta[:3])
+        return Normal(system.names, rows @ np.log(theta[:3]), rows @ spread @ rows.T, log=True, dof=dof)
+
+
+def _first_unknowns(model: Model) -> list[np.ndarray]:
+    """Find unknowns (q,) by the regressions on smooth curves, that of least misfit first."""
+    by_kind = {p.kind: p.name for p in model.problem.system.parameters}
+    completed = []
+    for p in regression_starts(replace(model.problem, prior=None)):
         mass, damping, stiffness = (p[by_kind[kind]] for kind in ("mass", "damping", "stiffness"))
-        found.append(model.completed(damping / mass, stiffness / mass))
-    return [theta for theta, _ in sorted(found, key=lambda start: start[1])]
+        completed.append(model.completed(damping / mass, stiffness / mass))
+    return [theta for theta, _ in sorted(completed, key=lambda start: start[1])]
 
 
 def _answer(model: Model, theta: np.ndarray, cost: Cost) -> Estimate:
-    system, record = model.problem.system, model.problem.records[0]
-    equations, start = model.equations(theta), model.start_of(theta)
-    belief = model.belief(theta, equations)
-    forced = model.problem.forced
-    mass = 1.0 / float(theta[2]) if forced else 1.0
-    p = model.parameters(float(theta[0]), float(theta[1]), mass)
+    system, record, forced = model.problem.system, model.record, model.problem.forced
+    equations, start = model.equations(theta), model.known_start
+    distribution = model.distribution(theta, equations)
+    if start is None:
+        x0, w0 = theta[2 + forced :][:2]
+        start = InitialState(np.array([x0]), np.array([w0 - theta[0] * x0]))
+    p = model.parameters(float(theta[0]), float(theta[1]), 1.0 / float(theta[2]) if forced else 1.0)
+    unexplained = np.sum(equations.residuals**2) / np.sum((model.values - np.mean(model.values)) ** 2)
     return Estimate(
         system,
-        parameters=belief if forced else None,
-        groups=None if forced else belief,
+        parameters=distribution if forced else None,
+        groups=None if forced else distribution,
         reconstructions=(SimulatedResponse(system, p, start, record.forces),),
         initial_states=(start,),
-        offsets=(model.offset_of(theta),),
-        message=GROWS if theta[0] <= 0 else POOR_FIT if model.unexplained(equations.residuals) > POOR else "",
+        offsets=(float(theta[-1]) if model.offset else 0.0,),
+        message=GROWS if theta[0] <= 0 else POOR_FIT if unexplained > POOR else "",
         cost=cost,
     )
 

@@ -21,15 +21,14 @@ there it is about one period long.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from bench import NoEstimate, Status
-from methods.regression.bootstrap import SplineFit
 from methods.regression.derivatives import Motion
-from methods.regression.equation import Regression, Values, solve
+from methods.regression.equation import Regression, solve
+from methods.regression.smoothing import SplineFits
 
 POWER = 6
 """Of the test function: its fifth derivative still vanishes at the ends, so the trapezoidal rule errs little."""
@@ -96,34 +95,29 @@ class Kernels:
         )
 
 
-def weak_fit(regression: Regression, fits: Sequence[SplineFit], values: Values) -> np.ndarray:
-    """Unknowns (sets, q) of displacements (n_dof, sets, n) a record, by generalised least squares of the weak form.
+def weak_fit(data: Regression, fits: SplineFits) -> np.ndarray:
+    """Find unknowns (sets, q) by generalised least squares of the weak form; raise NoEstimate for nonlinear systems.
 
-    The sets are like the data of the regression's problems, as many of each, problem by problem; ``fits`` are those
-    problems', which give the first estimate and the noise of each channel. Raises NoEstimate for nonlinear systems.
+    The sets are like those of ``fits``, as many of each, one behind the other, which give the first estimate and the
+    noise of each channel.
     """
-    if not regression.system.linear:
+    if not data.system.linear:
         raise NoEstimate("its weak form is that of a linear system; take derivative=spline", Status.UNSUPPORTED)
-    kernels = [Kernels.of(times) for times in regression.times]
-    forces = [
-        np.array(record.force(times, regression.system.n_dof))
-        for record, times in zip(regression.records, regression.times, strict=True)
-    ]
-    motions = [t.motion(y, f) for t, y, f in zip(kernels, values, forces, strict=True)]
-    columns, target = regression.equations(motions)
-    own = [fit for fit in fits for _ in range(values[0].shape[1] // len(fits))]
-    unknowns = np.array([fit.unknowns for fit in own])
+    kernels = [Kernels.of(times) for times in data.times]
+    forces = [np.array(r.force(t, data.system.n_dof)) for r, t in zip(data.records, data.times, strict=True)]
+    motions = [t.motion(y, f) for t, y, f in zip(kernels, data.values, forces, strict=True)]
+    columns, target = data.equations(motions)
+    both = np.concatenate([columns, target[..., None]], axis=2)
+    ends = np.cumsum([functions.centres.size * data.system.n_dof for functions in kernels])[:-1]
+    of_fit = np.repeat(np.arange(len(fits.unknowns)), data.sets // len(fits.unknowns))
+    unknowns = fits.unknowns[of_fit]
     for _ in range(REWEIGHTED):
-        parts, at = [], 0
-        for i, functions in enumerate(kernels):
-            noise = np.array([fit.noise[i] for fit in own])
-            rows = functions.centres.size * regression.system.n_dof
-            root = _root(_covariance(_matrices(regression, unknowns, i), functions, noise))
-            part = np.concatenate([columns, target[..., None]], axis=2)[:, at : at + rows]
-            parts.append(np.linalg.solve(root, part))
-            at += rows
-        whitened = np.concatenate(parts, axis=1)
-        unknowns = solve(whitened[..., :-1], whitened[..., -1])
+        whitened = []
+        for i, (functions, part) in enumerate(zip(kernels, np.split(both, ends, axis=1), strict=True)):
+            covariance = _covariance(_matrices(data, unknowns, i), functions, fits.noise[i].T[of_fit])
+            whitened.append(np.linalg.solve(_root(covariance), part))
+        rows = np.concatenate(whitened, axis=1)
+        unknowns = solve(rows[..., :-1], rows[..., -1])
     return unknowns
 
 
@@ -134,9 +128,8 @@ def _matrices(regression: Regression, unknowns: np.ndarray, number: int) -> np.n
     unit = Motion(np.zeros(3 * n), units[:n], units[n : 2 * n], units[2 * n :], np.zeros((n, 1, 3 * n)))
     columns, target = regression.equations([unit] * len(regression.records))
     d = len(regression.names)
-    residual = unknowns[:, :d] @ columns[0, :, :d].T - target[0]
-    one = residual[:, number * 3 * n * n : (number + 1) * 3 * n * n]
-    return np.asarray(one.reshape(-1, 3 * n, n).swapaxes(1, 2))
+    residual = (unknowns[:, :d] @ columns[0, :, :d].T - target[0]).reshape(len(unknowns), -1, 3 * n, n)
+    return np.asarray(residual[:, number].swapaxes(1, 2))
 
 
 def _covariance(matrices: np.ndarray, functions: Kernels, noise: np.ndarray) -> np.ndarray:

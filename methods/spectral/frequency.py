@@ -42,12 +42,13 @@ from bench import (
     estimate_at,
     fitted_start,
 )
-from methods.modal.even_steps import unevenness
-from methods.modal.free_decay import GROWS, has_offset, untold
+from methods.modal.free_decay import GROWS, has_offset
+from methods.regression.identifier import without_start
 from methods.spectral.fit import Objective, search
 from methods.spectral.lines import HarmonicLayout, force_harmonics, real_lines
 from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import candidates
+from methods.starts.reach import unevenness
 
 MAX_SAMPLES = 2000
 """Of the record, and of its force: the harmonics times these are what a fit costs."""
@@ -101,7 +102,7 @@ class Frequency(SearchingIdentifier):
 
         Raises NoEstimate where the fit has no stiffness, or no response.
         """
-        free = untold(problem if problem.forced else replace(problem, prior=None))
+        free = without_start(problem if problem.forced else replace(problem, prior=None))
         objective = _objective(free)
         starts = np.stack([_unknowns(free, p) for p in candidates(OutputError(free), self.starts)[: self.starts]])
         screened, spent = search(objective, starts, min(SCREENING, self.iterations))

@@ -33,7 +33,7 @@ from bench import (
 )
 from methods.starts.candidates import screening
 from methods.starts.evidence import Basins, basins
-from methods.starts.reach import UP, expected_rate, first_stiffness, is_unresolved, resolved_cycles
+from methods.starts.reach import UP, expected_rate, first_stiffness, is_unresolved, resolved_cycles, unevenness
 from methods.starts.scan import scan
 from methods.starts.separate import APART
 from methods.starts.time_scales import best_speeds, sped_up
@@ -46,8 +46,6 @@ MOST_BASINS = 16
 """Minima of the scan that are compared."""
 LEAST_LOG_ODDS = float(np.log(LEAST_WEIGHT)) - 5.0
 """Of an alias against the answer by the prior alone: the volumes of basins differ by less."""
-EVEN = 1e-3
-"""Part of the mean step by which even steps differ."""
 SAME_RATE, SAME_SDS = 0.02, 5.0
 """Logarithms of stiffness over mass as near as this to a basin's, or within so many standard deviations, are in it."""
 
@@ -206,8 +204,7 @@ def _aliases(problem: Problem, log_rate: float) -> list[float]:
 
 def _are_even(problem: Problem) -> bool:
     """Decide whether every channel is sampled at even steps."""
-    steps = [np.diff(channel.times) for record in problem.records for channel in record.channels if channel.n > 1]
-    return all(np.ptp(step) < EVEN * np.mean(step) for step in steps)
+    return all(unevenness(channel.times) is None for record in problem.records for channel in record.channels)
 
 
 def _log_rate(system: System, values: Mapping[str, float]) -> float:

@@ -15,6 +15,16 @@ UP = 3.0
 """Standard deviations of the prior up to which a motion is expected."""
 FEW = 0.1
 """Spacing of the samples of a record without two in a channel, in natural units."""
+EVEN = 1e-3
+"""Even times may be off by this part of a step: what rounding of printed times does."""
+
+
+def unevenness(times: np.ndarray) -> str | None:
+    """Say why times (n,) are not at even steps; None where they are."""
+    even = np.linspace(times[0], times[-1], times.size)
+    if times.size > 1 and np.max(np.abs(times - even)) > EVEN * (even[1] - even[0]):
+        return "it needs samples at even steps of time; resample them"
+    return None
 
 
 def resolved_cycles(record: Record) -> float:

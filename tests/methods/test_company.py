@@ -88,7 +88,7 @@ def test_an_answer_is_the_same_alone_and_in_company(method: Identifier) -> None:
 def test_parts_that_fit_into_memory_are_as_the_whole(method: Identifier, monkeypatch: pytest.MonkeyPatch) -> None:
     problems = replicates(5)
     whole = method.identify_many(problems, [np.random.default_rng(i) for i in range(5)])
-    monkeypatch.setattr("methods.regression.company.MOST_AT_ONCE", 2 * 40 * 25)
+    monkeypatch.setattr("methods.regression.identifier.MOST_AT_ONCE", 2 * 40 * 25)
     parts = method.identify_many(problems, [np.random.default_rng(i) for i in range(5)])
     for one, two in zip(whole, parts, strict=True):
         for a, b in zip(numbers(one), numbers(two), strict=True):

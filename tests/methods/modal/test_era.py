@@ -12,8 +12,9 @@ from bench.information.fisher import compute_bound
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import closed_form, reference_response
 from bench.systems import SDOF, Chain, Duffing, System
-from methods.modal.era import ERA, realise, state_rows
+from methods.modal.era import ERA, state_rows
 from methods.modal.matrix_pencil import MatrixPencil
+from methods.modal.realisation import realise
 
 # plants that are in no table
 ONE = {"m": 1.3, "c": 0.6, "k": 9.0}
@@ -62,7 +63,7 @@ def test_exact_samples_give_the_groups_exactly(system: System, p: dict[str, floa
 @pytest.mark.parametrize(("system", "p"), [(SDOF(), ONE), (Chain(2), TWO)], ids=["one", "two"])
 def test_realised_poles_and_rows_are_those_of_the_matrices(system: System, p: dict[str, float]) -> None:
     values = np.stack([c.values for c in record(system, p).records[0].channels])
-    z, shapes = realise(values[None], 0.5)
+    z, shapes = realise(values[None], 20, 2 * system.n_dof)
     a, _ = state_matrix(system, p)
     np.testing.assert_allclose(np.sort_complex(np.log(z[0]) / 0.25), np.sort_complex(np.linalg.eigvals(a)), rtol=1e-8)
     np.testing.assert_allclose(state_rows(z, shapes, 0.25)[0], a[system.n_dof :], rtol=1e-6, atol=1e-8)

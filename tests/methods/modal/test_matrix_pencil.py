@@ -70,7 +70,7 @@ def test_four_samples_are_pronys() -> None:
 def test_many_sets_at_once_are_as_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     sets = np.random.default_rng(1).standard_normal((7, 25))
     together = poles(sets, 1 / 3)
-    monkeypatch.setattr("methods.modal.matrix_pencil.BATCH", 400)
+    monkeypatch.setattr("methods.modal.realisation.BATCH", 400)
     np.testing.assert_allclose(poles(sets, 1 / 3), together, rtol=1e-12)
     np.testing.assert_allclose(poles(sets[3:4], 1 / 3)[0], together[3], rtol=1e-12)
 

@@ -9,11 +9,11 @@ from scipy.optimize import least_squares
 from bench import Channel, Estimate, Identifier, InitialState, Problem, Record, Status
 from bench.scenario.truth import closed_form
 from bench.systems import SDOF
-from methods.regression.bootstrap import spline_fits
 from methods.regression.equation import Regression
 from methods.regression.hausman import most_likely
 from methods.regression.ls import LS
 from methods.regression.rls import RLS
+from methods.regression.smoothing import spline_fits
 
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
 
@@ -42,8 +42,8 @@ def test_the_most_likely_values_are_those_of_least_squares_on_the_closed_form(ra
         return np.asarray(closed_form(p, 1.0, 0.0, channel.times) - channel.values)
 
     expected = least_squares(misfit, [15.0, plant["c"] / 2.0], xtol=1e-12, ftol=1e-12).x
-    regression = Regression.of(problem)
-    np.testing.assert_allclose(most_likely(regression, spline_fits([regression]))[0], expected, rtol=1e-3)
+    regression = Regression.of([problem])
+    np.testing.assert_allclose(most_likely(regression, spline_fits(regression))[0], expected, rtol=1e-3)
 
 
 @pytest.mark.parametrize("method", [LS(), RLS()])

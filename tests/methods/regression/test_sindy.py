@@ -14,7 +14,7 @@ from bench import Channel, Force, InputError, NoEstimate, Problem, Record, Statu
 from bench.scenario.scenario import ForceSpec, Scenario
 from bench.systems import SDOF
 from methods.regression.derivatives import Motion
-from methods.regression.sindy import SINDy, _solved, greedy
+from methods.regression.sindy import SINDy, greedy
 from methods.regression.weak import Kernels, weak_rows
 
 pysindy = pytest.importorskip("pysindy")
@@ -117,12 +117,6 @@ def test_settings_out_of_range_are_refused() -> None:
         SINDy(degree=0)
     with pytest.raises(InputError, match="most_terms"):
         SINDy(most_terms=0)
-
-
-def test_terms_that_are_one_to_rounding_share_their_coefficient_and_stop_no_other_set() -> None:
-    """Two equal columns: of all solutions the one of least norm, by hand; the set beside it has its own."""
-    square = np.array([[[1.0, 1.0], [1.0, 1.0]], [[2.0, 0.0], [0.0, 4.0]]])
-    np.testing.assert_allclose(_solved(square, np.array([[3.0, 3.0], [2.0, 2.0]])), [[1.5, 1.5], [1.0, 0.5]])
 
 
 def test_the_weak_form_finds_the_terms_of_a_hardening_spring() -> None:

@@ -13,8 +13,7 @@ from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import closed_form, matrix_exponential_response
 from bench.systems import SDOF
-from methods.regression.refined import Model
-from methods.regression.srivc import SRIVC
+from methods.regression.srivc import SRIVC, Model
 
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
 TIMES = np.linspace(0.0, 10.0, 40)

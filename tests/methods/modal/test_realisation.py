@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from methods.modal.subspace import leading_vectors
+from methods.modal.realisation import leading_vectors
 
 
 def matrices(rows: int, columns: int, smallest: float) -> np.ndarray:
