@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -52,16 +53,17 @@ class Ansatz(ABC):
         """Adjoints of rows with ``seeds`` (B, 3, n_rows, n_paths) at ``points`` (n_rows,); None: one row a point."""
 
     @abstractmethod
-    def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
-        """``J Jᵀ``, (B, n_rows, n_rows)."""
-
-    @abstractmethod
     def pull_back(self, tape: Tape, adjoints: Adjoints, points: Tensor | None, dual: Tensor | None = None) -> Tensor:
         """``Jᵀ dual``, (B, count), for ``dual`` (B, n_rows); None means all ones."""
 
     @abstractmethod
     def jacobian(self, tape: Tape, adjoints: Adjoints, points: Tensor, rows: slice = slice(None)) -> Tensor:
         """J itself at the given rows, (B, n_rows, count)."""
+
+    def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
+        """``J Jᵀ``, (B, n_rows, n_rows)."""
+        j = self.jacobian(tape, adjoints, points)
+        return j @ j.mT
 
     def mixed(self, theta: Tensor) -> Tensor:
         """Return the coefficients of a :class:`MixedAnsatz` of this function; of any other its own."""
@@ -75,13 +77,13 @@ class Ansatz(ABC):
     def take(self, who: Tensor) -> Ansatz:
         """The same function for some of the fits."""
 
-    @abstractmethod
-    def head(self, theta: Tensor) -> tuple[Basis | Local, Tensor]:
-        """The last, linear layer as an ansatz of its own, with its coefficients; what comes before it stays."""
+    def head(self, theta: Tensor) -> tuple[Any, Tensor]:
+        """The last, linear layer as an ansatz of its own, with its coefficients; of a linear one the whole."""
+        return self, theta
 
-    @abstractmethod
     def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
         """Coefficients with the last layer replaced."""
+        return coefficients
 
 
 @dataclass
@@ -104,10 +106,6 @@ class Basis(Ansatz):
     def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
         return [seeds]
 
-    def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
-        j = self.jacobian(tape, adjoints, points)
-        return j @ j.mT
-
     def pull_back(self, tape: Tape, adjoints: Adjoints, points: Tensor | None, dual: Tensor | None = None) -> Tensor:
         seeds = adjoints[0] if dual is None else adjoints[0] * dual[:, None, :, None]
         functions = self.functions if points is None else self.functions[:, :, points]
@@ -123,12 +121,6 @@ class Basis(Ansatz):
     def dense(self) -> Basis:
         """This basis itself."""
         return self
-
-    def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
-        return self, theta
-
-    def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
-        return coefficients
 
 
 @dataclass
@@ -164,10 +156,6 @@ class MixedAnsatz(Ansatz):
     def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
         return self.inner.adjoint(self.unmixed(theta), tape, seeds, points)
 
-    def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
-        j = self.jacobian(tape, adjoints, points)
-        return j @ j.mT
-
     def pull_back(self, tape: Tape, adjoints: Adjoints, points: Tensor | None, dual: Tensor | None = None) -> Tensor:
         return (self.inner.pull_back(tape, adjoints, points, dual)[:, None] @ self.mixing)[:, 0]
 
@@ -176,12 +164,6 @@ class MixedAnsatz(Ansatz):
 
     def take(self, who: Tensor) -> MixedAnsatz:
         return MixedAnsatz(self.inner.take(who), self.mixing[who], self.weights[who])
-
-    def head(self, theta: Tensor) -> tuple[MixedAnsatz, Tensor]:  # type: ignore[override] # it is linear itself
-        return self, theta
-
-    def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
-        return coefficients
 
 
 @dataclass
@@ -217,10 +199,6 @@ class Local(Ansatz):
         """Return the slopes of rows by the coefficients that they depend on, (B, n_rows, n_paths, n_local)."""
         return torch.einsum("bsro,bsrk->brok", seeds, self.values if points is None else self.values[:, :, points])
 
-    def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
-        j = self.jacobian(tape, adjoints, points)
-        return j @ j.mT
-
     def pull_back(self, tape: Tape, adjoints: Adjoints, points: Tensor | None, dual: Tensor | None = None) -> Tensor:
         seeds = adjoints[0] if dual is None else adjoints[0] * dual[:, None, :, None]
         slopes, places = self.slopes(seeds, points), self._places(points).flatten(1)
@@ -242,12 +220,6 @@ class Local(Ansatz):
         places = self._places(None)[:, None].expand_as(self.values)
         whole = self.values.new_zeros(*self.values.shape[:3], self.n_functions).scatter_(3, places, self.values)
         return Basis(whole, self.n_paths)
-
-    def head(self, theta: Tensor) -> tuple[Local, Tensor]:
-        return self, theta
-
-    def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
-        return coefficients
 
 
 @dataclass

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -51,6 +51,10 @@ if TYPE_CHECKING:
 LEAST_NOISE, MOST_NOISE = 1e-6, 0.7
 """Range of the noise over the root mean square of the data: the upper end says that at least half of the data's
 power is motion. Without it the evidence, below 10 dB, calls everything noise."""
+
+BANDWIDTHS = (1.0, 2.0, 4.0, 6.0)
+"""Slopes of the first layer, times the data's own cycles: the evidence chooses among networks that differ in these."""
+NOT_POSITIVE = "the regression gives a parameter that is not positive; more samples a cycle or less noise are needed"
 
 
 @dataclass(frozen=True)
@@ -114,94 +118,80 @@ class DDNN(BandIdentifier):
             torch.set_num_threads(threads)
 
     def _fitted(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        guesses, _ = scan(problem)
-        smoothers = []
-        for record in problem.records:
-            cycles = guesses[0].omega * record.duration / (2.0 * np.pi)
-            trials = [
-                Smoother(record, problem.system.n_dof, self.width, self.depth, factor * cycles, rng)
-                for factor in BANDWIDTHS
-            ]
-            for trial in trials:
-                trial.fit(self.iterations)
-            # a fit that calls most of the data noise has lost the motion, whatever its evidence
-            smoothers.append(max(trials, key=lambda trial: (trial.left < MOST_NOISE**2, trial.evidence)))
-        cost = Cost(sum(s.evaluations for s in smoothers), sum(s.steps for s in smoothers))
+        omega, system = scan(problem)[0][0].omega, problem.system
+        smoothers = [self._smoother(record, system.n_dof, omega, rng) for record in problem.records]
         grids = [np.linspace(self.edge, 1.0 - self.edge, self.grid) * record.duration for record in problem.records]
         paths = [s.paths(grid, self.draws, rng) for s, grid in zip(smoothers, grids, strict=True)]
-        forces = [r.force(grid, problem.system.n_dof) for r, grid in zip(problem.records, grids, strict=True)]
+        forces = [r.force(grid, system.n_dof) for r, grid in zip(problem.records, grids, strict=True)]
         values, draws = _regressions(problem, paths, forces)
-        n_used = sum(s.used for s in smoothers)
-        common: dict[str, Any] = {
-            "reconstructions": tuple(s.response() for s in smoothers),
-            "initial_states": tuple(InitialState(*s.streams(np.zeros(1))[:2, 0]) for s in smoothers),
-            "cost": cost,
-            "message": f"the evidence left the network {n_used:.1f} effective weights for {problem.n} samples",
-            "traces": {"sigma": np.concatenate([s.sigmas for s in smoothers])},
-        }
         # second moment about the estimate, not about the draws' mean: how far noisy derivatives pull the regression
         # counts
         covariance = (draws - values).T @ (draws - values) / len(draws)
-        return _estimate(problem, values, covariance, max(problem.n - n_used, 1.0), common)
+        used = sum(s.used for s in smoothers)
+        cost = Cost(sum(s.evaluations for s in smoothers), sum(s.steps for s in smoothers))
+        if not (np.all(np.isfinite(values)) and np.all(np.isfinite(covariance))):
+            raise NoEstimate("the regression on the derivatives is not finite", Status.NONFINITE, cost)
+        try:
+            belief = _belief(problem, values, covariance, max(problem.n - used, 1.0))
+        except NoEstimate as reason:
+            raise NoEstimate(str(reason), cost=cost) from None
+        return Estimate(
+            system,
+            parameters=belief if problem.scale_told else None,
+            groups=None if problem.scale_told else belief,
+            reconstructions=tuple(s.response() for s in smoothers),
+            initial_states=tuple(InitialState(*s.streams(np.zeros(1))[:2, 0]) for s in smoothers),
+            cost=cost,
+            message=f"the evidence left the network {used:.1f} effective weights for {problem.n} samples",
+            traces={"sigma": np.concatenate([s.sigmas for s in smoothers])},
+        )
 
-
-BANDWIDTHS = (1.0, 2.0, 4.0, 6.0)
-"""Networks that differ in the slopes of their first layer are tried, and the evidence chooses: times the data's own
-cycles."""
+    def _smoother(self, record: Record, n_dof: int, omega: float, rng: np.random.Generator) -> Smoother:
+        """The network of a record whose first layer has the most probable slopes."""
+        cycles = omega * record.duration / (2.0 * np.pi)
+        trials = [Smoother(record, n_dof, self.width, self.depth, factor * cycles, rng) for factor in BANDWIDTHS]
+        for trial in trials:
+            trial.fit(self.iterations)
+        # a fit that calls most of the data noise has lost the motion, whatever its evidence
+        return max(trials, key=lambda trial: (trial.left < MOST_NOISE**2, trial.evidence))
 
 
 def _regressions(
     problem: Problem, paths: Sequence[np.ndarray], forces: Sequence[list[np.ndarray]]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters at the fitted paths, (n,), and at their draws, (n_draws, n); gauge mass 1 where nothing tells it."""
+    """Parameters at the fitted paths, (n,), and at their draws, (n_draws, n); the gauge mass 1 where it is unknown."""
     system = problem.system
     free = [i for i, name in enumerate(system.names) if problem.scale_told or name != system.gauge]
-
-    def equation(draw: int) -> tuple[np.ndarray, np.ndarray]:
+    full = np.ones((len(paths[0]), len(system.names)))
+    for draw, values in enumerate(full):
         columns, rest = [], []
         for path, force, record in zip(paths, forces, problem.records, strict=True):
             x, v, a = (list(path[draw, s].T) for s in range(3))
             block, b = regression_columns(record.rig(system), x, v, a, force)
             columns.append(block[:, free])
             rest.append(b if problem.scale_told else b + block[:, system.names.index(system.gauge)])
-        return np.concatenate(columns), np.concatenate(rest)
-
-    systems = [equation(draw) for draw in range(paths[0].shape[0])]
-    solved = [np.linalg.lstsq(a, -b, rcond=None)[0] for a, b in systems]
-    full = np.ones((len(solved), len(system.names)))
-    full[:, free] = solved
+        values[free] = np.linalg.lstsq(np.concatenate(columns), -np.concatenate(rest), rcond=None)[0]
     return full[0], full[1:]
 
 
-def _estimate(
-    problem: Problem, values: np.ndarray, covariance: np.ndarray, dof: float, common: dict[str, Any]
-) -> Estimate:
-    """Groups, or parameters where the scale is told; a failure where no belief can be stated."""
+def _belief(problem: Problem, values: np.ndarray, covariance: np.ndarray, dof: float) -> Normal:
+    """The groups, or the log-parameters where the scale is known, with the prior where there is one."""
     system = problem.system
-    if not (np.all(np.isfinite(values)) and np.all(np.isfinite(covariance))):
-        raise NoEstimate("the regression on the derivatives is not finite", Status.NONFINITE, common["cost"])
-    parameters = dict(zip(system.names, values, strict=True))
     if not problem.scale_told:
-        names = tuple(group.name for group in system.groups)
+        parameters = dict(zip(system.names, values, strict=True))
         means = np.array([group.value(parameters) for group in system.groups])
         # every group is linear in each parameter once the gauge is one, to first order: p ∂g/∂p = exponent g
         slopes = np.array([group.vector(system.names) for group in system.groups]) * means[:, None] / values
-        return Estimate(
-            system, groups=Normal(names, means, slopes @ covariance @ slopes.T, log=False, dof=dof), **common
-        )
+        names = tuple(group.name for group in system.groups)
+        return Normal(names, means, slopes @ covariance @ slopes.T, log=False, dof=dof)
     if np.any(values <= 0):
-        sentence = (
-            "the regression gives a parameter that is not positive; more samples a cycle or less noise are needed"
-        )
-        raise NoEstimate(sentence, cost=common["cost"])
-    mean, logs = np.log(values), covariance / np.outer(values, values)
+        raise NoEstimate(NOT_POSITIVE)
+    mean, logs = np.log(values), np.asarray(covariance / np.outer(values, values))
     if problem.prior is not None:
-        precision = np.linalg.pinv(logs, hermitian=True)
-        weigh = np.diag(problem.prior.log_sds**-2.0)
-        combined = np.linalg.inv(precision + weigh)
-        mean = combined @ (precision @ mean + weigh @ problem.prior.log_mean)
-        return Estimate(system, parameters=Normal(system.names, mean, combined, log=True, dof=dof), **common)
-    return Estimate(system, parameters=Normal(system.names, mean, logs, log=True, dof=dof), **common)
+        precision, weigh = np.linalg.pinv(logs, hermitian=True), np.diag(problem.prior.log_sds**-2.0)
+        logs = np.asarray(np.linalg.inv(precision + weigh))
+        mean = logs @ (precision @ mean + weigh @ problem.prior.log_mean)
+    return Normal(system.names, mean, logs, log=True, dof=dof)
 
 
 class Smoother:
@@ -349,4 +339,4 @@ class Smoother:
         return np.asarray(self._at(times).forward((self.theta + move)[None]).output[0])
 
     def response(self) -> NetworkResponse:
-        return NetworkResponse(self.tanh.unflat(self.theta.numpy().copy(), self.widths), self.duration)
+        return NetworkResponse(tuple(self.tanh.layers_of(self.theta.numpy().copy(), self.widths)), self.duration)

@@ -71,7 +71,7 @@ class Displacements:
 
 @dataclass(frozen=True, eq=False)
 class ExactStart:
-    """A response that has the told start by construction: ``(x0 + v0 t) g + (1 - g) n(t)``, ``g = exp(-(omega t)²)``.
+    """A known initial state by construction: ``(x0 + v0 t) g + (1 - g) n(t)``, ``g = exp(-(omega t)²)``.
 
     ``displacement`` and ``velocity`` at time 0, (n_dof,) each; see :func:`methods.pinn.block.exact_start`.
     """

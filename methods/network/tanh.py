@@ -13,15 +13,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from methods.network.ansatz import Adjoints, Ansatz, Basis, Tape
-
-Layers = list[tuple[Tensor, Tensor]]
-"""Weights (B, n_out, n_in) and biases (B, n_out), layer by layer; the last layer is linear."""
 
 EXPLICIT = 2
 """Layers no wider than this on one side enter J Jᵀ through explicit columns."""
@@ -59,14 +57,15 @@ def flat(layers: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     return np.concatenate([part.ravel() for layer in layers for part in layer])
 
 
-def unflat(theta: np.ndarray, widths: Sequence[int]) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """The layers of a vector of :func:`flat`."""
-    layers, at = [], 0
+def layers_of(theta: Any, widths: Sequence[int]) -> list[tuple[Any, Any]]:
+    """Views of coefficients (..., count) as layers: weights (..., n_out, n_in) and biases (..., n_out)."""
+    layers, place = [], 0
     for n_in, n_out in itertools.pairwise(widths):
-        weight = theta[at : at + n_in * n_out].reshape(n_out, n_in)
-        layers.append((weight, theta[at + n_in * n_out : at + (n_in + 1) * n_out]))
-        at += (n_in + 1) * n_out
-    return tuple(layers)
+        end = place + n_in * n_out
+        weight = theta[..., place:end].reshape(*theta.shape[:-1], n_out, n_in)
+        layers.append((weight, theta[..., end : end + n_out]))
+        place = end + n_out
+    return layers
 
 
 @dataclass
@@ -86,25 +85,16 @@ class Network(Ansatz):
     def take(self, who: Tensor) -> Network:
         return replace(self, tau=self.tau[who], rate=self.rate[who])
 
-    def layers(self, theta: Tensor) -> Layers:
-        """Views of the coefficients as layers."""
-        layers, at = [], 0
-        for n_in, n_out in itertools.pairwise(self.widths):
-            weight = theta[:, at : at + n_in * n_out].unflatten(1, (n_out, n_in))
-            layers.append((weight, theta[:, at + n_in * n_out : at + (n_in + 1) * n_out]))
-            at += (n_in + 1) * n_out
-        return layers
-
     def forward(self, theta: Tensor) -> Tape:
         h = self._input
         inputs, slopes = [h], []
-        layers = self.layers(theta)
+        layers = layers_of(theta, self.widths)
         for weight, bias in layers[:-1]:
             z = _linear(h, weight, bias)
             h = torch.empty_like(z)
             value, first, second = h.unbind(1)
             torch.tanh(z[:, 0], out=value)
-            s = torch.addcmul(_one(value), value, value, value=-1.0)
+            s = torch.addcmul(value.new_ones(()), value, value, value=-1.0)
             torch.mul(s, z[:, 1], out=first)
             torch.mul(s, z[:, 2], out=second)
             second.addcmul_(value * first, z[:, 1], value=-2.0)
@@ -114,7 +104,7 @@ class Network(Ansatz):
 
     def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
         adjoints = [seeds]
-        layers = self.layers(theta)
+        layers = layers_of(theta, self.widths)
         for (weight, _), h, s in zip(
             reversed(layers[1:]), reversed(tape.inputs[1:]), reversed(tape.slopes), strict=True
         ):
@@ -171,17 +161,13 @@ class Network(Ansatz):
         h = self.forward(theta).inputs[-1]
         constant = torch.zeros_like(h[..., :1])
         constant[:, 0] = 1.0
-        weight, bias = self.layers(theta)[-1]
+        weight, bias = layers_of(theta, self.widths)[-1]
         return Basis(torch.cat([h, constant], 3), self.widths[-1]), torch.cat([weight, bias[..., None]], 2).flatten(1)
 
     def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
         last = coefficients.unflatten(1, (self.widths[-1], -1))
         body = theta[:, : self.count - coefficients.shape[1]]
         return torch.cat([body, last[..., :-1].flatten(1), last[..., -1]], 1)
-
-
-def _one(like: Tensor) -> Tensor:
-    return torch.ones((), dtype=like.dtype, device=like.device)
 
 
 def _linear(h: Tensor, weight: Tensor, bias: Tensor) -> Tensor:

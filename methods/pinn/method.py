@@ -144,7 +144,7 @@ class PINN(PhysicsInformed):
 
         if windows := self._windows(resolution):
             return WindowsResponse(windows, coefficients.reshape(n_paths, windows.count), duration)
-        return NetworkResponse(tanh.unflat(coefficients, self._widths(n_paths, resolution)), duration)
+        return NetworkResponse(tuple(tanh.layers_of(coefficients, self._widths(n_paths, resolution))), duration)
 
     def convergence(self, resolution: int) -> float:
         """Return the tolerance for windows, whose overlap makes the last digits slow."""

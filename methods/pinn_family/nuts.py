@@ -32,7 +32,7 @@ from torch import Tensor
 
 from bench import NoEstimate, Status
 from methods.network.ansatz import Ansatz, SumAnsatz
-from methods.network.tanh import Network
+from methods.network.tanh import Network, layers_of
 from methods.pinn_family.architectures import Jet
 from methods.pinn_family.training import TrainedFit
 from methods.pinn_family.uncertainty import LEAST_PRECISION, TrainedPosterior, from_draws
@@ -191,7 +191,7 @@ def functions(ansatz: Ansatz, theta: Tensor) -> Tensor:
     if not isinstance(ansatz, Network):
         return ansatz.head(theta)[0].dense().functions[0]
     jet = Jet.of_time(ansatz.tau[0][:, None], ansatz.rate[0])
-    for weight, bias in ansatz.layers(theta)[:-1]:
+    for weight, bias in layers_of(theta, ansatz.widths)[:-1]:
         jet = jet.linear(weight[0], bias[0]).tanh()
     return jet.beside(Jet.one(jet.value[:, :1])).stacked()
 

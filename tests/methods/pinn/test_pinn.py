@@ -184,7 +184,7 @@ def _displacement(block: Block, ansatz: Ansatz, part: torch.Tensor, times: torch
         return _displacement(block, ansatz.inner, own, times) + _displacement(block, ansatz.fixed, rest, times)
     if isinstance(ansatz, Network):
         h = (2.0 * times[0] / float(block.duration[0]) - 1.0)[:, None]
-        *hidden, last = ansatz.layers(part)
+        *hidden, last = tanh.layers_of(part, ansatz.widths)
         for weight, bias in hidden:
             h = torch.tanh(h @ weight[0].T + bias[0])
         return h @ last[0][0].T + last[1][0]
