@@ -6,7 +6,7 @@ Every tensor has a leading axis over fits, B (see :mod:`methods.pinn.residuals`)
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from bench import Problem, Record, System
+from methods.network.ansatz import Local
 from methods.starts.forced_motion import forced_dofs
 from methods.starts.waves import ORDER
 
@@ -119,6 +120,17 @@ class Block:
             return seeds
         shape = self.shape if points is None else self.shape[:, points]
         return torch.einsum("bkst,bsko->btko", shape, seeds)
+
+    def local_ansatz(
+        self, functions: Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray]], count: int
+    ) -> Local:
+        """Return a combination of ``count`` functions of which few are not zero at a time.
+
+        ``functions`` gives those for times and duration: values and derivatives (3, n, n_local), first ones (n,).
+        """
+        pairs = [functions(times, float(duration)) for times, duration in zip(self.times, self.duration, strict=True)]
+        values, first = (torch.as_tensor(np.stack(p), device=self.values.device) for p in zip(*pairs, strict=True))
+        return Local(values, first, count, self.n_paths)
 
     def take(self, who: Tensor) -> Block:
         other = copy.copy(self)

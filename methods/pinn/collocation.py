@@ -69,18 +69,10 @@ class Collocation(PhysicsInformed):
         return self.points(resolution) // self.points_an_interval + self.degree
 
     def ansatz(self, block: Block, resolution: int) -> Ansatz:
-        import torch
+        def functions(times: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
+            return local_functions(self._knots(resolution, duration), self.degree, times)
 
-        from methods.network.ansatz import Local
-
-        pairs = [
-            local_functions(self._knots(resolution, duration), self.degree, times)
-            for times, duration in zip(block.times, block.duration, strict=True)
-        ]
-        values, first = (
-            torch.as_tensor(np.stack(part), device=block.values.device) for part in zip(*pairs, strict=True)
-        )
-        return Local(values, first, self._count(resolution), block.n_paths)
+        return block.local_ansatz(functions, self._count(resolution))
 
     def first_coefficients(
         self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]

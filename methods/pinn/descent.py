@@ -18,21 +18,17 @@ MEMORY = 30
 
 def adam(residuals: Residuals, walk: Walk, deviations: Tensor, steps: int, rate: float) -> None:
     """Adam (Kingma and Ba, 2015) with its usual moments, on the mean of the squared rows."""
-    z = walk.z.clone()
+    optimizer = torch.optim.Adam([walk.z], rate)
     everyone = np.arange(residuals.n_fits)
-    first, second = torch.zeros_like(z), torch.zeros_like(z)
     for i in range(1, steps + 1):
-        state, gradient = residuals.gradient(z, deviations)
-        gradient /= residuals.n_rows
-        first.lerp_(gradient, 0.1)
-        second.mul_(0.999).addcmul_(gradient, gradient, value=0.001)
-        size = rate / (1.0 - 0.9**i)
-        z = z.addcdiv(first, (second / (1.0 - 0.999**i)).sqrt_().add_(1e-8), value=-size)
-        walk.evaluations += 1
-        walk.iterations += 1
+        state, gradient = residuals.gradient(walk.z, deviations)
         if i % EVERY == 0:
             walk.record(everyone, state.rows * deviations)
-    walk.z = z
+        walk.z.grad = gradient / residuals.n_rows
+        optimizer.step()
+        walk.evaluations += 1
+        walk.iterations += 1
+    walk.z.grad = None
 
 
 def lbfgs(residuals: Residuals, walk: Walk, deviations: Tensor, steps: int) -> None:
@@ -58,7 +54,6 @@ def _lbfgs(own: Residuals, walk: Walk, i: int, deviations: Tensor, steps: int) -
 
     options = {"maxiter": steps, "maxfun": 2 * steps, "maxcor": MEMORY, "ftol": 1e-9, "gtol": 1e-6}
     first = walk.z[i].cpu().numpy()
-    found = minimize(loss, first, jac=True, method="L-BFGS-B", callback=each, options=options)
-    walk.z[i] = torch.as_tensor(found.x, device=own.device)
-    walk.converged[i] = bool(found.success)
-    walk.reasons[i] = "L-BFGS found no further decrease" if found.success else "the number of steps was reached"
+    end = minimize(loss, first, jac=True, method="L-BFGS-B", callback=each, options=options)
+    walk.z[i] = torch.as_tensor(end.x, device=own.device)
+    walk.reasons[i] = "L-BFGS found no further decrease" if end.success else "the number of steps was reached"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -19,6 +18,7 @@ from methods.pinn.equations import equations
 from methods.pinn.levenberg import Walk
 from methods.pinn.residuals import TERMS, Residuals
 from methods.pinn.settings import PhysicsSettings
+from methods.pinn.task import Fit, channels_of, cycles, degrees_of_freedom, first_logs, free_parameters, resolution
 from methods.starts.forced_motion import ForcedMotion, forced_dofs
 from methods.starts.waves import ORDER, Guess
 
@@ -31,100 +31,13 @@ START = 0.1
 DAMPING = (1e-3, 1e-6, 1e-7)
 """First damping of the three stages, relative to the largest squared row of J. The later ones start near the
 minimum; with more damping than this a stage ends early, for the little that a damped step promises."""
-OVERTONES = 3.0
-"""Highest frequency that matters over the dominant one, where there are several modes, harmonics or a force."""
 ROUNDS = 6
 """How often the noise may be estimated anew and the fit polished with it."""
 SETTLED = 0.03
 """Relative change of the noise below which it needs no further round."""
 
 
-@dataclass(eq=False)
-class Fit:
-    """The outcome of one attempt, in numpy and natural units.
-
-    ``logs`` (n_parameters,), ``covariance`` of the free log-parameters; ``left`` is the share of the data's sum of
-    squares that the fit leaves; ``loss`` minus the log posterior at the noise in ``sigmas`` (n_channels,), up to a
-    constant; ``responses`` and ``bands`` one a record.
-    """
-
-    logs: np.ndarray
-    covariance: np.ndarray
-    responses: tuple[Function, ...]
-    bands: tuple[Band, ...]
-    starts: list[np.ndarray]
-    offsets: np.ndarray
-    left: float
-    loss: float
-    sigmas: np.ndarray
-    evaluations: int
-    iterations: int
-    converged: bool
-    reason: str
-    history: dict[str, np.ndarray] = field(default_factory=dict)
-
-
 Watch = Callable[[Callable[[], list[Fit]]], None]
-
-
-def cycles(problem: Problem, guess: Guess) -> float:
-    """Oscillations in the longest record, of the fastest motion that matters."""
-    plain = problem.system.linear and problem.system.n_dof == 1 and not problem.forced
-    duration = max(record.duration for record in problem.records)
-    return (1.0 if plain else OVERTONES) * guess.omega * duration / (2.0 * np.pi)
-
-
-def resolution(cycles: float) -> int:
-    """Oscillations that collocation points and coefficients must resolve: in steps of five, so that fits share them."""
-    return 5 * int(np.ceil(cycles / 5.0))
-
-
-def first_logs(problem: Problem, guess: Guess) -> np.ndarray:
-    """Log-parameters to start from: masses as the prior states them, the others from the damped wave.
-
-    A parameter of dimension time^-n is of size omega^n in natural units, a damping 2 decay omega^(n - 1): for one mass
-    this is the wave's own oscillator, for others the right order of magnitude. Without a prior a mass is 1, and under a
-    force omega^-2 over the displacement: the unit of mass is then such that a force of one moves it by one in a unit of
-    time, and the force is taken to be as large as that of the springs. The displacement is 1 where it is measured, and
-    omega^-1 or omega^-2 where the largest signal is a velocity or an acceleration. After an earlier fit: its end.
-    """
-    if guess.logs is not None:
-        return guess.logs
-    unit = guess.omega ** (_order(problem) - 2.0) if problem.prior is None and problem.forced else 1.0
-    values = []
-    for parameter in problem.system.parameters:
-        power = -parameter.dimension.time
-        if parameter.kind == "mass":
-            value = problem.prior.nominal[parameter.name] if problem.prior is not None else unit
-        elif parameter.kind == "damping":
-            value = unit * 2.0 * guess.decay * guess.omega ** (power - 1.0)
-        else:
-            value = unit * guess.omega**power
-        values.append(value)
-    return np.log(np.array(values))
-
-
-def _order(problem: Problem) -> int:
-    """The derivative by time that the largest signal is, in natural units: 0 for a displacement."""
-    channels = [c for record in problem.records for c in record.channels if c.n]
-    return ORDER[max(channels, key=lambda c: float(np.mean(c.values**2))).measures]
-
-
-def free_parameters(problem: Problem) -> tuple[str, ...]:
-    """The parameters to estimate: where neither prior nor data tell the scale, the gauge mass stays fixed."""
-    names = problem.system.names
-    if problem.prior is None and not problem.scale_told:
-        return tuple(name for name in names if name != problem.system.gauge)
-    return names
-
-
-def degrees_of_freedom(problem: Problem) -> float:
-    """Samples less the numbers that the data decide: parameters or groups, unknown starts, offsets; at least 1."""
-    system = problem.system
-    own = len(system.names) if problem.scale_told else len(system.groups)
-    starts = sum(2 * system.n_dof for record in problem.records if record.initial_state is None)
-    offsets = sum(c.offset for record in problem.records for c in record.channels)
-    return float(max(problem.n - own - starts - offsets, 1))
 
 
 class Attempt:
@@ -159,7 +72,7 @@ class Attempt:
         weights = [self._first_coefficients(k, rngs) for k in range(len(first.records))]
         offsets = np.zeros((len(problems), self.residuals.n_offsets))
         z = np.concatenate([*weights, logs[:, self.residuals.free], offsets], 1)
-        self.walk = Walk.start(torch.as_tensor(z, device=settings.device))
+        self.walk = Walk(torch.as_tensor(z, device=settings.device))
         self._measure(degrees_of_freedom(first), guesses)
 
     def _forced_motions(self, k: int, guesses: Sequence[Guess]) -> list[ForcedMotion]:
@@ -190,7 +103,7 @@ class Attempt:
 
     def _measure(self, dof: float, guesses: Sequence[Guess]) -> None:
         """Sizes of the channels, (B, n_channels), and the first noise."""
-        channels = [[c for record in p.records for c in record.channels] for p in self.problems]
+        channels = [channels_of(problem) for problem in self.problems]
         self.n = np.array([c.n for c in channels[0]])
         # a measured quantity is of the displacement's size times this power of the frequency
         power = np.array([ORDER[c.measures] for c in channels[0]], float)
@@ -252,6 +165,13 @@ class Attempt:
         self.walk.damping[who] = damping
         deviations = heads.deviations(self.spread())
         levenberg.minimise(heads.hold(), self.walk, deviations, iterations, self.settings.tolerance, who)
+
+    def train(self) -> None:
+        """Minimise in the way of the settings."""
+        if first_order := self.settings.first_order:
+            self.adam_lbfgs(*first_order)
+        else:
+            self.levenberg()
 
     def levenberg(self) -> None:
         """Minimise with soft physics, then nearly hard, on the output layer alone; then over all coefficients.
@@ -350,7 +270,6 @@ class Attempt:
                 sigmas=self.sigmas[i],
                 evaluations=int(walk.evaluations[i]),
                 iterations=int(walk.iterations[i]),
-                converged=bool(walk.converged[i]),
                 reason=walk.reasons[i],
                 history=_history(
                     walk.history[i], np.asarray(deviations[i].cpu()), np.asarray(residuals.term_rows.cpu())
@@ -411,6 +330,6 @@ def fit(
     with torch_threads(settings.threads), torch.no_grad():
         attempt = Attempt(problems, guesses, settings, rngs, watch)
         attempt.record()
-        settings.train(attempt)
+        attempt.train()
         attempt.record()
         return attempt.results()

@@ -20,7 +20,6 @@ import numpy as np
 from bench import Card, InputError
 from methods.network.response import Function, NetworkResponse
 from methods.pinn.physics import PhysicsInformed
-from methods.pinn.settings import Trainable
 from methods.pinn.windows import Windows, WindowsResponse
 
 if TYPE_CHECKING:
@@ -112,16 +111,10 @@ class PINN(PhysicsInformed):
     def ansatz(self, block: Block, resolution: int) -> Ansatz:
         import torch
 
-        from methods.network.ansatz import Local
         from methods.network.tanh import Network
 
         if windows := self._windows(resolution):
-            pairs = [
-                windows.local_functions(times, duration)
-                for times, duration in zip(block.times, block.duration, strict=True)
-            ]
-            values, first = (torch.as_tensor(np.stack(p), device=block.values.device) for p in zip(*pairs, strict=True))
-            return Local(values, first, windows.count, block.n_paths)
+            return block.local_ansatz(windows.local_functions, windows.count)
         tau = 2.0 * block.times / block.duration[:, None] - 1.0
         device = block.values.device
         rate = torch.as_tensor(2.0 / block.duration, device=device)
@@ -150,8 +143,6 @@ class PINN(PhysicsInformed):
         """Return the tolerance for windows, whose overlap makes the last digits slow."""
         return self.tolerance if self._windows(resolution) else super().convergence(resolution)
 
-    def train(self, attempt: Trainable) -> None:
-        if self.optimizer == "lm":
-            attempt.levenberg()
-        else:
-            attempt.adam_lbfgs(self.adam_steps, self.adam_rate, self.lbfgs_steps)
+    @property
+    def first_order(self) -> tuple[int, float, int] | None:
+        return None if self.optimizer == "lm" else (self.adam_steps, self.adam_rate, self.lbfgs_steps)

@@ -1,21 +1,19 @@
-"""What the PINN and spline collocation share: settings, from a Problem to fits and back to an Estimate, uncertainty.
+"""From a Problem to fits and back to an Estimate: what the PINN and spline collocation share.
 
 The loss is minus the log posterior, whatever represents x(t):
 
 - **Weights of the terms** follow from the noise, which is estimated along the way: the physics is a nearly hard
   constraint (the equation may be off by so little white noise that its effect over the record is a fraction ``slack``
   of the measurement noise; weak-constraint data assimilation: Tremolet, Q. J. R. Meteorol. Soc. 132:2483, 2006).
-- **Optimiser**: Levenberg-Marquardt, in residual space where that is the smaller one (:mod:`methods.pinn.levenberg`).
-- **Order**: soft physics before hard, the output layer before all layers, log-parameters started at the damped wave
-  that fits the data best.
+- **Optimiser**: Levenberg-Marquardt (:mod:`methods.pinn.levenberg`), soft physics before hard, the output layer before
+  all layers, log-parameters started at the damped wave that fits the data best.
 - **A known force** is carried by functions of its own, added to what represents x(t): steps, pulses and rough forces
   would otherwise ask for an acceleration that no smooth function has (:mod:`methods.starts.forced_motion`).
 - **Open parameters**: with a known force or an added mass there may be no prior, and noise may hide a damping. The
   likelihood then rises on towards zero; such a record is fitted again with a very wide prior, and the answer says so.
 - **Hidden states** are paths of the ansatz beside the displacements, held to their own rates.
 - **A bad basin** shows in the residuals: the fit leaves more than twice what plain damped waves leave. It is then
-  started again elsewhere, at most ``restarts`` times, and the best kept. Waves that are nearly as good are fitted in
-  any case; where noise is as large as the motion, from hard physics on (:mod:`methods.pinn.task`).
+  started again elsewhere, at most ``restarts`` times, and the best kept (:mod:`methods.pinn.task`).
 
 Uncertainty (``uncertainty=``): ``laplace``, covariance from the linearisation at the solution with the coefficients
 profiled out; ``ensemble``, spread over ``members`` random initialisations, as in the paper; ``bootstrap``, spread over
@@ -28,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -45,16 +43,14 @@ from bench import (
 )
 from methods.network.response import Band, Function
 from methods.pinn.settings import PhysicsSettings
-from methods.pinn.task import Task, simulated
+from methods.pinn.task import Fit, Task, channels_of, cycles, degrees_of_freedom, free_parameters, resolution, simulated
 from methods.starts.ambiguity import SearchingIdentifier
-
-if TYPE_CHECKING:
-    from methods.pinn.engine import Fit
+from methods.starts.waves import Guess
 
 
 @dataclass(frozen=True)
 class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
-    """From a Problem to fits and back to an Estimate; see the module."""
+    """Estimate by fitting data and physics together; see the module."""
 
     serves: ClassVar[Serves] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("torch",)
@@ -93,32 +89,44 @@ class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
 
     def attempt(self, tasks: Sequence[Task]) -> None:
         """Fit each, and start those in a bad basin again elsewhere."""
-        from methods.pinn import engine
         from methods.pinn.block import structure
 
         for n in range(1 + self.restarts):
             groups: dict[object, list[Task]] = {}
             for task in tasks:
                 if task.wants(n):
-                    key = structure(task.scaled), engine.resolution(engine.cycles(task.scaled, task.guesses[n]))
+                    key = structure(task.scaled), resolution(cycles(task.scaled, task.guesses[n]))
                     groups.setdefault(key, []).append(task)
             for group in groups.values():
-                for at in range(0, len(group), self.batch):
-                    own = group[at : at + self.batch]
-                    problems, guesses = [t.scaled for t in own], [t.guesses[n] for t in own]
-                    fits = engine.fit(problems, guesses, self, [t.rng for t in own], partial(self._report, own))
-                    for task, fit in zip(own, fits, strict=True):
-                        task.fits.append(fit)
+                guesses = [task.guesses[n] for task in group]
+                fits = self._fit([task.scaled for task in group], guesses, [task.rng for task in group], group)
+                for task, fit in zip(group, fits, strict=True):
+                    task.fits.append(fit)
+
+    def _fit(
+        self,
+        problems: Sequence[Problem],
+        guesses: Sequence[Guess],
+        rngs: Sequence[np.random.Generator],
+        tasks: Sequence[Task] = (),
+    ) -> list[Fit]:
+        """Fit problems of one structure, ``batch`` at a time, and report how far those of tasks have come."""
+        from methods.pinn import engine
+
+        fits: list[Fit] = []
+        for first in range(0, len(problems), self.batch):
+            chunk = slice(first, first + self.batch)
+            report = partial(self._report, tasks[chunk])
+            fits += engine.fit(problems[chunk], guesses[chunk], self, rngs[chunk], report)
+        return fits
 
     def _report(self, tasks: Sequence[Task], results: Callable[[], list[Fit]]) -> None:
-        """Say how far the fits have come."""
+        """Report how far the fits have come."""
         for i, task in enumerate(tasks):
             report_progress(task.problem, lambda i=i, task=task: self._estimate(task.with_fit(results()[i])))  # type: ignore[misc]
 
     def _resample(self, task: Task) -> None:
-        """Spread of the parameters and of the response over an ensemble or a bootstrap, in place of the linearised."""
-        from methods.pinn import engine
-
+        """Fit an ensemble or a bootstrap, whose spread replaces the linearised uncertainty."""
         best = task.best
         if best is None:
             return
@@ -127,11 +135,7 @@ class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
             for _ in range(self.members)
         ]
         guess = task.guesses[task.fits.index(best)]
-        rngs = task.rng.spawn(self.members)
-        fits: list[Fit] = []
-        for at in range(0, self.members, self.batch):
-            chunk = problems[at : at + self.batch]
-            fits += engine.fit(chunk, [guess] * len(chunk), self, rngs[at : at + self.batch])
+        fits = self._fit(problems, [guess] * self.members, task.rng.spawn(self.members))
         task.members = [fit for fit in fits if np.all(np.isfinite(fit.logs))]
 
     def _estimate(self, task: Task) -> Estimate:
@@ -152,26 +156,24 @@ class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
             record.initial_state or InitialState(own[0], own[1])
             for record, own in zip(problem.records, best.starts, strict=True)
         ]
-        offsets = np.zeros(len(task.offset_flags))
-        offsets[np.flatnonzero(task.offset_flags)] = best.offsets
+        has_offset = np.array([channel.offset for channel in channels_of(problem)])
+        offsets = np.zeros(has_offset.size)
+        offsets[has_offset] = best.offsets
         return Estimate(
             problem.system,
             **self._belief(task, best),
             reconstructions=best.responses,
             bands=self._bands(task, best),
             initial_states=tuple(starts),
-            offsets=tuple(map(float, offsets)) if any(task.offset_flags) else None,
+            offsets=tuple(map(float, offsets)) if has_offset.any() else None,
             message=message,
             cost=cost,
             traces=best.history,
         )
 
     def _belief(self, task: Task, best: Fit) -> dict[str, Any]:
-        """All parameters, or the groups where the data alone cannot tell the scale."""
-        from methods.pinn import engine
-
-        system, free = task.scaled.system, engine.free_parameters(task.scaled)
-        dof = engine.degrees_of_freedom(task.scaled)
+        """Return the distribution of all parameters, or of the groups where the data do not determine the scale."""
+        system, free, dof = task.scaled.system, free_parameters(task.scaled), degrees_of_freedom(task.scaled)
         mean, covariance = best.logs, best.covariance
         if task.members:
             which = [system.names.index(name) for name in free]

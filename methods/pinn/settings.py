@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -23,24 +23,17 @@ CONVERGED = 1e-9
 of a few hundred-thousandths of a standard error, which costs two or three cheap iterations more."""
 
 
-class Trainable(Protocol):
-    """The ways to the minimum that an attempt knows."""
-
-    def levenberg(self) -> None:
-        """Levenberg-Marquardt in stages."""
-
-    def adam_lbfgs(self, adam_steps: int, adam_rate: float, lbfgs_steps: int) -> None:
-        """Adam, then L-BFGS."""
-
-
 @dataclass(frozen=True)
 class PhysicsSettings(ABC):
-    """The settings; see :mod:`methods.pinn.physics`.
+    """Set how the response is represented and trained; see :mod:`methods.pinn.physics`.
 
-    ``collocation``: points where the equation of motion is asked for (more where a cycle would have fewer than 20).
-    ``slack``: how far the physics may drift over the record, in noise standard deviations. ``softness``: how many times
-    that in the first stage. ``start``: a told start as a residual (``penalty``) or built into the response (``exact``).
-    ``tolerance``: decrease of minus the log posterior below which a stage ends. ``batch``: fits solved together.
+    Args:
+        collocation: Points where the equation of motion is evaluated (more where a cycle would have fewer than 20).
+        slack: How far the physics may drift over the record, in noise standard deviations.
+        softness: How many times that in the first stage.
+        start: A known initial state as a residual (``penalty``) or built into the response (``exact``).
+        tolerance: Decrease of minus the log posterior below which a stage ends.
+        batch: Fits solved together.
     """
 
     collocation: int = 200
@@ -58,16 +51,8 @@ class PhysicsSettings(ABC):
     threads: int = 1
 
     def __post_init__(self) -> None:
-        least = {
-            "collocation": 10,
-            "output_iterations": 1,
-            "iterations": 1,
-            "restarts": 0,
-            "members": 2,
-            "batch": 1,
-            "threads": 1,
-        }
-        self._at_least(least)
+        self._at_least({"collocation": 10, "restarts": 0, "members": 2})
+        self._at_least(dict.fromkeys(("output_iterations", "iterations", "batch", "threads"), 1))
         for name in ("slack", "softness", "tolerance"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise InputError(f"method.{name}", getattr(self, name), "a positive number")
@@ -79,26 +64,27 @@ class PhysicsSettings(ABC):
 
     @abstractmethod
     def ansatz(self, block: Block, resolution: int) -> Ansatz:
-        """What represents the response in a record of at most ``resolution`` oscillations."""
+        """Return what represents the response in a record of at most ``resolution`` oscillations."""
 
     @abstractmethod
     def first_coefficients(
         self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
     ) -> np.ndarray:
-        """The coefficients to start from, (B, count), for responses of ``cycles`` (B,) oscillations."""
+        """Return the coefficients to start from, (B, count), for responses of ``cycles`` (B,) oscillations."""
 
     @abstractmethod
     def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> Function:
-        """The paths by time, in numpy: displacements, then hidden states."""
+        """Return the paths by time, in numpy: displacements, then hidden states."""
 
-    def train(self, attempt: Trainable) -> None:
-        """Minimise."""
-        attempt.levenberg()
+    @property
+    def first_order(self) -> tuple[int, float, int] | None:
+        """Steps and rate of Adam and steps of L-BFGS, in place of Levenberg-Marquardt."""
+        return None
 
     def convergence(self, resolution: int) -> float:
         """Return the promised decrease at which the output layer's training ends."""
         return CONVERGED
 
     def points(self, resolution: int) -> int:
-        """How many collocation points so many oscillations get."""
+        """Return how many collocation points so many oscillations get."""
         return max(self.collocation, POINTS_A_CYCLE * resolution)

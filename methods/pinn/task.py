@@ -1,31 +1,27 @@
-"""One problem on its way through the fits of a physics-informed method: where to start, what came of it, what next.
+"""One problem with its starting points and its fits by a physics-informed method.
 
-It starts at the waves of the scan, ordered by what data and prior say of them together. Noise as large as the motion,
-or a sampling that does not separate a frequency from its alias, leaves several waves that are nearly as good. All of
-these are then fitted, and the posterior of the fits decides.
+The waves of the scan are ordered by their posterior. Noise as large as the motion, or a sampling that does not separate
+a frequency from its alias, leaves several waves that are nearly as good. All of these are then fitted, and the
+posterior of the fits decides.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bench import OutputError, Problem
-from methods.network.response import Function
+from bench import Channel, OutputError, Problem
+from methods.network.response import Band, Function
 from methods.starts.evidence import log_evidence
 from methods.starts.open_parameters import left_open, very_wide
 from methods.starts.reach import expected_rate, resolved_cycles
 from methods.starts.rounding import DIGITS, rounded
 from methods.starts.scan import records_by_load
 from methods.starts.separate import ALIAS_MARGIN
-from methods.starts.waves import Guess, scan
-
-if TYPE_CHECKING:
-    from methods.pinn.engine import Fit
+from methods.starts.waves import ORDER, Guess, scan
 
 DETOURS = (1.0, 1.6, 0.625)
 """Where a system of several modes is started again: the dominant wave may be a high or a low one."""
@@ -35,21 +31,98 @@ RIVALS = 6.0
 """A wave whose minus log posterior is within this of the best is fitted too: odds of 400 to 1."""
 SUSPECT = 2.0
 """A fit that leaves this many times what plain damped waves leave is in a bad basin."""
+OVERTONES = 3.0
+"""Highest frequency that matters over the dominant one, where there are several modes, harmonics or a force."""
 
 
-@dataclass(frozen=True)
-class Starts:
-    """Guesses, best first; how many of them are fitted in any case; the others only after a bad fit."""
+@dataclass(eq=False)
+class Fit:
+    """The outcome of one attempt, in numpy and natural units.
 
-    guesses: list[Guess]
-    rivals: int = 1
+    ``logs`` (n_parameters,), ``covariance`` of the free log-parameters; ``left`` is the share of the data's sum of
+    squares that the fit leaves; ``loss`` minus the log posterior at the noise in ``sigmas`` (n_channels,), up to a
+    constant; ``responses``, ``bands`` and ``starts`` (2, n_dof), displacement and velocity at time 0, one a record.
+    """
+
+    logs: np.ndarray
+    covariance: np.ndarray
+    responses: tuple[Function, ...]
+    bands: tuple[Band, ...]
+    starts: list[np.ndarray]
+    offsets: np.ndarray
+    left: float
+    loss: float
+    sigmas: np.ndarray
+    evaluations: int
+    iterations: int
+    reason: str
+    history: dict[str, np.ndarray] = field(default_factory=dict)
 
 
-def starts(problem: Problem, waves: Sequence[Guess], left: float) -> Starts:
-    """The waves of the scan, which leave ``left`` of the data; or the dominant one and detours for several modes."""
+def cycles(problem: Problem, guess: Guess) -> float:
+    """Count oscillations in the longest record, of the fastest motion that matters."""
+    plain = problem.system.linear and problem.system.n_dof == 1 and not problem.forced
+    duration = max(record.duration for record in problem.records)
+    return (1.0 if plain else OVERTONES) * guess.omega * duration / (2.0 * np.pi)
+
+
+def resolution(cycles: float) -> int:
+    """Round up the oscillations that points and coefficients must resolve to steps of five, so that fits share them."""
+    return 5 * int(np.ceil(cycles / 5.0))
+
+
+def first_logs(problem: Problem, guess: Guess) -> np.ndarray:
+    """Return log-parameters to start from: masses as the prior states them, the others from the damped wave.
+
+    A parameter of dimension time^-n is of size omega^n in natural units, a damping 2 decay omega^(n - 1): for one mass
+    this is the wave's own oscillator, for others the right order of magnitude. Without a prior a mass is 1, and under a
+    force omega^-2 over the displacement, as if the force were as large as that of the springs. The displacement is 1
+    where it is measured, and omega^-1 or omega^-2 where the largest signal is a velocity or an acceleration.
+    """
+    if guess.logs is not None:
+        return guess.logs
+    largest = max(channels_of(problem), key=lambda c: float(np.mean(c.values**2)) if c.n else -1.0)
+    unit = guess.omega ** (ORDER[largest.measures] - 2.0) if problem.prior is None and problem.forced else 1.0
+    values = []
+    for parameter in problem.system.parameters:
+        power = -parameter.dimension.time
+        if parameter.kind == "mass":
+            value = problem.prior.nominal[parameter.name] if problem.prior is not None else unit
+        elif parameter.kind == "damping":
+            value = unit * 2.0 * guess.decay * guess.omega ** (power - 1.0)
+        else:
+            value = unit * guess.omega**power
+        values.append(value)
+    return np.log(np.array(values))
+
+
+def channels_of(problem: Problem) -> list[Channel]:
+    """Return the channels of all records."""
+    return [channel for record in problem.records for channel in record.channels]
+
+
+def free_parameters(problem: Problem) -> tuple[str, ...]:
+    """Return the parameters to estimate: all but the gauge mass where neither prior nor data determine the scale."""
+    fixed = problem.system.gauge if problem.prior is None and not problem.scale_told else None
+    return tuple(name for name in problem.system.names if name != fixed)
+
+
+def degrees_of_freedom(problem: Problem) -> float:
+    """Count samples less what they decide: parameters or groups, unknown initial states, offsets; at least 1."""
+    system = problem.system
+    parameters = len(system.names) if problem.scale_told else len(system.groups)
+    starts = sum(2 * system.n_dof for record in problem.records if record.initial_state is None)
+    return float(max(problem.n - parameters - starts - sum(c.offset for c in channels_of(problem)), 1))
+
+
+def starts(problem: Problem, waves: Sequence[Guess], left: float) -> tuple[list[Guess], int]:
+    """Return guesses, best first, and how many of them are fitted in any case; the others only after a bad fit.
+
+    They are the waves of the scan, which leave ``left`` of the data; or the dominant one and detours for several modes.
+    """
     n_dof, loud = problem.system.n_dof, left > LOUD
     if n_dof > 1:
-        return Starts([replace(waves[0], omega=waves[0].omega * by, left=left, firm=loud) for by in DETOURS])
+        return [replace(waves[0], omega=waves[0].omega * by, left=left, firm=loud) for by in DETOURS], 1
     values = np.zeros(1)
     if problem.system.linear:
         values = np.array([_minus_log_posterior(problem, wave) for wave in waves])
@@ -57,16 +130,16 @@ def starts(problem: Problem, waves: Sequence[Guess], left: float) -> Starts:
         waves, values = [waves[i] for i in order], values[order]
     detours = [replace(waves[0], omega=waves[0].omega * by) for by in DETOURS[1:]]
     guesses = [replace(g, firm=loud or alias(problem, g)) for g in [*waves, *detours]]
-    return Starts(guesses, int(np.sum(values <= values[0] + RIVALS)))
+    return guesses, int(np.sum(values <= values[0] + RIVALS))
 
 
 def alias(problem: Problem, guess: Guess) -> bool:
-    """Whether a wave is above half the sampling rate."""
+    """Return True for a wave above half the sampling rate."""
     return guess.omega > 2 * np.pi * max(resolved_cycles(record) for record in problem.records) * (1 + 1e-9)
 
 
 def _minus_log_posterior(problem: Problem, wave: Guess) -> float:
-    """At the best noise, of the wave's frequency alone: its decay is read from the grid too coarsely."""
+    """Evaluate a wave at the best noise, by its frequency alone: its decay is read from the grid too coarsely."""
     value = 0.5 * problem.n * np.log(max(wave.left, 1e-12))
     expected = expected_rate(problem)
     if expected is not None:
@@ -85,54 +158,47 @@ class Task:
         self.problem, self.rng, self.scaled = problem, rng, rounded(problem)
         loads = records_by_load(self.scaled)
         waves, self.reference = scan(self.scaled, self.scaled.system.n_dof * len(loads), forced=True, beyond=True)
-        found = starts(self.scaled, waves, self.reference)
-        self.guesses, self.rivals = found.guesses, found.rivals
+        self.guesses, self.rivals = starts(self.scaled, waves, self.reference)
         self.fits: list[Fit] = []
         self.given_up: list[Fit] = []  # before the parameters that were open were held
         self.members: list[Fit] = []
-        self.offset_flags = [c.offset for record in problem.records for c in record.channels]
 
     def with_fit(self, fit: Fit) -> Task:
-        """The same with one more attempt."""
+        """Return the same task with one more fit."""
         other = copy(self)
         other.fits = [*self.fits, fit]
         return other
 
     def good(self, fit: Fit) -> bool:
-        """Whether a fit leaves about as little as plain damped waves."""
+        """Return True for a fit that leaves about as little as plain damped waves."""
         return bool(np.isfinite(fit.loss) and fit.left <= SUSPECT * self.reference + 1e-9)
 
-    @property
-    def settled(self) -> bool:
-        return any(self.good(fit) for fit in self.fits)
-
     def wants(self, attempt: int) -> bool:
-        """Whether to start from the guess of this number: a rival of the best, or what is left after a bad fit."""
-        return attempt < len(self.guesses) and (attempt < self.rivals or not self.settled)
+        """Return True where the guess of this number is a rival of the best, or what is left after a bad fit."""
+        settled = any(self.good(fit) for fit in self.fits)
+        return attempt < len(self.guesses) and (attempt < self.rivals or not settled)
 
     @property
     def open(self) -> bool:
-        """Whether the best fit leaves a parameter more open than the very wide prior would; only without a prior."""
+        """True where the best fit leaves a parameter more open than the very wide prior would; only without a prior."""
         if self.scaled.prior is not None or not self.scaled.scale_told or self.best is None:
             return False
         return bool(np.any(left_open(np.diag(self.best.covariance))))
 
     def hold(self) -> None:
-        """Begin again with the very wide prior: it bounds what the data leave open.
+        """Begin again with the very wide prior, which bounds what the data leave open.
 
-        It is about where a good fit ended, and for what that leaves open, or after a bad fit, about where it began.
+        It is centred where a good fit ended, and for what that leaves open, or after a bad fit, where the fit began.
         """
-        from methods.pinn import engine
-
         best = self.best
         assert best is not None
         # as parameters, for with a prior the engine would take the masses from it
-        begun = [replace(own, logs=engine.first_logs(self.scaled, own)) for own in self.guesses]
-        at = self.fits.index(best)
-        logs = engine.first_logs(self.scaled, self.guesses[at])
+        begun = [replace(guess, logs=first_logs(self.scaled, guess)) for guess in self.guesses]
+        number = self.fits.index(best)
+        logs = first_logs(self.scaled, self.guesses[number])
         if self.good(best):
             logs = np.where(left_open(np.diag(best.covariance)), logs, best.logs)
-            begun = [replace(begun[at], logs=logs)]
+            begun = [replace(begun[number], logs=logs)]
         nominal = dict(zip(self.scaled.system.names, np.exp(logs), strict=True))
         self.scaled = replace(self.scaled, prior=very_wide(nominal))
         self.guesses, self.rivals, self.given_up, self.fits = begun, 1, self.fits, []
@@ -143,10 +209,10 @@ class Task:
         return min(finite, key=self._judged if self.rivals > 1 else lambda fit: fit.loss, default=None)
 
     def _judged(self, fit: Fit) -> float:
-        """Return minus the logarithm of the evidence of a rival's parameters by their simulated response.
+        """Return minus the log evidence of a rival's parameters by their simulated response; without a prior, minus the
+        log likelihood, since a parameter that the data leave open has all the volume.
 
-        The loss would not do: how closely a function follows the equation of motion hangs on how fast it turns. Without
-        a prior there is no evidence, since a parameter that the data leave open has all the volume: the likelihood.
+        The losses do not compare: how closely a function follows the equation of motion depends on its frequency.
         """
         model = OutputError(self.scaled)
         theta = model.vector(dict(zip(self.scaled.system.names, map(float, np.exp(fit.logs)), strict=True)))
@@ -157,24 +223,21 @@ class Task:
 
 
 def simulated(problem: Problem, fit: Fit, rng: np.random.Generator) -> Problem:
-    """The problem with measurements of the fitted response in place of the real ones, at the estimated noise."""
-    records, at, offset = [], 0, 0
+    """Replace the measurements of a problem by those of the fitted response, at the estimated noise."""
+    records, sigmas, offsets = [], iter(fit.sigmas), iter(fit.offsets)
     for record, response in zip(problem.records, fit.responses, strict=True):
         channels = []
         for channel in record.channels:
             clean = _measured(response, channel.times, channel.measures, record.duration)[channel.dof]
-            if channel.offset:
-                clean = clean + fit.offsets[offset]
-                offset += 1
-            noise = fit.sigmas[at] * rng.standard_normal(channel.n)
+            clean = clean + next(offsets) if channel.offset else clean
+            noise = next(sigmas) * rng.standard_normal(channel.n)
             channels.append(replace(channel, values=np.round(clean + noise, DIGITS)))
-            at += 1
         records.append(replace(record, channels=tuple(channels)))
     return replace(problem, records=tuple(records))
 
 
 def _measured(response: Function, times: np.ndarray, measures: str, duration: float) -> np.ndarray:
-    """The response or its derivative by time, the latter by central differences inside the record.
+    """Evaluate the response or its derivative by time, the latter by central differences inside the record.
 
     Outside it no force is known, so a time at its very ends takes the differences about one that is a step inside.
     """

@@ -36,26 +36,19 @@ class Windows:
         """How many windows there are."""
         return int(np.ceil(self.resolution / CYCLES)) + 1
 
-    @cached_property
-    def _hidden(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The hidden layers, the same in all windows: what a window of this length may hold is the same in each."""
-        from methods.network import tanh  # with torch, which reading a response does not need
-
-        layers = tanh.initial_layers((1, *self.widths, 1), 2.0 * CYCLES, np.random.default_rng(0))
-        return layers[:-1]
-
     def _features(self, tau: np.ndarray) -> np.ndarray:
-        """The last hidden layer and a constant with two derivatives by tau, (3, n_points, n_features)."""
-        value, first, second = tau[:, None], np.ones((tau.size, 1)), np.zeros((tau.size, 1))
-        for weight, bias in self._hidden:
-            value = np.tanh(value @ weight.T + bias)
-            slope, first, second = 1.0 - value**2, first @ weight.T, second @ weight.T
-            second = slope * second - 2.0 * value * slope * first**2
-            first = slope * first
-        streams = np.stack([value, first, second])
-        constant = np.zeros((3, tau.size, 1))
-        constant[0] = 1.0
-        return np.concatenate([streams, constant], 2)
+        """Compute the last hidden layer and a constant with two derivatives by tau, (3, n_points, n_features).
+
+        The hidden layers are the same in all windows: the motion in a window of this length is alike in each.
+        """
+        import torch
+
+        from methods.network import tanh
+
+        widths = (1, *self.widths, 1)
+        layers = tanh.flat(tanh.initial_layers(widths, 2.0 * CYCLES, np.random.default_rng(0)))
+        network = tanh.Network(widths, torch.as_tensor(tau)[None], torch.ones(1, dtype=torch.float64))
+        return network.head(torch.as_tensor(layers)[None])[0].functions[0].numpy()
 
     @cached_property
     def _mixing(self) -> np.ndarray:

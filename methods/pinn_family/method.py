@@ -18,13 +18,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from bench import Card, Draws, Estimate
-from methods.pinn.settings import Trainable
-from methods.pinn.task import Task
+from methods.pinn.task import Fit, Task
 from methods.pinn_family.choices import ARCHITECTURES, OPTIMIZERS, SAMPLINGS, UNCERTAINTIES, WEIGHTINGS
 from methods.pinn_family.settings import FamilySettings
 
 if TYPE_CHECKING:
-    from methods.pinn.engine import Fit
     from methods.pinn_family.loss import Clock
 
 
@@ -56,10 +54,6 @@ class PINNFamily(FamilySettings):
             "uncertainty": UNCERTAINTIES,
         },
     )
-
-    def train(self, attempt: Trainable) -> None:
-        """Not called: a fit of the family trains itself."""
-        raise NotImplementedError
 
     def attempt(self, tasks: Sequence[Task]) -> None:
         """Fit each, and start those in a bad basin again elsewhere."""

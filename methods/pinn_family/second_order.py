@@ -195,7 +195,7 @@ class VariableProjection(Optimizer):
             """Return all unknowns of the output layer's problem where the parameters are given."""
             point = short.clone()
             point[0, free] = tensor(logs, point)
-            walk = Walk.start(point, 1e-9)
+            walk = Walk(point, 1e-9)
             minimise(heads.hold(), walk, deviations, INNER, 1e-9)
             loss.charge(COSTS["equations"] * float(walk.iterations[0]))
             return walk.z

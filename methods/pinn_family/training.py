@@ -15,10 +15,11 @@ from bench import Problem
 from methods.network.ansatz import SumAnsatz
 from methods.network.tanh import Network
 from methods.pinn.block import Spread
-from methods.pinn.engine import Attempt, Fit, Watch, torch_threads
+from methods.pinn.engine import Attempt, Watch, torch_threads
 from methods.pinn.equations import equations
 from methods.pinn.levenberg import Walk, minimise
 from methods.pinn.residuals import Residuals
+from methods.pinn.task import Fit
 from methods.pinn_family.architectures import FeatureAnsatz
 from methods.pinn_family.choices import component
 from methods.pinn_family.loss import Loss, TrainingPath, best_of
@@ -102,8 +103,7 @@ class FamilyAttempt(Attempt):
                     break
         loss.path.note(loss.first, z[None], loss.work)
         self.walk.evaluations[0] = self.walk.iterations[0] = loss.gradients
-        self.walk.converged[0] = loss.work < budget
-        ended = "it found no further decrease" if self.walk.converged[0] else "the budget of work was used up"
+        ended = "it found no further decrease" if loss.work < budget else "the budget of work was used up"
         self.walk.reasons[0] = ended
 
     def _minimise(self, z: Tensor, last: bool) -> Tensor:
@@ -139,7 +139,7 @@ class FamilyAttempt(Attempt):
         the product of the lengths of Jacobian and residual, a cosine that is zero at a minimum.
         """
         residuals, deviations = self.residuals, self.loss.deviations
-        walk = Walk.start(self.walk.z, 1e-6)
+        walk = Walk(self.walk.z, 1e-6)
         loss = float(residuals.evaluate(self.walk.z, deviations).loss[0])
         minimise(residuals, walk, deviations, POLISH, max(POLISHED * loss, 1e-12))
         least = float(residuals.evaluate(walk.z, deviations).loss[0])

@@ -22,14 +22,13 @@ from methods.network.response import Band, Function
 from methods.network.tanh import Network
 from methods.pinn.engine import torch_threads
 from methods.pinn.equations import equations
-from methods.pinn.task import Task, simulated
+from methods.pinn.task import Fit, Task, simulated
 from methods.pinn_family.architectures import FeatureAnsatz
 from methods.pinn_family.loss import Clock, TrainingPath, tensor
 from methods.pinn_family.sampling import TrainingResiduals
 from methods.pinn_family.training import FamilyAttempt, TrainedFit, fit
 
 if TYPE_CHECKING:
-    from methods.pinn.engine import Fit
     from methods.pinn_family.settings import FamilySettings
 
 CURVES = 50

@@ -57,7 +57,7 @@ class DecayRecord:
 
     def __init__(self, problem: Problem) -> None:
         scaled = rounded(problem)
-        guess = starts(scaled, *scan(scaled, forced=True, beyond=True)).guesses[0]
+        guess = starts(scaled, *scan(scaled, forced=True, beyond=True))[0][0]
         record = scaled.records[0]
         channel, start = record.channels[0], record.initial_state
         self.times, self.values = 2.0 * channel.times / record.duration - 1.0, channel.values

@@ -390,7 +390,7 @@ def test_levenberg_goes_lower_than_scipys_lbfgs() -> None:
 
     options = {"maxiter": 1000, "maxcor": 30, "ftol": 1e-12}
     found = minimize(loss, z[0].numpy(), jac=True, method="L-BFGS-B", options=options)
-    walk = levenberg.Walk.start(z)
+    walk = levenberg.Walk(z)
     levenberg.minimise(residuals, walk, deviations, 150, 1e-6)
     reached = float(residuals.evaluate(walk.z, deviations).loss[0])
     assert reached <= found.fun * (1 + 1e-3)
@@ -603,7 +603,7 @@ def test_steps_of_a_held_fit_leave_its_parameters() -> None:
     held = residuals.hold()
     state = held.evaluate(z, deviations)
     torch.testing.assert_close(state.rows, residuals.evaluate(z, deviations).rows)
-    walk = levenberg.Walk.start(z)
+    walk = levenberg.Walk(z)
     levenberg.minimise(held, walk, deviations, 5, 1e-9)
     parameters = slice(residuals.n_coefficients, residuals.n_coefficients + len(residuals.free))
     torch.testing.assert_close(walk.z[:, parameters], z[:, parameters], rtol=0.0, atol=0.0)

@@ -65,7 +65,7 @@ class _Watched(Walk):
     """A walk that notes the time and the rivals' loss of every accepted step."""
 
     def __init__(self, z: torch.Tensor, scale: float) -> None:
-        super().__init__(**vars(Walk.start(z)))
+        super().__init__(z)
         self.scale, self.noted = scale, list[tuple[float, float]]()
 
     def record(self, who: np.ndarray, plain: torch.Tensor) -> None:
