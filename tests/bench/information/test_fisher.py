@@ -236,7 +236,7 @@ COMPILE = """import sys
 from pathlib import Path
 import numpy as np
 from bench.contract.problem import InitialState
-from bench.information.stepped_sensitivities import stepped_sensitivities
+from bench.information.sensitivities import stepped_sensitivities
 from bench.systems.linear import SDOF
 start = InitialState(np.array([1.0]), np.array([0.0]))
 x, slopes = stepped_sensitivities(SDOF(), {"m": 1.0, "c": 0.4, "k": 8.0}, start, np.array([0.0, 0.5]))

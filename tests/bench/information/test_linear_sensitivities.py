@@ -10,8 +10,7 @@ import pytest
 
 from bench.contract.problem import Force, InitialState
 from bench.dynamics.linear_motion import linear_motion
-from bench.information.linear_sensitivities import linear_sensitivities
-from bench.information.stepped_sensitivities import stepped_sensitivities
+from bench.information.sensitivities import linear_sensitivities, stepped_sensitivities
 from bench.systems import Chain, Loaded, Matrices, RayleighChain, System
 from bench.systems.linear import SDOF
 

@@ -1,6 +1,7 @@
-"""The response of any system and its derivatives by parameters and start: Runge-Kutta steps, differentiated by jax.
+"""The response of a system and its derivatives by parameters and initial state.
 
-The steps are fine enough not to matter. What jax compiles is kept on disk, for the next process.
+They are exact for a linear system; for others jax differentiates Runge-Kutta steps that are fine enough not to matter.
+What jax compiles is kept on disk, for the next process.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from bench.contract.problem import Force, InitialState
 from bench.dynamics.intervals import Steps, merged_grid, step_counts
+from bench.dynamics.linear_motion import linear_motion
 from bench.dynamics.rates import longest_step
 from bench.dynamics.stepper import rk4_scan
 from bench.systems import System
@@ -23,13 +25,34 @@ REFINE = 12
 """Integration steps per step that plain simulation would take."""
 
 
+def linear_sensitivities(
+    system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force] = ()
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the displacement of a linear system and its derivatives, at increasing times >= 0 (s).
+
+    Args:
+        system: one that is linear, of any residual that numpy can run on complex numbers.
+        p: the parameters, in SI units.
+        start: the state at time 0.
+        times: where the displacement is wanted, shape (n_times,).
+        forces: the known forces; each is zero after its last sample.
+
+    Returns:
+        The displacement (m), shape (n_dof, n_times), and its derivatives, shape (n_dof, n_times, n_parameters +
+        2 n_dof): by the log-parameters, then by the initial displacement and velocity of each DOF.
+    """
+    n, parameters = system.n_dof, {name: np.array([p[name]]) for name in system.names}
+    state = np.concatenate([start.displacement, start.velocity])[None]
+    path, slopes = linear_motion(system, parameters, state, times, forces)
+    return path[0, :, :n].T, np.moveaxis(slopes[0, :, :n], 1, 0)
+
+
 def stepped_sensitivities(
     system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force] = ()
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement of a system and its derivatives, at increasing times >= 0 (s).
+    """Compute the displacement of any system and its derivatives, as :func:`linear_sensitivities`.
 
-    Arguments and results are those of :func:`bench.information.linear_sensitivities.linear_sensitivities`; hidden
-    states start at 0.
+    Hidden states start at 0.
     """
     import jax
     import jax.numpy as jnp
@@ -44,11 +67,15 @@ def stepped_sensitivities(
         path = rk4_scan(system, values, first, lengths, pushes)[reached, :n].T
         return path, path
 
+    grid = merged_grid(times, forces)
+    longest = longest_step(system, p, [*start.displacement, *start.velocity]) / REFINE
+    steps = Steps.over(grid, step_counts(grid, longest), forces, n)
     theta = np.concatenate([np.log([p[name] for name in names]), start.displacement, start.velocity])
     with warnings.catch_warnings():  # what cannot be kept, or read again, is compiled
         warnings.filterwarnings("ignore", message=".*persistent compilation cache")
         differentiated = jax.jit(jax.jacfwd(response, has_aux=True))
-        slopes, path = differentiated(theta, *_steps(system, p, start, times, forces))
+        reached = steps.reached[np.searchsorted(grid, times)]
+        slopes, path = differentiated(theta, steps.lengths, steps.forces, reached)
     return np.asarray(path), np.asarray(slopes)
 
 
@@ -64,13 +91,3 @@ def _keep_compilations() -> None:
         return
     jax.config.update("jax_compilation_cache_dir", str(cache / "vibration-bench" / "jax"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-
-
-def _steps(
-    system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Step lengths (n,), forces at start, middle and end of each step (n, 3, n_dof), and where each time is reached."""
-    grid = merged_grid(times, forces)
-    state = [np.array(part[i]) for part in (start.displacement, start.velocity) for i in range(system.n_dof)]
-    steps = Steps.over(grid, step_counts(grid, longest_step(system, p, state) / REFINE), forces, system.n_dof)
-    return steps.lengths, steps.forces, steps.reached[np.searchsorted(grid, times)]
