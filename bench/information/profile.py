@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from bench.contract.problem import Problem, Record
 from bench.information.fisher import Information
 from bench.information.structural import Structure
+from bench.likelihood.least_squares import Linearisation, minimise, polish
 from bench.likelihood.output_error import OutputError
 from bench.scenario.scenario import Scenario
 from bench.systems import Quantity, System
@@ -30,8 +30,7 @@ POINTS = 8
 REACH, FARTHEST = 3.2, math.log(4.0)
 """How far from the estimate: bounds on the standard deviation, but no farther than this in the logarithm."""
 TOO_FAR = FARTHEST + 2.5
-ROUNDS, HALVINGS = 8, 6
-STEP = 1e-5
+ROUNDS, HALVINGS, ITERATIONS = 8, 6, 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +65,7 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class _EveryParameter(OutputError):
-    """The model with every parameter free, also where nothing tells the scale."""
+    """The model with every parameter free, also where the scale is not determined."""
 
     @property
     def free(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -74,7 +73,7 @@ class _EveryParameter(OutputError):
 
 
 class _Likelihood:
-    """The log-likelihood over ``phi``: log-parameters, then the start over its scale where it is not told.
+    """The log-likelihood over ``phi``: log-parameters, then the initial state over its scale where it is unknown.
 
     Log-parameters stay within TOO_FAR of ``centre``.
     """
@@ -88,47 +87,47 @@ class _Likelihood:
         self.units[len(system.names) :] = self.scale[: self.model.size - len(system.names)]
 
     def residuals(self, phi: np.ndarray) -> np.ndarray:
-        """Shape (*sets, n_samples) for ``phi`` of shape (n_phi, *sets)."""
-        return self.model.predict(np.moveaxis(phi, 0, -1) * self.units) - self.model.data
-
-    def _trial(self, phi: np.ndarray) -> np.ndarray:
-        """The residuals of one ``phi``, infinite where it is too far: a step that the solver takes back."""
-        far = np.abs(phi[: len(self.centre)] - self.centre) > TOO_FAR
-        return np.full(self.model.data.size, np.inf) if np.any(far) else self.residuals(phi)
+        """Compute residuals (n_samples,) at ``phi`` (n_phi,)."""
+        return self.model.predict(phi * self.units) - self.model.data
 
     def _levels(self, residuals: np.ndarray) -> np.ndarray:
-        """The noise level of each channel by its residuals, never quite zero."""
+        """Return the noise level of each channel by its residuals, never quite zero."""
         return self.model.noise(residuals, 0.0, floor=1e-14)
 
     def maximise(self, base: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, float]:
-        """The best point of ``base + directions @ u`` from u = 0, directions (n_phi, n_free), and its log-likelihood.
+        """Return the best point of ``base + directions @ u`` near u = 0, directions (n_phi, n_free), and its height.
 
         Least squares with the channels weighted by their own residuals, until the weights stay: where they do, the
-        gradient is that of the likelihood with the noise levels profiled out. Where ``base`` is too far or its response
-        diverges the log-likelihood is -inf.
+        gradient is that of the likelihood with the noise levels profiled out. The height is the log-likelihood, -inf
+        where ``base`` is too far or its response diverges.
         """
-        if not np.all(np.isfinite(self._trial(base))):
+        residuals = self.residuals(base)
+        if self._too_far(base) or not np.all(np.isfinite(residuals)):
             return base, -math.inf
-        levels = self._levels(self.residuals(base))
-        for _ in range(ROUNDS if len(self.model.counts) > 1 else 1):
-            weights = 1.0 / levels[self.model.channel_of]
-
-            def misfit(u: np.ndarray, base: np.ndarray = base, weights: np.ndarray = weights) -> np.ndarray:
-                return np.asarray(weights * self._trial(base + directions @ u))
-
-            def slopes(u: np.ndarray, base: np.ndarray = base, weights: np.ndarray = weights) -> np.ndarray:
-                both = np.concatenate([STEP * directions, -STEP * directions], axis=1)
-                plus, minus = np.split(self.residuals((base + directions @ u)[:, None] + both), 2)
-                return np.asarray((weights * (plus - minus) / (2 * STEP)).T)
-
-            if directions.shape[1]:
-                zero = np.zeros(directions.shape[1])
-                fit = least_squares(misfit, zero, jac=slopes, xtol=1e-8, ftol=1e-10, gtol=1e-10, max_nfev=60)
-                base = base + directions @ fit.x
+        levels = self._levels(residuals)
+        for _ in range(ROUNDS if directions.size else 0):
+            base = self._fitted(base, directions, levels)
             before, levels = levels, self._levels(self.residuals(base))
-            if np.allclose(levels, before, rtol=1e-5, atol=0):
+            if len(levels) == 1 or np.allclose(levels, before, rtol=1e-5, atol=0):
                 break
         return base, -float(np.dot(self.model.counts, np.log(levels)))
+
+    def _fitted(self, base: np.ndarray, directions: np.ndarray, levels: np.ndarray) -> np.ndarray:
+        """Return the point of least squares at given noise levels."""
+
+        def evaluate(_: np.ndarray, u: np.ndarray) -> Linearisation:
+            phi = base + directions @ u[0]
+            point = self.model.point(phi[None] * self.units)
+            found = self.model.standardised(point, levels[None])
+            cost = np.where(self._too_far(phi), np.inf, found.cost)
+            return Linearisation(u, found.residuals, found.slopes @ (self.units[:, None] * directions), cost)
+
+        start = evaluate(np.zeros(1, int), np.zeros((1, directions.shape[1])))
+        end = minimise(evaluate, start, ITERATIONS)
+        return base + directions @ polish(evaluate, end.at).unknowns[0]
+
+    def _too_far(self, phi: np.ndarray) -> bool:
+        return bool(np.any(np.abs(phi[: len(self.centre)] - self.centre) > TOO_FAR))
 
 
 def profiles(

@@ -1,4 +1,4 @@
-"""Truncated Taylor series in time with exact rational coefficients and their gradients: what structure is read from.
+"""Truncated Taylor series in time with exact rational coefficients and their gradients.
 
 A residual written in plain operators runs on :class:`Series` as it runs on arrays. Each coefficient carries its exact
 derivatives by the unknowns (forward mode; Griewank and Walther, Evaluating Derivatives, SIAM 2008, chapters 3 and 13),
@@ -21,7 +21,7 @@ LARGEST = 40
 
 
 def rational(value: Any) -> Any:
-    """An exact rational number (sympy's QQ) from an int, a float (its exact binary value) or a rational."""
+    """Return an exact rational number (sympy's QQ) from an int, a float (its exact binary value) or a rational."""
     from sympy import QQ
 
     if isinstance(value, float | np.floating):
@@ -44,7 +44,7 @@ class Series:
 
     @classmethod
     def constant(cls, value: Any, n: int, unknown: int | None = None, slope: Any = 1) -> Series:
-        """A constant among ``n`` unknowns; with ``unknown`` given it has the derivative ``slope`` by that one."""
+        """Make a constant among ``n`` unknowns; with ``unknown`` given it has the derivative ``slope`` by that one."""
         c = np.full((1, 1 + n), rational(0), dtype=object)
         c[0, 0] = rational(value)
         if unknown is not None:
@@ -113,15 +113,11 @@ class Series:
     def __lt__(self, other: Any) -> bool:
         return _sign((self - other).c[0, 0]) < 0
 
-    def __ge__(self, other: Any) -> bool:
-        return self > other
-
-    def __le__(self, other: Any) -> bool:
-        return self < other
+    __ge__, __le__ = __gt__, __lt__
 
 
 def _times(row: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """One coefficient times others, by the product rule: (1 + n,) times (..., 1 + n)."""
+    """Multiply one coefficient by others, by the product rule: (1 + n,) times (..., 1 + n)."""
     product = np.asarray(row[0] * rows)
     product[..., 1:] += rows[..., :1] * row[1:]
     return product
@@ -135,32 +131,35 @@ def _inverse(row: np.ndarray) -> np.ndarray:
 
 
 def _sign(value: Any) -> int:
-    """The side of a switch; at the switch itself there is no Taylor series, which is said by ZeroDivisionError."""
+    """Return the side of a switch; raises ZeroDivisionError at the switch itself, where there is no Taylor series."""
     if value == 0:
         raise ZeroDivisionError("a function that switches has no Taylor series at the switch")
     return 1 if value > 0 else -1
 
 
 def _absolute(u: Series) -> Series:
-    """``|u|`` just after time 0: by the sign of the first coefficient that is not zero, whatever the parameters are."""
+    """Return ``|u|`` just after time 0, by the sign of the first coefficient that is not zero for all parameters."""
     for row in u.c:
         if np.any(row != 0):
             return u * _sign(row[0])
     return u
 
 
-def _grown(u: Series, first: np.ndarray, rate: Callable[[np.ndarray], np.ndarray]) -> Series:
-    """The series h with ``h' = g u'`` and first coefficient ``first``; ``rate`` gives g's coefficients from h's."""
-    h = first[None]
+def _solution(
+    u: Series, first: Sequence[np.ndarray], rates: Callable[[Sequence[Series]], Sequence[Any]]
+) -> list[Series]:
+    """Return the functions h of u with ``dh/du = rates(h)`` and first coefficients ``first``, term by term."""
+    h = [row[None] for row in first]
     for k in range(1, len(u.c)):
-        g = rate(h)
-        terms = [_times(u.c[i] * rational(i), g[k - i]) for i in range(1, k + 1)]
-        h = np.concatenate([h, (sum(terms[1:], terms[0]) / rational(k))[None]])
-    return Series(h)
+        inner = [u.c[i] * rational(i) for i in range(1, k + 1)]
+        outer = [rate.c for rate in rates([Series(part) for part in h])]
+        rows = [sum(_times(slope, c[k - i]) for i, slope in enumerate(inner, 1)) / rational(k) for c in outer]
+        h = [np.concatenate([part, row[None]]) for part, row in zip(h, rows, strict=True)]
+    return [Series(part) for part in h]
 
 
 def series_ops(rng: random.Random) -> Ops:
-    """The functions of a residual on series.
+    """Make the table of the functions of a residual on series.
 
     A transcendental function of a rational number is not rational. But generically it is algebraically independent of
     its argument (Ax, Annals of Mathematics 93:252, 1971), so a random rational value, the same for the same argument,
@@ -173,33 +172,26 @@ def series_ops(rng: random.Random) -> Ops:
         return drawn.setdefault((kind, u.c[0, 0]), rational(0) if u.c[0, 0] == 0 else fraction)
 
     def first(u: Series, value: Any, slope: Any) -> np.ndarray:
-        row = u.c[0] * slope
+        row = np.asarray(u.c[0] * slope)
         row[0] = value
-        return np.asarray(row)
+        return row
 
     def exp(u: Series) -> Series:
         value = 1 + generic("exp", u)
-        return _grown(u, first(u, value, value), lambda h: h)
+        return _solution(u, [first(u, value, value)], lambda h: h)[0]
 
     def tanh(u: Series) -> Series:
         value = generic("tanh", u)
-        return _grown(u, first(u, value, 1 - value * value), lambda h: (1 - Series(h) * Series(h)).c)
+        return _solution(u, [first(u, value, 1 - value * value)], lambda h: [1 - h[0] * h[0]])[0]
 
-    def circle(u: Series) -> tuple[Series, Series]:
+    def sine_and_cosine(u: Series) -> list[Series]:
         half = generic("half angle", u)
         s, c = 2 * half / (1 + half * half), (1 - half * half) / (1 + half * half)
-        sine, cosine = first(u, s, c)[None], first(u, c, -s)[None]
-        for k in range(1, len(u.c)):
-            slopes = [u.c[i] * rational(i) / rational(k) for i in range(1, k + 1)]
-            up = [_times(slope, cosine[k - i]) for i, slope in enumerate(slopes, 1)]
-            down = [_times(-slope, sine[k - i]) for i, slope in enumerate(slopes, 1)]
-            sine = np.concatenate([sine, sum(up[1:], up[0])[None]])
-            cosine = np.concatenate([cosine, sum(down[1:], down[0])[None]])
-        return Series(sine), Series(cosine)
+        return _solution(u, [first(u, s, c), first(u, c, -s)], lambda h: [h[1], -h[0]])
 
     return Ops(
-        sin=lambda u: circle(u)[0],
-        cos=lambda u: circle(u)[1],
+        sin=lambda u: sine_and_cosine(u)[0],
+        cos=lambda u: sine_and_cosine(u)[1],
         tanh=tanh,
         exp=exp,
         abs=_absolute,
@@ -209,7 +201,7 @@ def series_ops(rng: random.Random) -> Ops:
 
 
 def _solve(matrix: Sequence[Sequence[Any]], rhs: Sequence[Any]) -> list[Any]:
-    """Gauss-Jordan elimination; the pivot is the first row whose leading entry is not zero at time 0."""
+    """Solve by Gauss-Jordan elimination; the pivot is the first row whose leading entry is not zero at time 0."""
     rows = [[*row, right] for row, right in zip(matrix, rhs, strict=True)]
     n = len(rows)
     for j in range(n):

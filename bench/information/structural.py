@@ -1,15 +1,16 @@
-"""What perfect data could tell: structural identifiability by an exact rank, before anything is fitted.
+"""Structural identifiability by an exact rank: what perfect data determine, before anything is fitted.
 
 The coefficients of the Taylor series of the measured displacements at time 0 are all that perfect data hold. Their
-Jacobian by the log-parameters (and by the initial state, where it is not told) is computed exactly at random rational
-points; its row space is what the data tell. It is the observability rank condition (Hermann and Krener, IEEE Trans.
-Automatic Control 22:728, 1977) with the parameters as constant states, evaluated at a point instead of symbolically, as
-in Sedoglavic, J. Symbolic Computation 33:735, 2002; as many derivatives as there are states and parameters suffice.
-Reviews: Villaverde, Complexity 2019, 8497093. Local: a finite number of solutions is not told from one.
+Jacobian by the log-parameters (and by the initial state, where it is unknown) is computed exactly at random rational
+points; its row space is what the data determine. It is the observability rank condition (Hermann and Krener, IEEE
+Trans. Automatic Control 22:728, 1977) with the parameters as constant states, evaluated at a point instead of
+symbolically, as in Sedoglavic, J. Symbolic Computation 33:735, 2002; as many derivatives as there are states and
+parameters suffice. The verdict is local: one of finitely many solutions counts as identified.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 from collections.abc import Sequence
@@ -25,18 +26,20 @@ from bench.scenario.scenario import Scenario
 from bench.systems import Quantity, System
 
 SETTLED = 2
-"""Random points are drawn until so many in a row add nothing to what is lost, and told, at any of them. A direction
-that is lost at all is a scaling; a product of powers is told if it is orthogonal to all that is lost at any."""
+"""Random points are drawn until so many in a row add nothing to what is lost, and determined, at any of them.
+
+A direction that is lost at all of them is a scaling; a product of powers is determined if it is orthogonal to all that
+is lost at any."""
 
 
 @dataclass(frozen=True)
 class Structure:
     """The structural verdict on the parameters ``names``.
 
-    ``rank``: how many independent functions of the parameters perfect data tell. ``scalings``: integer directions of
-    the log-parameters along which the response never changes. ``groups``: a basis of the products of powers that are
-    told, found from the rank. Where ``len(groups) < rank``, data also tell functions that are no products of powers.
-    ``at_start``: whether the verdict holds for the scenario's own start, as opposed to a generic one.
+    ``rank``: how many independent functions of the parameters perfect data determine. ``scalings``: integer directions
+    of the log-parameters along which the response never changes. ``groups``: a basis of the products of powers that are
+    determined; where ``len(groups) < rank``, so are functions that are no products of powers. ``at_start``: whether the
+    verdict holds for the scenario's own initial state, as opposed to a generic one.
     """
 
     names: tuple[str, ...]
@@ -46,13 +49,13 @@ class Structure:
     at_start: bool = False
 
     def identifiable(self, quantity: Quantity) -> bool:
-        """Whether perfect data tell a product of powers: its exponents are combinations of the groups' exponents."""
+        """Return whether a product of powers is determined: its exponents are combinations of those of the groups."""
         rows = np.array([group.vector(self.names) for group in self.groups]).reshape(-1, len(self.names))
         w = np.array(quantity.vector(self.names))
         return int(np.linalg.matrix_rank(np.vstack([rows, w]))) == len(self.groups)
 
     def sentences(self) -> list[str]:
-        """The verdict in plain words."""
+        """Put the verdict into plain words."""
         n, bent = len(self.names), len(self.names) - self.rank - len(self.scalings)
         if self.rank == n:
             return [f"all {n} parameters are identifiable: {', '.join(self.names)}"]
@@ -77,7 +80,7 @@ def _scaling_sentence(names: Sequence[str], direction: Sequence[int]) -> str:
 
 
 def readable(quantity: Quantity) -> str:
-    """A product of powers as it is written by hand, e.g. ``k1*k2/(m1*m2)``."""
+    """Write a product of powers as by hand, e.g. ``k1*k2/(m1*m2)``."""
 
     def factors(sign: int) -> list[str]:
         powers = [(name, sign * power) for name, power in quantity.exponents.items() if sign * power > 0]
@@ -89,9 +92,9 @@ def readable(quantity: Quantity) -> str:
 
 
 def structure_of(scenario: Scenario, measured: Sequence[int] | None = None) -> Structure:
-    """The verdict for a scenario: at its own start where that is told, else at generic ones.
+    """Reach the verdict for a scenario: at its own initial state where that is known, else at generic ones.
 
-    Raises InputError for a DOF it does not have.
+    Raises InputError for a DOF that it does not have.
     """
     if scenario.added_mass is not None:
         remedy = "the exact verdict is for one record; leave the added mass out"
@@ -109,40 +112,41 @@ def structure(
     forced: Sequence[int] = (),
     start: tuple[Sequence[float], Sequence[float]] | None = None,
 ) -> Structure:
-    """What perfect displacements of the ``measured`` DOFs (all by default) tell of the parameters.
+    """Find what perfect displacements of the ``measured`` DOFs (all by default) determine of the parameters.
 
     ``forced``: the DOFs on which a known force with generic derivatives acts. ``start``: displacement and velocity at
-    time 0 where they are told; generic values by default, and where the response has no Taylor series at ``start``.
+    time 0 where they are known; generic values by default, and where the response has no Taylor series at ``start``.
     Hidden states start from zero. Raises InputError for a DOF that the system does not have.
     """
     measured = range(system.n_dof) if measured is None else measured
     check_dofs(system, measured)
     n = len(system.names)
     lost: list[list[Any]] = []  # spans what is lost at any of the points
-    told_rows: list[list[Any]] = []  # spans what is told at any of them
-    rank, settled, seed = -1, 0, 0
-    while settled < SETTLED:
+    determined: list[list[Any]] = []  # spans what is determined at any of them
+    rank, settled = -1, 0
+    for seed in itertools.count():
         try:
             rows = _jacobian(system, measured, initial_state, forced, start, random.Random(seed))
         except ZeroDivisionError:
             if start is None:
                 raise
             return structure(system, measured, initial_state, forced, None)
-        seed += 1
-        here = [row[:n] for row in _null(rows, len(rows[0]))]
-        own = _null(here, n)
-        if len(own) > rank:  # what came before were special points
-            rank, settled, lost, told_rows = len(own), 0, [], []
-        if len(own) == rank:
-            dimensions = len(lost), len(told_rows)
-            lost, told_rows = _basis([*lost, *here], n), _basis([*told_rows, *own], n)
-            settled = settled + 1 if dimensions == (len(lost), len(told_rows)) else 0
-        if rank == n:
+        lost_here = [row[:n] for row in _null(rows, len(rows[0]))]
+        determined_here = _null(lost_here, n)
+        if len(determined_here) > rank:  # what came before were special points
+            rank, settled, lost, determined = len(determined_here), 0, [], []
+        if len(determined_here) == rank:
+            dimensions = len(lost), len(determined)
+            lost, determined = _basis([*lost, *lost_here], n), _basis([*determined, *determined_here], n)
+            settled = settled + 1 if dimensions == (len(lost), len(determined)) else 0
+        if rank == n or settled == SETTLED:
             break
-    groups = tuple(_quantity(system, row) for row in _null(lost, n))
-    scalings = tuple(_leading_positive(_integers(row)) for row in _null(told_rows, n))
-    at_start = start is not None
-    return Structure(system.names, rank, scalings, groups, at_start)
+    groups = tuple(_quantity(system, _integers(row)) for row in _null(lost, n))
+    scalings = []
+    for direction in map(_integers, _null(determined, n)):
+        sign = 1 if next(filter(None, direction)) > 0 else -1
+        scalings.append(tuple(sign * entry for entry in direction))
+    return Structure(system.names, rank, tuple(scalings), groups, start is not None)
 
 
 def check_dofs(system: System, measured: Sequence[int]) -> None:
@@ -160,7 +164,7 @@ def _jacobian(
     start: tuple[Sequence[float], Sequence[float]] | None,
     rng: random.Random,
 ) -> list[list[Any]]:
-    """Exact derivatives of the measured Taylor coefficients, by log-parameters and then by the unknown start."""
+    """Derive the measured Taylor coefficients exactly, by log-parameters and then by the unknown initial state."""
     n, names = system.n_dof, system.names
     free = len(names) + (2 * n if initial_state == "unknown" else 0)
     order = 2 * n + system.n_hidden + max(len(names), 2 * n + system.n_hidden)
@@ -168,10 +172,11 @@ def _jacobian(
     def draw() -> Any:
         return rational(rng.randint(1, LARGEST))
 
-    p = {}
-    for i, name in enumerate(names):
-        value = draw()
-        p[name] = Series.constant(value, free, i, value)  # d/d(log p) = p d/dp
+    values = [draw() for _ in names]
+    # d/d(log p) = p d/dp
+    p = {
+        name: Series.constant(value, free, i, value) for i, (name, value) in enumerate(zip(names, values, strict=True))
+    }
     given = [draw() for _ in range(2 * n)] if start is None else [rational(float(v)) for part in start for v in part]
     first = [*given, *[rational(0)] * system.n_hidden]
     unknown = [len(names) + i if initial_state == "unknown" and i < 2 * n else None for i in range(len(first))]
@@ -192,7 +197,7 @@ def _known(values: Sequence[Any], free: int) -> Series:
 
 
 def _extended(state: Series, rate: np.ndarray, k: int) -> Series:
-    """One more coefficient: ``s[k+1] = s'[k] / (k+1)``; a rate that is constant in time has none after the first."""
+    """Add one coefficient: ``s[k+1] = s'[k] / (k+1)``; a rate that is constant in time has none after the first."""
     new = rate[k] / rational(k + 1) if k < len(rate) else np.full(state.c.shape[1], rational(0), dtype=object)
     return Series(np.concatenate([state.c, new[None]]))
 
@@ -205,38 +210,31 @@ def _matrix(rows: list[list[Any]], n: int) -> Any:
 
 
 def _basis(rows: list[list[Any]], n: int) -> list[list[Any]]:
-    """The reduced row echelon form: an exact basis of what rows of length ``n`` span."""
+    """Return an exact basis of what rows of length ``n`` span: their reduced row echelon form."""
     reduced, pivots = _matrix(rows, n).rref()
-    return [list(row) for row in reduced.to_dense().to_list()[: len(pivots)]]
+    return reduced.to_dense().to_list()[: len(pivots)]
 
 
 def _null(rows: list[list[Any]], n: int) -> list[list[Any]]:
-    """An exact basis of the null space of rows of length ``n``; of no rows, everything."""
-    return [list(row) for row in _matrix(rows, n).nullspace().to_dense().to_list()]
+    """Return an exact basis of the null space of rows of length ``n``; without rows, everything."""
+    return _matrix(rows, n).nullspace().to_dense().to_list()
 
 
 def _integers(row: Sequence[Any]) -> tuple[int, ...]:
-    """The shortest integer vector along a rational one."""
+    """Return the shortest integer vector along a rational one."""
     common = math.lcm(*(int(entry.denominator) for entry in row))
     whole = [int(entry.numerator) * (common // int(entry.denominator)) for entry in row]
     return tuple(entry // (math.gcd(*whole) or 1) for entry in whole)
 
 
-def _leading_positive(row: tuple[int, ...]) -> tuple[int, ...]:
-    return row if next(entry for entry in row if entry) > 0 else tuple(-entry for entry in row)
-
-
-def _quantity(system: System, row: Sequence[Any]) -> Quantity:
-    """A found product of powers, by the system's own name for it where it has one."""
-    exponents = {name: float(power) for name, power in zip(system.names, _integers(row), strict=True) if power}
+def _quantity(system: System, powers: Sequence[int]) -> Quantity:
+    """Return a product of powers, by the system's own name for it where it has one."""
+    exponents = {name: float(power) for name, power in zip(system.names, powers, strict=True) if power}
     for known in system.quantities:
         if known.coefficient == 1.0 and dict(known.exponents) == exponents:
             return known
-    found = Quantity("", "", exponents)
-    d = system.dimension(found)
-    unit = "·".join(
-        base if power == 1 else f"{base}^{power:g}"
-        for base, power in (("kg", d.mass), ("m", d.length), ("s", d.time))
-        if power
-    )
-    return Quantity(readable(found), unit or "-", exponents)
+    product = Quantity("", "", exponents)
+    dimension = system.dimension(product)
+    bases = (("kg", dimension.mass), ("m", dimension.length), ("s", dimension.time))
+    unit = "·".join(base if power == 1 else f"{base}^{power:g}" for base, power in bases if power)
+    return Quantity(readable(product), unit or "-", exponents)
