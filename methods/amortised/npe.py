@@ -50,7 +50,7 @@ from methods.amortised.cache import Arrays, cache_folder, cached
 from methods.amortised.likelihood import log_likelihood
 from methods.amortised.mixture import Mixture
 from methods.amortised.simulations import DECIBELS, RATIOS, SampleLayout, shown
-from methods.starts.ambiguity import BandIdentifier
+from methods.starts.band import BandIdentifier
 
 if TYPE_CHECKING:
     from methods.amortised.density import Density

@@ -39,7 +39,7 @@ from bench import (
     regression_columns,
 )
 from methods.network.response import NetworkResponse
-from methods.starts.ambiguity import BandIdentifier
+from methods.starts.band import BandIdentifier
 from methods.starts.waves import scan
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench import Dimension, Estimate, InputError, NoEstimate, Normal, Problem, Status, layout
 from methods.regression.equation import Regression, layout_objection
-from methods.starts.ambiguity import BandIdentifier
+from methods.starts.band import BandIdentifier
 
 MOST_AT_ONCE = 500_000
 """Displacements that are held together, over all synthetic records of all problems."""

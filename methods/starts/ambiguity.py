@@ -1,20 +1,17 @@
-"""Answers that know when they are ambiguous: other frequencies that fit the samples as well, and the band of an answer.
+"""Answers that know when they are ambiguous: the other basins of the posterior that data and prior support.
 
-Even samples of a free vibration do not tell a frequency from its aliases, and few or uneven samples may leave several
-basins of the likelihood alike. A method that searches with a prior starts in the one that stands first: the most
+Even samples of a free vibration fit a frequency and its aliases alike, and few or uneven samples may leave several
+basins of the likelihood alike. A method that searches with a prior starts in the basin that stands first: the most
 probable that the sampling resolves, unless one beyond is twenty times as probable. The others are taken to their own
 maxima by the output-error likelihood, which gives all of them their probabilities (:mod:`methods.starts.evidence`). The
 method's own answer stands first, whatever its probability; others above :data:`LEAST_WEIGHT` are alternatives.
-
-Without a prior, or by its nature, a method answers for frequencies below half the sampling rate. Where its answer has
-few samples a cycle it says so, and names the next frequency that would give the same samples.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -26,22 +23,22 @@ from bench import (
     Normal,
     OutputError,
     Problem,
+    Quantity,
     Status,
     System,
     degrees_used,
     estimate_at,
 )
-from methods.starts.candidates import screening
+from methods.starts.band import are_even, natural_frequencies, values_of, with_band
+from methods.starts.candidates import MOST_DRAWN, screening
 from methods.starts.evidence import Basins, basins
-from methods.starts.reach import UP, expected_rate, first_stiffness, is_unresolved, resolved_cycles, unevenness
+from methods.starts.reach import UP, expected_rate, is_unresolved, resolved_cycles
 from methods.starts.scan import scan
 from methods.starts.separate import APART
-from methods.starts.time_scales import best_speeds, sped_up
+from methods.starts.unresolved import best_draws, best_speeds, sped_up
 
 LEAST_WEIGHT = 0.01
 """Probability above which another basin is an alternative."""
-FEW_SAMPLES = 4.0
-"""A cycle, below which an answer without a prior names its first alias."""
 MOST_BASINS = 16
 """Minima of the scan that are compared."""
 LEAST_LOG_ODDS = float(np.log(LEAST_WEIGHT)) - 5.0
@@ -62,13 +59,11 @@ class SearchingIdentifier(Identifier):
         """Add alternatives and name them, or the alias where there is no prior."""
         answers, ambiguous = list(estimates), list[int]()
         for i, (problem, estimate) in enumerate(zip(problems, estimates, strict=True)):
-            if not _is_one_oscillator(problem, estimate):
+            if estimate.status is not Status.OK or problem.system.n_hidden:
                 continue
-            if problem.prior is None:
+            if problem.prior is None or problem.system.n_dof > MOST_DRAWN:
                 answers[i] = with_band(problem, estimate)
-            elif is_unresolved(problem) and not (
-                _are_even(problem) and not _aliases(problem, _log_rate(estimate.system, _values(estimate)))
-            ):
+            elif _may_be_ambiguous(problem, estimate):
                 ambiguous.append(i)
         completed = with_alternatives([problems[i] for i in ambiguous], [answers[i] for i in ambiguous])
         for i, answer in zip(ambiguous, completed, strict=True):
@@ -76,39 +71,13 @@ class SearchingIdentifier(Identifier):
         return answers
 
 
-class BandIdentifier(Identifier):
-    """A method that sees one band of frequencies, up to half the sampling rate: it says so, and names the alias."""
-
-    def completed(self, problems: Sequence[Problem], estimates: Sequence[Estimate]) -> list[Estimate]:
-        """State the band where the answer has few samples a cycle."""
-        pairs = zip(problems, estimates, strict=True)
-        return [with_band(p, estimate) if _is_one_oscillator(p, estimate) else estimate for p, estimate in pairs]
-
-
-def _is_one_oscillator(problem: Problem, estimate: Estimate) -> bool:
-    """Decide whether an answer is of one degree of freedom without hidden states, which has one frequency."""
-    return estimate.status is Status.OK and problem.system.n_dof == 1 and not problem.system.n_hidden
-
-
 def _may_be_ambiguous(problem: Problem, estimate: Estimate) -> bool:
-    """Decide whether another basin is plausible: an alias of even samples, any of uneven ones in the prior's reach."""
-    if not is_unresolved(problem):
+    """Decide whether another basin is plausible: of even samples of one degree of freedom, only an alias is."""
+    if not _ratios(problem.system) or not is_unresolved(problem):
         return False
-    return not _are_even(problem) or bool(_aliases(problem, _log_rate(estimate.system, _values(estimate))))
-
-
-def with_band(problem: Problem, estimate: Estimate) -> Estimate:
-    """The estimate with a sentence on its band and its first alias, where it has few samples a cycle."""
-    frequency = _frequency(problem, _values(estimate))
-    rate = 2.0 * max(resolved_cycles(record) for record in problem.records)
-    if frequency is None or frequency == 0.0 or rate >= FEW_SAMPLES * frequency or estimate.belief is None:
-        return estimate
-    alias = rate - frequency if frequency < rate else rate * np.ceil(frequency / rate) - frequency
-    sentence = (
-        f"it answers for frequencies below {rate / 2:.3g} Hz, half the sampling rate: at {rate / frequency:.2g} "
-        f"samples a cycle {alias:.3g} Hz would give nearly the same samples as {frequency:.3g} Hz"
-    )
-    return replace(estimate, message="; ".join(filter(None, [estimate.message, sentence])))
+    if problem.system.n_dof > 1 or not are_even(problem):
+        return True
+    return bool(_aliases(problem, float(_place(estimate.system, values_of(estimate))[0])))
 
 
 def with_alternatives(problems: Sequence[Problem], estimates: Sequence[Estimate]) -> list[Estimate]:
@@ -117,7 +86,7 @@ def with_alternatives(problems: Sequence[Problem], estimates: Sequence[Estimate]
     for problem, estimate in zip(problems, estimates, strict=True):
         units = problem.natural_units()
         scales, model = units.scales(problem.system), OutputError(problem.expressed_in(units))
-        values.append({name: value / scales[name] for name, value in _values(estimate).items()})
+        values.append({name: value / scales[name] for name, value in values_of(estimate).items()})
         guesses = [p for p in _starts(model, values[-1]) if all(np.isfinite(v) and v > 0 for v in p.values())]
         models.append(model)
         starts.append(np.array([screening(model).vector(p) for p in guesses]).reshape(-1, model.size))
@@ -131,14 +100,11 @@ def _with_basins(
     """One of them, from its ``model`` in natural units, its ``values`` there and the basins that were found."""
     units = problem.natural_units()
     scales = units.scales(problem.system)
-    rates = np.array(
-        [_log_rate(model.system, {n: float(v) for n, v in model.parameters(t).items()}) for t in found.thetas]
-    )
-    answers, weights = [_answer(model, found, i) for i in range(rates.size)], found.weights
-    unit = np.log(scales[first_stiffness(problem.system)] / scales[problem.system.gauge])
-    own, answer = _basin_of(answers, rates, _log_rate(model.system, values)), estimate
+    places = np.array([_place(model.system, model.parameters(theta)) for theta in found.thetas])
+    answers, weights = [_answer(model, found, i) for i in range(len(places))], found.weights
+    own, answer = _basin_of(answers, places, _place(model.system, values)), estimate
     if isinstance(estimate.parameters, Draws):
-        own, answer = _largest_part(estimate, rates + unit)
+        own, answer = _largest_part(estimate, places + _place(problem.system, scales))
     others = [i for i in np.argsort(-weights) if i != own and weights[i] > LEAST_WEIGHT]
     if not others:
         return estimate
@@ -150,11 +116,12 @@ def _with_basins(
 
 
 def _starts(model: OutputError, values: Mapping[str, float]) -> list[dict[str, float]]:
-    """The answer, its aliases, and the minima of the scan."""
+    """The answer, its aliases, and the best of a scan or of draws from the prior."""
+    if model.system.n_dof > 1:
+        return [dict(values), *best_draws(screening(model))]
     scanned = scan(model.problem, MOST_BASINS) if model.system.linear else best_speeds(screening(model), MOST_BASINS)
-    aliases = [
-        sped_up(model.system, values, factor) for factor in _aliases(model.problem, _log_rate(model.system, values))
-    ]
+    log_rate = float(_place(model.system, values)[0])
+    aliases = [sped_up(model.system, values, factor) for factor in _aliases(model.problem, log_rate)]
     return [dict(values), *aliases, *scanned]
 
 
@@ -165,14 +132,17 @@ def _answer(model: OutputError, found: Basins, i: int) -> Estimate:
     return estimate_at(model, found.thetas[i], covariance, spent, Cost())
 
 
-def _basin_of(answers: Sequence[Estimate], rates: np.ndarray, rate: float) -> int | None:
-    """The basin in which an answer of this logarithm of stiffness over mass is; None where it is in none of them."""
-    nearest = int(np.argmin(np.abs(rates - rate)))
+def _basin_of(answers: Sequence[Estimate], places: np.ndarray, place: np.ndarray) -> int | None:
+    """The basin in which an answer at this place is; None where it is in none of them."""
+    nearest = int(np.argmin(np.max(np.abs(places - place), axis=1)))
     system, belief = answers[nearest].system, answers[nearest].parameters
     assert isinstance(belief, Normal)
-    direction = np.array([(name == first_stiffness(system)) - float(name == system.gauge) for name in belief.names])
-    sd = 0.0 if belief.covariance is None else np.sqrt(max(direction @ belief.covariance @ direction, 0.0))
-    return nearest if abs(rates[nearest] - rate) <= max(SAME_RATE, SAME_SDS * sd) else None
+    if belief.covariance is None:
+        sds = np.zeros(place.size)
+    else:
+        directions = np.array([ratio.vector(belief.names) for ratio in _ratios(system)])
+        sds = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", directions, belief.covariance, directions), 0.0))
+    return nearest if np.all(np.abs(places[nearest] - place) <= np.maximum(SAME_RATE, SAME_SDS * sds)) else None
 
 
 def _spent(model: OutputError, slopes: np.ndarray, sigma: np.ndarray) -> float:
@@ -202,52 +172,24 @@ def _aliases(problem: Problem, log_rate: float) -> list[float]:
     return list(factors[(np.abs(surprises) <= UP) & (odds > LEAST_LOG_ODDS)])
 
 
-def _are_even(problem: Problem) -> bool:
-    """Decide whether every channel is sampled at even steps."""
-    return all(unevenness(channel.times) is None for record in problem.records for channel in record.channels)
+def _ratios(system: System) -> list[Quantity]:
+    """Stiffnesses and further masses over the gauge mass, which decide natural frequencies; alone those tell basins."""
+    names = [p.name for p in system.parameters if p.kind in ("mass", "stiffness") and p.name != system.gauge]
+    return [Quantity(name, "", {name: 1.0, system.gauge: -1.0}) for name in names]
 
 
-def _log_rate(system: System, values: Mapping[str, float]) -> float:
-    """The logarithm of the first stiffness over the gauge mass."""
-    return float(np.log(values[first_stiffness(system)] / values[system.gauge]))
+def _place(system: System, values: Mapping[str, Any]) -> np.ndarray:
+    """Logarithms of those ratios, (..., n_ratios)."""
+    return np.stack([np.log(np.asarray(ratio.value(values))) for ratio in _ratios(system)], axis=-1)
 
 
-def _log_rates(system: System, draws: Draws) -> np.ndarray:
-    """The same of every draw, (n_draws,)."""
-    stiffness, mass = (draws.samples[:, draws.names.index(name)] for name in (first_stiffness(system), system.gauge))
-    return np.asarray(np.log(stiffness / mass))
-
-
-def _values(estimate: Estimate) -> dict[str, float]:
-    """Parameters of an answer; of groups, those with a gauge mass of 1. NaNs where it has none."""
-    if isinstance(estimate.parameters, Draws):  # medians of several basins may lie in none of them: a draw does not
-        draws = estimate.parameters.samples
-        middle = np.argsort(_log_rates(estimate.system, estimate.parameters), kind="stable")[len(draws) // 2]
-        return dict(zip(estimate.parameters.names, map(float, draws[middle]), strict=True))
-    if estimate.parameters is not None:
-        return {name: float(value) for name, value in estimate.parameters.values().items()}
-    values = dict.fromkeys(estimate.system.names, 1.0)
-    for name, value in (estimate.groups.values() if estimate.groups is not None else {}).items():
-        numerator = next(n for n, power in estimate.system.quantity(name).exponents.items() if power > 0)
-        values[numerator] = float(value)
-    return values
-
-
-def _frequency(problem: Problem, values: Mapping[str, float]) -> float | None:
-    """The natural frequency (Hz) at parameters; None where it is none."""
-    square = values[first_stiffness(problem.system)] / values[problem.system.gauge]
-    return float(np.sqrt(square) / (2 * np.pi)) if np.isfinite(square) and square > 0 else None
-
-
-def _largest_part(estimate: Estimate, rates: np.ndarray) -> tuple[int, Estimate]:
-    """The basin that holds most draws, and the estimate with these alone: the others are in the alternatives.
-
-    ``rates``: logarithms of stiffness over mass of the basins.
-    """
+def _largest_part(estimate: Estimate, places: np.ndarray) -> tuple[int, Estimate]:
+    """The basin that holds most draws, and the estimate with these alone: the others are in the alternatives."""
     draws = estimate.parameters
     assert isinstance(draws, Draws)
-    nearest = np.argmin(np.abs(_log_rates(estimate.system, draws)[:, None] - rates), axis=1)
-    own = int(np.argmax(np.bincount(nearest, minlength=rates.size)))
+    of_draws = _place(estimate.system, dict(zip(draws.names, draws.samples.T, strict=True)))
+    nearest = np.argmin(np.linalg.norm(of_draws[:, None] - places, axis=2), axis=1)
+    own = int(np.argmax(np.bincount(nearest, minlength=len(places))))
     return own, replace(estimate, parameters=replace(draws, samples=draws.samples[nearest == own]))
 
 
@@ -255,8 +197,8 @@ def _sentence(problem: Problem, answer: Estimate) -> str:
     """Name the frequencies that fit, with their probabilities."""
     shown = []
     for estimate in (answer, *answer.alternatives):
-        frequency = _frequency(problem, _values(estimate))
-        if frequency is not None:
+        frequencies = " and ".join(f"{frequency:.4g}" for frequency in natural_frequencies(problem, estimate))
+        if frequencies:
             share = f"{100 * estimate.weight:.0f} %" if estimate.weight >= LEAST_WEIGHT else "below 1 %"
-            shown.append(f"{frequency:.4g} Hz ({share})")
+            shown.append(f"{frequencies} Hz ({share})")
     return f"ambiguous: the samples and the prior fit {' or '.join(shown)}"

@@ -21,7 +21,7 @@ from methods.starts.reach import is_unresolved
 from methods.starts.rough import RADIANS_A_STEP, rough_readings
 from methods.starts.scan import loaded_scan, scan
 from methods.starts.separate import separate
-from methods.starts.time_scales import best_speeds
+from methods.starts.unresolved import best_draws, best_speeds
 
 NOISE_SHARE = 0.05
 """Error of the integration over the standard error that the data allow."""
@@ -31,6 +31,8 @@ STIFFER = (1.0, 0.6, 1.6)
 """Stiffnesses of the starts of a system with hidden states, over what is stated of it."""
 MOST_SCANNED = 2
 """Degrees of freedom up to which a scan is made beside a regression, which sees each stiffness by itself."""
+MOST_DRAWN = 3
+"""Degrees of freedom up to which modes that the sampling does not resolve are looked for in draws from the prior."""
 
 LONGEST = 300
 """Samples of each channel on which initial guesses of a nonlinear system are compared; a longer record is solved
@@ -106,8 +108,12 @@ def candidates(model: OutputError, n: int) -> list[dict[str, float]]:
         found = regression_starts(problem) if several else []
         if problem.system.linear and (problem.system.n_dof <= MOST_SCANNED or not found):
             found = found + _scanned(problem, n)
-        elif is_unresolved(problem) and problem.system.n_dof == 1 and not problem.system.n_hidden:
-            found = found + best_speeds(screening(model), n)
+        if several and is_unresolved(problem) and not problem.system.n_hidden:
+            quick = screening(model)
+            if problem.system.n_dof == 1:
+                found = found + best_speeds(quick, n)
+            elif problem.system.n_dof <= MOST_DRAWN:
+                found = found + best_draws(quick)
     if problem.prior is not None and (several or _loaded(problem)):
         found.append(dict(problem.prior.nominal))
     good = [p for p in found if all(np.isfinite(v) and v > 0 for v in p.values())]

@@ -7,9 +7,11 @@ aliases. One rule for all methods that scan.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from bench import LOG_LIMIT, Problem, Record, System
+from bench import LOG_LIMIT, Problem, Record, System, state_matrix
 
 UP = 3.0
 """Standard deviations of the prior up to which a motion is expected."""
@@ -70,13 +72,31 @@ def most_cycles(problem: Problem, limit: float = np.inf) -> float:
 
 
 def is_unresolved(problem: Problem) -> bool:
-    """Decide whether the prior expects motion beyond half the sampling rate; in any units."""
+    """Decide whether the prior expects motion, of any mode, beyond half the sampling rate; in any units."""
     expected = expected_rate(problem)
     if expected is None:
         return False
     time = max(record.duration for record in problem.records)
-    highest = _highest_cycles(expected[0] + float(np.log(time)), expected[1])
+    highest = _highest_cycles(_fastest_rate(problem, expected[0]) + float(np.log(time)), expected[1])
     return highest > time * max(resolved_cycles(record) for record in problem.records) * (1.0 + 1e-9)
+
+
+def _fastest_rate(problem: Problem, rate: float) -> float:
+    """Logarithm of the rate of the fastest mode at the prior's nominal values; ``rate`` where that is not linear."""
+    assert problem.prior is not None
+    if problem.system.n_dof == 1 or not problem.system.linear:
+        return rate
+    return float(np.log(max(oscillations(problem.system, problem.prior.nominal)[-1], np.exp(rate))))
+
+
+def oscillations(system: System, values: Mapping[str, float]) -> np.ndarray:
+    """Return the rates (n_dof,) of the modes of a linear system in rad per unit of time, lowest first.
+
+    A mode that does not oscillate has the rate 0.
+    """
+    matrix = state_matrix(system, {name: np.asarray(value) for name, value in values.items()})[0]
+    eigenvalues = np.linalg.eigvals(matrix)
+    return np.sort(np.where(eigenvalues.imag > 0, np.abs(eigenvalues), 0.0))[system.n_dof :]
 
 
 def _highest_cycles(centre: float, sd: float) -> float:

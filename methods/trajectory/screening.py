@@ -78,11 +78,17 @@ def screen(models: Sequence[OutputError], batch: OutputError, rules: Rules) -> G
     for number, model in enumerate(models):
         places = np.flatnonzero(cases == number)
         kept.append(list(places[separate(model, values[places], settled.theta[places])[: rules.starts]]))
-    # beyond half the sampling rate the best fit may be a narrow basin, and the most probable one another
-    ambiguous = [i for i, places in enumerate(kept) if len(places) > 1 and is_unresolved(models[i].problem)]
-    ends = basins([models[i] for i in ambiguous], [settled.theta[kept[i]] for i in ambiguous])
-    for i, end in zip(ambiguous, ends, strict=True):
-        if end.evidence.size and (place := end.first(models[i])):  # else the best fit stands first anyway
+    # beyond half the sampling rate the best fit may be a narrow basin, and the most probable one another; and a few
+    # steps do not yet order the basins of several degrees of freedom
+    compared = {
+        i: np.flatnonzero(cases == i) if model.system.n_dof > 1 else np.array(kept[i])
+        for i, model in enumerate(models)
+        if len(kept[i]) > 1 and is_unresolved(model.problem)
+    }
+    ends = basins([models[i] for i in compared], [settled.theta[places] for places in compared.values()])
+    for (i, considered), end in zip(compared.items(), ends, strict=True):
+        place = end.first(models[i]) if end.evidence.size else 0
+        if place or len(considered) > len(kept[i]):  # else the best fit stands first anyway
             kept[i] = kept[i][:1]
             settled.theta[kept[i][0]] = end.thetas[place]
     worth = [i for places in kept for i in places if values[i] <= values[places[0]] + rules.margin]

@@ -41,16 +41,18 @@ def drawn(seed: int, beyond: bool) -> Scenario:
     a_cycle = rng.uniform(0.6, 2.0) if beyond else np.exp(rng.uniform(np.log(2.5), np.log(25.0)))
     samples = max(LEAST_SAMPLES, round(a_cycle * rng.uniform(3.0, 15.0)))
     parameters = {"m": mass, "c": 2.0 * ratio * rate * mass, "k": mass * rate**2}
-    kind = "duffing" if rng.random() < 0.1 else "sdof"
+    kind = ("duffing", "chain", "sdof", "sdof", "sdof", "sdof")[rng.integers(6)]
     amplitude = np.exp(rng.uniform(np.log(0.001), np.log(1.0)))
     if kind == "duffing":
         parameters["k3"] = rng.uniform(0.1, 0.5) * parameters["k"] / amplitude**2
+    if kind == "chain":
+        parameters = two_masses(rng, parameters)
     uneven = (None, None, Irregular(size=0.5), Irregular(size=1.0))[rng.integers(4)]
-    phase = rng.uniform(0.0, 2.0 * np.pi)
+    phase = rng.uniform(0.0, 2.0 * np.pi, 2 if kind == "chain" else 1)
     return Scenario(
         kind,
         {name: float(f"{value:.5g}") for name, value in parameters.items()},
-        ((float(amplitude * np.cos(phase)),), (float(amplitude * rate * np.sin(phase)),)),
+        (tuple(map(float, amplitude * np.cos(phase))), tuple(map(float, amplitude * rate * np.sin(phase)))),
         snr_db=float(rng.uniform(5.0, 40.0)),
         duration=float((samples - 1) * 2.0 * np.pi / rate / a_cycle),
         samples=samples,
@@ -59,6 +61,11 @@ def drawn(seed: int, beyond: bool) -> Scenario:
         disturbance=uneven,
         label="drawn",
     )
+
+
+def two_masses(rng: np.random.Generator, each: dict[str, float]) -> dict[str, float]:
+    """Draw a chain of two masses, each part within a factor of 1.6 of the oscillator's."""
+    return {f"{name}{i}": value * np.exp(rng.uniform(-0.5, 0.5)) for name, value in each.items() for i in (1, 2)}
 
 
 @dataclass
@@ -156,10 +163,11 @@ def _page(tallies: dict[tuple[str, bool], Tally], seed: int, below: int, beyond:
 Regenerate: `python -m tests.studies.silent seed={seed} below={below} beyond={beyond}`.
 
 {below} scenarios below the Nyquist frequency (2.5 to 25 samples a cycle) and {beyond} beyond it (0.6 to 2), drawn at
-random: one mass, one in ten with a cubic spring; start known or not; even samples, or half or wholly irregular ones;
-5 to 40 dB; nominal prior. *Silently wrong*: an error beyond {BOUNDS:g} Cramér-Rao bounds where the true value is beyond
-{HALF_WIDTHS:g} half-widths of every stated interval, of k/m or c/m. *Coverage*: of the stated 95 % intervals, a union
-where the answer has several basins; *width*: of the union, over the true value.
+random: one mass, one in six with a cubic spring, and one in six two masses in a chain; initial state known or not; even
+samples, or half or wholly irregular ones; 5 to 40 dB; nominal prior. *Silently wrong*: an error beyond {BOUNDS:g}
+Cramér-Rao bounds where the true value is beyond {HALF_WIDTHS:g} half-widths of every stated interval, of k/m or c/m.
+*Coverage*: of the stated 95 % intervals, a union where the answer has several basins; *width*: of the union, over the
+true value.
 
 {markdown_table(rows, COLUMNS)}
 """

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from bench import Channel, Estimate, Identifier, InitialState, Prior, Problem, Record
 from bench.entrants.registry import make_method
 from bench.scenario.truth import closed_form
 from bench.scoring.combination import combine_with_prior
-from bench.systems import SDOF
+from bench.systems import SDOF, Chain
+from methods.starts.band import natural_frequencies
 
 RATE, DECAY, MASS = 2 * np.pi * 1.3, 0.08, 2.0
 """Damped rate (rad/s) and decay (1/s) of the motion that is sampled."""
@@ -119,3 +121,39 @@ def test_a_method_that_states_nothing_is_left_alone() -> None:
 
     estimate = answer("shooting", sampled(nominal_hz=1.2, step=0.1))
     assert Fixed().identify(sampled(nominal_hz=1.02), np.random.default_rng(0)).message == "none"
+
+
+def chain_sampled_rarely(seed: int) -> tuple[Problem, np.ndarray]:
+    """Two masses of 1.6 and 4.9 Hz at 0.98 samples a cycle of the slower one, and their natural frequencies (Hz).
+
+    The free motion is that of the matrix exponential.
+    """
+    mass, damping, stiffness = (
+        np.diag([3.7642, 3.6088]),
+        np.array([[3.755, -2.3437], [-2.3437, 2.3437]]),
+        np.array([[2365.88, -1476.7], [-1476.7, 1476.7]]),
+    )
+    inverse = np.linalg.inv(mass)
+    matrix = np.block([[np.zeros((2, 2)), np.eye(2)], [-inverse @ stiffness, -inverse @ damping]])
+    times, start = np.linspace(0.0, 11.967, 20), np.array([0.33674, -0.12103, 0.0, 0.0])
+    motion = np.array([expm(matrix * t) @ start for t in times])[:, :2]
+    motion += 0.03 * np.std(motion, axis=0) * np.random.default_rng(seed).standard_normal(motion.shape)
+    channels = tuple(Channel(times, motion[:, dof], dof=dof) for dof in (0, 1))
+    nominal = {"m1": 3.8, "m2": 3.6, "c1": 1.0, "c2": 2.0, "k1": 750.0, "k2": 1700.0}
+    log_sd = {name: {"m": 0.02, "c": 1.0, "k": 0.3}[name[0]] for name in nominal}
+    problem = Problem(
+        Chain(2),
+        (Record(channels, (), InitialState(start[:2], start[2:])),),
+        Prior(nominal, log_sd),
+    )
+    return problem, np.sqrt(np.sort(np.linalg.eigvals(inverse @ stiffness).real)) / (2 * np.pi)
+
+
+@pytest.mark.parametrize("method", ["shooting", "ekf"])
+def test_several_modes_beyond_the_band_are_found_or_the_answer_names_them(method: str) -> None:
+    """Of 4 repeats at 32 dB the frequencies of the answer or of an alternative are the true ones."""
+    for seed in range(4):
+        problem, true = chain_sampled_rarely(seed)
+        estimate = answer(method, problem)
+        parts = (estimate, *estimate.alternatives)
+        assert any(natural_frequencies(problem, part) == pytest.approx(true, rel=0.02) for part in parts), seed

@@ -1,0 +1,69 @@
+"""Starting points for motions that the sampling does not resolve, from the prior alone.
+
+No derivative can be taken of such samples, so no regression of the equation of motion gives a starting point. For one
+nonlinear degree of freedom the prior's nominal motion is run faster or slower, which passes through the same curve in
+another time. For several degrees of freedom, where each mode may be taken for an alias of its own, parameters are drawn
+from the prior. Those are kept at which the response fits best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from bench import OutputError, System
+from methods.starts.reach import UP, expected_rate
+
+MOST_SPEEDS = 120
+"""Speeds that are tried, at most."""
+START_STEPS = 5
+"""Gauss-Newton steps of the initial state that fits best at a speed."""
+RADIANS_APART = 1.5
+"""Phase at the end of the record by which two speeds differ: half of the half-cycle between two minima."""
+DRAWS = 128
+"""Points of a Halton sequence, mapped to the prior, at which a response of several degrees of freedom is compared."""
+BEST = 16
+"""Draws of those that are starting points."""
+
+
+def sped_up(system: System, p: Mapping[str, float], factor: float) -> dict[str, float]:
+    """Parameters of the same curve in another time; damping, which is known least, stays as it is."""
+    return {q.name: p[q.name] * (1.0 if q.kind == "damping" else factor**-q.dimension.time) for q in system.parameters}
+
+
+def best_speeds(model: OutputError, n: int) -> list[dict[str, float]]:
+    """The ``n`` best separate minima of the misfit over the speed of the nominal motion, in natural units."""
+    problem, expected = model.problem, expected_rate(model.problem)
+    assert problem.prior is not None
+    assert expected is not None
+    centre, sd = expected
+    phase = np.exp(centre + UP * sd) * max(record.duration for record in problem.records)
+    count = int(np.clip(2 * UP * sd * phase / RADIANS_APART, 8, MOST_SPEEDS))
+    factors = np.exp(np.linspace(-UP * sd, UP * sd, count))
+    starts = [sped_up(problem.system, problem.prior.nominal, factor) for factor in factors]
+    profiles = _profiles(model, np.log([[p[name] for name in model.free] for p in starts]))
+    padded = np.concatenate([[np.inf], profiles, [np.inf]])
+    minima = np.flatnonzero((padded[1:-1] <= padded[:-2]) & (padded[1:-1] < padded[2:]))
+    return [starts[i] for i in minima[np.argsort(padded[1:-1][minima])][:n]]
+
+
+def best_draws(model: OutputError) -> list[dict[str, float]]:
+    """Return the draws from the prior that fit best, in natural units; the same draws for the same prior."""
+    from scipy.stats import norm, qmc  # slow to import
+
+    prior = model.problem.prior
+    assert prior is not None
+    points = norm.ppf(qmc.Halton(len(model.free), scramble=False).random(DRAWS + 1)[1:])  # the first point is 0
+    logs = np.log([prior.nominal[name] for name in model.free]) + points * [prior.log_sd[name] for name in model.free]
+    best = np.argsort(_profiles(model, logs))[:BEST]
+    return [dict(prior.nominal) | dict(zip(model.free, map(float, np.exp(logs[i])), strict=True)) for i in best]
+
+
+def _profiles(model: OutputError, logs: np.ndarray) -> np.ndarray:
+    """Minus twice the log-posterior at log-parameters (n, k), each with the initial state that fits best."""
+    thetas = np.zeros((len(logs), model.size))
+    thetas[:, : len(model.free)] = logs
+    with np.errstate(all="ignore"):
+        profiles = model.profile(model.with_initial_states(thetas, START_STEPS))
+    return np.where(np.isfinite(profiles), profiles, np.inf)
