@@ -59,9 +59,11 @@ class SearchingIdentifier(Identifier):
         """Add alternatives and name them, or the alias where there is no prior."""
         answers, ambiguous = list(estimates), list[int]()
         for i, (problem, estimate) in enumerate(zip(problems, estimates, strict=True)):
-            if estimate.status is not Status.OK or problem.system.n_hidden:
+            if estimate.status is not Status.OK:
                 continue
-            if problem.prior is None or problem.system.n_dof > MOST_DRAWN:
+            if problem.system.n_hidden:
+                answers[i] = _with_warning(problem, estimate)
+            elif problem.prior is None or problem.system.n_dof > MOST_DRAWN:
                 answers[i] = with_band(problem, estimate)
             elif _may_be_ambiguous(problem, estimate):
                 ambiguous.append(i)
@@ -78,6 +80,14 @@ def _may_be_ambiguous(problem: Problem, estimate: Estimate) -> bool:
     if problem.system.n_dof > 1 or not are_even(problem):
         return True
     return bool(_aliases(problem, float(_place(estimate.system, values_of(estimate))[0])))
+
+
+def _with_warning(problem: Problem, estimate: Estimate) -> Estimate:
+    """The estimate of a system with hidden states, of which other basins are not searched, with a word on that."""
+    if not is_unresolved(problem):
+        return estimate
+    sentence = "the prior expects motion beyond half the sampling rate, and other frequencies were not searched for"
+    return replace(estimate, message="; ".join(filter(None, [estimate.message, sentence])))
 
 
 def with_alternatives(problems: Sequence[Problem], estimates: Sequence[Estimate]) -> list[Estimate]:

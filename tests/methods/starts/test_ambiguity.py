@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from bench import Channel, Estimate, Identifier, InitialState, Prior, Problem, Record
+from bench import Channel, Estimate, Identifier, InitialState, Normal, Prior, Problem, Record
 from bench.entrants.registry import make_method
 from bench.scenario.truth import closed_form
 from bench.scoring.combination import combine_with_prior
-from bench.systems import SDOF, Chain
+from bench.systems import SDOF, BoucWen, Chain
 from methods.starts.band import natural_frequencies
 
 RATE, DECAY, MASS = 2 * np.pi * 1.3, 0.08, 2.0
@@ -121,6 +121,17 @@ def test_a_method_that_states_nothing_is_left_alone() -> None:
 
     estimate = answer("shooting", sampled(nominal_hz=1.2, step=0.1))
     assert Fixed().identify(sampled(nominal_hz=1.02), np.random.default_rng(0)).message == "none"
+
+
+@pytest.mark.parametrize(("step", "warned"), [(0.5, True), (0.05, False)])
+def test_hidden_states_are_not_searched_and_the_answer_says_so(step: float, warned: bool) -> None:
+    """A stiffness of 40 on a mass of 1 is 1 Hz, known to a factor of 1.6 at one standard deviation."""
+    times, names = step * np.arange(9), BoucWen().names
+    prior = Prior(dict(zip(names, [1.0, 0.3, 40.0, 15.0, 2.0, 1.0], strict=True)), dict.fromkeys(names, 0.5))
+    problem = Problem(BoucWen(), (Record((Channel(times, np.cos(times)),)),), prior)
+    estimate = Estimate(problem.system, Normal(names, np.log(list(prior.nominal.values())), None, log=True))
+    (completed,) = make_method("shooting", {}).completed([problem], [estimate])
+    assert ("other frequencies were not searched for" in completed.message) is warned
 
 
 def chain_sampled_rarely(seed: int) -> tuple[Problem, np.ndarray]:
