@@ -37,6 +37,7 @@ from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurement
 from bench.dynamics.stepper import compiled_path, rk4_path, rk4_scan, rk4_step
 from bench.entry_points import entry_points_of, load_entry_point
 from bench.errors import InputError, check_name
+from bench.likelihood.autoregression import whitened
 from bench.likelihood.batching import batches, layout
 from bench.likelihood.least_squares import (
     FIRST_DAMPING,
@@ -48,7 +49,6 @@ from bench.likelihood.least_squares import (
     minimise,
 )
 from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, SimulatedData, Start, estimate_at
-from bench.likelihood.whitened import whitened
 from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
 
 if TYPE_CHECKING:

@@ -1,14 +1,19 @@
-"""Noise that hangs on what went before: an autoregression, fitted to residuals at even times.
+"""Coloured noise: an autoregression fitted to residuals at even times, and the likelihood that it whitens.
 
 G. E. P. Box, G. M. Jenkins, Time Series Analysis, 1970, section 6.3; order by the Bayesian information criterion, G.
-Schwarz, Ann. Stat. 6:461, 1978.
+Schwarz, Ann. Stat. 6:461, 1978. With noise of covariance ``S`` minus twice the log-likelihood is ``r' S⁻¹ r``
+(generalised least squares, A. C. Aitken, Proc. R. Soc. Edinburgh 55:42, 1936). For an autoregression ``S⁻¹ = W' W``
+with ``W`` its prediction errors, so it is the sum of squares of ``W y - W h``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
+
+from bench.likelihood.output_error import OutputError
 
 MOST_ORDER = 30
 SAMPLES_PER_ORDER = 10
@@ -46,13 +51,13 @@ class Autoregression:
         for lag, coefficient in enumerate(self.coefficients, 1):
             errors[..., lag:] -= coefficient * values[..., :-lag]
         errors /= np.sqrt(self.variance)
-        own, variance = self.coefficients, self.variance
+        coefficients, variance = self.coefficients, self.variance
         for order in range(self.order - 1, -1, -1):
-            reflection = own[-1]
+            reflection = coefficients[-1]
             variance /= 1.0 - reflection**2
-            own = (own[:-1] + reflection * own[-2::-1]) / (1.0 - reflection**2)
+            coefficients = (coefficients[:-1] + reflection * coefficients[-2::-1]) / (1.0 - reflection**2)
             if order < values.shape[-1]:
-                known = values[..., :order] @ own[::-1]
+                known = values[..., :order] @ coefficients[::-1]
                 errors[..., order] = (values[..., order] - known) / np.sqrt(variance)
         return errors
 
@@ -64,14 +69,14 @@ class Autoregression:
 
 
 def even_times(times: np.ndarray) -> bool:
-    """Whether the samples follow each other at one interval."""
+    """Decide whether the samples follow each other at one interval."""
     steps = np.diff(times)
     middle = float(np.median(steps)) if steps.size else 0.0
     return steps.size > 1 and bool(np.max(np.abs(steps - middle)) <= EVEN * middle)
 
 
 def autoregression(residuals: np.ndarray, used: float = 0.0) -> Autoregression:
-    """The autoregression of even residuals (n,) by Levinson and Durbin, of the order with the least BIC.
+    """Fit even residuals (n,) by Levinson and Durbin, with the order of the least BIC.
 
     ``used``: degrees of freedom that the fit has spent, by which the residuals are smaller than the noise.
     """
@@ -80,27 +85,70 @@ def autoregression(residuals: np.ndarray, used: float = 0.0) -> Autoregression:
     most = max(0, min(MOST_ORDER, n // SAMPLES_PER_ORDER))
     lagged = np.array([centred[k:] @ centred[: n - k] / n for k in range(most + 1)])
     share = max(1.0 - used / n, 1.0 / n)
-    variance, own = float(lagged[0]), np.zeros(0)
+    variance, coefficients = float(lagged[0]), np.zeros(0)
     if variance <= 0:
-        return Autoregression(own, np.finfo(float).tiny)
-    best, least = Autoregression(own, variance / share), n * np.log(variance)
+        return Autoregression(coefficients, np.finfo(float).tiny)
+    best, least = Autoregression(coefficients, variance / share), n * np.log(variance)
     for order in range(1, most + 1):
-        reflection = (lagged[order] - own @ lagged[order - 1 : 0 : -1]) / variance
-        own = np.append(own - reflection * own[::-1], reflection)
+        reflection = (lagged[order] - coefficients @ lagged[order - 1 : 0 : -1]) / variance
+        coefficients = np.append(coefficients - reflection * coefficients[::-1], reflection)
         variance *= 1.0 - reflection**2
         if variance <= 0:
             break
         criterion = n * np.log(variance) + order * np.log(n)
         if criterion < least:
-            best, least = Autoregression(own.copy(), variance / share), criterion
+            best, least = Autoregression(coefficients.copy(), variance / share), criterion
     return best
 
 
 def log_likelihoods(noise: Autoregression, residuals: np.ndarray) -> np.ndarray:
-    """Of each of the residuals (n,) but the first :data:`MOST_ORDER`, given those, at the best variance of the noise.
+    """Compute those of each of the residuals (n,) but the first, given these, at the best variance of the noise.
 
     The same samples count whatever the order is, so that orders can be compared.
     """
     errors = noise.whitened(residuals - np.mean(residuals))[min(MOST_ORDER, residuals.size // SAMPLES_PER_ORDER) :]
     scale = np.mean(errors**2)
     return np.asarray(-0.5 * (np.log(2 * np.pi * scale * noise.variance) + errors**2 / scale))
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened(OutputError):
+    """The output error of a ``model``, whitened by the noise of each channel; None: that channel stays as it is.
+
+    A channel keeps its scale: whitened noise has the standard deviation of the noise itself.
+    """
+
+    model: OutputError = field(kw_only=True)
+    noises: tuple[Autoregression | None, ...] = field(kw_only=True)
+
+    @cached_property
+    def data(self) -> np.ndarray:
+        return self._whitened(self.model.data)
+
+    def predict(self, theta: np.ndarray) -> np.ndarray:
+        """Whitened predictions, shape (..., N); not finite where the response diverges."""
+        return self._whitened(self.model.predict(theta))
+
+    def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Whitened predictions, shape (..., N), and their derivatives (..., N, size)."""
+        predicted, slopes = self.model.jacobian(theta)
+        return self._whitened(predicted), np.swapaxes(self._whitened(np.swapaxes(slopes, -1, -2)), -1, -2)
+
+    def _whitened(self, values: np.ndarray) -> np.ndarray:
+        values = values.copy()
+        for i, noise in enumerate(self.noises):
+            if noise is not None and noise.order:
+                channel = self.channel_of == i
+                values[..., channel] = noise.whitened(values[..., channel]) * np.sqrt(noise.autocovariance(1)[0])
+        return values
+
+
+def whitened(model: OutputError, theta: np.ndarray) -> Whitened:
+    """Whiten a model by what its residuals at ``theta`` show; channels at uneven times stay as they are."""
+    residuals, share = model.data - model.predict(theta), min(theta.size / model.data.size, 1.0)
+    noises = []
+    for i, (_, channel) in enumerate(model.channels):
+        left = residuals[model.channel_of == i]
+        known = even_times(channel.times) and bool(np.all(np.isfinite(left)))
+        noises.append(autoregression(left, share * left.size) if known else None)
+    return Whitened(model.problem, model.gauge, model=model, noises=tuple(noises))

@@ -13,11 +13,6 @@ from bench.dynamics.simulate import MAX_STEPS, SimulatedMotion
 from bench.dynamics.stepper import compiled_path
 from bench.likelihood.output_error import OutputError, Start
 
-START_STEPS = 5
-"""Of Gauss and Newton on the start and the offsets, as many as :func:`bench.fitted_start` takes."""
-PART = 1e-3
-"""A finite difference of a start over the size of the motion."""
-
 
 def compiled_output_error(problem: Problem, gauge: float = 1.0) -> OutputError:
     """The likelihood of a problem, by compiled steps where its system is not linear."""
@@ -51,26 +46,3 @@ class CompiledOutputError(OutputError):
                 motion = SimulatedMotion(own[:n], own[n : 2 * n], own[2 * n :])
                 parts.append(motion.measured(rig, p, channel, record))
         return np.concatenate(parts, axis=-1)
-
-    def vector(self, p: dict[str, float]) -> np.ndarray:
-        """``theta`` at parameters, with the initial states and offsets that fit the data best there."""
-        k, theta = len(self.free), np.zeros(self.size)
-        theta[:k] = np.log([p[name] for name in self.free])
-        scale = self._scales()
-        for _ in range(START_STEPS):
-            with np.errstate(all="ignore"):
-                predicted = self.predict(theta + np.concatenate([np.zeros((1, theta.size)), PART * np.diag(scale)[k:]]))
-            if not np.all(np.isfinite(predicted)):
-                break
-            slopes = (predicted[1:] - predicted[0]).T / PART
-            theta[k:] += scale[k:] * np.linalg.lstsq(slopes, self.data - predicted[0], rcond=1e-12)[0]
-        return theta
-
-    def _scales(self) -> np.ndarray:
-        """Sizes of the unknowns (size,): of a start the largest reading and that over the record's time."""
-        found, n = [np.ones(len(self.free))], self.system.n_dof
-        for i in self.unknown_starts:
-            record = self.problem.records[i]
-            size = max(float(np.max(np.abs(c.values), initial=0.0)) for c in record.channels) or 1.0
-            found += [np.full(n, size), np.full(n, size / (record.duration or 1.0))]
-        return np.concatenate([*found, [self.rms[i] for i in self.offset_channels]])

@@ -30,8 +30,8 @@ ROUNDING = 1e-9
 class Linearisation:
     """Unknowns (cases, size), residuals (cases, N) there and their derivatives (cases, N, size).
 
-    ``cost`` (cases,) is what a search lowers: the sum of squares, unless a likelihood has another one. It is infinite
-    where a number is not finite.
+    ``cost`` (cases,) is what a search lowers: the sum of squares, unless a likelihood has another one; infinite where a
+    number is not finite.
     """
 
     unknowns: np.ndarray
@@ -42,7 +42,11 @@ class Linearisation:
     @staticmethod
     def of(unknowns: np.ndarray, residuals: np.ndarray, slopes: np.ndarray) -> Linearisation:
         """Collect residuals and derivatives whose cost is the sum of squares."""
-        return Linearisation(unknowns, residuals, slopes, finite_or_infinite(np.sum(residuals**2, axis=1), slopes))
+        # a sum is finite where all of its terms are; where terms overflow, they are of no use either
+        with np.errstate(all="ignore"):
+            cost = np.sum(residuals**2, axis=1)
+            finite = np.isfinite(cost) & np.isfinite(np.sum(slopes, axis=(1, 2)))
+        return Linearisation(unknowns, residuals, slopes, np.where(finite, cost, np.inf))
 
     def __getitem__(self, cases: np.ndarray) -> Linearisation:
         return Linearisation(self.unknowns[cases], self.residuals[cases], self.slopes[cases], self.cost[cases])
@@ -51,14 +55,6 @@ class Linearisation:
         """Replace some cases."""
         self.unknowns[cases], self.residuals[cases] = new.unknowns, new.residuals
         self.slopes[cases], self.cost[cases] = new.slopes, new.cost
-
-
-def finite_or_infinite(cost: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Return costs (cases,), infinite where they or any of the derivatives (cases, N, size) are not finite."""
-    # a sum is finite where all of its terms are; where terms overflow, they are of no use either
-    with np.errstate(all="ignore"):
-        finite = np.isfinite(cost) & np.isfinite(np.sum(slopes, axis=(1, 2)))
-    return np.where(finite, cost, np.inf)
 
 
 Evaluate = Callable[[np.ndarray, np.ndarray], Linearisation]

@@ -1,9 +1,8 @@
 """The likelihood of output error: simulated minus measured, as a function of one vector of unknowns, and its maximum.
 
 With Gaussian noise minus twice the log-posterior is ``sum ((y - h) / sigma)² + sum ((log p - log nominal) / sd)²`` up
-to the noise level's own term (L. Ljung, System Identification, 2nd ed. 1999, chapters 7 and 10). It is for a problem in
-its natural units (:meth:`bench.Problem.natural_units`), or for a batch of problems of one layout
-(:mod:`bench.likelihood.batching`).
+to the noise level's own term (L. Ljung, System Identification, 2nd ed. 1999, chapters 7 and 10). A problem is in its
+natural units (:meth:`bench.Problem.natural_units`).
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from bench.contract.estimate import Cost, Estimate
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, InitialState, Problem, Record
 from bench.dynamics.linear_motion import linear_readings
-from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurements
+from bench.dynamics.simulate import SimulatedResponse, measurements
 from bench.likelihood.least_squares import (
     FIRST_DAMPING,
     Linearisation,
@@ -41,9 +40,11 @@ LOG_LIMIT = 40.0
 """Largest size of a log-parameter in a search."""
 LONGEST_STEP = 1.5
 """Largest change of a log-parameter in one iteration; larger steps leave the region where the linearisation holds."""
+START_STEPS = 5
+"""Gauss-Newton steps of the initial states and offsets that fit the data of a nonlinear system best."""
 
 Start = InitialState | tuple[np.ndarray, np.ndarray]
-"""A start as it is told, or displacement and velocity of shape (n_dof, ...) of many sets at once."""
+"""A known initial state, or displacement and velocity of shape (n_dof, ...) of many sets at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,11 +171,12 @@ class OutputError:
 
     def parameters(self, theta: np.ndarray) -> dict[str, np.ndarray]:
         """The parameters, each of the leading shape of ``theta``."""
-        values = dict(zip(self.free, np.moveaxis(np.exp(theta[..., : len(self.free)]), -1, 0), strict=True))
-        return {name: values.get(name, np.full(theta.shape[:-1], self.gauge)) for name in self.system.names}
+        values = np.exp(theta[..., : len(self.free)])
+        p = {name: values[..., i] for i, name in enumerate(self.free)}
+        return {name: p[name] if name in p else np.full(theta.shape[:-1], self.gauge) for name in self.system.names}
 
     def _parameters_of_batch(self, theta: np.ndarray) -> dict[str, np.ndarray]:
-        """The parameters in the unit of mass in which the forces of all cases are those of ``problem``."""
+        """Those in the unit of mass in which the forces of all cases are those of ``problem``."""
         p = self.parameters(theta)
         if not self.mass_unit.ndim:
             return p
@@ -192,11 +194,11 @@ class OutputError:
 
     def states(self, theta: np.ndarray) -> list[np.ndarray]:
         """Displacements and velocities at time 0 by record, known or of ``theta``, each of shape (..., 2 n_dof)."""
-        at, n2, states = len(self.free), 2 * self.system.n_dof, list[np.ndarray]()
+        place, n2, states = len(self.free), 2 * self.system.n_dof, list[np.ndarray]()
         for number, record in enumerate(self.problem.records):
             if record.initial_state is None:
-                states.append(theta[..., at : at + n2])
-                at += n2
+                states.append(theta[..., place : place + n2])
+                place += n2
             else:
                 states.append(np.broadcast_to(self.initial_states[..., number, :], (*theta.shape[:-1], n2)))
         return states
@@ -221,34 +223,35 @@ class OutputError:
         """What the sensors of a record would show, channel after channel, shape (..., n), without offsets."""
         return measurements(self.system, p, start, record)
 
-    def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """SimulatedData (..., N) and its derivatives (..., N, size) at ``theta`` (..., size).
+    @property
+    def exact_slopes(self) -> bool:
+        """Whether :meth:`readings_and_slopes` can be asked; derivatives are central differences otherwise."""
+        return self.system.linear
 
-        Exact for a linear system; otherwise by central differences.
-        """
-        if not self.system.linear:
+    def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Predictions (..., N) and their derivatives (..., N, size) at ``theta`` (..., size)."""
+        if not self.exact_slopes:
             return self._differences(theta)
-        if theta.ndim == 2:
-            return self._assembled(theta)
-        shape = (*theta.shape[:-1], self.channel_of.size)
         predicted, slopes = self._assembled(theta.reshape(-1, self.size))
+        shape = (*theta.shape[:-1], self.channel_of.size)
         return predicted.reshape(shape), slopes.reshape(*shape, self.size)
 
-    def _differences(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        d, k = theta.shape[-1], len(self.free)
+    def _differences(self, theta: np.ndarray, first: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """Predictions, and central differences by the unknowns from number ``first`` on."""
+        d, k = self.size - first, len(self.free)
         # one step for all log-parameters: raised together they change nothing where no force determines the scale, and
         # the errors of the differences, which cancel to the same degree then, would otherwise pass for information
-        step = 1e-5 * np.where(np.arange(d) < k, 1.0, np.maximum(1.0, np.abs(theta)))
-        moves = step[..., None] * np.eye(d)
+        step = 1e-5 * np.where(np.arange(self.size) < k, 1.0, np.maximum(1.0, np.abs(theta)))[..., first:]
+        moves = step[..., None] * np.eye(self.size)[first:]
         sets = np.concatenate([theta[..., None, :], theta[..., None, :] + moves, theta[..., None, :] - moves], axis=-2)
         cases = self if self.data.ndim == 1 else self[np.repeat(np.arange(len(theta)), 2 * d + 1)]
         with np.errstate(all="ignore"):
-            predicted = cases.predict(sets.reshape(-1, d)).reshape(*sets.shape[:-1], -1)
+            predicted = cases.predict(sets.reshape(-1, self.size)).reshape(*sets.shape[:-1], -1)
             slopes = (predicted[..., 1 : d + 1, :] - predicted[..., d + 1 :, :]) / (2 * step[..., None])
         return predicted[..., 0, :], np.swapaxes(slopes, -1, -2)
 
     def _assembled(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """SimulatedData and derivatives at ``theta`` (cases, size) from those of the sensors of each record."""
+        """Predictions and derivatives at ``theta`` (cases, size) from those of the sensors of each record."""
         n2, names, k = 2 * self.system.n_dof, self.system.names, len(self.free)
         logs = [names.index(name) for name in self.free]
         p = self._parameters_of_batch(theta)
@@ -271,22 +274,22 @@ class OutputError:
     def readings_and_slopes(
         self, number: int, p: dict[str, np.ndarray], state: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What the sensors of record ``number`` would show, and its derivatives, as :func:`linear_readings`.
+        """Predict what the sensors of a record show, with derivatives as those of :func:`linear_readings`.
 
         Derivatives by a known initial state need not be there.
         """
         return linear_readings(self.system, p, state, self.problem.records[number])
 
     def for_screening(self, cases: np.ndarray, theta: np.ndarray) -> Self:
-        """The same, as exact as comparing initial guesses ``theta`` (cases, size) needs; itself where it is exact."""
+        """Return the likelihood that is as exact as comparing guesses ``theta`` (cases, size) needs; maybe itself."""
         return self
 
     def refined(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> Self:
-        """The same, as exact as answers near ``theta`` must be at noise ``sigma`` (cases, channels); maybe itself."""
+        """Return the one that is as exact as answers near ``theta`` must be at noise ``sigma`` (cases, channels)."""
         return self
 
     def coarse(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-        """Whether an answer at ``theta`` would have to be more exact, shape (cases,)."""
+        """Decide which answers at ``theta`` would have to be more exact, shape (cases,)."""
         return np.zeros(cases.size, bool)
 
     def penalty(self, theta: np.ndarray) -> np.ndarray:
@@ -349,18 +352,16 @@ class OutputError:
         ``damping``: the first one. ``polished``: take one more step at the end. Returns the points reached, and how the
         searches ended.
         """
-        alone = self.data.ndim == 1
 
         def evaluate(cases: np.ndarray, theta: np.ndarray) -> Linearisation:
-            model = self if alone else self[cases]
+            model = self if self.data.ndim == 1 else self[cases]
             return model.standardised(model.point(theta), sigma[cases])
 
         size = np.where(np.arange(self.size) < len(self.free), LOG_LIMIT, np.inf)
-        step = np.where(np.isfinite(size), LONGEST_STEP, np.inf)
-        end = minimise(evaluate, self.standardised(start, sigma), iterations, StepLimits(step, size), damping)
+        limits = StepLimits(np.where(np.isfinite(size), LONGEST_STEP, np.inf), size)
+        end = minimise(evaluate, self.standardised(start, sigma), iterations, limits, damping)
         reached = polish(evaluate, end.at) if polished else end.at
-        scale = sigma[..., self.channel_of]
-        n = scale.shape[-1]
+        scale, n = sigma[..., self.channel_of], self.channel_of.size
         predicted = self.data + scale * reached.residuals[:, :n]
         return SimulatedData(reached.unknowns, predicted, scale[..., None] * reached.slopes[:, :n]), end
 
@@ -380,9 +381,8 @@ class OutputError:
         ``slopes`` (N, size) are the derivatives of the predictions, ``sigma`` the noise by channel; ``log_sd`` is the
         width of a prior on the log-parameters where the problem has none.
         """
-        k = len(self.free)
+        k, sigma = len(self.free), np.maximum(sigma, LEAST_NOISE * self.rms)
         precision = self.precision if self.prior is not None else np.full(k, 1.0 / (log_sd or np.inf))
-        sigma = np.maximum(sigma, LEAST_NOISE * self.rms)
         rows = [slopes / sigma[self.channel_of][:, None], precision[:, None] * np.eye(k, slopes.shape[1])]
         return covariances(np.concatenate(rows)[None])[0]
 
@@ -390,35 +390,25 @@ class OutputError:
         """The same of every case, at noise (cases, channels)."""
         return covariances(self.standardised(point, np.maximum(sigma, LEAST_NOISE * self.rms)).slopes)
 
-    def with_initial_states(self, theta: np.ndarray, steps: int = 1) -> np.ndarray:
+    def with_initial_states(self, theta: np.ndarray) -> np.ndarray:
         """Vectors (cases, size) with the initial states and offsets that fit the data best at their parameters.
 
         Gauss-Newton, whose first step is the solution for a linear system; a case that is not finite stays.
         """
         theta, k = theta.copy(), len(self.free)
-        for _ in range(steps if k < self.size else 0):
-            point = self.point(theta)
-            left, slopes = self.data - point.predicted, point.slopes[..., k:]
+        for _ in range((1 if self.system.linear else START_STEPS) * (k < self.size)):
+            with np.errstate(all="ignore"):
+                predicted, slopes = self.jacobian(theta) if self.exact_slopes else self._differences(theta, k)
+            left, slopes = self.data - predicted, slopes[..., k - self.size :]
             good = np.all(np.isfinite(left), axis=1) & np.all(np.isfinite(slopes), axis=(1, 2))
             theta[good, k:] += (np.linalg.pinv(slopes[good], rcond=1e-12) @ left[good, :, None])[..., 0]
         return theta
 
     def vector(self, p: dict[str, float]) -> np.ndarray:
         """``theta`` at parameters, with the initial states and offsets that fit the data best there."""
-        theta = np.zeros(self.size)
-        theta[: len(self.free)] = np.log([p[name] for name in self.free])
-        at = len(self.free)
-        for i in self.unknown_starts:
-            start = fitted_start(self.system, p, self.problem.records[i])
-            both = np.concatenate([start.displacement, start.velocity])
-            theta[at : at + both.size] = np.where(np.isfinite(both), both, 0.0)
-            at += both.size
-        if self.offset_channels:
-            with np.errstate(all="ignore"):
-                residuals = self.data - self.predict(theta)
-            means = [np.mean(residuals[self.channel_of == i]) for i in self.offset_channels]
-            theta[at:] = np.where(np.isfinite(means), means, 0.0)
-        return theta
+        theta = np.zeros((1, self.size))
+        theta[0, : len(self.free)] = np.log([p[name] for name in self.free])
+        return self.with_initial_states(theta)[0]
 
 
 def mass_scale(problem: Problem) -> float:
@@ -435,8 +425,7 @@ def estimate_at(
 
     ``covariance`` (size, size) is that of theta, Student's t with ``N - used`` degrees of freedom, or None.
     """
-    system, k = model.system, len(model.free)
-    dof = max(model.data.size - used, 1.0)
+    system, k, dof = model.system, len(model.free), max(model.data.size - used, 1.0)
     p = {name: float(value) for name, value in model.parameters(theta).items()}
     starts = tuple(s if isinstance(s, InitialState) else InitialState(s[0], s[1]) for s in model.starts(theta))
     spread = None if covariance is None else covariance[:k, :k]
@@ -447,17 +436,17 @@ def estimate_at(
         # the gauge is 1 here, so a group is exp(weights . logs): first order (delta method) for its covariance
         powers = np.array([group.vector(model.free) for group in system.groups])
         values = np.array([group.value(p) for group in system.groups])
-        if spread is not None:
-            spread = values[:, None] * (powers @ spread @ powers.T) * values
+        spread = None if spread is None else values[:, None] * (powers @ spread @ powers.T) * values
         groups = Normal(tuple(group.name for group in system.groups), values, spread, log=False, dof=dof)
+    responses = (
+        SimulatedResponse(record.rig(system), p, start, record.forces)
+        for start, record in zip(starts, model.problem.records, strict=True)
+    )
     return Estimate(
         system,
         parameters=parameters,
         groups=groups,
-        reconstructions=tuple(
-            SimulatedResponse(record.rig(system), p, start, record.forces)
-            for start, record in zip(starts, model.problem.records, strict=True)
-        ),
+        reconstructions=tuple(responses),
         initial_states=starts,
         offsets=tuple(map(float, model.offsets(theta))),
         message=message,

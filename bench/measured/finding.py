@@ -10,8 +10,8 @@ import numpy as np
 
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem, Units
+from bench.likelihood.autoregression import Whitened
 from bench.likelihood.output_error import OutputError
-from bench.likelihood.whitened import Whitened
 from bench.measured.fit import Outcome
 from bench.measured.grown import first_guess
 from bench.measured.intervals import StatedInterval, stated_intervals

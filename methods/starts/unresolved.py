@@ -17,8 +17,6 @@ from methods.starts.reach import UP, expected_rate
 
 MOST_SPEEDS = 120
 """Speeds that are tried, at most."""
-START_STEPS = 5
-"""Gauss-Newton steps of the initial state that fits best at a speed."""
 RADIANS_APART = 1.5
 """Phase at the end of the record by which two speeds differ: half of the half-cycle between two minima."""
 DRAWS = 128
@@ -65,5 +63,5 @@ def _profiles(model: OutputError, logs: np.ndarray) -> np.ndarray:
     thetas = np.zeros((len(logs), model.size))
     thetas[:, : len(model.free)] = logs
     with np.errstate(all="ignore"):
-        profiles = model.profile(model.with_initial_states(thetas, START_STEPS))
+        profiles = model.profile(model.with_initial_states(thetas))
     return np.where(np.isfinite(profiles), profiles, np.inf)

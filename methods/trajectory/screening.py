@@ -17,9 +17,6 @@ from methods.starts.evidence import basins
 from methods.starts.reach import is_unresolved
 from methods.starts.separate import separate
 
-NONLINEAR_STEPS = 5
-"""Gauss-Newton steps of the initial states and offsets that fit the data of a nonlinear system best."""
-
 
 @dataclass(frozen=True)
 class Rules:
@@ -65,7 +62,7 @@ def screen(models: Sequence[OutputError], batch: OutputError, rules: Rules) -> G
     thetas = np.zeros((cases.size, batch.size))
     thetas[:, : len(batch.free)] = np.log([[p[name] for name in batch.free] for guesses in sets for p in guesses])
     batch = batch.for_screening(cases, thetas)
-    thetas = batch[cases].with_initial_states(thetas, 1 if batch.system.linear else NONLINEAR_STEPS)
+    thetas = batch[cases].with_initial_states(thetas)
     first = thetas[np.searchsorted(cases, np.arange(len(sets)))]
     point = batch[cases].point(thetas)
     finite = np.flatnonzero(np.all(np.isfinite(point.predicted), axis=1))

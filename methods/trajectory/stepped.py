@@ -76,9 +76,10 @@ class SteppedOutputError(OutputError):
         grid, record = self.cuts[number].grid, self.problem.records[number]
         return Steps.over(grid, np.full(grid.size - 1, count), record.forces, self.system.n_dof)
 
-    def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Predictions (cases, N) and the derivatives (cases, N, size) of the steps, at ``theta`` (cases, size)."""
-        return self._assembled(theta)
+    @property
+    def exact_slopes(self) -> bool:
+        """Those of the steps are exact."""
+        return True
 
     def readings_and_slopes(
         self, number: int, p: dict[str, np.ndarray], state: np.ndarray
