@@ -152,7 +152,7 @@ def _free_oscillator(
     np.multiply(down, s, out=by_component[1])
     by_component[0] += c * x0
     by_component[1] += c * v0
-    path = np.moveaxis(by_component, 0, -1)
+    path = by_component.transpose(1, 2, 0)
     if not slopes:
         return path, np.empty((*path.shape, 0))
     u = d * times**2

@@ -89,9 +89,11 @@ def _unit_residuals(system: System, p: Mapping[str, Any]) -> np.ndarray:
     units = np.eye(4 * n)
     x, v, a, f = (list(units[i * n : (i + 1) * n]) for i in range(4))
     columns = {name: np.asarray(value)[..., None] for name, value in p.items()}
-    rows = system.residual(columns, x, v, a, f, [], _analytic_ops)
-    shape = np.broadcast_shapes(*map(np.shape, columns.values()), (4 * n,))
-    return np.stack([np.broadcast_to(row, shape) for row in rows], axis=-2)
+    sets = np.broadcast_shapes(*map(np.shape, columns.values()))[:-1]
+    residuals = np.empty((*sets, n, 4 * n), complex if any(map(np.iscomplexobj, columns.values())) else float)
+    for i, row in enumerate(system.residual(columns, x, v, a, f, [], _analytic_ops)):
+        residuals[..., i, :] = row
+    return residuals
 
 
 def linear_matrices(system: System, p: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

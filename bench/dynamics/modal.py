@@ -35,46 +35,35 @@ class Modes:
 
 
 def modes(system: System, parameters: Mapping[str, Any]) -> Modes:
-    """The modes of a linear system; masses, dampers and springs may all be over one mass. NaNs if it is not finite.
+    """Compute the modes of a linear system; masses, dampers and springs may all be over one mass.
 
-    Raises ValueError where the system is not linear.
+    NaNs where they are not finite. Raises ValueError where the system is not linear.
     """
     found = modes_of_all(system, {name: np.array([float(value)]) for name, value in parameters.items()})
     return Modes(found.frequencies[0], found.damping_ratios[0], found.shapes[0])
 
 
 def modes_of_all(system: System, parameters: Mapping[str, np.ndarray]) -> Modes:
-    """The same for parameters of shape (count,), with a leading axis of that length."""
-    n, count = system.n_dof, len(next(iter(parameters.values())))
-    with np.errstate(all="ignore"):  # of a fit that ran away
-        try:
-            matrices, _ = state_matrix(system, parameters)
-            rates, vectors = np.linalg.eig(matrices)
-        except np.linalg.LinAlgError:  # said of all where it is so of one
-            if count == 1:
-                return Modes(np.full((1, n), np.nan), np.full((1, n), np.nan), np.full((1, n, n), np.nan))
-            each = ({name: own[i : i + 1] for name, own in parameters.items()} for i in range(count))
-            parts = [vars(modes_of_all(system, one)) for one in each]
-            return Modes(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
-        return _paired(rates, vectors[:, :n])
+    """Compute the modes for parameters of shape (count,), with a leading axis of that length.
 
-
-def _paired(rates: np.ndarray, shapes: np.ndarray) -> Modes:
-    """Modes from the eigenvalues (count, 2 n) of state matrices and the displacements (count, n, 2 n) of eigenvectors.
-
-    One of each conjugate pair makes a mode, and two real ones that follow each other in size.
+    One of each conjugate pair makes a mode, and two real eigenvalues that follow each other in size.
     """
-    kinds = np.select([rates.imag > 0, rates.imag == 0], [0, 1], 2)
-    order = np.lexsort((np.abs(rates), kinds))
-    place, vibrating = np.arange(shapes.shape[1]), np.sum(kinds == 0, axis=1, keepdims=True)
-    first = np.where(place < vibrating, place, 2 * place - vibrating)
-    second = np.where(place < vibrating, first, first + 1)
-    slower, faster = (np.take_along_axis(order, own, axis=1) for own in (first, second))
-    one, other = (np.take_along_axis(rates, own, axis=1) for own in (slower, faster))
-    sizes, decays = np.sqrt(np.abs(one * other)), -(one + other).real / 2
-    order = np.argsort(sizes, axis=1)
-    sizes, decays, chosen = (np.take_along_axis(own, order, axis=1) for own in (sizes, decays, slower))
-    return Modes(sizes / (2 * np.pi), decays / sizes, np.take_along_axis(shapes, chosen[:, None], axis=2))
+    with np.errstate(all="ignore"):  # of an outlier fit
+        matrices, _ = state_matrix(system, parameters)
+        finite = np.all(np.isfinite(matrices), axis=(1, 2), keepdims=True)
+        rates, vectors = np.linalg.eig(np.where(finite, matrices, 0.0))
+        rates, shapes = np.where(finite[..., 0], rates, np.nan), np.where(finite, vectors[:, : system.n_dof], np.nan)
+        kinds = np.select([rates.imag > 0, rates.imag == 0], [0, 1], 2)
+        order = np.lexsort((np.abs(rates), kinds))
+        place, vibrating = np.arange(system.n_dof), np.sum(kinds == 0, axis=1, keepdims=True)
+        first = np.where(place < vibrating, place, 2 * place - vibrating)
+        second = np.where(place < vibrating, first, first + 1)
+        slower, faster = (np.take_along_axis(order, places, axis=1) for places in (first, second))
+        slow, fast = (np.take_along_axis(rates, places, axis=1) for places in (slower, faster))
+        sizes, decays = np.sqrt(np.abs(slow * fast)), -(slow + fast).real / 2
+        order = np.argsort(sizes, axis=1)
+        sizes, decays, chosen = (np.take_along_axis(values, order, axis=1) for values in (sizes, decays, slower))
+        return Modes(sizes / (2 * np.pi), decays / sizes, np.take_along_axis(shapes, chosen[:, None], axis=2))
 
 
 def mac(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -76,7 +76,7 @@ def simulate(
         if system.linear:
             flat = {name: value.ravel() for name, value in p.items()}
             motion, _ = linear_motion(system, flat, np.stack(state, -1).reshape(-1, len(state)), times, forces, False)
-            path = np.moveaxis(motion.reshape(*sets, *motion.shape[1:]), -1, 0)
+            path = motion.transpose(2, 0, 1).reshape(-1, *sets, times.size)
         else:
             state += [np.zeros(sets) for _ in range(system.n_hidden)]
             path = (_many if sets else _alone)(system, p, state, times, forces)
