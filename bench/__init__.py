@@ -34,7 +34,7 @@ from bench.dynamics.mechanics import acceleration, mass_matrix, regression_colum
 from bench.dynamics.ops import array_ops, nan_ops, numpy_ops, ops_from
 from bench.dynamics.rates import fastest_rates
 from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurements, simulate
-from bench.dynamics.stepper import compiled_path, rk4_path, rk4_scan, rk4_step
+from bench.dynamics.stepper import compiled_path, rk4, rk4_path, rk4_scan, rk4_step
 from bench.entry_points import entry_points_of, load_entry_point
 from bench.errors import InputError, check_name
 from bench.likelihood.autoregression import whitened
@@ -133,6 +133,7 @@ __all__ = [
     "ops_from",
     "regression_columns",
     "report_progress",
+    "rk4",
     "rk4_path",
     "rk4_scan",
     "rk4_step",

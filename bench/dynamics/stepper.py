@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -17,6 +17,25 @@ MOST_STATES = 10_000_000
 """Numbers in the states after all compiled steps, which are all kept; numpy keeps those that are wanted."""
 
 
+def rk4(
+    rate: Callable[[Components, Any], Components], state: Components, step: Array, inputs: tuple[Any, Any, Any]
+) -> list[Array]:
+    """Take one classical Runge-Kutta step of order four.
+
+    Args:
+        rate: (components of the state, input) -> their time derivatives; a component may be an array of any library.
+        state: the components at the start.
+        step: the length.
+        inputs: what ``rate`` is given at the start, middle and end of the step.
+    """
+    start, middle, end = inputs
+    k1 = rate(state, start)
+    k2 = rate([s + 0.5 * step * k for s, k in zip(state, k1, strict=True)], middle)
+    k3 = rate([s + 0.5 * step * k for s, k in zip(state, k2, strict=True)], middle)
+    k4 = rate([s + step * k for s, k in zip(state, k3, strict=True)], end)
+    return [s + step / 6.0 * (a + 2.0 * b + 2.0 * c + d) for s, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)]
+
+
 def rk4_step(
     system: System,
     p: Mapping[str, Array],
@@ -25,13 +44,8 @@ def rk4_step(
     forces: tuple[Components, Components, Components],
     ops: Ops,
 ) -> list[Array]:
-    """Take one classical Runge-Kutta step of order four; ``forces`` at its start, middle and end."""
-    start, middle, end = forces
-    k1 = state_rate(system, p, state, start, ops)
-    k2 = state_rate(system, p, [s + 0.5 * step * k for s, k in zip(state, k1, strict=True)], middle, ops)
-    k3 = state_rate(system, p, [s + 0.5 * step * k for s, k in zip(state, k2, strict=True)], middle, ops)
-    k4 = state_rate(system, p, [s + step * k for s, k in zip(state, k3, strict=True)], end, ops)
-    return [s + step / 6.0 * (a + 2.0 * b + 2.0 * c + d) for s, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)]
+    """Take one :func:`rk4` step of a system; ``forces`` at its start, middle and end."""
+    return rk4(lambda moved, force: state_rate(system, p, moved, force, ops), state, step, forces)
 
 
 def rk4_path(

@@ -33,7 +33,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from bench import Card, Dimension, Estimate, InputError, NoEstimate, Serves, Status
+from bench import Card, Dimension, Estimate, InputError, NoEstimate, Serves, Status, rk4
 from methods.regression.derivatives import Motion
 from methods.regression.equation import Regression, solve
 from methods.regression.hausman import doubts
@@ -242,9 +242,9 @@ class _Library:
         record, n = curves.data.records[number], self.n_dof
         rate = np.sqrt(np.mean(a**2) / np.mean(v**2))
 
-        def slope(state: np.ndarray, time: float) -> np.ndarray:
-            force = np.array(record.force(np.array(time), n)).reshape(n, 1, 1)
-            return np.concatenate([state[n:], np.einsum("szdk,ksz->dsz", models, self.terms(state, force))])
+        def slope(components: Sequence[np.ndarray], time: float) -> list[np.ndarray]:
+            (state,), force = components, np.array(record.force(np.array(time), n)).reshape(n, 1, 1)
+            return [np.concatenate([state[n:], np.einsum("szdk,ksz->dsz", models, self.terms(state, force))])]
 
         state = np.repeat(np.concatenate([x[..., :1], v[..., :1]]), models.shape[1], axis=2)
         path = [state[:n]]
@@ -253,11 +253,7 @@ class _Library:
                 steps = int(np.clip(np.ceil((end - start) * rate / RADIANS_A_STEP), 1, 100))
                 h = (end - start) / steps
                 for t in start + h * np.arange(steps):
-                    k1 = slope(state, t)
-                    k2 = slope(state + h / 2 * k1, t + h / 2)
-                    k3 = slope(state + h / 2 * k2, t + h / 2)
-                    k4 = slope(state + h * k3, t + h)
-                    state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+                    (state,) = rk4(slope, [state], h, (t, t + h / 2, t + h))
                 path.append(state[:n])
         return np.stack(path, axis=-1)
 

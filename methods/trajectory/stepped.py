@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 
-from bench import Ops, OutputError, Record, Steps, System, fastest_rates, ops_from
+from bench import Ops, OutputError, Record, Steps, System, fastest_rates, ops_from, rk4
 from methods.starts.rough import radians_a_step
 
 SUBSTEPS = np.array([1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128])
@@ -197,11 +197,9 @@ def step(system: System) -> Any:
     rate = rates(system)
     state, logs, h = ca.SX.sym("s", rate.size1_in(0)), ca.SX.sym("p", len(system.names)), ca.SX.sym("h")
     forces = ca.SX.sym("f", system.n_dof, 3)
-    k1 = rate(state, logs, forces[:, 0])
-    k2 = rate(state + 0.5 * h * k1, logs, forces[:, 1])
-    k3 = rate(state + 0.5 * h * k2, logs, forces[:, 1])
-    k4 = rate(state + h * k3, logs, forces[:, 2])
-    return ca.Function("step", [state, logs, h, forces], [state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)])
+    first, middle, last = ca.horzsplit(forces)
+    after = rk4(lambda moved, force: [rate(moved[0], logs, force)], [state], h, (first, middle, last))
+    return ca.Function("step", [state, logs, h, forces], after)
 
 
 def _with_slopes(function: Any, by_start: int) -> Any:
