@@ -49,7 +49,7 @@ from bench.likelihood.least_squares import (
     minimise,
 )
 from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, SimulatedData, Start, estimate_at
-from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
+from bench.systems import SDOF, Components, Dimension, Ops, Parameter, Quantity, System
 
 if TYPE_CHECKING:
     from bench.face.identification import Identification, identify
@@ -59,6 +59,7 @@ __all__ = [
     "EVERY_PROBLEM",
     "FIRST_DAMPING",
     "LOG_LIMIT",
+    "SDOF",
     "SIGMA_FLOOR",
     "Belief",
     "Card",
