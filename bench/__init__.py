@@ -33,7 +33,7 @@ from bench.dynamics.intervals import Steps, interval_polynomials, step_counts
 from bench.dynamics.mechanics import acceleration, mass_matrix, regression_columns, state_matrix, state_rate
 from bench.dynamics.ops import array_ops, nan_ops, numpy_ops, ops_from
 from bench.dynamics.rates import fastest_rates
-from bench.dynamics.simulate import SimulatedResponse, fitted_start, measurements, simulate
+from bench.dynamics.simulate import SimulatedMotion, SimulatedResponse, fitted_start, measurements, simulate
 from bench.dynamics.stepper import compiled_path, rk4, rk4_path, rk4_scan, rk4_step
 from bench.entry_points import entry_points_of, load_entry_point
 from bench.errors import InputError, check_name
@@ -98,6 +98,7 @@ __all__ = [
     "Sensor",
     "Serves",
     "SimulatedData",
+    "SimulatedMotion",
     "SimulatedResponse",
     "Standing",
     "Start",

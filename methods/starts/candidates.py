@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench import Channel, OutputError, Problem, Record, Start, System
+from bench import Channel, OutputError, Problem, Record, Start
 from methods.starts.equation_error import regression_starts
 from methods.starts.long_records import is_long, starts_of_long
 from methods.starts.reach import is_unresolved
 from methods.starts.rough import RADIANS_A_STEP, rough_readings
-from methods.starts.scan import loaded_scan, scan
+from methods.starts.scan import is_loaded, scan
 from methods.starts.separate import separate
 from methods.starts.unresolved import best_draws, best_speeds
 
@@ -41,22 +41,22 @@ alone."""
 
 @dataclass(frozen=True, eq=False)
 class Stepped(OutputError):
-    """The same, for a nonlinear system without hidden states, integrated by steps of at most so many radians."""
+    """A nonlinear system without hidden states, integrated by steps of at most so many radians."""
 
     radians: float = RADIANS_A_STEP
 
     def readings(self, p: dict[str, np.ndarray], start: Start, record: Record) -> np.ndarray:
-        """As above; not finite where the response diverges."""
+        """Simulate what the sensors would show; not finite where the response diverges."""
         return rough_readings(self.system, p, start, record, self.radians)
 
 
 def screening(model: OutputError) -> OutputError:
-    """The model for comparing starts: of a nonlinear system without hidden states, less finely integrated."""
+    """Return the model for comparing starts: of a nonlinear system without hidden states, less finely integrated."""
     return model if model.system.linear or model.system.n_hidden else Stepped(model.problem)
 
 
 def as_fine_as_noise(model: OutputError, theta: np.ndarray) -> OutputError:
-    """The model for a final answer near ``theta``, integrated to ``NOISE_SHARE`` of the standard error of the data.
+    """Return the model for a final answer near ``theta``, integrated to ``NOISE_SHARE`` of the data's standard error.
 
     Steps are halved until that moves no sample by more: no law of the error holds where a force is not smooth.
     """
@@ -91,7 +91,7 @@ def head(model: OutputError) -> OutputError:
 
 
 def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 8) -> list[tuple[float, np.ndarray]]:
-    """The best ``n`` separate starts after a few output-error steps each: (profile, theta), best first."""
+    """Return the best ``n`` separate starts after a few output-error steps each: (profile, theta), best first."""
     quick = screening(model)
     thetas = quick.settle(np.stack([quick.vector(p) for p in candidates(model, n + 1)]), rounds, iterations)
     values = np.array([quick.profile(theta) for theta in thetas])
@@ -99,7 +99,7 @@ def screened(model: OutputError, n: int = 3, rounds: int = 2, iterations: int = 
 
 
 def candidates(model: OutputError, n: int) -> list[dict[str, float]]:
-    """Parameter sets to start from, in natural units: from the regression, the scan, and the prior's nominal values."""
+    """Return parameter sets to start from, in natural units: by regression, scan, and the prior's nominal values."""
     problem = model.problem
     if problem.system.linear and is_long(problem):
         return starts_of_long(problem, lambda short: candidates(short, n)) or _nominal(problem)
@@ -114,32 +114,25 @@ def candidates(model: OutputError, n: int) -> list[dict[str, float]]:
                 found = found + best_speeds(quick, n)
             elif problem.system.n_dof <= MOST_DRAWN:
                 found = found + best_draws(quick)
-    if problem.prior is not None and (several or _loaded(problem)):
+    if problem.prior is not None and (several or is_loaded(problem)):
         found.append(dict(problem.prior.nominal))
     good = [p for p in found if all(np.isfinite(v) and v > 0 for v in p.values())]
-    return _at_frequencies(problem.system, good or _nominal(problem))
-
-
-def _at_frequencies(system: System, found: list[dict[str, float]]) -> list[dict[str, float]]:
-    """Starts of a system with hidden states, which no regression on measured motions sees, at several frequencies."""
-    if not system.n_hidden:
-        return found
-    stiff = [q.name for q in system.parameters if q.kind == "stiffness"]
-    return [{name: v * (by if name in stiff else 1.0) for name, v in p.items()} for p in found for by in STIFFER]
+    good = good or _nominal(problem)
+    if not problem.system.n_hidden:
+        return good
+    # no regression on measured motions sees hidden states: these are tried at several frequencies
+    stiff = [q.name for q in problem.system.parameters if q.kind == "stiffness"]
+    return [{name: v * (by if name in stiff else 1.0) for name, v in p.items()} for p in good for by in STIFFER]
 
 
 def _nominal(problem: Problem) -> list[dict[str, float]]:
-    """The prior's nominal values; without one, ones."""
+    """Return the prior's nominal values; without one, ones."""
     return [dict(problem.prior.nominal) if problem.prior else dict.fromkeys(problem.system.names, 1.0)]
 
 
-def _loaded(problem: Problem) -> bool:
-    return any(record.added_mass is not None for record in problem.records)
-
-
 def _scanned(problem: Problem, n: int) -> list[dict[str, float]]:
-    """The starts of the scan; none where the proportions that it begins with make a singular mass matrix."""
+    """Return the starts of the scan; none where the proportions that it begins with make a singular mass matrix."""
     try:
-        return loaded_scan(problem, n) if _loaded(problem) else scan(problem, n)
+        return scan(problem, n)
     except np.linalg.LinAlgError:
         return []

@@ -9,7 +9,7 @@ inner products are products of matrices. Channels read at the same times share t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,8 +26,17 @@ RIDGE = 1e-10
 """Of the squares of a column, added to them: one that the others have already adds nothing."""
 
 
+def periodogram(channel: Channel, samples: int, padding: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Return frequencies (cycles per unit of time) and powers of the first samples, interpolated to even times."""
+    n = min(channel.n, samples)
+    times = np.linspace(channel.times[0], channel.times[n - 1], n)
+    values = np.interp(times, channel.times[:n], channel.values[:n])
+    power = np.abs(np.fft.rfft(values - values.mean(), padding * n)) ** 2
+    return np.arange(power.size) / (padding * (times[-1] - times[0])), power
+
+
 def common_rates(channels: Sequence[Channel], n: int) -> np.ndarray:
-    """Complex rates (n,) of damped sinusoids common to all channels, in natural units; channels weigh the same."""
+    """Return complex rates (n,) of damped sinusoids common to all channels, in natural units; channels weigh alike."""
     gaps = [float(np.median(np.diff(c.times))) for c in channels]
     groups = _groups(channels)
     cycles = np.arange(CYCLE_STEP, min(0.5 / min(gaps), MAX_CYCLES) + 1e-9, CYCLE_STEP)
@@ -42,62 +51,55 @@ def common_rates(channels: Sequence[Channel], n: int) -> np.ndarray:
 
 
 def damped_columns(times: np.ndarray, rates: np.ndarray, offset: bool) -> np.ndarray:
-    """Damped sinusoids of the rates (k,), and a constant for an offset, at the times: (n, 2k) or (n, 2k + 1)."""
+    """Return damped sinusoids of the rates (k,), and a constant for an offset, at the times: (n, 2k) or (n, 2k + 1)."""
     waves = np.exp(rates * times[:, None])
     return np.concatenate([waves.real, -waves.imag, np.ones((times.size, int(offset)))], axis=1)
 
 
-@dataclass(frozen=True, eq=False)
-class _Group:
-    """Channels that are read at the same times: their values over their sizes, one a row."""
-
-    times: np.ndarray
-    values: np.ndarray
-    offset: bool
-
-
-def _groups(channels: Sequence[Channel]) -> list[_Group]:
-    found: dict[tuple[bytes, bool], list[Channel]] = {}
+def _groups(channels: Sequence[Channel]) -> list[list[Channel]]:
+    """Return channels of unit size, those that are read at the same times together."""
+    groups: dict[tuple[bytes, bool], list[Channel]] = {}
     for c in channels:
-        found.setdefault((c.times.tobytes(), c.offset), []).append(c)
-    return [
-        _Group(own[0].times, np.stack([c.values / (float(np.linalg.norm(c.values)) or 1.0) for c in own]), offset)
-        for (_, offset), own in found.items()
-    ]
+        unit = replace(c, values=c.values / (float(np.linalg.norm(c.values)) or 1.0))
+        groups.setdefault((c.times.tobytes(), c.offset), []).append(unit)
+    return list(groups.values())
 
 
-def _best(groups: Sequence[_Group], rates: np.ndarray, decays: np.ndarray, omegas: np.ndarray) -> tuple[float, float]:
-    """The decay and angular frequency that take most off the misfit beside the rates already there."""
-    gains = sum((_gains(group, rates, decays, omegas) for group in groups), np.zeros((decays.size, omegas.size)))
-    i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
+def _best(
+    groups: Sequence[Sequence[Channel]], rates: np.ndarray, decays: np.ndarray, omegas: np.ndarray
+) -> tuple[float, float]:
+    """Return decay and angular frequency of the wave that lowers the misfit most beside the waves of ``rates``."""
+    total = sum((_gains(group, rates, decays, omegas) for group in groups), np.zeros((decays.size, omegas.size)))
+    i, j = np.unravel_index(int(np.argmax(total)), total.shape)
     return float(decays[i]), float(omegas[j])
 
 
-def _gains(group: _Group, rates: np.ndarray, decays: np.ndarray, omegas: np.ndarray) -> np.ndarray:
-    """Squares (n_decays, n_omegas) that a wave takes off the values of a group, beside the waves of ``rates``."""
-    there = np.linalg.qr(damped_columns(group.times, rates, group.offset))[0].T
-    return gains(group.times, group.values, there, decays, omegas)
+def _gains(group: Sequence[Channel], rates: np.ndarray, decays: np.ndarray, omegas: np.ndarray) -> np.ndarray:
+    """Return squares (n_decays, n_omegas) that a wave takes off the values of a group, beside those of ``rates``."""
+    times = group[0].times
+    basis = np.linalg.qr(damped_columns(times, rates, group[0].offset))[0].T
+    return gains(times, np.stack([c.values for c in group]), basis, decays, omegas)
 
 
 def gains(
-    times: np.ndarray, values: np.ndarray, there: np.ndarray, decays: np.ndarray, omegas: np.ndarray
+    times: np.ndarray, values: np.ndarray, basis: np.ndarray, decays: np.ndarray, omegas: np.ndarray
 ) -> np.ndarray:
-    """Squares (n_decays, n_omegas) that a wave takes off values (r, n) beside orthonormal rows ``there`` (k, n)."""
-    left = values - (values @ there.T) @ there
+    """Return squares (n_decays, n_omegas) that a wave takes off values (r, n) beside orthonormal rows (k, n)."""
+    left = values - (values @ basis.T) @ basis
     phase = np.outer(times, omegas)
     waves = np.stack([np.cos(phase), np.sin(phase)])
     envelopes = np.exp(-np.outer(decays, times))
 
     def products(rows: np.ndarray) -> np.ndarray:
-        """Inner products of rows (r, n) with the columns: (2, n_decays, r, n_omegas)."""
+        """Return inner products of rows (r, n) with the columns: (2, n_decays, r, n_omegas)."""
         return np.asarray((envelopes[:, None] * rows).reshape(-1, times.size) @ waves).reshape(
             2, decays.size, len(rows), omegas.size
         )
 
-    known, onto = products(there), products(left)
+    known, onto = products(basis), products(left)
     gram = np.empty((3, decays.size, omegas.size))
-    for at, (a, b) in enumerate(((0, 0), (0, 1), (1, 1))):
-        gram[at] = envelopes**2 @ (waves[a] * waves[b]) - np.sum(known[a] * known[b], axis=1)
+    for i, (a, b) in enumerate(((0, 0), (0, 1), (1, 1))):
+        gram[i] = envelopes**2 @ (waves[a] * waves[b]) - np.sum(known[a] * known[b], axis=1)
     ridge = RIDGE * np.sum(envelopes**2, axis=1)[:, None]
     cc, cs, ss, (c, s) = gram[0] + ridge, gram[1], gram[2] + ridge, onto
     numerator = np.sum(ss[:, None] * c**2 - 2 * cs[:, None] * c * s + cc[:, None] * s**2, axis=1)

@@ -22,7 +22,7 @@ from methods.starts.common_rates import common_rates, damped_columns
 LEVELS = 4
 """Curves of each record, from stiff to loose."""
 POINTS = 400
-"""Times on a curve at which the equation of motion is asked for."""
+"""Times on a curve at which the equation of motion is evaluated."""
 CURVE_ERROR = 0.1
 """Error of a curve's acceleration, relative to its size, against which nonlinear regression weighs the prior."""
 SEARCHES, FARTHEST = 60, 30.0
@@ -34,7 +34,7 @@ SMALLEST = 0.02
 
 
 def regression_starts(problem: Problem) -> list[dict[str, float]]:
-    """Parameters by regression of the equation of motion on smooth curves through the displacements, one a smoothness.
+    """Regress the equation of motion on smooth curves through the displacements, once for each smoothness.
 
     Needs every DOF's displacement measured in some record, and no hidden states; else there are none.
     """
@@ -55,55 +55,47 @@ Curves = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray], list[np.nda
 
 
 def _smoothed(system: System, record: Record) -> list[Curves]:
-    """The motion of a record by curves of each smoothness; none where a DOF has no displacement."""
+    """Return the motion of a record by curves of each smoothness; none where a DOF has no displacement."""
     by_dof = {c.dof: c for c in record.channels if c.measures == "displacement" and c.n >= 5}
     if set(by_dof) != set(range(system.n_dof)):
         return []
     times = np.linspace(0.0, record.duration, POINTS)
     measured = [by_dof[i] for i in range(system.n_dof)]
-    force = record.force(times, system.n_dof)
     if any(np.any(f.values) for f in record.forces):
-        splines = [[_spline(c, 10.0 ** (level - 3)) for c in measured] for level in range(LEVELS)]
-        return [([c(times, 0) for c in own], [c(times, 1) for c in own], [c(times, 2) for c in own], force)
-                for own in splines]  # fmt: skip
-    rates = common_rates(measured, LEVELS)
-    return [(*_waves(measured, rates[: n + 1], times), force) for n in range(LEVELS)]
+        levels = [[_spline(c, 10.0 ** (level - 3), times) for c in measured] for level in range(LEVELS)]
+    else:
+        rates = common_rates(measured, LEVELS)
+        levels = [[_waves(c, rates[: level + 1], times) for c in measured] for level in range(LEVELS)]
+    force = record.force(times, system.n_dof)
+    return [([x for x, _, _ in level], [v for _, v, _ in level], [a for _, _, a in level], force) for level in levels]
 
 
-def _waves(
-    channels: Sequence[Channel], rates: np.ndarray, times: np.ndarray
-) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:
-    """Displacement, velocity and acceleration of each channel by its sum of damped sinusoids."""
-    basis = np.exp(rates[:, None] * times)
-    amplitudes = [_amplitudes(c, rates) for c in channels]
-    x, v, a = ([((own * rates**order) @ basis).real for own in amplitudes] for order in range(3))
-    return x, v, a
+def _waves(channel: Channel, rates: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return displacement, velocity and acceleration (3, n_times) by the sum of damped sinusoids that fits best."""
+    columns = damped_columns(channel.times, rates, channel.offset)
+    fitted = np.linalg.lstsq(columns, channel.values, rcond=1e-9)[0]
+    amplitudes, basis = fitted[: rates.size] + 1j * fitted[rates.size : 2 * rates.size], np.exp(rates[:, None] * times)
+    return np.stack([((amplitudes * rates**order) @ basis).real for order in range(3)])
 
 
-class _spline:
-    """A smoothing spline fitted in units of the sampling step, where its weight means the same at any rate."""
+def _spline(channel: Channel, weight: float, times: np.ndarray) -> np.ndarray:
+    """Return displacement, velocity and acceleration (3, n_times) by a smoothing spline.
 
-    def __init__(self, channel: Channel, weight: float) -> None:
-        self.step = float(np.median(np.diff(channel.times)))
-        values = channel.values - channel.offset * np.mean(channel.values)
-        self.curve = make_smoothing_spline(channel.times / self.step, values, lam=weight)
-
-    def __call__(self, times: np.ndarray, order: int) -> np.ndarray:
-        return np.asarray(self.curve(times / self.step, nu=order)) / self.step**order
-
-
-def _amplitudes(channel: Channel, rates: np.ndarray) -> np.ndarray:
-    found = np.linalg.lstsq(damped_columns(channel.times, rates, channel.offset), channel.values, rcond=1e-9)[0]
-    return np.asarray(found[: rates.size] + 1j * found[rates.size : 2 * rates.size])
+    It is fitted in units of the sampling step, where its weight means the same at any rate.
+    """
+    step = float(np.median(np.diff(channel.times)))
+    values = channel.values - channel.offset * np.mean(channel.values)
+    curve = make_smoothing_spline(channel.times / step, values, lam=weight)
+    return np.stack([curve(times / step, nu=order) / step**order for order in range(3)])
 
 
 def _fixed(problem: Problem) -> dict[str, float]:
-    """The gauge mass, 1 where nothing but a prior sets the scale; else nothing."""
+    """Return the gauge mass, 1, where nothing but a prior sets the scale; else nothing."""
     return {} if problem.scale_told and problem.prior is None else {problem.system.gauge: 1.0}
 
 
 def _regressed(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves]) -> dict[str, float]:
-    """Non-negative least squares of each rig's residual on its curves; gauge mass 1 where nothing sets the scale."""
+    """Solve each rig's residual on its curves by non-negative least squares."""
     system = problem.system
     parts = [regression_columns(rig, *block) for rig, block in zip(rigs, blocks, strict=True)]
     columns, rest = np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])
@@ -119,7 +111,7 @@ def _regressed(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves
 
 
 def _fitted(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves]) -> dict[str, float]:
-    """Nonlinear least squares of each rig's residual on its curves, in the log-parameters; the gauge mass as above.
+    """Solve each rig's residual on its curves by nonlinear least squares in the log-parameters.
 
     The curves' accelerations are taken to be off by ``CURVE_ERROR``, as often as there are samples. The search starts
     at the oscillator of the curves' frequency and at the prior's nominal values; the better end is kept.
@@ -144,7 +136,7 @@ def _fitted(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves]) 
 
 
 def _oscillator(system: System, blocks: Sequence[Curves]) -> dict[str, float]:
-    """The curves' frequency w as parameters, mass 1: a stiffness w², a damping w / 10, dimension time^-n else w^n."""
+    """Return the curves' frequency w as parameters: mass 1, stiffness w², damping w / 10, else w^n for time^-n."""
     speeds, sizes = (np.concatenate([np.ravel(part) for block in blocks for part in block[i]]) for i in (1, 0))
     w = float(np.linalg.norm(speeds) / (np.linalg.norm(sizes) or 1.0)) or 1.0
     shares = {"mass": 1.0, "damping": 0.1}
@@ -152,13 +144,13 @@ def _oscillator(system: System, blocks: Sequence[Curves]) -> dict[str, float]:
 
 
 def _equations(p: Mapping[str, float], rigs: Sequence[System], blocks: Sequence[Curves]) -> np.ndarray:
-    """The residuals of all rigs on their curves at parameters, one behind the other."""
+    """Compute the residuals of all rigs on their curves at parameters, one behind the other."""
     rows = [rig.residual(p, x, v, a, f, [], numpy_ops) for rig, (x, v, a, f) in zip(rigs, blocks, strict=True)]
     return np.concatenate([np.broadcast_to(np.asarray(r, float), (POINTS,)) for own in rows for r in own])
 
 
 def _size(p: Mapping[str, float], rigs: Sequence[System], blocks: Sequence[Curves]) -> float:
-    """Root mean square of what moves the masses: of their inertia at parameters, or of the force where that is more."""
+    """Return the root mean square of the masses' inertia at parameters, or of the force where that is larger."""
     still = [(x, v, [np.zeros_like(own) for own in a], f) for x, v, a, f in blocks]
     inertia = _equations(p, rigs, blocks) - _equations(p, rigs, still)
     force = np.concatenate([np.ravel(own) for *_, f in blocks for own in f])

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from bench import Channel, Force, OutputError, Problem, Record
+from methods.starts.common_rates import periodogram
 
 MOST_SAMPLES = 1000
 """Of a channel, that starts are sought on."""
@@ -21,8 +22,8 @@ LONG = 3 * MOST_SAMPLES
 """Samples of a channel beyond which a record counts as long."""
 FIRST_CYCLES = 40.0
 """Of the strongest oscillation, in the first part."""
-LONGER = 4.0
-ITERATIONS = 12
+LONGER, ITERATIONS = 4.0, 12
+"""How many times longer the next part is, and the steps of a fit to it."""
 STRONGEST_OF = 2**17
 """Samples in which the strongest oscillation is sought."""
 
@@ -30,12 +31,12 @@ Starts = list[dict[str, float]]
 
 
 def is_long(problem: Problem) -> bool:
-    """Whether any channel has more samples than starts are sought on."""
+    """Return True where a channel has more samples than starts are sought on."""
     return any(c.n > LONG for record in problem.records for c in record.channels)
 
 
 def starts_of_long(problem: Problem, seek: Callable[[OutputError], Starts]) -> Starts:
-    """Starts of a linear system in natural units; ``seek`` finds those of a short problem."""
+    """Return starts of a linear system in natural units; ``seek`` finds those of a short problem."""
     shares = [_first_share(record) for record in problem.records]
     short = _part(problem, shares)
     units = short.natural_units()
@@ -48,7 +49,7 @@ def starts_of_long(problem: Problem, seek: Callable[[OutputError], Starts]) -> S
 
 
 def _fitted(model: OutputError, found: Starts) -> Starts:
-    """The same starts after a few output-error steps on a problem; those that diverge are left out."""
+    """Improve starts by a few output-error steps on a problem; those that diverge are left out."""
     with np.errstate(all="ignore"):
         thetas = np.array([model.vector(p) for p in found])
         good = np.all(np.isfinite(model.predict(thetas)), axis=1)
@@ -57,13 +58,13 @@ def _fitted(model: OutputError, found: Starts) -> Starts:
 
 
 def _part(problem: Problem, shares: Sequence[float]) -> Problem:
-    """The first share of each record, on at most ``MOST_SAMPLES`` a channel."""
+    """Return the first share of each record, on at most ``MOST_SAMPLES`` a channel."""
     pairs = zip(problem.records, shares, strict=True)
     return replace(problem, records=tuple(_head(record, share * record.duration) for record, share in pairs))
 
 
 def _head(record: Record, end: float) -> Record:
-    """A record until a time, thinned; a force is taken as its mean over what is left out."""
+    """Return a record until a time, thinned; a force becomes its mean over what is left out."""
 
     def thinned(c: Channel) -> Channel:
         n = int(np.searchsorted(c.times, end, "right"))
@@ -78,7 +79,7 @@ def _head(record: Record, end: float) -> Record:
 
 
 def _averaged(force: Force, end: float) -> Force:
-    """A force until a time, as the means over equally many samples each, at their mean times."""
+    """Return a force until a time, as the means over equally many samples each, at their mean times."""
     n = max(2, int(np.searchsorted(force.times, end, "right")))
     size = -(-n // MOST_SAMPLES)
     if size == 1:
@@ -90,15 +91,10 @@ def _averaged(force: Force, end: float) -> Force:
 
 
 def _first_share(record: Record) -> float:
-    """How much of a record has ``FIRST_CYCLES`` of the strongest oscillation that any channel shows."""
-    cycles = max((_strongest(c) * record.duration for c in record.channels if c.n > LONG), default=0.0)
+    """Return the part of a record with ``FIRST_CYCLES`` of the strongest oscillation that any channel shows."""
+    cycles = 0.0
+    for channel in record.channels:
+        if channel.n > LONG:
+            frequencies, power = periodogram(channel, STRONGEST_OF)
+            cycles = max(cycles, float(frequencies[np.argmax(power)]) * record.duration)
     return float(min(1.0, FIRST_CYCLES / max(cycles, 1e-9)))
-
-
-def _strongest(channel: Channel) -> float:
-    """The frequency (cycles per unit of time) at which the periodogram of the first samples is highest."""
-    n = min(channel.n, STRONGEST_OF)
-    times = np.linspace(channel.times[0], channel.times[n - 1], n)
-    values = np.interp(times, channel.times[:n], channel.values[:n])
-    power = np.abs(np.fft.rfft(values - values.mean())) ** 2
-    return float(np.argmax(power) / (times[-1] - times[0]))

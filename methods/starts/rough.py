@@ -1,4 +1,4 @@
-"""The response of a nonlinear system as finely as the noise asks for: classical Runge-Kutta steps of so many radians.
+"""The response of a nonlinear system, as finely as the noise requires: classical Runge-Kutta steps of so many radians.
 
 Fixed steps of order four turn the phase by ``(w h)^5 / 120`` too little each (``w`` the fastest rate, ``h`` the step):
 with ``w h = 0.15`` four parts in a million of it, far below what tells one start from another.
@@ -12,17 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from bench import InitialState, Record, Start, Steps, System, acceleration, fastest_rates, numpy_ops, rk4_path
+from bench import InitialState, Record, SimulatedMotion, Start, Steps, System, fastest_rates, rk4_path
 
 RADIANS_A_STEP = 0.15
 Carry = Callable[[System, Mapping[str, Any], Sequence[np.ndarray], Steps, np.ndarray], np.ndarray]
-"""What takes a state along steps, as :func:`bench.rk4_path` does."""
+"""Carries a state along steps, as :func:`bench.rk4_path` does."""
 MOST_STEPS = 64
 """Steps between two samples at most: a motion that is faster than that is no start anyway."""
 
 
 def radians_a_step(allowed: float, turned: float) -> float:
-    """The step ``w h`` (radians) at which a motion that turns ``turned = w T`` radians errs by ``allowed`` of its size.
+    """Return the step ``w h`` (radians) at which a motion of ``turned = w T`` radians errs by a part ``allowed``.
 
     Each step errs by ``(w h)^5 / 120``, so the record by ``w T (w h)^4 / 120``.
     """
@@ -30,7 +30,7 @@ def radians_a_step(allowed: float, turned: float) -> float:
 
 
 def fastest_rate(system: System, p: dict[str, np.ndarray], start: Start) -> float:
-    """Largest rate (1 / time) of the system at rest and at its start, over all sets; 0 where none is finite."""
+    """Return the largest rate (1 / time) at rest and at the start, over all sets; 0 where none is finite."""
     x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
     return float(np.fmax.reduce(fastest_rates(system, p, np.concatenate([x, v])), axis=None, initial=0.0))
 
@@ -43,43 +43,14 @@ def rough_readings(
     radians: float = RADIANS_A_STEP,
     carry: Carry = rk4_path,
 ) -> np.ndarray:
-    """What the sensors of a record would show, channel after channel, shape (*sets, n_samples), without offsets.
+    """Return what the sensors of a record would show, channel after channel, (*sets, n_samples), without offsets.
 
     Parameters are arrays of one shape ``sets`` of at most one dimension; ``start`` an InitialState, or displacement
     and velocity of shape (n_dof, *sets); hidden states start at 0. Not finite where the motion diverges.
     """
-    n = system.n_dof
+    rig, n = record.rig(system), system.n_dof
     knots = [f.times[f.times < record.duration] for f in record.forces]
     grid = np.unique(np.concatenate([[0.0], *[c.times for c in record.channels], *knots]))
-    path = rough_states(system, p, start, record, grid, radians, carry)
-    parts = []
-    for c in record.channels:
-        there = path[:, ..., np.searchsorted(grid, c.times)]
-        if c.measures == "acceleration":
-            wide = {name: np.asarray(value)[..., None] for name, value in p.items()}
-            force = record.force(c.times, n)
-            rig = record.rig(system)
-            x, v, z = (list(own) for own in (there[:n], there[n : 2 * n], there[2 * n :]))
-            parts.append(acceleration(rig, wide, x, v, force, z, numpy_ops)[c.dof])
-        else:
-            parts.append(there[c.dof + (n if c.measures == "velocity" else 0)])
-    return np.concatenate([np.broadcast_to(part, (*path.shape[1:-1], np.shape(part)[-1])) for part in parts], axis=-1)
-
-
-def rough_states(
-    system: System,
-    p: dict[str, np.ndarray],
-    start: Start,
-    record: Record,
-    grid: np.ndarray,
-    radians: float = RADIANS_A_STEP,
-    carry: Carry = rk4_path,
-) -> np.ndarray:
-    """Displacements, velocities and hidden states (states, *sets, n_times) at times from 0 on with every force's knot.
-
-    ``carry`` takes a state along steps.
-    """
-    rig, n = record.rig(system), system.n_dof
     x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
     sets = np.broadcast_shapes(*(np.shape(value) for value in p.values()), np.shape(x)[1:])
     state: list[Any] = [np.broadcast_to(part[i], sets) for part in (x, v) for i in range(n)]
@@ -87,4 +58,10 @@ def rough_states(
         rate = fastest_rate(rig, p, (np.stack(state[:n]), np.stack(state[n:])))
         state += [np.zeros(sets) for _ in range(rig.n_hidden)]
         counts = np.clip(np.ceil(np.diff(grid) * rate / radians), 1, MOST_STEPS).astype(int)
-        return carry(rig, p, state, Steps.over(grid, counts, record.forces, n), np.arange(grid.size))
+        path = carry(rig, p, state, Steps.over(grid, counts, record.forces, n), np.arange(grid.size))
+    parts = []
+    for c in record.channels:
+        own = path[:, ..., np.searchsorted(grid, c.times)]
+        motion = SimulatedMotion(own[:n], own[n : 2 * n], own[2 * n :])
+        parts.append(motion.measured(rig, p, c, record))
+    return np.concatenate([np.broadcast_to(part, (*path.shape[1:-1], np.shape(part)[-1])) for part in parts], axis=-1)

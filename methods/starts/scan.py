@@ -14,46 +14,63 @@ from functools import lru_cache
 
 import numpy as np
 
-from bench import Channel, Force, InitialState, Problem, Record, System, measurements
+from bench import Channel, Force, Problem, Record, System, measurements
 from methods.starts.common_rates import CYCLE_STEP, DECAYS, MAX_CYCLES
 from methods.starts.reach import expected_rate, most_cycles, resolved_cycles
 
 
 def scan(problem: Problem, n: int) -> list[dict[str, float]]:
-    """The ``n`` best separate minima of the projected misfit over a grid of frequency and decay.
+    """Return the ``n`` best separate minima of the projected misfit over a grid of frequency and decay.
 
-    How far the grid goes: :mod:`methods.starts.reach`.
-
-    All stiffnesses are raised together, and all dampings, from the prior's nominal proportions or from equal ones;
-    for one degree of freedom that is the whole space.
+    How far the grid goes: :mod:`methods.starts.reach`. All stiffnesses are raised together, and all dampings, from the
+    prior's nominal proportions or from equal ones; for one degree of freedom that is the whole space. Where known
+    masses were added in some records, those of each load are scanned as if their rig were plain, and :func:`unloaded`
+    finds the mass from the lightest and the heaviest; pairs of minima are taken in the order of their common misfit.
     """
-    return [p for _, p in _minima(problem, n, problem.prior is not None)]
+    if not is_loaded(problem):
+        return [p for _, p in _minima(problem, n, problem.prior is not None)]
+    by_load = records_by_load(problem)
+    loads = sorted(by_load)
+    light = _minima(by_load[loads[0]], n, fixed_scale=False)
+    heavy = _minima(by_load[loads[-1]], n, fixed_scale=False) if len(loads) > 1 else []
+    pairs = []
+    for misfit, p in light:
+        for other, q in heavy:
+            plain = unloaded(problem, {loads[0]: p, loads[-1]: q})
+            if plain is not None:
+                pairs.append((misfit + other, plain))
+    return [p for _, p in sorted(pairs, key=lambda pair: pair[0])[:n]] or [p for _, p in light]
+
+
+def is_loaded(problem: Problem) -> bool:
+    """Return True where a known mass was added in some record."""
+    return any(record.added_mass is not None for record in problem.records)
 
 
 def _minima(problem: Problem, n: int, fixed_scale: bool) -> list[tuple[float, dict[str, float]]]:
-    """Those minima and their misfits; ``fixed_scale`` says that the gauge is that of the problem's units."""
+    """Return those minima and their misfits; with ``fixed_scale`` the gauge is that of the problem's units."""
     names, base = problem.system.names, _proportions(problem)
     misfit: np.ndarray | float = 0.0
     strength: np.ndarray | float = 0.0
     grid = np.zeros((0, 2))
     cycles = most_cycles(problem, MAX_CYCLES)
     for record in problem.records:
-        grid, responses = _grid_responses(problem.system, base, _signature(record), cycles, _told(record))
+        grid, responses = _grid_responses(problem.system, base, _signature(record), cycles, _known_start(record))
         rss, scale = _projected(record, responses, fixed_scale)
         misfit, strength = misfit + rss, strength + scale / len(problem.records)
     table, scales = np.reshape(misfit, (-1, len(DECAYS))), np.reshape(strength, (-1, len(DECAYS)))
-    found = []
+    minima = []
     for i, j in _worth_a_start(problem, grid[:: len(DECAYS), 0], _separate_minima(table), table, n):
         frequency, decay = grid[i * len(DECAYS) + j]
         levels = _by_kind(problem.system, base, np.array(frequency), np.array(decay))
-        found.append((table[i, j], {name: float(levels[name] * max(scales[i, j], 1e-12)) for name in names}))
-    return found
+        minima.append((table[i, j], {name: float(levels[name] * max(scales[i, j], 1e-12)) for name in names}))
+    return minima
 
 
 def _worth_a_start(
     problem: Problem, frequencies: np.ndarray, minima: Sequence[tuple[int, int]], table: np.ndarray, n: int
 ) -> list[tuple[int, int]]:
-    """The ``n`` best minima that the sampling resolves, and the ``n`` beyond that data and prior support most."""
+    """Return the ``n`` best minima that the sampling resolves, and ``n`` beyond that data and prior support most."""
     resolved = max(resolved_cycles(record) for record in problem.records)
     expected = expected_rate(problem)
     within = [place for place in minima if frequencies[place[0]] <= resolved]
@@ -63,7 +80,7 @@ def _worth_a_start(
     least = 1e-12 * float(np.max(table[np.isfinite(table)]))
 
     def surprise(place: tuple[int, int]) -> float:
-        """Minus twice the logarithm of the posterior, the noise at its best value."""
+        """Return minus twice the logarithm of the posterior, the noise at its best value."""
         distance = (np.log(2 * np.pi * frequencies[place[0]]) - expected[0]) / expected[1]
         return float(problem.n * np.log(max(table[place], least)) + distance**2)
 
@@ -71,7 +88,7 @@ def _worth_a_start(
 
 
 def _proportions(problem: Problem) -> tuple[float, ...]:
-    """The parameters over the first of their kind: as the prior has them, or all equal."""
+    """Return the parameters over the first of their kind: as the prior has them, or all equal."""
     prior, system = problem.prior, problem.system
     if prior is None or system.n_dof == 1:
         return tuple(1.0 for _ in system.names)
@@ -81,29 +98,10 @@ def _proportions(problem: Problem) -> tuple[float, ...]:
     return tuple(prior.nominal[p.name] / sizes[p.kind] for p in system.parameters)
 
 
-def loaded_scan(problem: Problem, n: int) -> list[dict[str, float]]:
-    """The starts of :func:`scan` where known masses were added in some records.
-
-    The records of each load are scanned as if their rig were plain; :func:`unloaded` tells the mass from the lightest
-    and the heaviest. Pairs of minima are taken in the order of their common misfit.
-    """
-    by_load = records_by_load(problem)
-    loads = sorted(by_load)
-    light = _minima(by_load[loads[0]], n, fixed_scale=False)
-    heavy = _minima(by_load[loads[-1]], n, fixed_scale=False) if len(loads) > 1 else []
-    pairs = []
-    for misfit, p in light:
-        for other, q in heavy:
-            found = unloaded(problem, {loads[0]: p, loads[-1]: q})
-            if found is not None:
-                pairs.append((misfit + other, found))
-    return [p for _, p in sorted(pairs, key=lambda pair: pair[0])[:n]] or [p for _, p in light]
-
-
 def unloaded(problem: Problem, by_load: Mapping[float, Mapping[str, float]]) -> dict[str, float] | None:
-    """Parameters of the rig from those that fit its records with each of two loads as if it were plain.
+    """Return parameters of the rig from those that fit its records with each of two loads as if it were plain.
 
-    Each tells ``r = k / (m + load)``, so that ``m = (r2 load2 - r1 load1) / (r1 - r2)``; None where that is not
+    Each determines ``r = k / (m + load)``, so that ``m = (r2 load2 - r1 load1) / (r1 - r2)``; None where that is not
     positive. Damping and stiffness over mass are the first one's. The masses of several degrees of freedom are taken
     to share the load, as a first guess.
     """
@@ -121,7 +119,7 @@ def unloaded(problem: Problem, by_load: Mapping[float, Mapping[str, float]]) -> 
 
 
 def records_by_load(problem: Problem) -> dict[float, Problem]:
-    """The problem by the mass that was added in all, each part as if it had been on the plain rig."""
+    """Split a problem by the mass that was added in all, each part as if it had been on the plain rig."""
     parts: dict[float, list[Record]] = {}
     for record in problem.records:
         load = 0.0 if record.added_mass is None else float(np.sum(record.added_mass))
@@ -130,7 +128,7 @@ def records_by_load(problem: Problem) -> dict[float, Problem]:
 
 
 def _separate_minima(table: np.ndarray) -> list[tuple[int, int]]:
-    """Row and column of the local minima along the rows' axis, best first."""
+    """Return row and column of the local minima along the rows' axis, best first."""
     table = np.where(np.isfinite(table), table, np.inf)
     best = table.min(axis=1)
     padded = np.concatenate([[np.inf], best, [np.inf]])
@@ -139,7 +137,7 @@ def _separate_minima(table: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _by_kind(system: System, base: Sequence[float], frequency: np.ndarray, decay: np.ndarray) -> dict[str, np.ndarray]:
-    """Parameters with stiffness ``w² + d²`` and damping ``2 d`` over mass, times the base proportions."""
+    """Return parameters with stiffness ``w² + d²`` and damping ``2 d`` over mass, times the base proportions."""
     w = 2 * np.pi * frequency
     sizes = {"mass": np.ones_like(w), "stiffness": w**2 + decay**2, "damping": 2 * decay, "other": np.ones_like(w)}
     return {p.name: b * sizes[p.kind] for p, b in zip(system.parameters, base, strict=True)}
@@ -149,7 +147,7 @@ Signature = tuple[tuple[tuple[bytes, str, int], ...], tuple[tuple[bytes, bytes, 
 
 
 def _signature(record: Record) -> Signature:
-    """What decides the unit responses of a record; forces are taken relative to their common size."""
+    """Return what decides the unit responses of a record; forces are taken relative to their common size."""
     size = _force_size(record)
     channels = tuple((np.round(c.times, 12).tobytes(), c.measures, c.dof) for c in record.channels)
     forces = tuple(
@@ -162,26 +160,24 @@ def _force_size(record: Record) -> float:
     return max((float(np.max(np.abs(f.values))) for f in record.forces), default=0.0) or 1.0
 
 
-def _whole(start: InitialState) -> np.ndarray:
-    return np.concatenate([start.displacement, start.velocity])
-
-
-def _told(record: Record) -> tuple[float, ...] | None:
-    """A told start of several degrees of freedom: their 2 n_dof unit responses would fill the memory.
+def _known_start(record: Record) -> tuple[float, ...] | None:
+    """Return a known initial state of several degrees of freedom: their 2 n_dof unit responses would fill the memory.
 
     Those of one are the same in every replicate, and kept.
     """
     start = record.initial_state
-    return tuple(map(float, _whole(start))) if start is not None and start.displacement.size > 1 else None
+    if start is None or start.displacement.size == 1:
+        return None
+    return tuple(map(float, np.concatenate([start.displacement, start.velocity])))
 
 
 @lru_cache(maxsize=8)
 def _grid_responses(
-    system: System, base: tuple[float, ...], signature: Signature, cycles: float, told: tuple[float, ...] | None
+    system: System, base: tuple[float, ...], signature: Signature, cycles: float, known: tuple[float, ...] | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Grid points (G, 2) as (cycles, decay), and responses (G, N, S + 1): those to each start, then the force's.
+    """Return grid points (G, 2) as (cycles, decay), and responses (G, N, S + 1): to initial states, then to the force.
 
-    Starts: the ``told`` one, else 2 n_dof unit ones.
+    The initial states are the ``known`` one, else 2 n_dof unit ones.
     """
     channels = tuple(
         Channel(np.frombuffer(t), np.zeros(len(t) // 8), measures, dof)  # type: ignore[arg-type]
@@ -195,7 +191,7 @@ def _grid_responses(
     grid = np.stack([a.ravel() for a in np.meshgrid(frequencies, DECAYS, indexing="ij")], axis=1)
     p = _by_kind(system, base, grid[:, 0], grid[:, 1])
     n = system.n_dof
-    starts = np.eye(2 * n) if told is None else np.array([told])
+    starts = np.eye(2 * n) if known is None else np.array([known])
     responses = np.zeros((len(grid), sum(c.n for c in channels), len(starts) + 1))
     free, forced = Record(channels), Record(channels, forces)
     for i, start in enumerate(starts):
@@ -208,16 +204,17 @@ def _grid_responses(
 
 
 def _projected(record: Record, responses: np.ndarray, fixed_scale: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Misfit left at each grid point once start, offsets and scale are fitted; and that scale of the parameters."""
+    """Return the misfit at each grid point with initial state, offsets and scale fitted; and that scale."""
     sizes = [float(np.sqrt(np.mean(c.values**2))) or 1.0 if c.n else 1.0 for c in record.channels]
     weights = np.concatenate([np.full(c.n, 1.0 / s) for c, s in zip(record.channels, sizes, strict=True)])
     y = np.concatenate([c.values for c in record.channels])
     columns, known = [], np.zeros(responses.shape[:2])
-    if record.initial_state is not None:
-        start = _whole(record.initial_state)
-        known = known + (responses[..., 0] if _told(record) else responses[..., :-1] @ start)
-    else:
+    if (start := record.initial_state) is None:
         columns += [responses[..., i] for i in range(responses.shape[-1] - 1)]
+    elif _known_start(record):
+        known = known + responses[..., 0]
+    else:
+        known = known + responses[..., :-1] @ np.concatenate([start.displacement, start.velocity])
     pushed = bool(record.forces) and bool(np.any(responses[..., -1]))
     if pushed and fixed_scale:
         known = known + responses[..., -1] * _force_size(record)

@@ -1,4 +1,4 @@
-"""Where to start, from the data alone: the damped sine wave that fits the measurements best, by a scan."""
+"""A scan for the damped sine wave that fits the measurements best: starting points from the data alone."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from bench import Channel, Force, Problem
-from methods.starts.common_rates import MAX_CYCLES, gains
+from methods.starts.common_rates import MAX_CYCLES, gains, periodogram
 from methods.starts.forced_motion import force_by_dof, forced_dofs, forced_motion
 from methods.starts.reach import most_cycles
 
@@ -34,8 +34,8 @@ class Guess:
     """A damped wave ``exp(-decay t) (a cos(omega t) + b sin(omega t))`` and the share of the data that it leaves.
 
     ``omega`` (rad per unit of time), ``decay`` (per unit of time); ``left`` is its sum of squared residuals over that
-    of the data, with every channel scaled to unit size. ``logs`` are log-parameters known from an earlier fit.
-    ``firm`` says that a fit must keep to it from the beginning, and take that share for noise.
+    of the data, with every channel scaled to unit size. ``logs`` are log-parameters known from an earlier fit. A fit
+    keeps to a ``firm`` one from the beginning, and takes that share for noise.
     """
 
     omega: float
@@ -46,20 +46,27 @@ class Guess:
 
 
 def scan(problem: Problem, waves: int = 1, forced: bool = False, beyond: bool = False) -> tuple[list[Guess], float]:
-    """The local minima over frequency of the best fit by one damped wave, best first (at least one); and what is left.
+    """Return the local minima over frequency of the best fit by one damped wave, best first (at least one).
 
     A periodogram with decay: for every frequency and decay of a grid, amplitudes (and a constant, where a channel has
-    an unknown one) of every channel by linear least squares. How far the frequencies go: :mod:`methods.starts.reach`,
-    beyond half the sampling rate only where ``beyond`` allows it, and only one linear mode, of which the prior tells.
-    ``forced`` adds what an oscillator of that frequency and decay would do under the known forces, so that the first
-    wave is free vibration, not their trace; of a long record, where that takes longer than a fit, the force itself,
-    which is what a displacement follows under a slow one. The second value is the share of the data that ``waves``
-    waves leave, found one after the other.
+    an unknown one) of every channel by linear least squares. How far the frequencies go: :mod:`methods.starts.reach`.
+
+    Args:
+        problem: In natural units.
+        waves: How many waves are found, one after the other, for the share of the data that they leave.
+        forced: Add the motion of an oscillator of that frequency and decay under the known forces, so that the first
+            wave is free vibration, not their trace; of a long record, where that takes longer than a fit, the force
+            itself, which is what a displacement follows under a slow one.
+        beyond: Look beyond half the sampling rate too, for one linear mode that the prior expects there.
+
+    Returns:
+        The minima, and the share of the data that ``waves`` waves leave.
     """
     duration = max(record.duration for record in problem.records)
     n = max(channel.n for record in problem.records for channel in record.channels)
-    told = problem if beyond and problem.system.linear and problem.system.n_dof == 1 else replace(problem, prior=None)
-    cycles = duration * most_cycles(told, max(MAX_CYCLES, 0.5 * (n - 1) / duration))
+    one_mode = problem.system.linear and problem.system.n_dof == 1
+    expected = problem if beyond and one_mode else replace(problem, prior=None)
+    cycles = duration * most_cycles(expected, max(MAX_CYCLES, 0.5 * (n - 1) / duration))
     halves = np.arange(0.5, max(2.0 * cycles, 2) + 1e-9, 1.0 / PER_HALF_CYCLE)
     omegas, decays = np.pi * halves / duration, np.array(DECAYS) / duration
     if omegas.size > MOST_FREQUENCIES:
@@ -73,28 +80,25 @@ def scan(problem: Problem, waves: int = 1, forced: bool = False, beyond: bool = 
     guesses: list[Guess] = []
     left = 1.0
     for _ in range(waves):
-        found = _best(series, omegas, decays)
-        guesses = guesses or found
-        left = found[0].left
+        minima = _best(series, omegas, decays)
+        guesses = guesses or minima
+        left = minima[0].left
         if min((own.values.size - own.fixed.shape[1] for own in series), default=0) < 5:
             break
         for own in series:
-            own.fix(found[0])
+            own.fix(minima[0])
     return guesses, left
 
 
 def _strongest(problem: Problem, omegas: np.ndarray) -> np.ndarray:
     """Return which frequencies of a long grid, in order, have the largest power in the channels' periodograms.
 
-    All samples count, interpolated to even times, so that the noise averages out; the cost is that of an FFT.
+    All samples count, so that the noise averages out; the cost is that of an FFT.
     """
     power = np.zeros(omegas.size)
     for channel in (c for record in problem.records for c in record.channels if c.n > 4 and np.any(c.values)):
-        times = np.linspace(channel.times[0], channel.times[-1], channel.n)
-        values = np.interp(times, channel.times, channel.values)
-        spectrum = np.abs(np.fft.rfft(values - values.mean(), 2 * channel.n)) ** 2
-        frequencies = np.pi * np.arange(spectrum.size) / (times[-1] - times[0])
-        power += np.interp(omegas, frequencies, spectrum / spectrum.sum())
+        frequencies, spectrum = periodogram(channel, channel.n, padding=2)
+        power += np.interp(omegas, 2.0 * np.pi * frequencies, spectrum / spectrum.sum())
     return np.sort(np.argsort(power, kind="stable")[-MOST_FREQUENCIES // 8 :])
 
 
@@ -114,7 +118,7 @@ class _Series:
                 self.fixed = np.hstack([self.fixed, force_by_dof(forces, self.times).T])
 
     def columns(self, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
-        """The columns that a wave adds, (n_omegas, n_decays, n, k): two of its own, and one for each forced DOF."""
+        """Return the columns that a wave adds, (n_omegas, n_decays, n, k): two of its own, one for each forced DOF."""
         waves = _wave(self.times, omegas, decays)
         if not self.forces:
             return waves
@@ -129,7 +133,7 @@ class _Series:
 
 
 def _thinned(n: int) -> np.ndarray:
-    """Which of n samples a scan takes: all, or of a long record one of each of ``MOST_SAMPLES`` equal parts.
+    """Return which of n samples a scan takes: all, or of a long record one of each of ``MOST_SAMPLES`` equal parts.
 
     Where in its part follows the golden ratio: evenly thinned samples would take a fast motion for a slow one.
     """
@@ -141,14 +145,14 @@ def _thinned(n: int) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def _forced(forces: tuple[tuple[bytes, bytes, str, int], ...], times: bytes, *grid: bytes) -> np.ndarray:
-    """:func:`forced_motion` on a grid of frequencies and decays; kept, since replicates share their forces."""
+    """Call :func:`forced_motion` on a grid of frequencies and decays; kept, since replicates share their forces."""
     omegas, decays = (np.frombuffer(own) for own in grid)
     own = [Force(np.frombuffer(t), np.frombuffer(v), hold, dof) for t, v, hold, dof in forces]  # type: ignore[arg-type]
     return forced_motion(own, -decays + 1j * omegas[:, None], np.frombuffer(times))
 
 
 def _best(series: list[_Series], omegas: np.ndarray, decays: np.ndarray) -> list[Guess]:
-    """Local minima over frequency when one wave is added to the fixed columns of each series, best first."""
+    """Return local minima over frequency when one wave is added to the fixed columns of each series, best first."""
     left = np.zeros((omegas.size, decays.size))
     for own in series:
         left += _left(own, omegas, decays) / len(series)
@@ -160,35 +164,32 @@ def _best(series: list[_Series], omegas: np.ndarray, decays: np.ndarray) -> list
 
 
 def _wave(t: np.ndarray, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
-    """The two columns of each wave, (n_omegas, n_decays, n_times, 2)."""
+    """Return the two columns of each wave, (n_omegas, n_decays, n_times, 2)."""
     envelope = np.exp(-decays[:, None] * t)
     phase = omegas[:, None, None] * t
     return np.stack([envelope * np.cos(phase), envelope * np.sin(phase)], -1)
 
 
 def _left(series: _Series, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
-    """Shares of the sum of squares (n_omegas, n_decays) that each wave leaves, together with the fixed columns."""
-    if series.thinned:
-        return _left_of_long(series, omegas, decays)
-    if series.forces:  # their oscillators are kept for all frequencies at once
-        return _left_of_block(series, omegas, decays)
-    step = max(1, BLOCK // (decays.size * series.times.size))
-    return np.concatenate(
-        [_left_of_block(series, omegas[at : at + step], decays) for at in range(0, omegas.size, step)]
-    )
+    """Return shares of the sum of squares (n_omegas, n_decays) that waves leave, together with the fixed columns.
+
+    Those of a thinned record, with its many frequencies, come from inner products. The motions under forces are kept
+    for all frequencies at once.
+    """
+    share = _left_by_products if series.thinned else _left_by_projection
+    at_once = 1 if series.thinned else decays.size
+    step = omegas.size if series.forces and not series.thinned else max(1, BLOCK // (at_once * series.times.size))
+    return np.concatenate([share(series, omegas[i : i + step], decays) for i in range(0, omegas.size, step)])
 
 
-def _left_of_block(series: _Series, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
+def _left_by_projection(series: _Series, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
     y, added = series.values, series.columns(omegas, decays)
     a = np.concatenate([np.broadcast_to(series.fixed, (*added.shape[:2], *series.fixed.shape)), added], -1)
     q, _ = np.linalg.qr(a)
     return np.asarray(np.maximum(1.0 - np.sum((y @ q) ** 2, -1) / (y @ y), 0.0))
 
 
-def _left_of_long(series: _Series, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
-    """The same from inner products, for the many frequencies of a long record."""
-    y, there = series.values, np.linalg.qr(series.fixed)[0].T
-    beside = 1.0 - np.sum((there @ y) ** 2) / (y @ y)
-    step = max(1, BLOCK // series.times.size)
-    taken = [gains(series.times, y[None], there, decays, omegas[at : at + step]) for at in range(0, omegas.size, step)]
-    return np.asarray(np.maximum(beside - np.concatenate(taken, 1).T / (y @ y), 0.0))
+def _left_by_products(series: _Series, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
+    y, basis = series.values, np.linalg.qr(series.fixed)[0].T
+    taken = gains(series.times, y[None], basis, decays, omegas).T
+    return np.asarray(np.maximum(1.0 - (np.sum((basis @ y) ** 2) + taken) / (y @ y), 0.0))

@@ -25,7 +25,7 @@ def test_what_a_wave_takes_off_is_what_least_squares_says(offset: bool, there: l
     irregular = np.sort(rng.uniform(0.0, 1.0, 60))
     channels = [Channel(t, rng.standard_normal(t.size), offset=offset) for t in (TIMES, TIMES, irregular)]
     groups = _groups(channels)
-    assert [len(group.values) for group in groups] == [2, 1]
+    assert [len(group) for group in groups] == [2, 1]
     decays, omegas = np.array([0.2, 3.0]), np.array([7.0, 25.0, 60.0])
     gains = sum(_gains(group, np.array(there, complex), decays, omegas) for group in groups)
     for i, d in enumerate(decays):
