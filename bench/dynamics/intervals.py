@@ -8,12 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from bench.contract.problem import Force
+from bench.contract.problem import Force, Record
 
 
 def merged_grid(times: np.ndarray, forces: Sequence[Force]) -> np.ndarray:
     """Return zero, the times, and between them those at which a force has a sample; increasing, shape (n,)."""
     return np.unique(np.concatenate([[0.0], times, *[f.times[f.times <= times[-1]] for f in forces]]))
+
+
+def sample_times(record: Record) -> tuple[np.ndarray, list[slice | np.ndarray]]:
+    """Return the times at which any sensor of a record is read, increasing, and where among them each channel's are."""
+    first = record.channels[0].times
+    if all(np.array_equal(channel.times, first) for channel in record.channels):
+        return first, [slice(None)] * len(record.channels)
+    times = np.unique(np.concatenate([channel.times for channel in record.channels]))
+    return times, [np.searchsorted(times, channel.times) for channel in record.channels]
 
 
 def interval_polynomials(forces: Sequence[Force], grid: np.ndarray, n_dof: int) -> np.ndarray:

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.contract.problem import Channel, Force, Record
-from bench.dynamics.intervals import interval_polynomials, merged_grid
+from bench.contract.problem import Force, Record
+from bench.dynamics.intervals import interval_polynomials, merged_grid, sample_times
 from bench.dynamics.mechanics import state_matrix
 from bench.systems import System
 
@@ -82,9 +82,15 @@ def linear_motion(
         2 n_dof, n_parameters + 2 n_dof): by the log-parameters, then by the initial state; of no length where they are
         not wanted. Not finite for sets that are too fast to be followed.
     """
-    matrices = state_matrices(system, p, slopes)
-    motion = _free_oscillator if system.n_dof == 1 and not forces else _stepped
-    return motion(matrices, start, times, forces, slopes)
+    return _motion(state_matrices(system, p, slopes), start, times, forces, slopes)
+
+
+def _motion(
+    matrices: StateMatrices, start: np.ndarray, times: np.ndarray, forces: Sequence[Force], slopes: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    if start.shape[1] == 2 and not forces:
+        return _free_oscillator(matrices, start, times, slopes)
+    return _stepped(matrices, start, times, forces, slopes)
 
 
 def linear_readings(
@@ -92,41 +98,32 @@ def linear_readings(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return what the sensors of a record would show, channel after channel, and its derivatives, (sets, N, ...).
 
-    As :func:`linear_motion`, without offsets. Sensors that are read at the same times share one motion.
+    As :func:`linear_motion`, without offsets; an accelerometer shows rows of ``A s + B f``.
     """
-    rig, motions = record.rig(system), dict[bytes, tuple[np.ndarray, np.ndarray]]()
-    parts = []
-    for channel in record.channels:
-        key = channel.times.tobytes()
-        if key not in motions:
-            motions[key] = linear_motion(rig, p, start, channel.times, record.forces)
-        parts.append(_reading(rig, p, channel, record, *motions[key]))
-    return np.concatenate([value for value, _ in parts], axis=1), np.concatenate([slope for _, slope in parts], axis=1)
-
-
-def _reading(
-    system: System, p: Mapping[str, np.ndarray], channel: Channel, record: Record, path: np.ndarray, slopes: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """What one sensor shows of a motion: a component of the state, or the acceleration that follows from it."""
-    n = system.n_dof
-    row = channel.dof + {"displacement": 0, "velocity": n, "acceleration": n}[channel.measures]
-    if channel.measures != "acceleration":
-        return path[..., row], slopes[:, :, row]
-    matrices = state_matrices(system, p, slopes=True)
-    push = np.stack(record.force(channel.times, n), axis=-1)
-    value = np.einsum("kj,ktj->kt", matrices.a[:, row], path) + np.einsum("kj,tj->kt", matrices.b[:, row], push)
-    slope = np.einsum("kj,ktjd->ktd", matrices.a[:, row], slopes)
-    q = matrices.da.shape[1]
-    slope[..., :q] += np.einsum("kqj,ktj->ktq", matrices.da[:, :, row], path)
-    slope[..., :q] += np.einsum("kqj,tj->ktq", matrices.db[:, :, row], push)
-    return value, slope
+    n, (times, places) = system.n_dof, sample_times(record)
+    matrices = state_matrices(record.rig(system), p, slopes=True)
+    path, slopes = _motion(matrices, start, times, record.forces, slopes=True)
+    q, values, derivatives = matrices.da.shape[1], [], []
+    for channel, where in zip(record.channels, places, strict=True):
+        row = channel.dof + (0 if channel.measures == "displacement" else n)
+        if channel.measures != "acceleration":
+            values.append(path[:, where, row])
+            derivatives.append(slopes[:, where, row])
+            continue
+        state, push = path[:, where], np.stack(record.force(channel.times, n), axis=-1)
+        values.append(np.einsum("kj,ktj->kt", matrices.a[:, row], state) + matrices.b[:, row] @ push.T)
+        slope = np.einsum("kj,ktjd->ktd", matrices.a[:, row], slopes[:, where])
+        slope[..., :q] += np.einsum("kqj,ktj->ktq", matrices.da[:, :, row], state)
+        slope[..., :q] += np.einsum("kqj,tj->ktq", matrices.db[:, :, row], push)
+        derivatives.append(slope)
+    return np.concatenate(values, axis=1), np.concatenate(derivatives, axis=1)
 
 
 # ------------------------------------------------------------------------------------------------ one DOF, no force
 
 
 def _free_oscillator(
-    matrices: StateMatrices, start: np.ndarray, times: np.ndarray, _: Sequence[Force], slopes: bool
+    matrices: StateMatrices, start: np.ndarray, times: np.ndarray, slopes: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute ``exp(A t) s0`` for ``A = [[0, 1], [-r, -g]]`` and its derivatives, at any damping.
 

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.contract.problem import Channel, Force, InitialState, Record
-from bench.dynamics.intervals import Steps, interval_polynomials, merged_grid, step_counts
+from bench.contract.problem import Force, InitialState, Record
+from bench.dynamics.intervals import Steps, interval_polynomials, merged_grid, sample_times, step_counts
 from bench.dynamics.linear_motion import linear_motion
 from bench.dynamics.mechanics import acceleration, state_rate
 from bench.dynamics.ops import float_ops, numpy_ops
@@ -43,16 +43,20 @@ class SimulatedMotion:
     velocity: np.ndarray
     hidden: np.ndarray
 
-    def measured(self, system: System, p: Mapping[str, Any], channel: Channel, record: Record) -> np.ndarray:
-        """What an ideal sensor would give (without its offset), shape (*sets, n_times)."""
-        if channel.measures == "displacement":
-            return self.displacement[channel.dof]
-        if channel.measures == "velocity":
-            return self.velocity[channel.dof]
-        force = record.force(channel.times, system.n_dof)
-        expanded = {name: np.asarray(value)[..., None] for name, value in p.items()}
-        x, v, z = map(list, (self.displacement, self.velocity, self.hidden))
-        return np.asarray(acceleration(system, expanded, x, v, force, z, numpy_ops)[channel.dof])
+    def readings(self, system: System, p: Mapping[str, Any], record: Record) -> np.ndarray:
+        """Return what ideal sensors would show, channel after channel, shape (*sets, n_samples), without offsets.
+
+        ``record``: at whose :func:`sample_times` the motion is.
+        """
+        by_kind: dict[str, Any] = {"displacement": self.displacement, "velocity": self.velocity}
+        times, places = sample_times(record)
+        if any(channel.measures == "acceleration" for channel in record.channels):
+            expanded = {name: np.asarray(value)[..., None] for name, value in p.items()}
+            x, v, z = map(list, (self.displacement, self.velocity, self.hidden))
+            force = record.force(times, system.n_dof)
+            by_kind["acceleration"] = acceleration(system, expanded, x, v, force, z, numpy_ops)
+        channels = zip(record.channels, places, strict=True)
+        return np.concatenate([by_kind[c.measures][c.dof][..., where] for c, where in channels], axis=-1)
 
 
 def simulate(
@@ -252,14 +256,6 @@ def fitted_start(system: System, p: Mapping[str, float], record: Record) -> Init
 def measurements(
     system: System, p: Mapping[str, Any], start: InitialState | tuple[np.ndarray, np.ndarray], record: Record
 ) -> np.ndarray:
-    """Ideal measurements of all channels of a record, channel after channel, shape (*sets, n_samples).
-
-    Sensors that are read at the same times share one simulation.
-    """
-    rig, motions, parts = record.rig(system), dict[bytes, SimulatedMotion](), []
-    for channel in record.channels:
-        key = channel.times.tobytes()
-        if key not in motions:
-            motions[key] = simulate(rig, p, start, channel.times, record.forces)
-        parts.append(motions[key].measured(rig, p, channel, record))
-    return np.concatenate(parts, axis=-1)
+    """Simulate ideal measurements of all channels of a record, channel after channel, shape (*sets, n_samples)."""
+    rig, (times, _) = record.rig(system), sample_times(record)
+    return simulate(rig, p, start, times, record.forces).readings(rig, p, record)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.contract.problem import InitialState, Problem, Record
-from bench.dynamics.intervals import Steps, merged_grid, step_counts
+from bench.dynamics.intervals import Steps, merged_grid, sample_times, step_counts
 from bench.dynamics.rates import longest_step
 from bench.dynamics.simulate import MAX_STEPS, SimulatedMotion
 from bench.dynamics.stepper import compiled_path
@@ -30,7 +30,7 @@ class CompiledOutputError(OutputError):
         sets = np.broadcast_shapes(*(np.shape(value) for value in p.values()), np.shape(x)[1:])
         state = [np.broadcast_to(part[i], sets or (1,)) for part in (x, v) for i in range(n)]
         state += [np.zeros(sets or (1,)) for _ in range(rig.n_hidden)]
-        times = np.unique(np.concatenate([c.times for c in record.channels]))
+        times, _ = sample_times(record)
         grid = merged_grid(times, record.forces)
         with np.errstate(all="ignore"):
             counts = step_counts(grid, longest_step(rig, p, state))
@@ -40,9 +40,4 @@ class CompiledOutputError(OutputError):
                 steps = Steps.over(grid, counts, record.forces, n)
                 path = compiled_path(rig, p, state, steps, np.searchsorted(grid, times), coarse=True)
             path = path.reshape(len(state), *sets, times.size)
-            parts = []
-            for channel in record.channels:
-                own = path[..., np.searchsorted(times, channel.times)]
-                motion = SimulatedMotion(own[:n], own[n : 2 * n], own[2 * n :])
-                parts.append(motion.measured(rig, p, channel, record))
-        return np.concatenate(parts, axis=-1)
+            return SimulatedMotion(path[:n], path[n : 2 * n], path[2 * n :]).readings(rig, p, record)

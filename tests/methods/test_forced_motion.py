@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from bench import Channel, Force, Problem, simulate
+from bench import Channel, Force, Problem, measurements
 from bench.config.experiment import expand
 from bench.entrants.registry import make_method, missing_package
 from methods.starts.forced_motion import ForcedMotion, forced_motion
@@ -121,9 +121,8 @@ def _sensed(measures: str) -> tuple[Problem, dict[str, float]]:
     problem, p = _problem("sdof_forced", 40)
     record = problem.records[0]
     assert record.initial_state is not None
-    motion = simulate(problem.system, p, record.initial_state, record.channels[0].times, record.forces)
     ideal = Channel(record.channels[0].times, record.channels[0].values, measures)  # type: ignore[arg-type]
-    clean = motion.measured(problem.system, p, ideal, record)
+    clean = measurements(problem.system, p, record.initial_state, dataclasses.replace(record, channels=(ideal,)))
     noise = 0.01 * np.std(clean) * np.random.default_rng(5).standard_normal(clean.size)
     sensed = dataclasses.replace(record, channels=(dataclasses.replace(ideal, values=clean + noise),))
     return dataclasses.replace(problem, records=(sensed,)), p
