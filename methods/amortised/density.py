@@ -7,13 +7,15 @@ G. Papamakarios, I. Murray, NeurIPS 2016, arXiv:1605.06376.
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from methods.amortised.mixture import Mixture
+from methods.amortised.cache import Arrays
 from methods.amortised.simulations import SampleLayout, Shown, shown, simulated
+from methods.sampling.mixture import Mixture
 
 CENTRE, WIDTH = 0.5, 1.5
 """Of the logarithm of the decay rate times the record: what the network counts it from and in."""
@@ -22,6 +24,7 @@ SMALLEST = 1e-3
 """Added to the spread of a feature, which may be constant."""
 POOL = 20_000
 """Records simulated at once."""
+SECONDS = "training_seconds"
 
 
 class Density(nn.Module):
@@ -39,6 +42,11 @@ class Density(nn.Module):
         self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(depth))
         self.head = nn.Linear(width, 6 * components)
         self.components = components
+
+    @staticmethod
+    def of(inputs: int, settings: dict[str, int]) -> Density:
+        """The network of settings with ``width``, ``depth`` and ``components``."""
+        return Density(inputs, settings["width"], settings["depth"], settings["components"])
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Log-weights (n, K), means (n, K, 2), and inverse Cholesky factors as (log d1, log d2, below) (n, K, 3)."""
@@ -60,31 +68,23 @@ class Density(nn.Module):
         return -torch.logsumexp(logs, dim=-1).mean()
 
 
-def targets(logs: np.ndarray, own: Shown) -> np.ndarray:
-    """What the network finds of (log frequency, log damping ratio) (n, 2): float32 (n, 2)."""
-    frequency = (logs[:, 0] - own.anchor) / own.step
-    decay = (logs.sum(axis=1) - CENTRE) / WIDTH
-    return np.stack([frequency, decay], axis=1).astype(np.float32)
-
-
-def mixture_of(network: Density, own: Shown) -> Mixture:
+def mixture_of(network: Density, seen: Shown) -> Mixture:
     """The mixture over log frequency and log decay rate that the network sees in one record."""
     with torch.no_grad():
-        weights, means, factors = (part[0].double().numpy() for part in network(torch.as_tensor(own.features)))
+        weights, means, factors = (part[0].double().numpy() for part in network(torch.as_tensor(seen.features)))
     inverse = np.zeros((len(weights), 2, 2))
     inverse[:, 0, 0], inverse[:, 1, 1] = np.exp(factors[:, 0]), np.exp(factors[:, 1])
     inverse[:, 1, 0] = factors[:, 2] * inverse[:, 0, 0]
-    scale = np.array([float(own.step[0]), WIDTH])
-    roots = np.linalg.inv(inverse) * scale[:, None]
-    centre = np.array([float(own.anchor[0]), CENTRE])
-    return Mixture(weights, centre + scale * means, roots @ roots.swapaxes(1, 2))
+    scale = np.array([float(seen.step[0]), WIDTH])
+    centre = np.array([float(seen.anchor[0]), CENTRE])
+    return Mixture(weights, centre + scale * means, np.linalg.inv(inverse) * scale[:, None])
 
 
 def trained(layout: SampleLayout, settings: dict[str, int], rate: float) -> Density:
     """Train a network for a layout: Adam with a rate that falls as a cosine, on records that are never seen twice.
 
     Args:
-        layout: Times, and whether the start is told.
+        layout: Times, and whether the initial state is known.
         settings: ``width``, ``depth``, ``components``, ``steps``, ``batch`` and ``seed``.
         rate: The largest learning rate, after a warm-up of a twentieth of the steps.
     """
@@ -92,18 +92,17 @@ def trained(layout: SampleLayout, settings: dict[str, int], rate: float) -> Dens
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings["seed"])
         features, target = _pool(layout, rng)
-        network = Density(features.shape[1], settings["width"], settings["depth"], settings["components"])
+        network = Density.of(features.shape[1], settings)
     network.mean.copy_(features.mean(0))
     network.scale.copy_(features.std(0) + SMALLEST)
     optimiser = torch.optim.Adam(network.parameters(), lr=rate)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=settings["steps"], pct_start=0.05)
-    at = 0
+    first = 0
     for _ in range(settings["steps"]):
-        if at + settings["batch"] > len(features):
+        if first + settings["batch"] > len(features):
             features, target = _pool(layout, rng)
-            at = 0
-        part = slice(at, at + settings["batch"])
-        at += settings["batch"]
+            first = 0
+        part = slice(first, first := first + settings["batch"])
         loss = network.loss(features[part], target[part])
         optimiser.zero_grad()
         loss.backward()
@@ -114,6 +113,25 @@ def trained(layout: SampleLayout, settings: dict[str, int], rate: float) -> Dens
 
 
 def _pool(layout: SampleLayout, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+    """Features of simulated records, and their log frequencies and log decay rates in the network's units, (n, 2)."""
     logs, values, starts = simulated(layout, POOL, rng)
-    own = shown(layout, values, starts if layout.told else None)
-    return torch.as_tensor(own.features), torch.as_tensor(targets(logs, own))
+    seen = shown(layout, values, starts if layout.known else None)
+    frequency, decay = (logs[:, 0] - seen.anchor) / seen.step, (logs.sum(axis=1) - CENTRE) / WIDTH
+    target = np.stack([frequency, decay], axis=1).astype(np.float32)
+    return torch.as_tensor(seen.features), torch.as_tensor(target)
+
+
+def as_arrays(layout: SampleLayout, settings: dict[str, int], rate: float) -> Arrays:
+    """Train a network; its weights by name, and the processor time (s) that it took."""
+    before = time.process_time()
+    network = trained(layout, settings, rate)
+    arrays = {name: value.numpy() for name, value in network.state_dict().items()}
+    return {**arrays, SECONDS: np.array(time.process_time() - before)}
+
+
+def network_from(arrays: Arrays, settings: dict[str, int]) -> tuple[Density, float]:
+    """The network of stored arrays, and the processor time (s) of its training."""
+    weights = {name: torch.as_tensor(value) for name, value in arrays.items() if name != SECONDS}
+    network = Density.of(int(weights["mean"].shape[0]), settings)
+    network.load_state_dict(weights)
+    return network.eval(), float(arrays[SECONDS])

@@ -1,24 +1,22 @@
 """Neural posterior estimation: the posterior of a record read off a network that was trained on simulations.
 
 For the free decay of one mass with displacements at even times. A mixture density network
-(:mod:`methods.amortised.density`) is trained once for a layout, the number of samples and whether the start is told, on
-records simulated over a wide box of frequency, damping ratio, phase and noise (:mod:`methods.amortised.simulations`),
-none of which comes from the problem; its training is the maximum likelihood of the true frequency and decay given the
-record, which the posterior under the box attains (G. Papamakarios, I. Murray, NeurIPS 2016, arXiv:1605.06376; K.
-Cranmer, J. Brehmer, G. Louppe, PNAS 117:30055, 2020). Every record of that layout is then answered by one pass.
+(:mod:`methods.amortised.density`) is trained once for a layout, the number of samples and whether the initial state is
+known, on records simulated over a wide box of frequency, damping ratio, phase and noise
+(:mod:`methods.amortised.simulations`), none of which comes from the problem; its training is the maximum likelihood of
+the true frequency and decay given the record, which the posterior under the box attains (G. Papamakarios, I. Murray,
+NeurIPS 2016, arXiv:1605.06376; K. Cranmer, J. Brehmer, G. Louppe, PNAS 117:30055, 2020). Every record of that layout is
+then answered by one pass.
 
 The box is uniform in the logarithms, so the posterior under the prior of a problem is the network's mixture times that
 prior: again a mixture, in closed form (Papamakarios and Murray). So one network serves every prior and every noise
-level. The data tell k/m and c/m alone; m given these is drawn from what the prior says of it, which is exact.
+level. The data determine k/m and c/m alone; m given these is drawn from what the prior says of it, which is exact.
 
-What the network does not know it cannot tell: the answer is as good as the training, and at little noise, where the
-posterior is narrow beside what a network resolves, it is wider than the data allow; for some systems it is too
-narrow. ``corrected`` weighs the draws by the exact likelihood over the network's density and draws
-from them again (importance sampling: M. Dax et al., Physical Review Letters 130:171403, 2023): the network is then but
-the proposal, and too few effective draws are a failure.
-
-An answer is not trusted, and is a failure with a sentence, where the draws leave the box that was trained on, or where
-the response at their median leaves more of the record than the largest noise that was trained on.
+The answer is as good as the training: at little noise, where the posterior is narrow beside what a network resolves, it
+is wider than the data allow; for some systems it is too narrow. ``corrected`` weighs the draws by the exact likelihood
+over the network's density and draws from them again (importance sampling: M. Dax et al., Physical Review Letters
+130:171403, 2023): the network is then but the proposal, and too few effective draws are a failure. So are draws that
+leave the box, and a response at their median that leaves more of the record than the largest noise of the training.
 
 Trained networks are kept in ``folder`` (else ``vibration-bench/npe`` in the user's cache). Training is the same for the
 same seed; a network trained by another build of torch differs by rounding that training makes larger.
@@ -26,7 +24,7 @@ same seed; a network trained by another build of torch differs by rounding that 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar
 
@@ -46,10 +44,10 @@ from bench import (
     SimulatedResponse,
     fitted_start,
 )
-from methods.amortised.cache import Arrays, cache_folder, cached
-from methods.amortised.likelihood import log_likelihood
-from methods.amortised.mixture import Mixture
+from methods.amortised.cache import cache_folder, cached
+from methods.amortised.correction import log_likelihood, resampled
 from methods.amortised.simulations import DECIBELS, RATIOS, SampleLayout, shown
+from methods.sampling.mixture import Mixture
 from methods.starts.band import BandIdentifier
 
 if TYPE_CHECKING:
@@ -68,8 +66,6 @@ MARGIN = 1.15
 """Times the noise of the noisiest records trained on: what the median response may leave."""
 PROPOSALS = 5
 """Times the draws: how many are weighed where they are corrected."""
-LEAST_EFFECTIVE = 50.0
-"""Effective draws below which the network is no proposal."""
 
 
 @dataclass(frozen=True)
@@ -137,17 +133,22 @@ class NPE(BandIdentifier):
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
-            seen, spent = self._seen(problem)
+            posterior, spent = self._seen(problem)
         finally:
             torch.set_num_threads(threads)
-        posterior = seen if problem.prior is None else seen.times(*_group_prior(problem, problem.prior))
+        prior = None if problem.prior is None else _group_prior(problem, problem.prior)
+        if prior is not None:
+            posterior = posterior.times(*prior)
         logs = _inside(_layout(problem), posterior, (PROPOSALS if self.corrected else 1) * self.draws, rng)
         effective = float(len(logs))
         if self.corrected:
-            logs, effective = _corrected(problem, posterior, logs, self.draws, rng)
-        found = _estimate(problem, logs, rng)
+            target = log_likelihood(problem, logs)
+            if prior is not None:
+                away = logs - prior[0]
+                target -= 0.5 * np.sum(away * np.linalg.solve(prior[1], away.T).T, axis=1)
+            logs, effective = resampled(logs, target - posterior.log_density(logs), self.draws, rng)
         traces = {"training_seconds": np.array([spent]), "effective_draws": np.array([effective])}
-        return replace(found, traces=traces, cost=Cost(evaluations=1, iterations=self.steps))
+        return replace(_estimate(problem, logs, rng), traces=traces, cost=Cost(evaluations=1, iterations=self.steps))
 
     def _seen(self, problem: Problem) -> tuple[Mixture, float]:
         """What the network sees of the logarithms of k/m and c/m, and the processor time (s) of its training."""
@@ -157,29 +158,21 @@ class NPE(BandIdentifier):
         names = ("steps", "batch", "width", "depth", "components", "seed")
         network, spent = _loaded(layout, tuple((name, getattr(self, name)) for name in names), self.folder)
         start = record.initial_state
-        told = None if start is None else np.array([[start.displacement[0], start.velocity[0]]])
-        seen = mixture_of(network, shown(layout, record.channels[0].values[None], told))
+        known = None if start is None else np.array([[start.displacement[0], start.velocity[0]]])
+        seen = mixture_of(network, shown(layout, record.channels[0].values[None], known))
         # log k/m = 2 log frequency and log c/m = log 2 + log decay rate
-        return seen.mapped(np.diag([2.0, 1.0]), np.array([0.0, np.log(2.0)])), spent
+        scale, shift = np.array([2.0, 1.0]), np.array([0.0, np.log(2.0)])
+        return replace(seen, centres=scale * seen.centres + shift, roots=scale[:, None] * seen.roots), spent
 
 
 @lru_cache(maxsize=8)
 def _loaded(layout: SampleLayout, settings: tuple[tuple[str, int], ...], folder: str) -> tuple[Density, float]:
     """The network of a layout, and the processor time (s) that its training took, whenever that was."""
-    from methods.amortised.training import as_arrays, definition, network_from
+    from methods.amortised.density import as_arrays, network_from
 
-    identity = {
-        "definition": definition(),
-        "samples": layout.samples,
-        "first": layout.first,
-        "told": layout.told,
-        **dict(settings),
-    }
-
-    def make() -> Arrays:
-        return as_arrays(layout, dict(settings), RATE)
-
-    return network_from(cached(cache_folder(folder), identity, make), dict(settings))
+    values = dict(settings)
+    identity = {"version": NPE.version, **asdict(layout), **values}
+    return network_from(cached(cache_folder(folder), identity, lambda: as_arrays(layout, values, RATE)), values)
 
 
 def _layout(problem: Problem) -> SampleLayout:
@@ -194,20 +187,23 @@ def _parameters(problem: Problem) -> list[str]:
     return [kinds["mass"], kinds["damping"], kinds["stiffness"]]
 
 
+def _log_prior(problem: Problem, prior: Prior) -> tuple[np.ndarray, np.ndarray]:
+    """Means and variances of the logarithms of mass, damping and stiffness."""
+    names = _parameters(problem)
+    return np.log([prior.nominal[name] for name in names]), np.array([prior.log_sd[name] for name in names]) ** 2
+
+
 def _group_prior(problem: Problem, prior: Prior) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of the logarithms of k/m and c/m."""
-    mass, damping, stiffness = _parameters(problem)
-    log = {name: float(np.log(value)) for name, value in prior.nominal.items()}
-    square = {name: sd**2 for name, sd in prior.log_sd.items()}
-    mean = np.array([log[stiffness] - log[mass], log[damping] - log[mass]])
-    return mean, np.diag([square[stiffness], square[damping]]) + square[mass]
+    means, variances = _log_prior(problem, prior)
+    return means[[2, 1]] - means[0], np.diag(variances[[2, 1]]) + variances[0]
 
 
 def _inside(layout: SampleLayout, posterior: Mixture, n: int, rng: np.random.Generator) -> np.ndarray:
     """Draws of the logarithms of k/m and c/m within the box that was trained on, at most ``n``."""
     logs = posterior.draw(TRIES * n, rng)
-    frequency, ratio = 0.5 * logs[:, 0], logs[:, 1] - np.log(2.0) - 0.5 * logs[:, 0]
-    place = np.stack([frequency, ratio], axis=1)
+    frequency = 0.5 * logs[:, 0]
+    place = np.stack([frequency, logs[:, 1] - np.log(2.0) - frequency], axis=1)
     low, high = layout.box
     within = np.all((place >= low) & (place <= high), axis=1)
     if np.mean(within) < LEAST_INSIDE:
@@ -217,27 +213,6 @@ def _inside(layout: SampleLayout, posterior: Mixture, n: int, rng: np.random.Gen
             f"and damping ratios of {RATIOS[0]:g} to {RATIOS[1]:g}: take another method, or more samples"
         )
     return logs[within][:n]
-
-
-def _corrected(
-    problem: Problem, posterior: Mixture, logs: np.ndarray, n: int, rng: np.random.Generator
-) -> tuple[np.ndarray, float]:
-    """Draws again, by the exact posterior over the mixture; and the number of effective draws."""
-    target = log_likelihood(problem, logs)
-    if problem.prior is not None:
-        mean, covariance = _group_prior(problem, problem.prior)
-        away = logs - mean
-        target = target - 0.5 * np.sum(away * np.linalg.solve(covariance, away.T).T, axis=1)
-    excess = target - posterior.log_density(logs)
-    weights = np.exp(excess - np.max(excess))
-    weights /= weights.sum()
-    effective = float(1.0 / np.sum(weights**2))
-    if effective < LEAST_EFFECTIVE:
-        raise NoEstimate(
-            f"only {effective:.0f} of {len(logs)} draws count by the exact likelihood, so the network does not know "
-            "such a record: take another method, or a longer training"
-        )
-    return logs[rng.choice(len(logs), n, p=weights)], effective
 
 
 def _estimate(problem: Problem, logs: np.ndarray, rng: np.random.Generator) -> Estimate:
@@ -258,26 +233,22 @@ def _estimate(problem: Problem, logs: np.ndarray, rng: np.random.Generator) -> E
         )
     parameters, groups = None, None
     if problem.prior is None:
-        names = [next(name for name in g.exponents if name != mass) for g in system.groups]
-        values = np.exp(logs[:, [0 if name == stiffness else 1 for name in names]])
-        centre = np.array([middle[0 if name == stiffness else 1] for name in names])
-        groups = Normal(tuple(g.name for g in system.groups), centre, np.cov(values.T), log=False)
+        columns = [0 if stiffness in group.exponents else 1 for group in system.groups]
+        covariance = np.cov(np.exp(logs[:, columns]).T)
+        groups = Normal(tuple(group.name for group in system.groups), middle[columns], covariance, log=False)
     else:
         m = _masses(problem, problem.prior, logs, rng)
-        columns = {mass: m, damping: m * np.exp(logs[:, 1]), stiffness: m * np.exp(logs[:, 0])}
-        parameters = Draws(system.names, np.stack([columns[name] for name in system.names], axis=1))
+        values = {mass: m, damping: m * np.exp(logs[:, 1]), stiffness: m * np.exp(logs[:, 0])}
+        parameters = Draws(system.names, np.stack([values[name] for name in system.names], axis=1))
     return Estimate(system, parameters, groups, reconstructions=(response,), initial_states=(start,))
 
 
 def _masses(problem: Problem, prior: Prior, logs: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """The mass given k/m and c/m, as the prior has it: what is stated of m, c and k, each weighed by its width."""
-    mass, damping, stiffness = _parameters(problem)
-    log = {name: float(np.log(value)) for name, value in prior.nominal.items()}
-    weight = {name: sd**-2.0 for name, sd in prior.log_sd.items()}
-    total = sum(weight.values())
-    said = weight[mass] * log[mass] + weight[damping] * (log[damping] - logs[:, 1])
-    said = said + weight[stiffness] * (log[stiffness] - logs[:, 0])
-    return np.asarray(np.exp(said / total + rng.standard_normal(len(logs)) / np.sqrt(total)))
+    """Draw the mass given k/m and c/m: what the prior states of m, c and k, each weighed by its precision."""
+    means, variances = _log_prior(problem, prior)
+    weights = (1.0 / variances) / np.sum(1.0 / variances)
+    mean = weights @ means - logs @ weights[[2, 1]]
+    return np.asarray(np.exp(mean + rng.standard_normal(len(logs)) / np.sqrt(np.sum(1.0 / variances))))
 
 
 def _objection(problem: Problem) -> str | None:

@@ -2,12 +2,12 @@
 
 Time is counted in records (the last sample is at 1) and displacement in root mean squares of the record, so that one
 network serves every size and every duration. The motion is drawn from a wide box, not from anybody's prior: frequency
-and damping ratio log-uniform, the phase of the start uniform, the signal-to-noise ratio uniform in decibels.
+and damping ratio log-uniform, the phase of the initial state uniform, the signal-to-noise ratio uniform in decibels.
 
 A record is shown as its samples and as a bank of damped waves, as the scan of the other methods has it
 (:mod:`methods.starts.scan`): the share of the record that the best wave of each frequency and decay leaves, of all
-starts or of the told one. The frequency where least is left is the anchor: the network finds the frequency relative to
-it, in steps of the bank.
+initial states or of the known one. The frequency where least is left is the anchor: the network finds the frequency
+relative to it, in steps of the bank.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ CRITICAL = 1e-6
 
 @dataclass(frozen=True)
 class SampleLayout:
-    """Even times: ``samples`` from ``first`` to 1; and whether the start is told."""
+    """Even times: ``samples`` from ``first`` to 1; and whether the initial state is known."""
 
     samples: int
     first: float
-    told: bool
+    known: bool
 
     @cached_property
     def times(self) -> np.ndarray:
@@ -116,7 +116,7 @@ class Shown:
 
 
 def shown(layout: SampleLayout, values: np.ndarray, starts: np.ndarray | None) -> Shown:
-    """Show records: ``values`` (sets, samples), and told ``starts`` (sets, 2), displacement and velocity, or None."""
+    """Show records: ``values`` (sets, samples), and known ``starts`` (sets, 2), displacement and velocity, or None."""
     size = np.sqrt(np.mean(values**2, axis=1, keepdims=True))
     y = values / size
     shape = (len(y), FREQUENCIES, len(DECAYS))
@@ -125,13 +125,13 @@ def shown(layout: SampleLayout, values: np.ndarray, starts: np.ndarray | None) -
         caught = (y @ layout.bases.T).reshape(*shape, 2)
         left = layout.samples - np.sum(caught**2, axis=-1)
     else:
-        own = starts / size
-        # the sum of squares of y less the told start's response, by inner products
+        scaled = starts / size
+        # the sum of squares of y less the response to the known initial state, by inner products
         on = (y @ layout.waves.reshape(-1, layout.samples).T).reshape(*shape, 2)
-        both = np.stack([own[:, 0] ** 2, 2 * own[:, 0] * own[:, 1], own[:, 1] ** 2], axis=1)
+        both = np.stack([scaled[:, 0] ** 2, 2 * scaled[:, 0] * scaled[:, 1], scaled[:, 1] ** 2], axis=1)
         energy = (both @ layout.products).reshape(shape)
-        left = layout.samples - 2 * np.einsum("bi,bfdi->bfd", own, on) + energy
-        features.append(np.arcsinh(own))
+        left = layout.samples - 2 * np.einsum("bi,bfdi->bfd", scaled, on) + energy
+        features.append(np.arcsinh(scaled))
     logs = np.log(np.clip(left / layout.samples, LEAST_LEFT, 1.0 / LEAST_LEFT))
     best = logs.min(axis=2).argmin(axis=1)
     places = best[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1)

@@ -17,7 +17,7 @@ from methods.sampling.posterior import Posterior
 
 @dataclass(frozen=True, eq=False)
 class MeanResponse:
-    """The mean displacement over draws, as a function of time; can be pickled. Starts have shape (n_dof, n_draws)."""
+    """The mean displacement over draws, as a function of time; can be pickled. States have shape (n_dof, n_draws)."""
 
     system: System
     parameters: dict[str, np.ndarray]
@@ -31,25 +31,27 @@ class MeanResponse:
         return np.asarray(simulate(self.system, self.parameters, start, times, self.forces).displacement.mean(axis=1))
 
 
+def thinned(draws: np.ndarray, most: int) -> np.ndarray:
+    """At most so many of draws (..., size), evenly spread over them, shape (n, size)."""
+    flat = draws.reshape(-1, draws.shape[-1])
+    return np.asarray(flat[np.linspace(0, len(flat) - 1, min(most, len(flat))).astype(int)])
+
+
 def estimate_from_draws(
-    posterior: Posterior, phi: np.ndarray, traces: Mapping[str, np.ndarray], cost: Cost, curves: int
+    posterior: Posterior, phi: np.ndarray, traces: Mapping[str, float], cost: Cost, curves: int, message: str = ""
 ) -> Estimate:
     """Make the answer of draws of phi (n, size); the parameters at the mode are added to the traces."""
     model = posterior.model
-    system, theta = model.system, phi[:, : model.size]
-    p, starts = model.parameters(theta), model.starts(theta)
-    few = np.linspace(0, len(phi) - 1, min(curves, len(phi))).astype(int)
+    system, n = model.system, model.system.n_dof
+    theta, few = phi[:, : model.size], thinned(phi, curves)[:, : model.size]
+    p, few_p = model.parameters(theta), model.parameters(few)
     responses, states = [], []
-    for record, start in zip(model.problem.records, starts, strict=True):
-        if isinstance(start, InitialState):
-            shape = (system.n_dof, len(few))
-            x, v = (np.broadcast_to(part[:, None], shape) for part in (start.displacement, start.velocity))
-            states.append(start)
-        else:
-            x, v = start[0][:, few], start[1][:, few]
-            states.append(InitialState(np.median(start[0], axis=1), np.median(start[1], axis=1)))
-        few_p = {name: value[few] for name, value in p.items()}
+    for record, of_all, of_few in zip(model.problem.records, model.states(theta), model.states(few), strict=True):
+        x, v = of_few[:, :n].T, of_few[:, n:].T
         responses.append(MeanResponse(record.rig(system), few_p, x, v, record.forces))
+        middle = np.median(of_all, axis=0)
+        known = record.initial_state
+        states.append(InitialState(middle[:n], middle[n:]) if known is None else known)
     parameters = groups = None
     if len(model.free) == len(system.names):
         parameters = Draws(system.names, np.stack([p[name] for name in system.names], axis=1))
@@ -57,6 +59,7 @@ def estimate_from_draws(
         names = tuple(group.name for group in system.groups)
         values = np.stack([group.value(p) for group in system.groups], axis=1)
         groups = Normal(names, values.mean(axis=0), np.atleast_2d(np.cov(values.T)), log=False)
+    mode = np.array(list(model.parameters(posterior.mode).values()))
     return Estimate(
         system,
         parameters=parameters,
@@ -64,7 +67,8 @@ def estimate_from_draws(
         reconstructions=tuple(responses),
         initial_states=tuple(states),
         offsets=tuple(map(float, np.median(model.offsets(theta), axis=0))),
+        message=message,
         cost=cost,
-        traces={"posterior_mode": np.array(list(model.parameters(posterior.mode).values())), **traces},
+        traces={"posterior_mode": mode, **{name: np.array([value]) for name, value in traces.items()}},
         dimensions={"posterior_mode": [parameter.dimension for parameter in system.parameters]},
     )

@@ -1,63 +1,11 @@
-"""Whether chains of an ensemble sampler have converged: R-hat, effective sample size, autocorrelation time."""
+"""Convergence of chains: R-hat and autocorrelation time."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.special import ndtri
 
 WINDOW = 5.0
-MANY = 10
-"""Unknowns beyond which slow mixing is put down to their number."""
-
-
-class Criteria(Protocol):
-    """When chains are believed: see :class:`methods.sampling.mcmc.MCMC`."""
-
-    @property
-    def r_hat(self) -> float: ...
-
-    @property
-    def effective(self) -> float: ...
-
-    @property
-    def autocorrelations(self) -> float: ...
-
-
-@dataclass(frozen=True)
-class Health:
-    """The worst over the unknowns: R-hat, effective sample size of all ensembles, autocorrelation time in steps."""
-
-    r_hat: float
-    effective: float
-    time: float
-
-    @staticmethod
-    def of(paths: np.ndarray) -> Health:
-        """Of chains of shape (ensembles, steps, walkers, size)."""
-        times = np.max(autocorrelation_times(paths), axis=0)
-        time = float(np.max(np.where(np.isfinite(times), np.maximum(times, 1.0), np.inf)))
-        return Health(rank_r_hat(paths), paths[..., 0].size / time, time)
-
-    def converged(self, settings: Criteria, steps: int) -> bool:
-        return (
-            self.r_hat <= settings.r_hat
-            and self.effective >= settings.effective
-            and steps >= settings.autocorrelations * self.time
-        )
-
-    def sentence(self, settings: Criteria, steps: int, unknowns: int) -> str:
-        """Why chains of ``steps`` steps are not believed, and what to do."""
-        said = (
-            f"the chains have not converged (R-hat {self.r_hat:.3f}, effective draws {self.effective:.0f}, "
-            f"autocorrelation time {self.time:.0f} of {steps} steps"
-        )
-        said += ", too long to be trusted)" if steps < settings.autocorrelations * self.time else ")"
-        if unknowns > MANY:
-            return f"{said}: walkers mix slowly among {unknowns} unknowns; take a sampler with gradients (nuts)"
-        return f"{said}: raise blocks, or give more data or a narrower prior"
 
 
 def autocorrelation_times(paths: np.ndarray) -> np.ndarray:
@@ -89,8 +37,7 @@ def rank_r_hat(paths: np.ndarray) -> float:
     from scipy.stats import rankdata  # half a second to import, which every command line would pay
 
     steps = paths.shape[1] // 2
-    halves = [half.reshape(-1, paths.shape[-1]) for path in paths for half in (path[:steps], path[-steps:])]
-    x = np.stack(halves)
+    x = np.stack([half.reshape(-1, paths.shape[-1]) for path in paths for half in (path[:steps], path[-steps:])])
 
     def classic(draws: np.ndarray) -> np.ndarray:
         ranks = rankdata(draws.reshape(-1, draws.shape[-1]), axis=0).reshape(draws.shape)

@@ -41,27 +41,18 @@ Data = dict[str, Any]
 class DensityLayout:
     """What decides the compiled code: the system, what is estimated, which records and sensors; hashable.
 
-    ``rigs`` by record: the system that moved, with what was added to it. ``told`` by record: whether its start is.
-    ``channels``: record, what is measured, DOF, and which of the offsets is added, -1 for none. ``squarings`` of the
-    matrix exponential.
+    ``rigs`` by record: the system that moved, with what was added to it. ``known`` by record: whether its initial state
+    is. ``channels``: record, what is measured, DOF, and which of the offsets is added, -1 for none. ``squarings`` of
+    the matrix exponential.
     """
 
     system: System
     free: tuple[str, ...]
     rigs: tuple[System, ...]
-    told: tuple[bool, ...]
+    known: tuple[bool, ...]
     channels: tuple[tuple[int, str, int, int], ...]
     forced: bool
     squarings: int
-
-    @property
-    def offsets(self) -> int:
-        return sum(channel[3] >= 0 for channel in self.channels)
-
-    @property
-    def size(self) -> int:
-        """Length of theta; the log-noise of each channel follows it."""
-        return len(self.free) + 2 * self.system.n_dof * self.told.count(False) + self.offsets
 
 
 def prepare(posterior: Posterior) -> tuple[DensityLayout, Data]:
@@ -70,31 +61,27 @@ def prepare(posterior: Posterior) -> tuple[DensityLayout, Data]:
     system, records = model.system, model.problem.records
     logs = posterior.mode[:k]
     speed = RATE_RATIO ** np.ceil(np.log(fastest_rate(model, logs)) / np.log(RATE_RATIO))
-    joint = Joint(model, logs, np.zeros(k), np.zeros(k), speed)
     # a linear system needs steps at the samples of a force only
-    nodes = Nodes.of(joint, np.inf if system.linear else STEP / max(speed, 1e-9))
+    longest_step = np.inf if system.linear else STEP / max(speed, 1e-9)
+    nodes = Nodes.of(Joint(model, logs, np.zeros(k), np.zeros(k), speed), longest_step)
     bounds = [*nodes.first_of, nodes.number]
     tables = [_table(nodes, first, last) for first, last in itertools.pairwise(bounds)]
     longest = max(float(np.max(table["gaps"])) for table in tables)
     squarings = max(0, int(np.ceil(np.log2(2.0 * REACH * speed * longest)))) if system.linear else 0
     order = {channel: i for i, channel in enumerate(model.offset_channels)}
     channels = tuple((r, c.measures, c.dof, order.get(i, -1)) for i, (r, c) in enumerate(model.channels))
-    told = tuple(record.initial_state is not None for record in records)
+    known = tuple(record.initial_state is not None for record in records)
     rigs = tuple(record.rig(system) for record in records)
-    layout = DensityLayout(system, model.free, rigs, told, channels, bool(np.any(nodes.pushes)), squarings)
+    layout = DensityLayout(system, model.free, rigs, known, channels, bool(np.any(nodes.pushes)), squarings)
     times = [np.unique(np.concatenate([[0.0], *[c.times for c in record.channels]])) for record in records]
     data: Data = {
         "tables": tables,
-        "starts": [
-            np.concatenate([r.initial_state.displacement, r.initial_state.velocity])
-            for r in records
-            if r.initial_state is not None
-        ],
-        "at": [np.searchsorted(times[r], c.times) for r, c in model.channels],
+        "starts": model.initial_states,
+        "node_of": [np.searchsorted(times[r], c.times) for r, c in model.channels],
         "values": [c.values for _, c in model.channels],
-        "centre": posterior.centre,
-        "sds": posterior.sds,
-        "noise_centre": posterior.noise_centre,
+        "centre": posterior.centre[0],
+        "sds": posterior.sds[0],
+        "noise_centre": posterior.noise_centre[0],
     }
     return layout, data
 
@@ -113,19 +100,20 @@ def log_density(layout: DensityLayout, data: Data, phi: Any) -> Any:
     """The log-posterior of ``phi = [theta, log sigma by channel]``, up to a constant; -inf where it is not finite."""
     import jax.numpy as jnp
 
-    k, logs, log_sigma = len(layout.free), phi[: len(layout.free)], phi[layout.size :]
+    k, n2 = len(layout.free), 2 * layout.system.n_dof
+    offsets = phi[k + n2 * layout.known.count(False) :]
+    logs, log_sigma = phi[:k], phi[len(phi) - len(layout.channels) :]
     value = -0.5 * jnp.sum(((logs - data["centre"]) / data["sds"]) ** 2)
     value -= 0.5 * jnp.sum(((log_sigma - data["noise_centre"]) / NOISE_SD) ** 2)
     p = {name: jnp.exp(phi[layout.free.index(name)]) if name in layout.free else 1.0 for name in layout.system.names}
-    paths, at, told = [], k, iter(data["starts"])
-    for rig, known, table in zip(layout.rigs, layout.told, data["tables"], strict=True):
-        start = next(told) if known else phi[at : at + 2 * layout.system.n_dof]
-        at += 0 if known else 2 * layout.system.n_dof
-        paths.append(_path(layout, rig, p, start, table))
+    paths, column = [], k
+    for r, (rig, known, table) in enumerate(zip(layout.rigs, layout.known, data["tables"], strict=True)):
+        paths.append(_path(layout, rig, p, data["starts"][r] if known else phi[column : column + n2], table))
+        column += 0 if known else n2
     for i, (r, measures, dof, offset) in enumerate(layout.channels):
-        seen = _measured(layout.rigs[r], p, paths[r], data["tables"][r]["forces"], measures, dof)[data["at"][i]]
-        shift = phi[layout.size - layout.offsets + offset] if offset >= 0 else 0.0
-        left = (data["values"][i] - seen - shift) * jnp.exp(-log_sigma[i])
+        readings = _measured(layout.rigs[r], p, paths[r], data["tables"][r]["forces"], measures, dof)
+        shift = offsets[offset] if offset >= 0 else 0.0
+        left = (data["values"][i] - readings[data["node_of"][i]] - shift) * jnp.exp(-log_sigma[i])
         value -= 0.5 * jnp.sum(left**2) + data["values"][i].size * log_sigma[i]
     return jnp.where(jnp.isfinite(value), value, -jnp.inf)
 
@@ -135,10 +123,8 @@ def _measured(system: System, p: Mapping[str, Any], path: Any, forces: Any, meas
     import jax.numpy as jnp
 
     n = system.n_dof
-    if measures == "displacement":
-        return path[:, dof]
-    if measures == "velocity":
-        return path[:, n + dof]
+    if measures != "acceleration":
+        return path[:, dof if measures == "displacement" else n + dof]
     x, v, z = (list(part.T) for part in (path[:, :n], path[:, n : 2 * n], path[:, 2 * n :]))
     return acceleration(system, p, x, v, list(forces.T), z, array_ops(jnp))[dof]
 
@@ -168,25 +154,20 @@ def _carriers(layout: DensityLayout, system: System, p: Mapping[str, Any], gaps:
     import jax
     import jax.numpy as jnp
 
-    n = system.n_dof
-    unit = np.eye(3 * n)
+    n, ops = system.n_dof, array_ops(jnp)
+    unit = np.eye(3 * n if layout.forced else 2 * n)
     # a linear residual: the rate at unit states and unit forces is the matrix, column by column
-    columns = [
-        state_rate(system, p, list(unit[j, : 2 * n]), list(unit[j, 2 * n :]), array_ops(jnp))
-        for j in range(3 * n if layout.forced else 2 * n)
-    ]
+    columns = [state_rate(system, p, list(row[: 2 * n]), list(row[2 * n :]) or [0.0] * n, ops) for row in unit]
     matrix = jnp.stack([jnp.stack([jnp.asarray(entry, float) for entry in column]) for column in columns], axis=1)
     if layout.forced:
-        lower = np.zeros((2 * n, 4 * n))
-        lower[:n, 3 * n :] = np.eye(n)
-        matrix = jnp.concatenate([jnp.concatenate([matrix, jnp.zeros((2 * n, n))], axis=1), lower])
+        matrix = jnp.zeros((4 * n, 4 * n)).at[: 2 * n, : 3 * n].set(matrix)
+        matrix = matrix.at[2 * n : 3 * n, 3 * n :].set(jnp.eye(n))
 
     def exponential(gap: Any) -> Any:
-        x = matrix * (gap / 2**layout.squarings)
-        one = jnp.eye(x.shape[0])
-        e = one
+        x, identity = matrix * (gap / 2**layout.squarings), jnp.eye(len(matrix))
+        e = identity
         for order in range(TAYLOR, 0, -1):
-            e = one + x @ e / order
+            e = identity + x @ e / order
         for _ in range(layout.squarings):
             e = e @ e
         return e[: 2 * n]

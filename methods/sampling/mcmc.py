@@ -1,35 +1,28 @@
 """Bayesian sampling of the posterior with emcee (D. Foreman-Mackey et al., PASP 125:306, 2013).
 
-The posterior, and the answer made of draws from it, are those of :mod:`methods.sampling.posterior`, for all walkers at
-once; the response of a nonlinear system is integrated as finely as the noise asks for
-(:func:`methods.starts.candidates.as_fine_as_noise`).
-
 Moves: mostly independent Metropolis-Hastings with a proposal that stands on the modes of the posterior, a mixture of
-multivariate Student t around each half-period that could still be true, so walkers change from one to the other;
-mixed with differential evolution and snooker moves (C. ter Braak, J. Vrugt, Statistics and Computing 18:435, 2008),
-which do not rely on the modes. The modes come from the data alone (:mod:`methods.starts.candidates`).
+multivariate Student t around each half-period that could still be true, so walkers change from one to the other; mixed
+with differential evolution and snooker moves (C. ter Braak, J. Vrugt, Statistics and Computing 18:435, 2008), which do
+not rely on the modes. The modes come from the data alone (:mod:`methods.starts.candidates`); the response of a
+nonlinear system is integrated as finely as the noise asks for (:func:`methods.starts.candidates.as_fine_as_noise`).
 
-Convergence is judged over independent ensembles, each from an overdispersed start: the split R-hat of
-rank-normalised draws and of their distances from the median (A. Vehtari et al., Bayesian Analysis 16:667, 2021), the
-integrated autocorrelation time (emcee's estimate, A. Sokal's window), and the effective sample size that it implies.
-A chain that has not converged is extended; one that never does is a failure with a sentence.
+Convergence is judged over independent ensembles, each from an overdispersed start: the split R-hat of rank-normalised
+draws and of their distances from the median (A. Vehtari et al., Bayesian Analysis 16:667, 2021), the integrated
+autocorrelation time (emcee's estimate, A. Sokal's window), and the effective sample size that it implies. A chain that
+has not converged is extended; one that never does is a failure with a sentence.
 
 The ensembles of all problems of one layout with a linear system step together (:mod:`methods.sampling.ensembles`): the
-kind of move goes by turns, and each ensemble has its own random numbers, so an answer does not depend on its company.
-
-The response of a nonlinear system is integrated step by step, which takes about as long for many walkers as for few:
-it has ``STEPPED`` times the walkers, in blocks of half the length.
+kind of move goes by turns, and each ensemble has its own random numbers, so an answer does not depend on its batch.
 
 Walkers that propose from each other mix ever more slowly as the unknowns grow beyond some ten (D. Huijser et al.,
 arXiv:1509.02230). Here most moves do not, but where the posterior is far from its Laplace approximation little else is
-left. The autocorrelation time against the length of the chain tells, and the sentence of a failure says so and names
-the way out, a sampler with gradients.
+left; a long autocorrelation time shows it, and the sentence of the failure names the way out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -47,18 +40,20 @@ from bench import (
     layout,
     report_progress,
 )
-from methods.sampling.answer import estimate_from_draws
-from methods.sampling.compiled import compiled
-from methods.sampling.diagnostics import Health
+from methods.sampling.answer import estimate_from_draws, thinned
+from methods.sampling.diagnostics import autocorrelation_times, rank_r_hat
 from methods.sampling.ensembles import Ensemble, Lockstep
-from methods.sampling.modes import Modes, coloured, found_or_failure, modes_of, sharpened, student_modes
-from methods.sampling.posterior import NOISE_LEAST, Posterior, Target
-from methods.sampling.proposal import Proposal
+from methods.sampling.mixture import Mixture, laplace
+from methods.sampling.modes import Modes, coloured, modes_of, require, sharpened, student_modes
+from methods.sampling.posterior import NOISE_LEAST, Posterior, compiled
 from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import as_fine_as_noise
 from methods.trajectory.student import NORMAL, STUDENT
 
 STEPPED = 4
+"""Times the walkers, in blocks of half the length, for a nonlinear system: steps take as long for many as for few."""
+MANY = 10
+"""Unknowns beyond which slow mixing is put down to their number."""
 MOST_AT_ONCE = 1_000_000
 """Numbers in the chains of a block that are sampled together."""
 
@@ -148,23 +143,33 @@ class MCMC(SearchingIdentifier):
         groups: dict[object, list[_ChainFit]] = {}
         for i, (model, modes, rng) in enumerate(zip(models, modes_of(models), rngs, strict=True)):
             try:
-                fit = _ChainFit.of(i, model, found_or_failure(modes), rng, self.likelihood)
+                fit = self._prepared(i, model, require(modes), rng)
             except NoEstimate as reason:
                 answers[i] = Estimate.failed(model.system, reason.status, str(reason), reason.cost)
                 continue
             groups.setdefault(layout(model.problem) if together and model.system.linear else i, []).append(fit)
         for fits in groups.values():
-            walkers, burn, block = self._lengths(fits[0].posterior)
-            size = max(1, MOST_AT_ONCE // (self.ensembles * walkers * block * fits[0].posterior.size))
-            for at in range(0, len(fits), size):
-                answers |= self._sampled(fits[at : at + size], walkers, burn, block)
+            # walkers, steps of burning in and steps of a block
+            posterior = fits[0].posterior
+            many, few = (1, 1) if posterior.model.system.linear else (STEPPED, 2)
+            walkers = 2 * max(many * self.walkers // 2, posterior.size + 1)
+            burn, block = -(-self.burn // few), -(-self.block // few)
+            size = max(1, MOST_AT_ONCE // (self.ensembles * walkers * block * posterior.size))
+            for first in range(0, len(fits), size):
+                answers |= self._sampled(fits[first : first + size], walkers, burn, block)
         return [answers[i] for i in range(len(problems))]
 
-    def _lengths(self, posterior: Posterior) -> tuple[int, int, int]:
-        """Walkers, steps of burning in and steps of a block."""
-        many, few = (1, 1) if posterior.model.system.linear else (STEPPED, 2)
-        walkers = 2 * max(many * self.walkers // 2, posterior.size + 1)
-        return walkers, -(-self.burn // few), -(-self.block // few)
+    def _prepared(self, place: int, model: OutputError, modes: Modes, rng: np.random.Generator) -> _ChainFit:
+        """Find the modes of the posterior; raises NoEstimate where the data leave a parameter open."""
+        fine = compiled(as_fine_as_noise(model, modes[0][1]))
+        errors = STUDENT if self.likelihood == "student" else NORMAL
+        if self.likelihood == "student":
+            modes = student_modes(fine, modes)
+        if self.likelihood == "autoregressive":
+            fine, modes = coloured(fine, modes)
+        modes = sharpened(fine, modes, errors, NOISE_LEAST)
+        posterior = Posterior([fine], [modes[0][1]], errors)
+        return _ChainFit(place, model.problem, posterior, laplace(posterior, modes), rng)
 
     def _sampled(self, fits: Sequence[_ChainFit], walkers: int, burn: int, block: int) -> dict[int, Estimate]:
         """The answers by the number of the problem, of problems that can be simulated together."""
@@ -173,48 +178,53 @@ class MCMC(SearchingIdentifier):
             for i, fit in enumerate(fits)
             for _ in range(self.ensembles)
         ]
-        chains = Lockstep(Target([fit.posterior for fit in fits]), ensembles, walkers, self.independent)
-        if burn:
-            chains.run(burn)
-        answers, going = dict[int, Estimate](), list(fits)
+        parts = [fit.posterior for fit in fits]
+        target = Posterior([part.model for part in parts], [part.mode for part in parts], parts[0].errors)
+        chains = Lockstep(target, ensembles, walkers, self.independent)
+        chains.run(burn)
+        answers, going = dict[int, Estimate](), list(range(len(fits)))
         for number in range(1, self.blocks + 1):
             paths = chains.run(block).reshape(len(going), self.ensembles, block, walkers, -1)
-            for fit, path in zip(going, paths, strict=True):
+            unfinished = []
+            for i, path in zip(going, paths, strict=True):
+                fit = fits[i]
                 fit.path = np.concatenate([fit.path, path], axis=1) if fit.path.size else path
-            last = number == self.blocks
-            found = [self._judged(fit, burn + number * block, last) for fit in going]
-            answers |= {fit.place: answer for fit, answer in zip(going, found, strict=True) if answer is not None}
-            left = [i for i, answer in enumerate(found) if answer is None]
-            if not left:
+                calls, steps = int(fit.posterior.calls[0] + target.calls[i]), self.ensembles * (burn + number * block)
+                answer = self._judged(fit, Cost(evaluations=calls, iterations=steps), number == self.blocks)
+                if answer is None:
+                    unfinished.append(i)
+                else:
+                    answers[fit.place] = answer
+            if not unfinished:
                 break
-            going = [going[i] for i in left]
-            chains.keep([i * self.ensembles + j for i in left for j in range(self.ensembles)])
+            kept = [going.index(i) for i in unfinished]
+            chains.keep([i * self.ensembles + j for i in kept for j in range(self.ensembles)])
+            going = unfinished
         return answers
 
-    def _judged(self, fit: _ChainFit, steps: int, last: bool) -> Estimate | None:
+    def _judged(self, fit: _ChainFit, cost: Cost, last: bool) -> Estimate | None:
         """The answer where the chains have converged, or where this was the ``last`` block; else None."""
-        health, kept = Health.of(fit.path), fit.path.shape[1]
-        converged = health.converged(self, kept)
-        if not converged and not last:
-            drawn = self._kept(fit.path)
+        steps, unknowns = fit.path.shape[1], fit.posterior.size
+        times = np.max(autocorrelation_times(fit.path), axis=0)
+        time = float(np.max(np.where(np.isfinite(times), np.maximum(times, 1.0), np.inf)))
+        r_hat, effective = rank_r_hat(fit.path), fit.path[..., 0].size / time
+        short = steps < self.autocorrelations * time
+        if r_hat <= self.r_hat and effective >= self.effective and not short:
+            drawn, message = _at_floor(fit.posterior, thinned(fit.path, self.draws))
+            traces = {"r_hat": r_hat, "effective_sample_size": effective, "autocorrelation_time": time}
+            return estimate_from_draws(fit.posterior, drawn, traces, cost, self.curves, message)
+        if not last:
+            drawn = thinned(fit.path, self.draws)
             report_progress(fit.problem, lambda: estimate_from_draws(fit.posterior, drawn, {}, Cost(), self.curves))
             return None
-        cost = Cost(evaluations=fit.posterior.calls, iterations=steps * self.ensembles)
-        if not converged:
-            sentence = health.sentence(self, kept, fit.posterior.size)
-            return Estimate.failed(fit.problem.system, Status.DIVERGED, sentence, cost)
-        traces = {
-            "r_hat": np.array([health.r_hat]),
-            "effective_sample_size": np.array([health.effective]),
-            "autocorrelation_time": np.array([health.time]),
-        }
-        drawn, message = _at_floor(fit.posterior, self._kept(fit.path))
-        return replace(estimate_from_draws(fit.posterior, drawn, traces, cost, self.curves), message=message)
-
-    def _kept(self, paths: np.ndarray) -> np.ndarray:
-        """So many draws of all chains, evenly spread over them."""
-        flat = paths.reshape(-1, paths.shape[-1])
-        return np.asarray(flat[np.linspace(0, len(flat) - 1, min(self.draws, len(flat))).astype(int)])
+        advice = "raise blocks, or give more data or a narrower prior"
+        if unknowns > MANY:
+            advice = f"walkers mix slowly among {unknowns} unknowns; take a sampler with gradients (nuts)"
+        sentence = (
+            f"the chains have not converged (R-hat {r_hat:.3f}, effective draws {effective:.0f}, autocorrelation time "
+            f"{time:.0f} of {steps} steps{', too long to be trusted' if short else ''}): {advice}"
+        )
+        return Estimate.failed(fit.problem.system, Status.DIVERGED, sentence, cost)
 
 
 def _at_floor(posterior: Posterior, drawn: np.ndarray) -> tuple[np.ndarray, str]:
@@ -223,8 +233,7 @@ def _at_floor(posterior: Posterior, drawn: np.ndarray) -> tuple[np.ndarray, str]
     Draws of that width would err by more than the mode does, which is as exact as the integration.
     """
     size = posterior.model.size
-    least = np.log(NOISE_LEAST * posterior.model.rms)
-    if np.any(np.median(drawn[:, size:], axis=0) > least + np.log(NEAR_LEAST)):
+    if np.any(np.median(drawn[:, size:], axis=0) > posterior.least[0] + np.log(NEAR_LEAST)):
         return drawn, ""
     centred = drawn.copy()
     centred[:, :size] += posterior.mode - np.median(drawn[:, :size], axis=0)
@@ -238,18 +247,6 @@ class _ChainFit:
     place: int
     problem: Problem
     posterior: Posterior
-    proposal: Proposal
+    proposal: Mixture
     rng: np.random.Generator
     path: np.ndarray = field(default_factory=lambda: np.zeros(0))
-
-    @staticmethod
-    def of(place: int, model: OutputError, modes: Modes, rng: np.random.Generator, likelihood: str) -> _ChainFit:
-        """Prepare a problem with its modes. Raises NoEstimate where the data leave a parameter open."""
-        fine = compiled(as_fine_as_noise(model, modes[0][1]))
-        errors = STUDENT if likelihood == "student" else NORMAL
-        modes = student_modes(fine, modes) if likelihood == "student" else modes
-        if likelihood == "autoregressive":
-            fine, modes = coloured(fine, modes)
-        modes = sharpened(fine, modes, errors, NOISE_LEAST)
-        posterior = Posterior(fine, modes[0][1], errors)
-        return _ChainFit(place, model.problem, posterior, Proposal.around(posterior, modes), rng)

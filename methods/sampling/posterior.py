@@ -1,22 +1,24 @@
 """The posterior that the samplers draw from.
 
-Sampled together: the log-parameters, the initial states and offsets that are not told, and the logarithm of each
-channel's noise. Likelihood: independent normal errors about the simulated response. Priors, all proper but one: the
-problem's nominal prior on the log-parameters (without one, a normal of standard deviation 3, a factor of 20, about the
-best fit to the data); ``log sigma ~ Normal(log(rms of the channel / 10), 3²)``, its two standard deviations reach from
-70 dB to -30 dB, and it is nil below ``NOISE_LEAST`` of a channel's size; flat on initial states and offsets, which the
-data fix. The errors may be Student's t in place of normal (:mod:`methods.trajectory.student`); sigma is then their
-scale.
+Sampled together: the log-parameters, the unknown initial states and offsets, and the logarithm of each channel's noise.
+Likelihood: independent normal errors about the simulated response. Priors, all proper but one: the problem's nominal
+prior on the log-parameters (without one, a normal of standard deviation 3, a factor of 20, about the best fit to the
+data); ``log sigma ~ Normal(log(rms of the channel / 10), 3²)``, whose two standard deviations reach from 70 to -30 dB,
+nil below ``NOISE_LEAST`` of a channel's size; flat on initial states and offsets, which the data fix. The
+errors may be Student's t in place of normal (:mod:`methods.trajectory.student`); sigma is then their scale.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from bench import LOG_LIMIT, OutputError, Start
+from bench import LOG_LIMIT, OutputError, Record, Start, compiled_path
+from methods.starts.candidates import Stepped
 from methods.starts.open_parameters import PRIORLESS_SD
+from methods.starts.rough import rough_readings
 from methods.trajectory.student import NORMAL, NormalErrors, StudentErrors
 
 NOISE_CENTRE = float(np.log(0.1))
@@ -25,51 +27,46 @@ NOISE_LEAST = 1e-8
 """The least noise, as a part of a channel's size: rounding errors of simulation and sampling are well below it."""
 MOST_AT_ONCE = 2**16
 """Predictions that are formed at a time: more would leave the processor's cache."""
+COMPILED_SETS = 8
+"""From so many sets on, the steps of a nonlinear system are compiled."""
+RADIANS = 0.05
+"""Steps in radians of the fastest rate where nothing else is said, as those of :func:`bench.simulate`."""
 
 
 class Posterior:
-    """What belongs to one posterior over ``phi = [theta, log sigma by channel]``; ``calls`` counts responses."""
+    """The log-densities of problems of one layout and a linear system, or of a single problem of any system.
 
-    def __init__(self, model: OutputError, mode: np.ndarray, errors: NormalErrors | StudentErrors = NORMAL) -> None:
-        self.model, self.mode, self.errors, self.calls = model, mode, errors, 0
-        self.noise_centre = NOISE_CENTRE + np.log(model.rms)
-        k = len(model.free)
-        self.centre = mode[:k] if model.prior is None else model.prior.log_mean
-        self.sds = np.full(k, PRIORLESS_SD) if model.prior is None else model.prior.log_sds
+    Functions of ``phi = [theta, log sigma by channel]``. A *case* is one problem with one vector phi; its value does
+    not depend on the others. ``modes`` are theta at the mode of each problem; ``calls`` counts responses by problem.
+    """
+
+    def __init__(
+        self, models: Sequence[OutputError], modes: Sequence[np.ndarray], errors: NormalErrors | StudentErrors = NORMAL
+    ) -> None:
+        self.model, self.mode, self.errors = models[0], modes[0], errors
+        self.batch = models[0] if len(models) == 1 else OutputError.batch(models)
+        self.calls = np.zeros(len(models), int)
+        rms, k, prior = np.stack([model.rms for model in models]), len(self.model.free), self.model.prior
+        self.data = np.stack([model.data for model in models])
+        self.noise_centre, self.least = NOISE_CENTRE + np.log(rms), np.log(NOISE_LEAST * rms)
+        self.centre = np.stack([mode[:k] for mode in modes] if prior is None else [m.log_mean for m in models])
+        self.sds = np.full_like(self.centre, PRIORLESS_SD)
+        if prior is not None:
+            self.sds = 1.0 / np.stack([model.precision for model in models])
 
     @property
     def size(self) -> int:
         return self.model.size + len(self.model.channels)
 
-    def __call__(self, phi: np.ndarray) -> np.ndarray:
-        """Log-density, shape (n,), of ``phi`` of shape (n, size); minus infinity where the response diverges."""
-        return Target([self])(np.zeros(len(phi), int), phi)
+    def __call__(self, phi: np.ndarray, which: np.ndarray | None = None) -> np.ndarray:
+        """Log-density, shape (n,), of phi (n, size) of the problems ``which`` (n,), the first where none are given.
 
-
-class Target:
-    """Of posteriors of one layout and a linear system, with errors of one law, or of a single one of any system.
-
-    A *case* is one posterior with one vector phi; a case's value does not depend on the others.
-    """
-
-    def __init__(self, posteriors: Sequence[Posterior]) -> None:
-        self.posteriors, self.model, self.errors = list(posteriors), posteriors[0].model, posteriors[0].errors
-        self.data = np.stack([own.model.data for own in posteriors])
-        self.centre = np.stack([own.centre for own in posteriors])
-        self.sds = np.stack([own.sds for own in posteriors])
-        self.noise_centre = np.stack([own.noise_centre for own in posteriors])
-        self.least = np.log(NOISE_LEAST) + np.log(np.stack([own.model.rms for own in posteriors]))
-        self.told = [
-            None if isinstance(starts[0], tuple) else np.stack([[s.displacement, s.velocity] for s in starts], -1)
-            for starts in zip(*(own.model.starts(own.mode) for own in posteriors), strict=True)
-        ]
-
-    def __call__(self, which: np.ndarray, phi: np.ndarray) -> np.ndarray:
-        """Log-density, shape (n,), of cases (n,) and phi (n, size); minus infinity where the response diverges."""
+        Minus infinity where the response diverges.
+        """
+        which = np.zeros(len(phi), int) if which is None else which
+        self.calls += np.bincount(which, minlength=self.calls.size)
         size = max(1, MOST_AT_ONCE // self.model.data.size)
-        for problem, count in zip(*np.unique(which, return_counts=True), strict=True):
-            self.posteriors[problem].calls += int(count)
-        parts = [self._values(which[at : at + size], phi[at : at + size]) for at in range(0, len(phi), size)]
+        parts = [self._values(which[i : i + size], phi[i : i + size]) for i in range(0, len(phi), size)]
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def _values(self, which: np.ndarray, phi: np.ndarray) -> np.ndarray:
@@ -86,11 +83,11 @@ class Target:
         return np.where(inside & np.isfinite(value), value, -np.inf)
 
     def _predicted(self, which: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """Simulated measurements (n, N). A case whose matrices are singular or overflow fails for all: it is sought."""
+        """Simulated measurements (n, N); a case with singular matrices or an overflow fails for all: bisect for it."""
         try:
-            found = self._simulated(which, theta)
-            if len(theta) == 1 or np.any(np.isfinite(found)):
-                return found
+            predicted = (self.batch if self.calls.size == 1 else self.batch[which]).predict(theta)
+            if len(theta) == 1 or np.any(np.isfinite(predicted)):
+                return predicted
         except np.linalg.LinAlgError:
             if len(theta) == 1:
                 return np.full((1, self.model.data.size), np.nan)
@@ -98,13 +95,22 @@ class Target:
         parts = (slice(None, half), slice(half, None))
         return np.concatenate([self._predicted(which[part], theta[part]) for part in parts])
 
-    def _simulated(self, which: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        model = self.model
-        if len(self.posteriors) == 1:
-            return model.predict(theta)
-        p, starts = model.parameters(theta), list[Start]()
-        for told, start in zip(self.told, model.starts(theta), strict=True):
-            starts.append(start if told is None else (told[0][:, which], told[1][:, which]))
-        records = model.problem.records
-        parts = [model.readings(p, start, record) for start, record in zip(starts, records, strict=True)]
-        return np.concatenate(parts, -1) + model.offsets(theta)[..., model.channel_of]
+
+@dataclass(frozen=True, eq=False)
+class Compiled(OutputError):
+    """The output error of a nonlinear system, integrated by compiled steps of at most so many radians."""
+
+    radians: float = RADIANS
+
+    def readings(self, p: dict[str, np.ndarray], start: Start, record: Record) -> np.ndarray:
+        """As above; not finite where the response diverges."""
+        if np.prod(np.broadcast_shapes(*(np.shape(value) for value in p.values()))) < COMPILED_SETS:
+            return super().readings(p, start, record)
+        return rough_readings(self.system, p, start, record, self.radians, compiled_path)
+
+
+def compiled(model: OutputError) -> OutputError:
+    """The same model, integrated as finely, by compiled steps where the system is not linear."""
+    if model.system.linear:
+        return model
+    return Compiled(model.problem, radians=model.radians if isinstance(model, Stepped) else RADIANS)

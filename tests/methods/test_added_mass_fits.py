@@ -174,7 +174,7 @@ def test_the_gradient_sampler_has_the_density_of_mcmc() -> None:
     given = problem(0.02)
     model = OutputError(given.expressed_in(given.natural_units()))
     mode = model.settle(model.vector(candidates(model, 2)[0])[None])[0]
-    posterior = Posterior(model, mode)
+    posterior = Posterior([model], [mode])
     layout, data = prepare(posterior)
     points = np.append(mode, np.log(0.03 * model.rms)) + 0.02 * np.random.default_rng(0).standard_normal(
         (4, mode.size + 2)

@@ -16,9 +16,9 @@ from bench.systems import SDOF
 torch = pytest.importorskip("torch")
 
 from methods.amortised import density, npe  # noqa: E402
-from methods.amortised.mixture import Mixture  # noqa: E402
 from methods.amortised.npe import NPE  # noqa: E402
 from methods.amortised.simulations import SampleLayout, shown, simulated  # noqa: E402
+from methods.sampling.mixture import Mixture  # noqa: E402
 
 LAYOUT = SampleLayout(20, 0.0, True)
 PRIOR = Prior({"m": 1.41, "c": 0.4, "k": 14.0}, {"m": 0.02, "c": 1.0, "k": 0.5})
@@ -123,7 +123,7 @@ def test_without_a_prior_only_groups_are_claimed(folder: Path) -> None:
 
 
 def test_draws_outside_the_box_are_not_trusted() -> None:
-    slow = Mixture(np.zeros(1), np.array([[2 * np.log(0.01), 0.0]]), 1e-3 * np.eye(2)[None])
+    slow = Mixture(np.zeros(1), np.array([[2 * np.log(0.01), 0.0]]), 0.03 * np.eye(2)[None])
     with pytest.raises(NoEstimate, match="outside what the network was trained on"):
         npe._inside(LAYOUT, slow, 500, np.random.default_rng(0))
 

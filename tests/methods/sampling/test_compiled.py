@@ -7,7 +7,7 @@ import pytest
 
 from bench import Channel, InitialState, OutputError, Prior, Problem, Record
 from bench.systems import BoucWen
-from methods.sampling.compiled import Compiled
+from methods.sampling.posterior import Compiled
 
 pytest.importorskip("jax")
 BOUC_WEN = {"m": 1.1, "c": 0.35, "k": 4.5, "kz": 7.0, "beta": 1.1, "gamma": 0.8}

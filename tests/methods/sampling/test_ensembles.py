@@ -9,16 +9,16 @@ pytest.importorskip("emcee")
 from bench import OutputError, Problem
 from bench.config.experiment import expand
 from methods.sampling.ensembles import Ensemble, Lockstep
+from methods.sampling.mixture import Mixture
 from methods.sampling.modes import modes_of
-from methods.sampling.posterior import Posterior, Target
-from methods.sampling.proposal import Proposal
+from methods.sampling.posterior import Posterior
 from methods.starts.candidates import screened
 
 COVARIANCE = np.array([[1.0, 0.8], [0.8, 2.0]])
 MEANS = np.array([[0.0, 0.0], [5.0, -3.0]])
 
 
-def normal(which: np.ndarray, phi: np.ndarray) -> np.ndarray:
+def normal(phi: np.ndarray, which: np.ndarray) -> np.ndarray:
     """A correlated normal distribution about one mean or the other, up to a constant."""
     away = phi - MEANS[which]
     return -0.5 * np.sum(away @ np.linalg.inv(COVARIANCE) * away, axis=1)
@@ -28,10 +28,10 @@ def lockstep(independent: float, walkers: int = 30) -> Lockstep:
     """Two ensembles at each mean, by proposals that are off the mean and too narrow."""
     roots = 0.8 * np.linalg.cholesky(COVARIANCE)[None]
     ensembles = [
-        Ensemble(i, Proposal(np.ones(1), MEANS[i][None] + 0.5, roots), np.random.RandomState(seed))
+        Ensemble(i, Mixture(np.zeros(1), MEANS[i][None] + 0.5, roots, 6.0), np.random.RandomState(seed))
         for seed, i in enumerate((0, 0, 1, 1))
     ]
-    return Lockstep(normal, ensembles, walkers, independent)  # type: ignore[arg-type]
+    return Lockstep(normal, ensembles, walkers, independent)
 
 
 @pytest.mark.parametrize("independent", [1.0, 0.8, 0.0])
@@ -53,10 +53,9 @@ def test_the_snooker_move_leaves_a_narrow_density_as_it_is() -> None:
     effective draws is known to 2 %.
     """
     chains = lockstep(0.0, walkers=40)
-    chains.target = lambda which, phi: normal(which, MEANS[which] + (phi - MEANS[which]) / 0.05)  # type: ignore[assignment]
+    chains.target = lambda phi, which: normal(MEANS[which] + (phi - MEANS[which]) / 0.05, which)
     chains.coords = MEANS[[0, 0, 1, 1]][:, None] + 0.05 * (chains.coords - MEANS[[0, 0, 1, 1]][:, None])
     chains.log_prob = chains._log_density(chains.coords)
-    chains._prepare(1)
     paths = []
     for _ in range(3000):
         chains._evolve(chains.snooker)
@@ -70,7 +69,7 @@ def test_walkers_have_the_log_densities_of_where_they_are() -> None:
     chains = lockstep(0.5)
     chains.run(37)
     which, flat = np.repeat([0, 0, 1, 1], 30), chains.coords.reshape(-1, 2)
-    np.testing.assert_allclose(chains.log_prob.ravel(), normal(which, flat), rtol=1e-12)
+    np.testing.assert_allclose(chains.log_prob.ravel(), normal(flat, which), rtol=1e-12)
     for own, x, log_q in zip(chains.ensembles, chains.coords, chains.log_q, strict=True):
         np.testing.assert_allclose(log_q, own.proposal.log_density(x), rtol=1e-12)
 
@@ -89,23 +88,23 @@ def problems(arguments: list[str], n: int) -> list[Problem]:
 
 
 @pytest.mark.parametrize("arguments", [["snr=10"], ["snr=20", "initial_state=unknown"], ["system=sdof_forced"]])
-def test_a_target_of_several_posteriors_is_that_of_each(arguments: list[str]) -> None:
-    """The one is simulated with told starts by case, the other by :meth:`OutputError.predict`."""
+def test_the_posterior_of_several_problems_is_that_of_each(arguments: list[str]) -> None:
     models = [OutputError(problem) for problem in problems(arguments, 3)]
-    posteriors = [Posterior(model, modes[0][1]) for model, modes in zip(models, modes_of(models), strict=True)]
+    modes = [found[0][1] for found in modes_of(models)]
     rng, which = np.random.default_rng(0), np.repeat(np.arange(3), 4)
-    phi = np.stack([np.concatenate([posteriors[i].mode, [-2.0]]) for i in which])
+    phi = np.stack([np.concatenate([modes[i], [-2.0]]) for i in which])
     phi += 0.1 * rng.standard_normal(phi.shape)
-    values = Target(posteriors)(which, phi)
-    for i, posterior in enumerate(posteriors):
-        np.testing.assert_allclose(values[which == i], posterior(phi[which == i]), rtol=1e-10)
-    assert [posterior.calls for posterior in posteriors] == [8, 8, 8]
+    together = Posterior(models, modes)
+    values = together(phi, which)
+    for i, (model, mode) in enumerate(zip(models, modes, strict=True)):
+        np.testing.assert_allclose(values[which == i], Posterior([model], [mode])(phi[which == i]), rtol=1e-10)
+    assert together.calls.tolist() == [4, 4, 4]
 
 
 def test_a_vector_without_a_response_spoils_no_other() -> None:
     """Equal entries of a mass matrix are singular."""
     model = OutputError(problems(["system=matrices", "snr=40"], 1)[0])
-    posterior = Posterior(model, modes_of([model])[0][0][1])
+    posterior = Posterior([model], [modes_of([model])[0][0][1]])
     phi = np.tile(np.concatenate([posterior.mode, np.full(len(model.channels), -3.0)]), (5, 1))
     phi[2, [i for i, name in enumerate(model.free) if name.startswith("m")]] = 0.0
     values = posterior(phi)

@@ -17,7 +17,7 @@ from bench.scenario.scenario import PriorSpec, Scenario
 from bench.systems import SDOF, Chain
 
 pytest.importorskip("emcee")
-from methods.sampling.diagnostics import Health, autocorrelation_times, rank_r_hat
+from methods.sampling.diagnostics import autocorrelation_times, rank_r_hat
 from methods.sampling.mcmc import MCMC
 from methods.sampling.posterior import NOISE_SD
 
@@ -139,8 +139,8 @@ def test_a_chain_that_is_too_short_is_a_failure_with_a_sentence() -> None:
     problem, _ = scenario(20.0).replicates(0, 1)[0]
     estimate = sample(problem, burn=0, block=8, blocks=1)
     assert estimate.status is Status.DIVERGED
-    assert "not converged" in estimate.message
-    assert "R-hat" in estimate.message
+    assert "not converged (R-hat" in estimate.message
+    assert "of 8 steps, too long to be trusted): raise blocks" in estimate.message
 
 
 def test_the_autocorrelation_time_is_emcee_s() -> None:
@@ -161,16 +161,7 @@ def test_the_autocorrelation_time_is_that_of_the_process() -> None:
     path[:, 0] = rng.standard_normal((2, 20, 2))
     for i in range(1, steps):
         path[:, i] = a * path[:, i - 1] + np.sqrt(1 - a * a) * rng.standard_normal((2, 20, 2))
-    health = Health.of(path)
-    assert health.time == pytest.approx(9.0, rel=0.15)
-    assert health.effective == pytest.approx(2 * steps * 20 / 9.0, rel=0.15)
-    assert health.converged(MCMC(), steps)
-    # as good an R-hat, but too short against its autocorrelation time
-    short = Health(1.0, 1000.0, 9.0)
-    assert not short.converged(MCMC(), 100)
-    assert "9 of 100 steps, too long" in short.sentence(MCMC(), 100, 5)
-    assert "nuts" not in short.sentence(MCMC(), 100, 5)
-    assert "20 unknowns" in short.sentence(MCMC(), 100, 20)
+    np.testing.assert_allclose(autocorrelation_times(path), 9.0, rtol=0.2)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from bench.systems import SDOF, Chain, Duffing, System
 pytest.importorskip("blackjax")
 from bench import OutputError
 from methods.sampling.differentiable import log_density, prepare
-from methods.sampling.nuts import NUTS, Diagnostics, compiled
+from methods.sampling.nuts import NUTS, compiled, diagnosed
 from methods.sampling.posterior import NOISE_SD, Posterior
 
 NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
@@ -68,7 +68,7 @@ def test_the_density_is_that_of_mcmc(case: str) -> None:
     model = OutputError(problem)
     assert problem.prior is not None
     mode = model.vector(dict(problem.prior.nominal))
-    posterior = Posterior(model, mode)
+    posterior = Posterior([model], [mode])
     layout, data = prepare(posterior)
     rng = np.random.default_rng(3)
     centre = np.concatenate([mode, np.log(0.1 * model.rms)])
@@ -145,18 +145,18 @@ def test_diagnostics_tell_chains_apart() -> None:
     rng = np.random.default_rng(0)
     still = np.zeros((4, 300), bool)
     mixed = rng.standard_normal((4, 300, 3))
-    assert Diagnostics.of(mixed, still).converged(NUTS())
+    assert NUTS()._converged(diagnosed(mixed, still))
     # independent draws: as many effective as there are, up to the error of the estimate
-    assert Diagnostics.of(mixed, still).effective == pytest.approx(1200, rel=0.3)
+    assert diagnosed(mixed, still)["effective_sample_size"] == pytest.approx(1200, rel=0.3)
     apart = mixed.copy()
     apart[1, :, 1] += 1.0
-    assert Diagnostics.of(apart, still).r_hat > 1.05
+    assert diagnosed(apart, still)["r_hat"] > 1.05
     slow = np.cumsum(mixed, axis=1)
-    assert Diagnostics.of(slow, still).effective < 100
+    assert diagnosed(slow, still)["effective_sample_size"] < 100
     stuck = mixed.copy()
     stuck[..., 0] = 1.0
-    assert Diagnostics.of(stuck, still).r_hat == np.inf
-    assert not Diagnostics.of(mixed, np.ones((4, 300), bool)).converged(NUTS())
+    assert diagnosed(stuck, still)["r_hat"] == np.inf
+    assert not NUTS()._converged(diagnosed(mixed, np.ones((4, 300), bool)))
 
 
 def test_settings_out_of_range_are_refused() -> None:
