@@ -13,7 +13,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Literal, Self
 
 Kind = Literal["mass", "damping", "stiffness", "other"]
@@ -176,10 +176,10 @@ class System(ABC):
         """The same system in other units, of which ``scale`` says the size; itself unless an option has a dimension."""
         return self
 
-    @cached_property
+    @property
     def dimensions(self) -> Mapping[str, Dimension]:
         """The dimension of each scored quantity."""
-        return {quantity.name: self.dimension(quantity) for quantity in self.quantities}
+        return _dimensions(self)
 
     def quantity(self, name: str) -> Quantity:
         """The scored quantity of that name."""
@@ -191,6 +191,12 @@ class System(ABC):
         for parameter in self.parameters:
             total = total + parameter.dimension * quantity.exponents.get(parameter.name, 0.0)
         return total
+
+
+@lru_cache(maxsize=64)
+def _dimensions(system: System) -> Mapping[str, Dimension]:
+    """Those of :attr:`System.dimensions`, once for all equal systems."""
+    return {quantity.name: system.dimension(quantity) for quantity in system.quantities}
 
 
 def over_gauge(parameters: Sequence[Parameter], gauge: str, units: Mapping[Kind, str]) -> tuple[Quantity, ...]:

@@ -12,20 +12,24 @@ APART = 1e-2
 """Log-parameters nearer than this are one end."""
 
 
-def separate(model: OutputError, values: np.ndarray, thetas: np.ndarray) -> list[int]:
+def separate(
+    model: OutputError, values: np.ndarray, thetas: np.ndarray, aliases: np.ndarray | None = None
+) -> list[int]:
     """Places, best first, of the ends that are finite and apart, by their ``values`` (n,), minus twice a log-posterior.
 
     The sampling is taken to resolve the motion: where the slowest oscillation of a linear system came to lie above
     half the sampling rate, it comes behind a slower one of which it is the alias, unless data and prior clearly prefer
-    it. Without a prior, which could weigh both, it is dropped.
+    it. Without a prior, which could weigh both, it is dropped. ``aliases`` (n,): those of :func:`aliased`, where known.
     """
     k, kept = len(model.free), list[int]()
     for i in map(int, np.flatnonzero(np.isfinite(values))):
         if not any(np.max(np.abs(thetas[i] - thetas[other])[:k]) < APART for other in kept):
             kept.append(i)
     kept.sort(key=lambda i: float(values[i]))
-    aliases = aliased(model, thetas[kept]) if kept else np.zeros(0, bool)
-    resolved = [i for i, alias in zip(kept, aliases, strict=True) if not alias]
+    if aliases is None:
+        aliases = np.zeros(len(thetas), bool)
+        aliases[kept] = aliased(model, thetas[kept])
+    resolved = [i for i in kept if not aliases[i]]
     if not resolved or values[kept[0]] + ALIAS_MARGIN < values[resolved[0]]:
         return kept
     return resolved if model.prior is None else [resolved[0], *(i for i in kept if i != resolved[0])]

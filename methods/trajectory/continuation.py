@@ -112,6 +112,7 @@ def solve_by_continuation(
         covariance=model.covariance(slopes, fits.sigma[0]),
         used=float(fits.used[0]),
         iterations=iterations + int(fits.iterations[0]),
+        certificate=float(fits.certificates[0]),
         message=RUN_DOWN.format(", ".join(model.free[i] for i in fixed)) if fixed.size else "",
         objectives=tuple(map(float, objectives)),
     )

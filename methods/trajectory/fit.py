@@ -34,9 +34,9 @@ class Maximum:
     """A vector of unknowns, and there the residuals (N,), the derivatives (N, size) of the predictions and the noise.
 
     ``covariance``: inverse of the Gauss-Newton Hessian, None where the data leave a direction open. ``used``: degrees
-    of freedom that the data spent. ``objectives``: minus the log posterior where the search from each guess ended.
-    ``converged``: whether the search ended at a maximum, of a linear system that from every guess. ``done``: whether
-    it ended before its last trial step.
+    of freedom that the data spent. ``certificate``: see :class:`Fits`. ``objectives``: minus the log posterior where
+    the search from each guess ended. ``converged``: whether the search ended at a maximum, of a linear system that from
+    every guess. ``done``: whether it ended before its last trial step.
     """
 
     model: OutputError
@@ -47,6 +47,7 @@ class Maximum:
     covariance: np.ndarray | None
     used: float
     iterations: int
+    certificate: float
     message: str = ""
     objectives: tuple[float, ...] = ()
     converged: bool = True
@@ -57,16 +58,8 @@ class Maximum:
         cost = Cost(self.iterations, self.iterations)
         message = "; ".join(filter(None, [self.message, OPEN if self.covariance is None else ""]))
         estimate = estimate_at(self.model, self.theta, self.covariance, self.used, cost, message)
-        traces = {"start_objectives": np.sort(self.objectives), "certificate": np.array([self.certificate()])}
+        traces = {"start_objectives": np.sort(self.objectives), "certificate": np.array([self.certificate])}
         return replace(estimate, traces=traces)
-
-    def certificate(self) -> float:
-        """Compute ``‖Jᵀ r‖ / (‖J‖ ‖r‖)`` of the standardised residuals, zero at a minimum; J in the Frobenius norm."""
-        point = SimulatedData(self.theta[None], (self.model.data - self.residuals)[None], self.slopes[None])
-        end = self.model.standardised(point, np.maximum(self.sigma, SIGMA_FLOOR * self.model.rms)[None])
-        slopes, residuals = end.slopes[0], end.residuals[0]
-        lengths = float(np.linalg.norm(slopes) * np.linalg.norm(residuals))
-        return float(np.linalg.norm(slopes.T @ residuals)) / max(lengths, 1e-300)
 
 
 def best_maxima(
@@ -93,6 +86,7 @@ def best_maxima(
             covariance=covariance,
             used=float(fits.used[place]),
             iterations=int(fits.iterations[places[i]].sum()),
+            certificate=float(fits.certificates[place]),
             objectives=tuple(map(float, 0.5 * fits.profile[places[i]])),
             converged=bool(np.all(fits.converged[wanted])),
             done=bool(fits.done[place]),
@@ -104,7 +98,8 @@ def best_maxima(
 class Fits:
     """Where each case ended: noise as the residuals have it, without a floor, and minus twice the log-posterior.
 
-    ``settled``: noise and fit no longer change each other.
+    ``settled``: noise and fit no longer change each other. ``certificates``: ``‖Jᵀ r‖ / (‖J‖ ‖r‖)`` of the standardised
+    residuals, zero at a minimum; J in the Frobenius norm.
     """
 
     point: SimulatedData
@@ -115,6 +110,7 @@ class Fits:
     converged: np.ndarray
     done: np.ndarray
     settled: np.ndarray
+    certificates: np.ndarray
 
 
 def fit(
@@ -165,7 +161,11 @@ def fit(
         residuals[ended] = batch.data[cases[ended]] - reached.predicted
     model = batch[cases]
     free, profile = model.noise(residuals, used, 0.0), model.profile_of(point.theta, residuals)
-    return Fits(point, free, used, profile, iterations, converged, done, settled)
+    at = model.standardised(point, np.maximum(free, SIGMA_FLOOR * model.rms))
+    gradient = np.linalg.norm(np.swapaxes(at.slopes, 1, 2) @ at.residuals[..., None], axis=(1, 2))
+    lengths = np.linalg.norm(at.slopes, axis=(1, 2)) * np.linalg.norm(at.residuals, axis=1)
+    certificates = gradient / np.maximum(lengths, 1e-300)
+    return Fits(point, free, used, profile, iterations, converged, done, settled, certificates)
 
 
 def with_open_held(

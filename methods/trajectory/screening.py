@@ -15,7 +15,7 @@ from bench import FIRST_DAMPING, OutputError
 from methods.starts.candidates import candidates, head, screening
 from methods.starts.evidence import basins
 from methods.starts.reach import is_unresolved
-from methods.starts.separate import separate
+from methods.starts.separate import aliased, separate
 
 
 @dataclass(frozen=True)
@@ -71,10 +71,12 @@ def screen(models: Sequence[OutputError], batch: OutputError, rules: Rules) -> G
     sigma = chosen.noise(chosen.data - point.predicted, 0.0)
     settled, _ = chosen.search(point, sigma, rules.screen_iterations)
     values = chosen.profile_of(settled.theta, chosen.data - settled.predicted)
-    kept = list[list[int]]()
+    kept, aliases, finite = list[list[int]](), np.zeros(values.size, bool), np.isfinite(values)
+    aliases[finite] = aliased(models[0], settled.theta[finite])
     for number, model in enumerate(models):
         places = np.flatnonzero(cases == number)
-        kept.append(list(places[separate(model, values[places], settled.theta[places])[: rules.starts]]))
+        best = separate(model, values[places], settled.theta[places], aliases[places])
+        kept.append(list(places[best[: rules.starts]]))
     # beyond half the sampling rate the best fit may be a narrow basin, and the most probable one another; and a few
     # steps do not yet order the basins of several degrees of freedom
     compared = {

@@ -194,5 +194,6 @@ def with_student_errors(maximum: Maximum, batch: OutputError) -> Maximum:
         covariance=model.covariance(slopes, sigma),
         used=float(fits.used[0]),
         iterations=iterations,
+        certificate=float(fits.certificates[0]),
         objectives=(0.5 * float(fits.profile[0]),),
     )
