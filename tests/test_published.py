@@ -39,7 +39,7 @@ RUN = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(time.time_ns()))
 SEED = os.environ.get("PUBLISHED_SEED", RUN[-8:])
 TOLERANCE = 1e-3
 """Of the error's size: no table shows a smaller difference."""
-LOOSER = {"ddnn": 10.0, "pinn_family": 100.0, "ls_spline": 10.0}
+LOOSER = {"ddnn": 10.0, "pinn_family": 100.0, "ls_spline": 20.0, "rls": 10.0}
 """How many times the tolerance a method or variant has whose training or smoothing ends elsewhere by rounding."""
 LOOSER_WITHOUT_SCALE = 10.0
 """The same for single parameters, whose scale the prior sets by a search; their ratios are compared as they are."""
@@ -70,6 +70,7 @@ SPREADS = 5.0
 WITHOUT_SEARCH = frozenset({"prior", "ls", "rls", "sindy"})
 """Methods whose answer, however wrong, is one linear solution: all of their rows repeat."""
 UNREPEATABLE: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {  # by method, the settings under which it is
+    "sindy": lambda settings: settings.get("form") == "weak",  # of version 1, whose splines rounding decided
     "npe": lambda settings: True,  # trained anew on each machine, and training makes rounding larger
     "nuts": lambda settings: True,  # its chains part by rounding
     "pinn_family": lambda settings: settings.get("sampling") == "adaptive",  # chooses points by rounded residuals

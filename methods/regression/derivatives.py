@@ -9,9 +9,8 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.linalg import LinAlgError
 from scipy.interpolate import BSpline
-from scipy.linalg import eigh
+from scipy.linalg import solve_triangular
 
 from bench import NoEstimate, Status
 
@@ -60,48 +59,53 @@ class SmoothingSpline:
     and penalty diagonal at once (Demmler and Reinsch, Numerische Mathematik 24 (1975) 375-382) a weight costs n
     multiplications, so all weights and all data sets are tried together.
 
-    Knots lie at the samples, thinned to at most ``MAX_KNOTS``. Raises NoEstimate for n < order + 1.
+    That basis comes of the factors of fit and penalty, ``[B; √b R] = Q T`` and the singular values of the lower part of
+    Q (the CS decomposition: Golub and Van Loan, Matrix Computations, 4th ed. 2013, section 2.5.4), not of their
+    products: the penalty of smooth parts is some 1e-16 of the largest, and large weights multiply it.
+
+    Knots lie at the samples, thinned to at most ``MAX_KNOTS``. As many parts are kept as there are samples, the
+    smoothest: samples do not see the others. Raises NoEstimate for n < order + 1.
     """
 
     MAX_KNOTS = 300
+    LEAST_DIAGONAL = 1e-13
+    """Of T over its largest: below, some times lie too near to each other for the rest."""
 
     def __init__(self, times: np.ndarray, order: int) -> None:
         self.times, self.order, self.n = times, order, times.size
         if self.n < order + 1:
             raise NoEstimate(f"its smoothing spline needs at least {order + 1} samples a record", Status.UNSUPPORTED)
         self.step = float(times[-1] - times[0]) / (self.n - 1)
-        at = (times - times[0]) / self.step
-        knots = at[np.unique(np.linspace(0, self.n - 1, min(self.n, self.MAX_KNOTS)).round().astype(int))]
+        scaled = (times - times[0]) / self.step
+        knots = scaled[np.unique(np.linspace(0, self.n - 1, min(self.n, self.MAX_KNOTS)).round().astype(int))]
         degree = 2 * order - 1
         self._knots = np.concatenate([np.full(degree, knots[0]), knots, np.full(degree, knots[-1])])
-        basis = self._basis(at)
-        fit, penalty = basis.T @ basis, self._penalty(knots)
-        blend = float(np.trace(fit) / np.trace(penalty))
-        # fit + blend * penalty is positive definite, where fit alone need not be
-        try:
-            penalised, vectors = eigh(penalty, fit + blend * penalty)
-        except LinAlgError:  # to rounding it is not: some times lie too near to each other for the rest
-            sentence = "its smoothing spline cannot be told apart at sample times this uneven; thin the closest ones"
-            raise NoEstimate(sentence) from None
-        seen = np.clip(1.0 - blend * penalised, 0.0, 1.0)
-        keep = seen > 1e-9
-        keep[np.argsort(seen)[: max(0, seen.size - self.n)]] = False
-        self._rough = np.clip(penalised[keep], 0.0, None) / seen[keep]
+        basis, rough = self._basis(scaled), self._penalty_root(knots)
+        blend = float(np.sum(basis**2) / np.sum(rough**2))
+        q, triangle = np.linalg.qr(np.concatenate([basis, np.sqrt(blend) * rough]))
+        diagonal = np.abs(np.diagonal(triangle))
+        if np.min(diagonal) < self.LEAST_DIAGONAL * np.max(diagonal):
+            sentence = "its smoothing spline is not determined at sample times this uneven; thin the closest ones"
+            raise NoEstimate(sentence)
+        sines, axes = np.linalg.svd(q[self.n :], full_matrices=False)[1:]
+        kept = slice(None, -min(self.n, sines.size) - 1, -1)  # from the smoothest part on
+        axes = axes[kept].T
+        self._project = (q[: self.n] @ axes).T
+        self._vectors = solve_triangular(triangle, axes)
+        self._fit = np.sum(self._project**2, axis=1)
+        self._rough = sines[kept] ** 2 / blend
         self._rough[:order] = 0.0  # polynomials below the order are not penalised
-        self._vectors = vectors[:, keep] / np.sqrt(seen[keep])
-        self._project = self._vectors.T @ basis.T
 
     def _basis(self, at: np.ndarray, derivative: int = 0) -> np.ndarray:
         count = self._knots.size - 2 * self.order
         return np.asarray(BSpline(self._knots, np.eye(count), 2 * self.order - 1)(at, nu=derivative))
 
-    def _penalty(self, knots: np.ndarray) -> np.ndarray:
-        """Gram matrix of the penalised derivatives, exact by Gauss-Legendre quadrature in each interval."""
+    def _penalty_root(self, knots: np.ndarray) -> np.ndarray:
+        """Penalised derivatives whose products are the penalty, exact by Gauss-Legendre quadrature in each interval."""
         nodes, weights = np.polynomial.legendre.leggauss(self.order)
         half = np.diff(knots) / 2
         at = (knots[:-1] + half)[:, None] + half[:, None] * nodes
-        rough = self._basis(at.ravel(), self.order) * np.sqrt((half[:, None] * weights).ravel())[:, None]
-        return np.asarray(rough.T @ rough)
+        return self._basis(at.ravel(), self.order) * np.sqrt((half[:, None] * weights).ravel())[:, None]
 
     @cached_property
     def weights(self) -> np.ndarray:
@@ -111,8 +115,8 @@ class SmoothingSpline:
 
     def fit(self, samples: np.ndarray, weights: np.ndarray | float) -> np.ndarray:
         """Spline coefficients (..., n_coefficients) of samples (..., n) at weights that broadcast with (...)."""
-        kept = 1.0 / (1.0 + np.asarray(weights)[..., None] * self._rough)
-        return np.asarray((samples @ self._project.T * kept) @ self._vectors.T)
+        size = self._fit + np.asarray(weights)[..., None] * self._rough
+        return np.asarray((samples @ self._project.T / size) @ self._vectors.T)
 
     def likely_weights(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The most likely weight of the grid and the noise's standard deviation, each (...), for samples (..., n).
@@ -121,10 +125,10 @@ class SmoothingSpline:
         noise, both noise levels unknown (Wahba, Annals of Statistics 13 (1985) 1378-1402, where it is called GML). It
         knows nothing of the system, and takes a vibration of fewer than some six samples a cycle for noise.
         """
-        parts = samples @ self._project.T
+        parts = samples @ (self._project / np.sqrt(self._fit)[:, None]).T
         rough = parts[..., self.order :] ** 2
         outside = np.clip(np.sum(samples**2, -1) - np.sum(parts**2, -1), 0.0, None)
-        shrunk = np.maximum(self.weights[:, None] * self._rough[self.order :], 1e-300)
+        shrunk = np.maximum(self.weights[:, None] * (self._rough / self._fit)[self.order :], 1e-300)
         kept = 1.0 / (1.0 + shrunk)
         # the quadratic form of the likelihood, (..., weights); a floor keeps exact data finite
         form = rough @ (1.0 - kept).T + outside[..., None]

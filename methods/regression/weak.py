@@ -8,10 +8,9 @@ accurate to high order for what vanishes smoothly at both ends.
 
 The noise of a sample enters all integrals about it, so least squares alone is badly biased. The residual at parameters
 p is linear in the noise, of covariance ``S(p) = L(p) L(p)ᵀ`` with the rows ``m φ'' - c φ' + k φ`` of L: generalised
-least squares with S(p), p taken anew a few times (WENDy: D. M. Bortz, D. A. Messenger, V. Dukic, Bulletin of
-Mathematical Biology 85:110, 2023), from the estimate on splines.
-
-Linear systems only. Nothing is learnt of the ends of a record, where every φ is small.
+least squares with S(p), p renewed a few times (WENDy: D. M. Bortz, D. A. Messenger, V. Dukic, Bulletin of Mathematical
+Biology 85:110, 2023), from the estimate on splines. Linear systems only; a record's ends, where every φ is small, count
+for little.
 
 :func:`weak_rows` is the same for a library of terms, ``x'' = Σ ξ_j θ_j(x, v)``: ``∫φ'' x = Σ ξ_j ∫φ θ_j`` (WSINDy, the
 same source). Of the terms, x and v are integrated over the samples themselves, ``∫φ v = -∫φ' x``, the others along the
